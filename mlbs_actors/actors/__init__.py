@@ -1,0 +1,6 @@
+"""The engine on Ray: thin shells around its parts, one process a part, one a layer."""
+
+from mlbs_actors.actors.pipeline import Node, StreamActors
+from mlbs_actors.actors.pool import PoolCensus, PoolPolicy
+
+__all__ = ["Node", "PoolCensus", "PoolPolicy", "StreamActors"]

@@ -1,0 +1,221 @@
+"""The coordinator of a stream in a process of its own: the conductor of the stream's other processes.
+
+It fetches the frames, finds out what each layer needs to know, and starts the layers' and the segmenter's
+work on references, so that no picture passes through it twice and none through the driver. It runs ahead of
+the layers by at most two frames: the tracking of frame t+1 needs the label map of t−1, and runs beside the
+layers' work on t.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import ray
+from ray.exceptions import RayError
+
+from mlbs_actors.actors.failures import POOL, SEGMENTER, SINK, explain, source_failure
+from mlbs_actors.actors.layer import LiveLayers
+from mlbs_actors.actors.parts import PartFactory
+from mlbs_actors.actors.processes import Handle, Reference, identity
+from mlbs_actors.actors.reader import ReadAhead
+from mlbs_actors.actors.sink import Record
+from mlbs_actors.actors.stream_protocol import SourceFrame, StreamProgress, StreamSpec
+from mlbs_actors.determinism import limit_process
+from mlbs_actors.errors import MlbsError
+from mlbs_actors.messages import Array, FrameEvidence, Segmentation
+
+__all__ = ["CoordinatorActor", "StreamLinks"]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class StreamLinks:
+    """The actors a coordinator works with.
+
+    Attributes
+    ----------
+    reader, segmenter : Handle
+        The stream's own.
+    pool, sink : Handle
+        The node's.
+    """
+
+    reader: Handle
+    segmenter: Handle
+    pool: Handle
+    sink: Handle
+
+
+class CoordinatorActor:
+    """Runs one stream, a bounded burst of frames a call.
+
+    Parameters
+    ----------
+    spec : StreamSpec
+    parts : PartFactory
+    links : StreamLinks
+    run : int
+        The stream's number in the pool.
+    """
+
+    def __init__(self, spec: StreamSpec, parts: PartFactory, links: StreamLinks, run: int) -> None:
+        limit_process()
+        self._spec = spec
+        self._links = links
+        self._coordinator = parts.coordinator(spec.config)
+        self._source = ReadAhead(links.reader, spec.max_frames)
+        self._layers = LiveLayers(links.pool, run, spec.config)
+        self._record = Record(links.sink, run, spec.open_sink)
+        self._waiting: deque[tuple[Reference, SourceFrame]] = deque()  # not yet labelled, in source order
+        self._segmentations: dict[int, Reference] = {}  # of the newest frames, by the engine's frame index
+        self._read = 0
+        self._quarantined = 0
+        self._problem: str | None = None
+        self._stages = _StageTimes()
+        self._ended: StreamProgress | MlbsError | None = None
+
+    def advance(self, frames: int) -> StreamProgress:
+        """Take up to ``frames`` more frames of the source; the label maps may follow a few frames later.
+
+        Raises
+        ------
+        MlbsError
+            If the stream failed, now or in an earlier call. What was labelled before is committed.
+        """
+        return self._guarded(frames)
+
+    def finish(self) -> StreamProgress:
+        """Read no more, label and commit what was read, close the record; raises as :meth:`advance`."""
+        self._source.stop()
+        return self._guarded(1)
+
+    def _guarded(self, frames: int) -> StreamProgress:
+        if self._ended is None:
+            try:
+                progress = self._burst(frames)
+            except Exception as error:
+                # Whatever it is, it ends this stream alone, as one sentence; what nobody raised on purpose
+                # goes to the log with its traceback.
+                if not isinstance(error, MlbsError | RayError):
+                    _log.exception("Stream %r failed unexpectedly.", self._spec.name)
+                self._ended = explain(error, self._spec.name, self._roles())
+                self._record.close_after_failure()
+            else:
+                if not progress.done:
+                    return progress
+                self._ended = progress
+        if isinstance(self._ended, MlbsError):
+            raise self._ended
+        return self._ended
+
+    def _burst(self, frames: int) -> StreamProgress:
+        for _ in range(frames):
+            delivered = self._next_frame()
+            if delivered is None:
+                return self._finish()
+            self._read += 1
+            self._waiting.append(delivered)
+            image = delivered[1].image
+            if image is None:
+                self._quarantined += 1
+                self._write_gaps()
+            else:
+                self._track(image)
+        self._record.collect()
+        return self._progress(done=False)
+
+    def _next_frame(self) -> tuple[Reference, SourceFrame] | None:
+        try:
+            return self._source.next()
+        except RayError as error:
+            failure = source_failure(error, self._spec.name, self._read)
+            if self._read == 0:
+                raise failure from None
+            self._problem = str(failure)
+            self._source.stop()
+            return None
+
+    def _track(self, image: Array) -> None:
+        """Let the engine's coordinator take the next picture, and start the work that it makes possible."""
+        index = self._read - self._quarantined - 1  # the engine counts the frames it is given
+        wanted = self._coordinator.feedback_index(index)
+        feedback = None if wanted is None else self._labelled(wanted)
+        for evidence in self._coordinator.step(index, image, feedback):
+            self._label(evidence)
+
+    def _labelled(self, frame_index: int) -> Segmentation:
+        """Wait for a label map: this is what holds the coordinator back to the pace of the layers."""
+        segmentation: Segmentation = ray.get(self._segmentations[frame_index])
+        self._stages.add(segmentation.stage_ms)
+        return segmentation
+
+    def _label(self, evidence: FrameEvidence) -> None:
+        """Start all the work on one frame whose evidence is complete."""
+        frame, _ = self._waiting.popleft()
+        self._layers.follow(evidence)
+        index = evidence.frame_index
+        by_reference = ray.put(evidence)
+        posteriors = self._layers.step(evidence, by_reference, frame, self._segmentations.get(index - 1))
+        segmentation = self._links.segmenter.step.remote(by_reference, frame, *posteriors)
+        self._segmentations[index] = segmentation
+        self._segmentations.pop(index - 2, None)
+        self._record.write(segmentation, frame)
+        self._write_gaps()
+
+    def _write_gaps(self) -> None:
+        """Hand over the rows of undecodable frames that only waited for the label maps before them."""
+        while self._waiting and self._waiting[0][1].image is None:
+            _, frame = self._waiting.popleft()
+            self._record.gap(frame.index, frame.pts, "quarantined")
+
+    def _finish(self) -> StreamProgress:
+        for evidence in self._coordinator.flush():
+            self._label(evidence)
+        self._segmentations.clear()
+        self._record.close()
+        self._layers.release_all()
+        if self._problem is None:
+            try:
+                self._problem = self._source.problem()
+            except RayError as error:
+                self._problem = str(source_failure(error, self._spec.name, self._read))
+        return self._progress(done=True)
+
+    def _progress(self, *, done: bool) -> StreamProgress:
+        return StreamProgress(
+            read=self._read,
+            committed=self._record.committed,
+            quarantined=self._quarantined,
+            dropped=0,  # no source here ever runs ahead of its stream: a frame is read when it is wanted
+            layers=len(self._layers),
+            done=done,
+            problem=self._problem,
+            stage_ms=self._stages.take_means(),
+        )
+
+    def _roles(self) -> dict[str, str]:
+        links = self._links
+        own = ((links.segmenter, SEGMENTER), (links.pool, POOL), (links.sink, SINK))
+        return {identity(handle): role for handle, role in own} | dict(self._layers.roles())
+
+
+class _StageTimes:
+    """Mean wall time by stage over the label maps seen since the last report."""
+
+    def __init__(self) -> None:
+        self._sums: dict[str, float] = {}
+        self._frames = 0
+
+    def add(self, stage_ms: Mapping[str, float]) -> None:
+        self._frames += 1
+        for stage, milliseconds in stage_ms.items():
+            self._sums[stage] = self._sums.get(stage, 0.0) + milliseconds
+
+    def take_means(self) -> dict[str, float]:
+        means = {stage: total / self._frames for stage, total in self._sums.items()}
+        self._sums, self._frames = {}, 0
+        return means

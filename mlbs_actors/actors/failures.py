@@ -1,0 +1,101 @@
+"""From whatever Ray raises to one of this package's errors, with a sentence about the stream."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ray.exceptions import RayActorError, RayTaskError
+
+from mlbs_actors.errors import LayerError, MlbsError, SinkError, SourceError
+
+__all__ = [
+    "COORDINATOR",
+    "POOL",
+    "READER",
+    "SEGMENTER",
+    "SINK",
+    "cause_of",
+    "explain",
+    "last_line",
+    "source_failure",
+]
+
+#: Parts of a stream, as sentences name them.
+COORDINATOR = "coordinator"
+POOL = "pool of layer processes"
+READER = "reader"
+SEGMENTER = "segmenter"
+SINK = "sink"
+
+
+def cause_of(error: BaseException) -> BaseException:
+    """Return what was raised in the actor, without Ray's wrapping."""
+    return error.cause if isinstance(error, RayTaskError) else error
+
+
+def explain(error: BaseException, stream: str, roles: Mapping[str, str]) -> MlbsError:
+    """Turn any failure of a stream's actors into one MlbsError.
+
+    Parameters
+    ----------
+    error : BaseException
+        As raised by ``ray.get``.
+    stream : str
+        The stream's name.
+    roles : mapping of str to str
+        Actor id (:func:`mlbs_actors.actors.processes.identity`) to the part that lived there.
+
+    Returns
+    -------
+    MlbsError
+        The actor's own if it raised one; SinkError if the sink's process was lost; LayerError else.
+    """
+    cause = cause_of(error)
+    if isinstance(cause, MlbsError):
+        return cause
+    if not isinstance(cause, RayActorError):
+        return LayerError(
+            f"Stream {stream!r} failed unexpectedly with {type(cause).__name__}: {last_line(cause)}. "
+            "What was committed before is kept; please report this with the video."
+        )
+    role = roles.get(str(cause.actor_id), "part")
+    if cause.actor_init_failed:
+        return LayerError(f"The {role} of stream {stream!r} could not start: {last_line(cause)}.")
+    lost = SinkError if role == SINK else LayerError
+    return lost(
+        f"Stream {stream!r} lost the process of its {role}; what was committed before is kept. "
+        "Run it again, and if that ends the same way, look whether the machine runs out of memory."
+    )
+
+
+def source_failure(error: BaseException, stream: str, frames: int) -> SourceError:
+    """Turn any failure of a stream's reader into a SourceError.
+
+    Only the type of an unexpected exception is stated: its text may hold the source's address, and with it
+    a password.
+
+    Parameters
+    ----------
+    error : BaseException
+        As raised by ``ray.get``.
+    stream : str
+        The stream's name.
+    frames : int
+        Frames that were read before.
+    """
+    cause = cause_of(error)
+    if isinstance(cause, SourceError):
+        return cause
+    where = f"after {frames} frames" if frames else "before its first frame"
+    if isinstance(cause, RayActorError):
+        return SourceError(
+            f"The process that reads stream {stream!r} died {where}; the source is probably damaged there. "
+            "Convert it with another program and run it again."
+        )
+    return SourceError(f"The source of stream {stream!r} failed {where} with {type(cause).__name__}.")
+
+
+def last_line(error: BaseException) -> str:
+    """Return the last line of an error's text: in Ray's, what was raised, below the traceback."""
+    lines = str(error).strip().splitlines()
+    return lines[-1].rstrip(".") if lines else "no message"

@@ -1,0 +1,46 @@
+"""Each frame once and in order: the guard of every part that keeps a state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from mlbs_actors.errors import LayerError
+
+__all__ = ["FrameOrder"]
+
+
+class FrameOrder:
+    """Refuses a frame that does not follow the last one, and every frame after a failed one.
+
+    A call that comes twice, or after one that failed half-way, would leave a state that no undisturbed run
+    ever has.
+    """
+
+    def __init__(self) -> None:
+        self._last: int | None = -1
+
+    @contextmanager
+    def step(self, frame: int, *, after: int) -> Iterator[None]:
+        """Do the work of ``frame`` in the ``with`` block.
+
+        Parameters
+        ----------
+        frame : int
+            Frame index.
+        after : int
+            Frame index that must have been done last, −1 for none.
+
+        Raises
+        ------
+        LayerError
+            If another frame was last, or the last one failed.
+        """
+        if self._last != after:
+            last = "a frame that failed" if self._last is None else f"frame {self._last}"
+            raise LayerError(
+                f"Frame {frame} follows frame {after} but {last} was last; start the stream again."
+            )
+        self._last = None
+        yield
+        self._last = frame

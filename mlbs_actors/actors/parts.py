@@ -1,0 +1,140 @@
+"""What the actors run: the pure parts of the engine, named by what the actors need of them.
+
+The actors know the engine through :class:`PartFactory` only. :class:`EngineParts` is the engine.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from mlbs_actors.config import Config
+from mlbs_actors.messages import (
+    Array,
+    FrameEvidence,
+    LayerEvidence,
+    LayerKind,
+    LayerPosterior,
+    Segmentation,
+)
+
+__all__ = ["CoordinatorPart", "EngineParts", "LayerPart", "PartFactory", "SegmenterPart"]
+
+
+class CoordinatorPart(Protocol):
+    """Tracks, clusters and decides on layers."""
+
+    def feedback_index(self, frame_index: int) -> int | None:
+        """Return the frame whose Segmentation :meth:`step` will read, None for none."""
+
+    def step(self, frame_index: int, frame: Array, feedback: Segmentation | None) -> list[FrameEvidence]:
+        """Take the next frame; return the evidence complete by now, in frame order."""
+
+    def flush(self) -> list[FrameEvidence]:
+        """Return the evidence of the frames still held, at the end of the stream."""
+
+
+class LayerPart(Protocol):
+    """Motion, appearance and prior of one layer."""
+
+    def step(
+        self,
+        evidence: LayerEvidence,
+        frame_evidence: FrameEvidence,
+        frame: Array,
+        previous: Segmentation | None,
+    ) -> LayerPosterior:
+        """Finish frame t−1 with its labels, then predict and evaluate frame t."""
+
+
+class SegmenterPart(Protocol):
+    """Normalises, cuts and cleans."""
+
+    def step(self, evidence: FrameEvidence, frame: Array, posteriors: list[LayerPosterior]) -> Segmentation:
+        """Label frame t from the posteriors of its layers, in ascending layer id."""
+
+
+class PartFactory(Protocol):
+    """Makes the parts inside the actor processes; picklable."""
+
+    def coordinator(self, config: Config) -> CoordinatorPart:
+        """Make a stream's coordinator."""
+
+    def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
+        """Make a layer."""
+
+    def segmenter(self, config: Config) -> SegmenterPart:
+        """Make a stream's segmenter."""
+
+    def warm_layer(self) -> None:
+        """Do once what would delay the first frame of a layer, in a process that waits for one."""
+
+
+class EngineParts:
+    """The engine of this package, imported only in the processes that run it."""
+
+    def coordinator(self, config: Config) -> CoordinatorPart:
+        """Make a stream's coordinator."""
+        from mlbs_actors.coordinator import Coordinator
+
+        return Coordinator(config)
+
+    def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
+        """Make a layer."""
+        from mlbs_actors.layer import Layer
+
+        return Layer(config, layer, kind)
+
+    def segmenter(self, config: Config) -> SegmenterPart:
+        """Make a stream's segmenter."""
+        from mlbs_actors.segmenter import Segmenter
+
+        return Segmenter(config)
+
+    def warm_layer(self) -> None:
+        """Run a layer over three tiny frames, so that its kernels are compiled or loaded.
+
+        The arrays are read-only, as those of real frames are when they arrive: for Numba that is another
+        type, with kernels of its own.
+        """
+        config = Config()
+        height, width = 48, 64
+        frame = _read_only(np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8))
+        columns, rows = np.meshgrid(np.arange(4, width, 8), np.arange(4, height, 8))
+        positions = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float32)
+        for kind, layer in (("background", 0), ("object", 1)):
+            part = self.layer(config, layer, kind)  # type: ignore[arg-type]
+            previous = None
+            for t in range(3):
+                own = LayerEvidence(
+                    layer=layer,
+                    kind=kind,  # type: ignore[arg-type]
+                    last_frame=t - 1,
+                    positions=_read_only(positions),
+                    motions=_read_only(np.zeros_like(positions)),
+                )
+                evidence = FrameEvidence(
+                    frame_index=t,
+                    shape=(height, width),
+                    camera=_read_only(np.eye(3)),
+                    flow=_read_only(np.zeros((height // 2, width // 2, 2), np.float16)),
+                    flow_reliable=_read_only(np.ones((height // 2, width // 2), bool)),
+                    layers=(own,),
+                    retired=(),
+                    latency_frames=0,
+                )
+                part.step(own, evidence, frame, previous)
+                previous = Segmentation(
+                    frame_index=t,
+                    labels=_read_only(np.full((height, width), layer, np.uint16)),
+                    normaliser=_read_only(np.zeros((height, width), np.uint8)),
+                    layers=(),
+                    camera_motion=(0.0, 0.0),
+                    latency_frames=0,
+                )
+
+
+def _read_only(array: Array) -> Array:
+    array.setflags(write=False)
+    return array

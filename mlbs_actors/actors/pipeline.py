@@ -1,0 +1,154 @@
+"""Streams on a node, as the driver holds them: started, asked for one burst after the other, stopped.
+
+Nothing of a stream's data passes through here. The driver creates a stream's reader, segmenter and
+coordinator; the node's pool creates its layers.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from contextlib import suppress
+
+import ray
+from ray.exceptions import GetTimeoutError, RayError
+
+from mlbs_actors.actors.coordinator import CoordinatorActor, StreamLinks
+from mlbs_actors.actors.failures import COORDINATOR, explain
+from mlbs_actors.actors.parts import EngineParts, PartFactory
+from mlbs_actors.actors.pool import PoolActor, PoolCensus, PoolPolicy
+from mlbs_actors.actors.processes import Handle, Reference, end, identity, spawn
+from mlbs_actors.actors.reader import ReaderActor
+from mlbs_actors.actors.segmenter import SegmenterActor
+from mlbs_actors.actors.sink import SinkActor
+from mlbs_actors.actors.stream_protocol import StreamProgress, StreamSpec
+from mlbs_actors.errors import MlbsError
+
+__all__ = ["Node", "StreamActors"]
+
+#: Frames of one burst: enough that the driver's part is lost in them, few enough to stop soon.
+_BURST_FRAMES = 8
+
+#: How long the ends of a stream that is stopped are waited for, s.
+_STOP_SECONDS = 10.0
+
+
+class Node:
+    """One node's pool of layer processes and its sink process; a :class:`StreamHost`.
+
+    Needs a Ray session. The processes end with :meth:`close`, or with the driver.
+
+    Parameters
+    ----------
+    node : str, optional
+        Ray's id of the node; by default the driver's own.
+    parts : PartFactory, optional
+        What the actors run; by default the engine.
+    policy : PoolPolicy, optional
+    """
+
+    def __init__(
+        self,
+        node: str | None = None,
+        *,
+        parts: PartFactory | None = None,
+        policy: PoolPolicy | None = None,
+    ) -> None:
+        self._node = ray.get_runtime_context().get_node_id() if node is None else node
+        self._parts = parts or EngineParts()
+        self._pool = spawn(PoolActor, self._parts, policy or PoolPolicy(), node=self._node)
+        self._sink = spawn(SinkActor, node=self._node)
+        self._closed = False
+
+    def start(self, spec: StreamSpec) -> StreamActors:
+        """Create a stream's actors and return at once; what goes wrong is raised by ``advance``."""
+        return StreamActors(spec, self._parts, self._node, pool=self._pool, sink=self._sink)
+
+    def census(self) -> PoolCensus:
+        """Count the node's layer processes."""
+        census: PoolCensus = ray.get(self._pool.census.remote())
+        return census
+
+    def close(self) -> None:
+        """End the layer processes, the pool and the sink. May be called twice."""
+        if self._closed:
+            return
+        self._closed = True
+        with suppress(RayError, GetTimeoutError):
+            ray.get(self._pool.close.remote(), timeout=_STOP_SECONDS)
+        end([self._pool, self._sink])
+
+
+class StreamActors:
+    """One stream's actors; a :class:`RunningStream`. Made by :meth:`Node.start`."""
+
+    def __init__(
+        self, spec: StreamSpec, parts: PartFactory, node: str, *, pool: Handle, sink: Handle
+    ) -> None:
+        self._name = spec.name
+        self._pool = pool
+        self._sink = sink
+        # The number reaches the coordinator by reference: it is not created before the pool has let the
+        # stream in.
+        self._run: Reference = pool.begin.remote()
+        reader = spawn(ReaderActor, spec.open_reader, node=node)
+        segmenter = spawn(SegmenterActor, parts, spec.config, node=node)
+        links = StreamLinks(reader=reader, segmenter=segmenter, pool=pool, sink=sink)
+        self._reader = reader
+        self._coordinator = spawn(CoordinatorActor, spec, parts, links, self._run, node=node)
+        self._own = [self._coordinator, segmenter, reader]
+        self._stopped = False
+        self._final: StreamProgress | None = None
+
+    def advance(self) -> Future[StreamProgress]:
+        """Ask for one bounded burst of frames; do not call again before the future is done.
+
+        Returns
+        -------
+        Future of StreamProgress
+            Carries an MlbsError if the stream failed (see :class:`RunningStream`).
+        """
+        return self._explained(self._coordinator.advance.remote(_BURST_FRAMES))
+
+    def stop(self, *, drain: bool) -> StreamProgress | None:
+        """End the stream and give its processes back; may be called twice, and after a failure.
+
+        Parameters
+        ----------
+        drain : bool
+            Label and commit what was read, and wait for it; else what was handed to the sink is the end.
+
+        Returns
+        -------
+        StreamProgress or None
+            The final progress if drained and whole.
+        """
+        if self._stopped:
+            return self._final
+        self._stopped = True
+        if drain:
+            with suppress(MlbsError):
+                self._final = self._explained(self._coordinator.finish.remote()).result()
+        # The reader releases its device or file if it can; a stuck one is ended all the same.
+        with suppress(RayError, GetTimeoutError):
+            ray.get(self._reader.close.remote(), timeout=1.0)
+        end(self._own, _STOP_SECONDS)
+        for last in (self._pool.end.remote(self._run), self._sink.close.remote(self._run)):
+            with suppress(RayError, GetTimeoutError):
+                ray.get(last, timeout=_STOP_SECONDS)
+        return self._final
+
+    def _explained(self, reference: Reference) -> Future[StreamProgress]:
+        """Return the answer's future with Ray's errors turned into this package's."""
+        answer: Future[StreamProgress] = reference.future()
+        explained: Future[StreamProgress] = Future()
+        roles = {identity(self._coordinator): COORDINATOR}
+
+        def pass_on(answered: Future[StreamProgress]) -> None:
+            error = answered.exception()
+            if error is None:
+                explained.set_result(answered.result())
+            else:
+                explained.set_exception(explain(error, self._name, roles))
+
+        answer.add_done_callback(pass_on)
+        return explained

@@ -1,0 +1,183 @@
+"""The node's layer processes: kept warm, lent to streams, taken back, ended when too many are idle.
+
+The pool creates every layer process of its node, so all end with it. A birth is a method call on a process
+that has already imported and compiled everything; if none is ready it waits for one rather than coming a
+frame late.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable
+from dataclasses import dataclass
+
+import ray
+from ray.exceptions import RayActorError
+
+from mlbs_actors.actors.failures import last_line
+from mlbs_actors.actors.layer import LayerActor
+from mlbs_actors.actors.parts import PartFactory
+from mlbs_actors.actors.processes import Handle, spawn
+from mlbs_actors.config import Config
+from mlbs_actors.errors import LayerError
+from mlbs_actors.messages import LayerKind
+
+__all__ = ["PoolActor", "PoolCensus", "PoolPolicy"]
+
+
+@dataclass(frozen=True, slots=True)
+class PoolPolicy:
+    """How many processes wait for a layer.
+
+    Attributes
+    ----------
+    spare : int
+        Idle processes kept ready; a started process takes about 135 MB.
+    idle_seconds : float
+        Idle processes beyond these are ended once they were idle for this long, s.
+    """
+
+    spare: int = 2
+    idle_seconds: float = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class PoolCensus:
+    """How many processes a pool has.
+
+    Attributes
+    ----------
+    idle : int
+        Waiting for a layer, those still starting included.
+    busy : int
+        Lent to streams.
+    """
+
+    idle: int
+    busy: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Idle:
+    handle: Handle
+    ready: asyncio.Future[None]
+    since: float
+
+    def preference(self) -> tuple[bool, float]:
+        """Ready ones first, the last used of them, so that the others grow old; else the first started."""
+        return (True, self.since) if self.ready.done() else (False, -self.since)
+
+
+class PoolActor:
+    """Creates and owns every layer process of one node.
+
+    A stream is known by the number that :meth:`begin` gave it. All methods run in one thread, between
+    whose ``await`` s others may run.
+    """
+
+    def __init__(self, parts: PartFactory, policy: PoolPolicy) -> None:
+        self._parts = parts
+        self._policy = policy
+        self._node = ray.get_runtime_context().get_node_id()
+        self._idle: list[_Idle] = []
+        self._busy: dict[int, dict[int, Handle]] = {}
+        self._runs = 0
+
+    async def begin(self) -> int:
+        """Let a new stream in; return its number."""
+        self._runs += 1
+        self._busy[self._runs] = {}
+        self._refill()
+        return self._runs
+
+    async def acquire(self, run: int, layer: int, kind: LayerKind, config: Config) -> Handle:
+        """Make a process the given new-born layer of stream ``run``, waiting for one if none is ready.
+
+        Returns
+        -------
+        Handle
+            A :class:`~mlbs_actors.actors.layer.LayerActor`, assigned.
+
+        Raises
+        ------
+        LayerError
+            If no process can be started, or the stream has ended.
+        """
+        while run in self._busy:
+            waiting = max(self._idle, key=_Idle.preference, default=None)
+            if waiting is not None:
+                self._idle.remove(waiting)
+            process = waiting or self._start()
+            self._busy[run][layer] = process.handle
+            self._refill()
+            try:
+                await process.ready
+                await process.handle.assign.remote(layer, kind, config)
+            except RayActorError as error:
+                # One that waited may have died unnoticed: the next will do. One that was started for this
+                # very layer would die again.
+                if waiting is None and run in self._busy:
+                    raise LayerError(
+                        f"No process could be started for layer {layer}: {last_line(error)}."
+                    ) from error
+            else:
+                if run in self._busy:
+                    return process.handle
+        raise LayerError(f"Layer {layer} was to be born in a stream that has ended; start the stream again.")
+
+    async def release(self, run: int, layer: int, released: None) -> None:
+        """Take the process of a retired layer back; ``released`` is that process's own answer."""
+        handle = self._busy.get(run, {}).pop(layer, None)
+        if handle is None:
+            return
+        ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        ready.set_result(None)
+        self._idle.append(_Idle(handle, ready, time.monotonic()))
+        asyncio.get_running_loop().call_later(self._policy.idle_seconds, self._shrink)
+
+    async def end(self, run: int) -> None:
+        """End the processes that a stream still has, and wait until they are gone."""
+        lent = self._busy.pop(run, {})
+        await asyncio.gather(*(_end(handle) for handle in lent.values()))
+
+    async def close(self) -> None:
+        """End every process, and wait until all are gone."""
+        idle, self._idle = self._idle, []
+        lent = [handle for busy in self._busy.values() for handle in busy.values()]
+        self._busy = {}
+        await asyncio.gather(*(_end(handle) for handle in [*lent, *(process.handle for process in idle)]))
+
+    async def census(self) -> PoolCensus:
+        """Count the processes."""
+        return PoolCensus(idle=len(self._idle), busy=sum(len(lent) for lent in self._busy.values()))
+
+    def _start(self) -> _Idle:
+        handle = spawn(LayerActor, self._parts, node=self._node)
+        ready = asyncio.ensure_future(_started(handle.__ray_ready__.remote()))
+        return _Idle(handle, ready, time.monotonic())
+
+    def _refill(self) -> None:
+        while len(self._idle) < self._policy.spare:
+            self._idle.append(self._start())
+
+    def _shrink(self) -> None:
+        surplus = sorted(self._idle, key=lambda process: process.since)
+        for process in surplus[: max(0, len(surplus) - self._policy.spare)]:
+            if time.monotonic() - process.since >= self._policy.idle_seconds:
+                self._idle.remove(process)
+                ray.kill(process.handle)
+
+
+async def _started(answer: Awaitable[object]) -> None:
+    await answer
+
+
+async def _end(handle: Handle) -> None:
+    ray.kill(handle)
+    while True:
+        try:
+            await handle.__ray_ready__.remote()
+        except RayActorError:
+            return
+        await asyncio.sleep(0.01)  # the call overtook the kill

@@ -1,0 +1,84 @@
+"""Actor processes: how every one of them is started on a node, named and ended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from typing import Any, TypeAlias
+
+import ray
+from ray.exceptions import GetTimeoutError, RayActorError
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+__all__ = ["Handle", "Reference", "end", "identity", "spawn"]
+
+#: A Ray actor handle; Ray makes its methods at run time, so there is no type to state.
+Handle: TypeAlias = Any
+
+#: A Ray object reference; what it refers to is known where it is made.
+Reference: TypeAlias = "ray.ObjectRef[Any]"
+
+
+def spawn(kind: type, *arguments: object, node: str) -> Handle:
+    """Start an actor on one node and return at once.
+
+    Ray's own restarts and retries are off: a restarted actor would be an empty one, and a retried call
+    could feed a frame to a model twice. Zero CPUs are asked for, since a stream's processes take turns.
+
+    Parameters
+    ----------
+    kind : type
+        Plain class to run in a process of its own.
+    *arguments : object
+        Its constructor's arguments.
+    node : str
+        Ray's id of the node; the process is there or nowhere.
+
+    Returns
+    -------
+    Handle
+        What goes wrong at the start shows in the first call.
+    """
+    actor: Handle = ray.remote(num_cpus=0, max_restarts=0, max_task_retries=0)(kind)
+    place = NodeAffinitySchedulingStrategy(node_id=node, soft=False)
+    return actor.options(scheduling_strategy=place).remote(*arguments)
+
+
+def identity(handle: Handle) -> str:
+    """Ray's id of an actor, the one that errors about it carry."""
+    return str(handle._actor_id.hex())
+
+
+def end(handles: Iterable[Handle], seconds: float = 10.0) -> bool:
+    """End actors at once, whatever they are doing, and wait until Ray knows that they are gone.
+
+    Parameters
+    ----------
+    handles : iterable of Handle
+        Actors, dead ones included.
+    seconds : float
+        How long to wait for all of them, s.
+
+    Returns
+    -------
+    bool
+        Whether all are gone.
+    """
+    deadline = time.monotonic() + seconds
+    ending = list(handles)
+    for handle in ending:
+        ray.kill(handle)
+    left = [handle for handle in ending if not _is_gone(handle, deadline)]
+    return not left
+
+
+def _is_gone(handle: Handle, deadline: float) -> bool:
+    while (left := deadline - time.monotonic()) > 0:
+        try:
+            ray.get(handle.__ray_ready__.remote(), timeout=left)
+        except RayActorError:
+            return True
+        except GetTimeoutError:
+            return False
+        time.sleep(0.01)  # the call overtook the kill
+    return False

@@ -1,0 +1,93 @@
+"""The open source of a stream, in a process of its own: a damaged video can abort the one that decodes it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import ray
+
+from mlbs_actors.actors.processes import Handle, Reference
+from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame
+from mlbs_actors.determinism import limit_process
+
+__all__ = ["ReadAhead", "ReaderActor"]
+
+#: Frames that are decoded beside the work on the one before them. Two, so that a slow one (a key
+#: frame) is made up for; each is held in memory.
+_FRAMES_AHEAD = 2
+
+
+class ReaderActor:
+    """Opens a source at the first read, so that what is wrong with it is raised there."""
+
+    def __init__(self, open_reader: Callable[[], FrameReader]) -> None:
+        limit_process()
+        self._open_reader = open_reader
+        self._reader: FrameReader | None = None
+
+    def read(self) -> SourceFrame | None:
+        """Return the next frame, None at the end; raises SourceError."""
+        if self._reader is None:
+            self._reader = self._open_reader()
+        return self._reader.read()
+
+    def problem(self) -> str | None:
+        """Return what was wrong with the source so far, as a sentence, or None."""
+        return None if self._reader is None else self._reader.problem
+
+    def close(self) -> None:
+        """Release the source."""
+        if self._reader is not None:
+            self._reader.close()
+
+
+class ReadAhead:
+    """The coordinator's end of a reader: keeps a bounded number of reads under way.
+
+    Parameters
+    ----------
+    reader : Handle
+        A :class:`ReaderActor`.
+    max_frames : int, optional
+        Frames after which no more are asked for.
+    """
+
+    def __init__(self, reader: Handle, max_frames: int | None) -> None:
+        self._reader = reader
+        self._left = max_frames
+        self._asked: deque[Reference] = deque()
+
+    def next(self) -> tuple[Reference, SourceFrame] | None:
+        """Return the next frame, by reference and by value, or None at the end.
+
+        Raises
+        ------
+        RayError
+            If the reader raised, or its process died.
+        """
+        self._ask(_FRAMES_AHEAD + 1)
+        if not self._asked:
+            return None
+        reference = self._asked.popleft()
+        frame: SourceFrame | None = ray.get(reference)
+        if frame is None:
+            self.stop()
+            return None
+        return reference, frame
+
+    def problem(self) -> str | None:
+        """Return :attr:`FrameReader.problem`; raises RayError if the process died."""
+        problem: str | None = ray.get(self._reader.problem.remote())
+        return problem
+
+    def stop(self) -> None:
+        """Ask for no more frames and forget those that were asked for."""
+        self._left = 0
+        self._asked.clear()
+
+    def _ask(self, wanted: int) -> None:
+        while len(self._asked) < wanted and self._left != 0:
+            self._asked.append(self._reader.read.remote())
+            if self._left is not None:
+                self._left -= 1

@@ -1,0 +1,128 @@
+"""The node's sink: the records being written, off the frame's critical path."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import ray
+from ray.exceptions import RayError
+
+from mlbs_actors.actors.processes import Handle, Reference
+from mlbs_actors.actors.stream_protocol import GapStatus, SourceFrame, StreamSink
+from mlbs_actors.determinism import limit_process
+from mlbs_actors.errors import SinkError
+from mlbs_actors.messages import Segmentation
+
+__all__ = ["Record", "SinkActor"]
+
+#: Rows that may be under way to the sink; the stream waits at more. Each holds a frame and a label map.
+_PENDING_ROWS = 8
+
+
+class SinkActor:
+    """Writes the records of all streams of one node, each known by the stream's number in the pool.
+
+    After a row that could not be written no other row of that stream is taken, since rows are in order
+    and without holes.
+    """
+
+    def __init__(self) -> None:
+        limit_process()
+        self._sinks: dict[int, StreamSink] = {}
+        self._failed: dict[int, str] = {}
+
+    def open(self, run: int, open_sink: Callable[[], StreamSink]) -> int:
+        """Open a stream's record; no label map is committed yet."""
+        self._sinks[run] = open_sink()
+        return 0
+
+    def write(self, run: int, segmentation: Segmentation, frame: SourceFrame) -> int:
+        """Take one result; return how many label maps are committed by now."""
+        return self._row(run, lambda sink: sink.write(segmentation, frame))
+
+    def gap(self, run: int, index: int, pts: float, status: GapStatus) -> int:
+        """Record a frame without label map; return how many label maps are committed by now."""
+        return self._row(run, lambda sink: sink.gap(index, pts, status))
+
+    def close(self, run: int) -> int:
+        """Commit the rest, close the stream's files and forget it; return the final count, 0 if forgotten."""
+        sink = self._sinks.pop(run, None)
+        self._failed.pop(run, None)
+        return 0 if sink is None else sink.close()
+
+    def _row(self, run: int, write: Callable[[StreamSink], int]) -> int:
+        if run not in self._sinks:
+            raise SinkError("A row came for a record that is not open; start the stream again.")
+        if run in self._failed:
+            raise SinkError(self._failed[run])
+        try:
+            return write(self._sinks[run])
+        except Exception as error:
+            self._failed[run] = str(error)
+            raise
+
+
+class Record:
+    """The coordinator's end of its record: keeps a bounded number of rows under way.
+
+    Parameters
+    ----------
+    sink : Handle
+        The node's :class:`SinkActor`.
+    run : int
+        The stream's number.
+    open_sink : callable
+        :attr:`StreamSpec.open_sink`.
+
+    Attributes
+    ----------
+    committed : int
+        Label maps committed, as far as the sink has answered.
+    """
+
+    def __init__(self, sink: Handle, run: int, open_sink: Callable[[], StreamSink]) -> None:
+        self._sink = sink
+        self._run = run
+        self._pending: deque[Reference] = deque([sink.open.remote(run, open_sink)])
+        self.committed = 0
+
+    def write(self, segmentation: Reference, frame: Reference) -> None:
+        """Hand over one result, both by reference; raises what an earlier row raised."""
+        self._pending.append(self._sink.write.remote(self._run, segmentation, frame))
+        self._hold_back()
+
+    def gap(self, index: int, pts: float, status: GapStatus) -> None:
+        """Hand over a frame without label map; raises what an earlier row raised."""
+        self._pending.append(self._sink.gap.remote(self._run, index, pts, status))
+        self._hold_back()
+
+    def collect(self) -> None:
+        """Take the answers that are there, without waiting; raises what a row raised."""
+        while self._pending and ray.wait([self._pending[0]], timeout=0)[0]:
+            self._take_answer()
+
+    def close(self) -> None:
+        """Wait until every row is committed and the files are closed."""
+        while self._pending:
+            self._take_answer()
+        self.committed = ray.get(self._sink.close.remote(self._run))
+
+    def close_after_failure(self) -> None:
+        """Commit the rows that were handed over whole and close the files, whatever else goes wrong."""
+        while self._pending:
+            try:
+                self._take_answer()
+            except RayError:
+                continue
+        try:
+            self.committed = max(self.committed, ray.get(self._sink.close.remote(self._run)))
+        except RayError:
+            return
+
+    def _hold_back(self) -> None:
+        while len(self._pending) > _PENDING_ROWS:
+            self._take_answer()
+
+    def _take_answer(self) -> None:
+        self.committed = ray.get(self._pending.popleft())

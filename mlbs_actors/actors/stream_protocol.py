@@ -1,0 +1,209 @@
+"""What a stream's actors and the program that drives them have agreed on.
+
+The driver builds a :class:`StreamSpec`, gives it to a :class:`StreamHost` and gets a
+:class:`RunningStream`; it then asks for one bounded burst of frames after the other::
+
+    running = host.start(spec)                  # returns at once; the actors come up in the background
+    while not (progress := running.advance().result()).done:
+        ...
+    running.stop(drain=False)
+
+Frames come from a :class:`FrameReader`, built inside the stream's reader process; results go to a
+:class:`StreamSink`, built inside the node's sink process. Neither passes through the driver.
+
+Two counts of frames exist. A *source index* (``SourceFrame.index``) counts every frame the source
+has, the undecodable ones too, and is what the record calls a frame. A *frame index* of the engine
+(``Segmentation.frame_index``) counts the frames the engine was given, without gaps. They are the same
+until the first frame with status ``"quarantined"``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+from mlbs_actors.config import Config
+from mlbs_actors.messages import Array, Segmentation
+
+__all__ = [
+    "FrameReader",
+    "GapStatus",
+    "RunningStream",
+    "SourceFrame",
+    "SourceStatus",
+    "StreamHost",
+    "StreamProgress",
+    "StreamSink",
+    "StreamSpec",
+]
+
+#: What became of a frame on its way from the source.
+SourceStatus = Literal["ok", "quarantined"]
+
+#: Why a frame of the record has no label map.
+GapStatus = Literal["dropped", "gap", "quarantined"]
+
+
+@dataclass(frozen=True, slots=True)
+class SourceFrame:
+    """One frame as its source delivered it.
+
+    Attributes
+    ----------
+    index : int
+        Source index, from 0 and without gaps; frames that could not be decoded count.
+    image : (H, W, 3) uint8, optional
+        BGR picture; None exactly when ``status`` is ``"quarantined"``.
+    pts : float
+        Time of presentation, seconds from the source's first frame.
+    name : str
+        File name of the frame's mask, without extension.
+    status : {"ok", "quarantined"}
+        ``"quarantined"``: the frame is there but could not be decoded. It never reaches the engine;
+        the conductor tells the sink of it (:meth:`StreamSink.gap`) in its place.
+    """
+
+    index: int
+    image: Array | None
+    pts: float
+    name: str
+    status: SourceStatus = "ok"
+
+
+class FrameReader(Protocol):
+    """An open source, in the reader process."""
+
+    @property
+    def problem(self) -> str | None:
+        """What was wrong with the source so far, as a sentence (truncated, damaged), or None.
+
+        Complete once :meth:`read` has returned None.
+        """
+
+    def read(self) -> SourceFrame | None:
+        """Return the next frame, or None at the end (and ever after).
+
+        Raises
+        ------
+        SourceError
+            If the source cannot be read at all. Damage after the first frame is no error: the
+            reader returns None and states it in :attr:`problem`.
+        """
+
+    def close(self) -> None:
+        """Release the source; may be called twice."""
+
+
+class StreamSink(Protocol):
+    """The open record of one stream, in the node's sink process.
+
+    Rows come in the order of their source indices. Every method raises SinkError if the record
+    cannot be written; the stream then fails.
+    """
+
+    def write(self, segmentation: Segmentation, frame: SourceFrame) -> int:
+        """Take one result; return how many label maps of this stream are committed by now.
+
+        A label map is committed once it would survive a kill, which may be some frames later.
+        """
+
+    def gap(self, index: int, pts: float, status: GapStatus) -> int:
+        """Record source frame ``index`` as one that has no label map; return as :meth:`write` does."""
+
+    def close(self) -> int:
+        """Commit the rest and close all files; return the final count. May be called twice."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSpec:
+    """All that is needed to run one stream; picklable, and cheap to pickle.
+
+    Attributes
+    ----------
+    name : str
+        The stream's name in the record and in every message.
+    config : Config
+    open_reader : callable
+        Picklable; called once, in the reader process. Raises SourceError if there is no such source.
+    open_sink : callable
+        Picklable; called once, in the sink process. Raises SinkError.
+    max_frames : int, optional
+        The stream ends after this many frames of the source, quarantined ones included.
+    """
+
+    name: str
+    config: Config
+    open_reader: Callable[[], FrameReader]
+    open_sink: Callable[[], StreamSink]
+    max_frames: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StreamProgress:
+    """Where a stream stands after a burst of frames. All counts are totals since its start.
+
+    Attributes
+    ----------
+    read : int
+        Frames taken from the source, of any status.
+    committed : int
+        Label maps committed by the sink.
+    quarantined, dropped : int
+        Frames without a label map. Once ``done``: read = committed + quarantined + dropped.
+    layers : int
+        Live layers, the background included.
+    done : bool
+        The source has ended, every result is committed and the sink is closed.
+    problem : str, optional
+        Why the stream is not whole though it went on or ended: :attr:`FrameReader.problem`, or the
+        death of the reader process after its first frame.
+    stage_ms : mapping of str to float
+        Mean wall time by stage over the last burst, ms.
+    """
+
+    read: int
+    committed: int
+    quarantined: int
+    dropped: int
+    layers: int
+    done: bool
+    problem: str | None = None
+    stage_ms: Mapping[str, float] = field(default_factory=dict)
+
+
+class RunningStream(Protocol):
+    """One stream's actors, as the driver holds them."""
+
+    def advance(self) -> Future[StreamProgress]:
+        """Ask for one bounded burst of frames; do not call again before the future is done.
+
+        The future carries an MlbsError with one sentence if the stream failed: the source could not
+        be opened (SourceError), its reader process died before the first frame (SourceError), the
+        record could not be written (SinkError), or any other actor was lost (LayerError). Damage and
+        death of the reader after the first frame end the stream instead: what was read is committed
+        and the last progress is ``done`` with its ``problem``.
+        """
+
+    def stop(self, *, drain: bool) -> StreamProgress | None:
+        """End the stream and give its processes back; may be called twice, and after a failure.
+
+        With ``drain`` no more frames are read, those read before are labelled and committed, the
+        sink is closed and the final progress is returned. Without it the actors end at once, the
+        sink keeps what is committed, and None is returned. Blocks until the stream's own actors
+        are gone. Never raises for a stream that has already failed.
+        """
+
+
+class StreamHost(Protocol):
+    """One node's pool of layer processes and its sink process, on which streams are started.
+
+    ``mlbs_actors.actors.pipeline.Node`` is the real one.
+    """
+
+    def start(self, spec: StreamSpec) -> RunningStream:
+        """Create a stream's actors and return at once; what goes wrong is raised by ``advance``."""
+
+    def close(self) -> None:
+        """End the pool and the sink process. Streams must be stopped before. May be called twice."""

@@ -1,0 +1,213 @@
+"""Which trajectories belong together: propagate, split, merge (§4).
+
+Each frame the labels of the last frame are carried on by a random walk, every cluster is put to the N-cut
+test again, and what falls apart is kept apart only if it *moves* apart.
+
+Differs from the paper, which trusts the N-cut alone:
+
+* Depth is not motion. Two parts of the background that an object cut apart in the image are joined again by a
+  motion test: parts of a static scene join continuously somewhere along their border, while an object is
+  discontinuous along all of its own. So a young label is merged into the neighbour from which its
+  motion distance, at a low quantile over their common border, is within the noise.
+* Disconnection alone never makes a label, and groups with few trajectories stay unlabelled.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from mlbs_actors.affinity import TrajectoryGraph
+from mlbs_actors.config import AffinityConfig, LayersConfig
+from mlbs_actors.label_propagation import propagate_absorbing, propagate_soft
+from mlbs_actors.messages import BACKGROUND, Array
+from mlbs_actors.normalized_cut import recursive_cut
+from mlbs_actors.trajectories import TrajectoryState
+
+__all__ = [
+    "UNLABELLED",
+    "border_motion",
+    "label_speeds",
+    "least_object_speed",
+    "merge_by_motion",
+    "propagate_labels",
+    "split_labels",
+]
+
+#: Label of a trajectory that belongs to no layer.
+UNLABELLED = -1
+#: Frames over which a trajectory's speed against the camera is averaged.
+SPEED_FRAMES = 3
+
+
+def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConfig) -> Array:
+    """Carry last frame's labels to this frame's trajectories.
+
+    Parameters
+    ----------
+    affinity : (n, n) sparse
+    labels : (n,) int64
+        Label of each trajectory in the last frame; −1 for new ones.
+    config : AffinityConfig
+
+    Returns
+    -------
+    (n,) int64
+        −1 where no labelled trajectory can be reached.
+    """
+    known = np.unique(labels[labels != UNLABELLED])
+    if len(known) == 0:
+        return labels.copy()
+    classes = np.where(labels == UNLABELLED, UNLABELLED, np.searchsorted(known, labels))
+    if config.propagation == "soft":
+        share = propagate_soft(affinity, classes, len(known), config.restart)
+    else:
+        share = propagate_absorbing(affinity, classes, len(known))
+    decided = known[np.argmax(share, axis=1)]
+    return np.where(share.max(axis=1) > 0, decided, UNLABELLED)
+
+
+def split_labels(affinity: sp.csr_array, labels: Array, config: AffinityConfig, next_label: int) -> tuple[Array, int]:
+    """Put every cluster to the N-cut test; parts that fall off get fresh labels.
+
+    The part with most trajectories keeps the label. Trajectories without a label are clustered too.
+
+    Returns
+    -------
+    labels : (n,) int64
+    next_label : int
+        The next unused label.
+    """
+    result = labels.copy()
+    for label in np.unique(labels):
+        nodes = np.flatnonzero(labels == label)
+        parts = recursive_cut(sp.csr_array(affinity[nodes][:, nodes]), config.cut_threshold, config.cut_side_tracks)
+        result[nodes[parts < 0]] = UNLABELLED
+        for part in range(parts.max() + 1):
+            if part == 0 and label != UNLABELLED:
+                continue
+            result[nodes[parts == part]] = next_label
+            next_label += 1
+    return result, next_label
+
+
+def border_motion(graph: TrajectoryGraph, labels: Array, quantile: float) -> dict[tuple[int, int], tuple[float, int]]:
+    """Motion distance across the border of each pair of neighbouring labels.
+
+    Parameters
+    ----------
+    graph : TrajectoryGraph
+    labels : (n,) int64
+    quantile : float
+        In [0, 1].
+
+    Returns
+    -------
+    dict
+        (lower label, higher label) → (that quantile of D_M over the edges between them, number of edges).
+    """
+    one, other = labels[graph.first], labels[graph.second]
+    across = (one != other) & (one != UNLABELLED) & (other != UNLABELLED)
+    low, high = np.minimum(one, other)[across], np.maximum(one, other)[across]
+    distance = graph.motion_distance[across]
+    if len(low) == 0:
+        return {}
+    order = np.lexsort((distance, high, low))
+    low, high, distance = low[order], high[order], distance[order]
+    starts = np.flatnonzero(np.r_[True, (np.diff(low) != 0) | (np.diff(high) != 0)])
+    borders = {}
+    for start, end in zip(starts, np.r_[starts[1:], len(low)], strict=True):
+        position = min(int(quantile * (end - start)), end - start - 1)
+        borders[int(low[start]), int(high[start])] = (float(distance[start + position]), int(end - start))
+    return borders
+
+
+def label_speeds(trajectories: TrajectoryState, labels: Array) -> dict[int, float]:
+    """How fast each label moves against the camera.
+
+    Parameters
+    ----------
+    trajectories : TrajectoryState
+    labels : (n,) int64
+
+    Returns
+    -------
+    dict of int to float
+        Label → median over its trajectories of their mean residual motion of up to three frames, px/frame.
+    """
+    speed = _residual_speed(trajectories)
+    return {int(label): float(np.median(speed[labels == label])) for label in np.unique(labels) if label != UNLABELLED}
+
+
+def least_object_speed(trajectories: TrajectoryState, background: Array, config: LayersConfig, scale: float) -> float:
+    """Speed against the camera below which a young label is background, px/frame.
+
+    Parameters
+    ----------
+    trajectories : TrajectoryState
+    background : (n,) bool
+    config : LayersConfig
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+    """
+    least = config.camera_px * scale
+    if background.any():
+        camera = np.hypot(*trajectories.motions[background].T.astype(np.float64))
+        own = _residual_speed(trajectories)[background]
+        least = max(least, config.camera_relative * float(np.median(camera)), 4.0 * float(np.median(own)))
+    return least
+
+
+def _residual_speed(trajectories: TrajectoryState) -> Array:
+    known = np.minimum(np.maximum(trajectories.ages, 1), SPEED_FRAMES)
+    mean = trajectories.residuals[:, :SPEED_FRAMES].sum(axis=1) / known[:, None]
+    return np.hypot(mean[:, 0], mean[:, 1])
+
+
+def merge_by_motion(
+    graph: TrajectoryGraph,
+    labels: Array,
+    ages: dict[int, int],
+    speeds: dict[int, float],
+    least_speed: float,
+    config: LayersConfig,
+) -> Array:
+    """Merge young labels into the neighbour that moves with them.
+
+    A young label that does not move against the camera goes to the background, wherever it lies. One
+    whose motion distance to a neighbour is within the noise at a low quantile of their common border goes
+    to that neighbour; to another object only if a good part of it touches that object, since two objects
+    that pass each other touch with little.
+
+    Parameters
+    ----------
+    graph : TrajectoryGraph
+    labels : (n,) int64
+    ages : dict of int to int
+        Frames since each label's birth; a label that is not in it is new.
+    speeds : dict of int to float
+        From :func:`label_speeds`.
+    least_speed : float
+        From :func:`least_object_speed`.
+    config : LayersConfig
+
+    Returns
+    -------
+    (n,) int64
+        The older label wins; among equals the lower one.
+    """
+    labels = labels.copy()
+    for label, speed in speeds.items():
+        if label != BACKGROUND and ages.get(label, 0) < config.young_frames and speed < least_speed:
+            labels[labels == label] = BACKGROUND
+    while True:
+        candidates = []
+        for (low, high), (distance, edges) in border_motion(graph, labels, config.merge_quantile).items():
+            older, younger = sorted((low, high), key=lambda label: (-ages.get(label, 0), label))
+            touching = older == BACKGROUND or edges >= config.merge_reach * int((labels == younger).sum())
+            if touching and ages.get(younger, 0) < config.young_frames and distance < config.merge_distance:
+                candidates.append((distance, younger, older))
+        if not candidates:
+            return labels
+        _, younger, older = min(candidates)
+        labels[labels == younger] = older

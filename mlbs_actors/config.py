@@ -1,0 +1,206 @@
+"""Every parameter of the engine: frozen, validated, with its unit, meaning and paper section.
+
+One set serves all videos. Lengths are stated in px of a 640×480 frame and scale with the square root of
+the frame's area (:func:`length_scale`), so that the same object is treated alike at any resolution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from mlbs_actors.errors import ConfigError
+
+__all__ = [
+    "AffinityConfig",
+    "AppearanceConfig",
+    "Config",
+    "FlowConfig",
+    "LayersConfig",
+    "MotionConfig",
+    "PosteriorConfig",
+    "SegmentationConfig",
+    "TrajectoriesConfig",
+    "length_scale",
+    "load_config",
+]
+
+
+def length_scale(height: int, width: int) -> float:
+    """How many px of an ``height`` × ``width`` frame make one px of the 640×480 reference frame."""
+    return float(height * width / (640 * 480)) ** 0.5
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class FlowConfig(_Section):
+    """Dense optical flow (METHOD: DIS instead of the authors' LDOF)."""
+
+    preset: Literal["ultrafast", "fast", "medium"] = Field("medium", description="OpenCV DIS preset.")
+    scale: float = Field(0.5, gt=0, le=1, description="Flow is computed on the frame shrunk by this factor.")
+
+
+class TrajectoriesConfig(_Section):
+    """Point trajectories (§3, after Sundaram, Brox, Keutzer, ECCV 2010)."""
+
+    seed_spacing_px: float = Field(8.0, gt=1, description="Grid on which points without a live track near are seeded.")
+    consistency_relative: float = Field(0.01, ge=0, description="Forward–backward error allowed, × (|w|²+|w'|²).")
+    consistency_px2: float = Field(0.5, ge=0, description="Forward–backward error allowed besides, px².")
+    boundary_relative: float = Field(0.01, ge=0, description="Squared flow gradient allowed, × |w|².")
+    boundary_absolute: float = Field(0.002, ge=0, description="Squared flow gradient allowed besides.")
+    history_frames: int = Field(40, ge=2, description="Frames of motion that a trajectory remembers.")
+
+
+class AffinityConfig(_Section):
+    """Affinities between trajectories, and their clustering (§4)."""
+
+    neighbours: int = Field(20, ge=1, description="Nearest trajectories each one is compared with.")
+    radius_px: float = Field(67.0, gt=0, description="Spatial scale of the affinity, and the largest distance of a pair.")
+    motion_floor_px: float = Field(1.5, gt=0, description="Least spread of two-frame displacements, px.")
+    motion_relative: float = Field(0.1, ge=0, description="Spread of displacements as a share of the camera's motion.")
+    object_relative: float = Field(
+        0.15, ge=0, description="Spread of displacements inside an object as a share of its own motion."
+    )
+    motion_factor: float = Field(0.5, gt=0, description="Motion distance is in units of this × the spread of displacements.")
+    forgetting: float = Field(0.005, ge=0, lt=1, description="Share of a past motion distance forgotten a frame.")
+    cut_threshold: float = Field(1e-3, gt=0, description="A cluster is split while its best N-cut is below this.")
+    cut_side_tracks: int = Field(12, ge=2, description="Least trajectories on either side of a split.")
+    propagation: Literal["soft", "absorbing"] = Field(
+        "soft", description="Random walk with soft restart, or the paper's absorbing one."
+    )
+    restart: float = Field(0.3, gt=0, lt=1, description="Restart probability of the soft random walk.")
+
+
+class LayersConfig(_Section):
+    """Births, merges, dormancy and retirement of layers (§4)."""
+
+    init_frames: int = Field(5, ge=1, le=5, description="Frames held before the first clustering (n_init).")
+    lookahead: int = Field(0, ge=0, description="Frames by which every label is delayed.")
+    max_layers: int = Field(33, ge=2, description="Most layers of a stream with the background; smaller objects share 'other'.")
+    young_frames: int = Field(6, ge=0, description="Age below which a label can be merged by motion.")
+    merge_quantile: float = Field(0.3, ge=0, le=1, description="Quantile of motion distances across a border.")
+    merge_distance: float = Field(1.2, ge=0, description="Labels below it at that quantile are one.")
+    merge_reach: float = Field(0.5, ge=0, description="Border edges per trajectory of the younger of two objects to merge.")
+    camera_px: float = Field(0.6, ge=0, description="A young label moves at least this much against the camera, px/frame.")
+    camera_relative: float = Field(0.06, ge=0, description="... and at least this share of the camera's own motion.")
+    probation_frames: int = Field(2, ge=0, description="Frames a split must last before it becomes a layer.")
+    min_tracks: int = Field(5, ge=1, description="Fewer trajectories retire a layer.")
+    wake_similarity: float = Field(0.75, ge=0, le=1, description="Bhattacharyya coefficient of colours that wakes a sleeping layer.")
+    wake_px: float = Field(80.0, ge=0, description="How far from its expected place a sleeping layer can wake, px.")
+    dormant_frames: int = Field(30, ge=0, description="Frames a vanished layer is remembered.")
+
+
+class MotionConfig(_Section):
+    """Motion field of a layer: Gaussian belief propagation (§5)."""
+
+    grid_px: int = Field(4, ge=1, description="Spacing of the field's grid, px (not scaled with the frame).")
+    variance_grid_px: int = Field(16, ge=1, description="Spacing of the grid on which marginal variances hold, px.")
+    smoothness_std_px: float = Field(0.5, gt=0, description="σ_m: difference of neighbouring nodes, px.")
+    point_std_px: float = Field(0.5, gt=0, description="σ_p: a trajectory's error, px.")
+    prior_std_px: float = Field(20.0, gt=0, description="Weak prior on the camera's motion where nothing is known, px.")
+    robust_px: float = Field(1.5, gt=0, description="Misfit at which a trajectory keeps a quarter of its weight, px.")
+    flow_std_px: float = Field(1.0, gt=0, description="Error of the dense flow, px.")
+
+
+class AppearanceConfig(_Section):
+    """Kernel density of a layer's colours (§6.2)."""
+
+    samples: int = Field(20, ge=1, le=255, description="N: samples kept a pixel.")
+    bandwidth_floor: float = Field(5.0, gt=0, description="Least kernel bandwidth, grey levels.")
+    window_radius: int = Field(1, ge=0, le=2, description="Radius of the window of samples a colour is compared with, px.")
+    half_confidence_samples: float = Field(2.0, gt=0, description="Samples at which a pixel's model is trusted half.")
+    background_borrow_px: float = Field(40.0, gt=0, description="Distance at which samples borrowed by the background fade to 1/e, px.")
+    object_borrow_px: float = Field(8.0, gt=0, description="The same for an object.")
+
+
+class PosteriorConfig(_Section):
+    """Weights and bounds of a layer's unnormalised posterior (§6)."""
+
+    appearance: float = Field(0.3, ge=0, description="Weight of the colour likelihood.")
+    appearance_cap: float = Field(6.0, gt=0, description="Most that a matching colour counts against the uniform one, nats.")
+    motion: float = Field(0.3, ge=0, description="Weight of the flow's agreement with the layer's motion field.")
+    motion_floor: float = Field(0.05, gt=0, lt=1, description="Likelihood of a flow that contradicts the field altogether.")
+    prior: float = Field(0.3, ge=0, description="Weight of the warped posterior of the last frame.")
+    prior_floor: float = Field(0.1, gt=0, lt=1, description="Least prior.")
+    neutral_prior: float = Field(0.5, gt=0, le=1, description="Prior where the layer was not before.")
+    offset: float = Field(4.0, ge=0, description="Added to every cost so that it is not negative, nats.")
+    region_margin_px: float = Field(24.0, ge=0, description="Margin of an object's region around its trajectories, px.")
+
+
+class SegmentationConfig(_Section):
+    """Posterior, data costs and the label-cost graph cut (§6, §7)."""
+
+    contrast_strength: float = Field(0.8, ge=0, description="Pairwise weight of equal neighbours, nats.")
+    contrast_scale: float = Field(200.0, gt=0, description="Squared colour difference at which it falls to 1/e.")
+    track_cost: float = Field(2.0, ge=0, description="|c|: pull of a labelled trajectory at its pixel, nats.")
+    label_cost: float = Field(20.0, ge=0, description="h_k: cost of using a label at all, px × nats.")
+    speck_px: float = Field(50.0, ge=0, description="Smaller components of an object are cleaned away, px².")
+    hole_px: float = Field(200.0, ge=0, description="Smaller holes of the background are filled, px².")
+
+
+class Config(_Section):
+    """All parameters of one stream."""
+
+    flow: FlowConfig = FlowConfig()
+    trajectories: TrajectoriesConfig = TrajectoriesConfig()
+    affinity: AffinityConfig = AffinityConfig()
+    layers: LayersConfig = LayersConfig()
+    motion: MotionConfig = MotionConfig()
+    appearance: AppearanceConfig = AppearanceConfig()
+    posterior: PosteriorConfig = PosteriorConfig()
+    segmentation: SegmentationConfig = SegmentationConfig()
+
+
+def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -> Config:
+    """Read parameters from a YAML file and ``section.key=value`` overrides.
+
+    Parameters
+    ----------
+    path : path or None
+        YAML file with any subset of the parameters; None for the defaults.
+    overrides : sequence of str
+        For example ``["layers.lookahead=4"]``; applied after the file.
+
+    Returns
+    -------
+    Config
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or a key or value is wrong.
+    """
+    values: dict[str, Any] = {}
+    if path is not None:
+        try:
+            loaded = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise ConfigError(f"The configuration {path} cannot be read: {error}.") from error
+        if loaded is not None and not isinstance(loaded, dict):
+            raise ConfigError(f"The configuration {path} must hold sections of key: value pairs.")
+        values = loaded or {}
+    for override in overrides:
+        name, equals, text = override.partition("=")
+        section, dot, key = name.strip().partition(".")
+        if not (equals and dot and section and key):
+            raise ConfigError(f"Cannot use --set {override!r}; write section.key=value, as in layers.lookahead=4.")
+        group = values.get(section) or {}
+        if not isinstance(group, dict):
+            raise ConfigError(f"The section {section!r} must hold key: value pairs.")
+        try:
+            values = {**values, section: {**group, key: yaml.safe_load(text)}}
+        except yaml.YAMLError as error:
+            raise ConfigError(f"The value in --set {override!r} cannot be read: {error}.") from error
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        problems = "; ".join(
+            f"{'.'.join(str(part) for part in problem['loc'])}: {problem['msg']}" for problem in error.errors()
+        )
+        raise ConfigError(f"The configuration cannot be used: {problems}.") from error

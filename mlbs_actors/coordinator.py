@@ -1,0 +1,357 @@
+"""The coordinator of one stream: follows trajectories, clusters them, and decides which layers live (§3, §4).
+
+:meth:`Coordinator.step` is the way of a frame: flow → trajectories → camera → affinities → labels →
+evidence for every layer.
+
+Differs from the paper: the first frames, whose motion nobody can know yet, are held and labelled
+backwards along their trajectories once the first clustering is done, so that every frame gets its label
+map; with ``lookahead`` every frame waits for later ones in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import cv2
+import numpy as np
+
+from mlbs_actors.affinity import TrajectoryGraph, displacement_spread, trajectory_graph
+from mlbs_actors.camera import camera_homography, homography_motion
+from mlbs_actors.clustering import (
+    UNLABELLED,
+    label_speeds,
+    least_object_speed,
+    merge_by_motion,
+    propagate_labels,
+    split_labels,
+)
+from mlbs_actors.config import Config, length_scale
+from mlbs_actors.errors import FrameError
+from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray
+from mlbs_actors.layer_registry import LayerRegistry, RegistryState
+from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, LayerKind, Segmentation
+from mlbs_actors.normalized_cut import recursive_cut
+from mlbs_actors.trajectories import (
+    TrajectoryState,
+    advance_trajectories,
+    empty_trajectories,
+    seed_trajectories,
+    with_residuals,
+)
+
+__all__ = ["Coordinator", "CoordinatorState", "HeldFrame"]
+
+
+@dataclass(frozen=True, slots=True)
+class HeldFrame:
+    """A frame that has been tracked and waits for its labels.
+
+    Attributes
+    ----------
+    frame_index : int
+    ids : (n,) int64
+        Trajectories in this frame, ascending.
+    positions, motions : (n, 2) float32
+    labels : (n,) int64
+        As known so far.
+    camera : (3, 3) float64
+    flow : (h, w, 2) float16
+    flow_reliable : (h, w) bool
+    live : tuple of int
+        Layers awake when the frame was last labelled.
+    stage_ms : mapping of str to float
+    """
+
+    frame_index: int
+    ids: Array
+    positions: Array
+    motions: Array
+    labels: Array
+    camera: Array
+    flow: Array
+    flow_reliable: Array
+    stage_ms: Mapping[str, float]
+
+
+@dataclass(slots=True)
+class CoordinatorState:
+    """Everything that steers the coordinator's next frame.
+
+    Attributes
+    ----------
+    next_frame : int
+        Index of the frame that :meth:`Coordinator.step` takes next.
+    shape : (H, W) or None
+    gray : (h, w) uint8
+        The last frame as the flow sees it.
+    trajectories : TrajectoryState
+    labels : (n,) int64
+        Label of each live trajectory after the last frame.
+    spreads : (T,) float64
+        Noise scale of the last frames' displacements, newest first, px.
+    registry : RegistryState
+    clustered : bool
+        Whether the first clustering is done.
+    held : tuple of HeldFrame
+        Oldest first.
+    evaluated : dict of int to int
+        Last emitted frame of each layer that has a process.
+    """
+
+    next_frame: int
+    shape: tuple[int, int] | None
+    gray: Array
+    trajectories: TrajectoryState
+    labels: Array
+    spreads: Array
+    registry: RegistryState
+    clustered: bool
+    held: tuple[HeldFrame, ...]
+    evaluated: dict[int, int]
+
+
+class Coordinator:
+    """Tracks, clusters and decides births and retirements of one stream.
+
+    Parameters
+    ----------
+    config : Config
+    state : CoordinatorState, optional
+        To go on from a snapshot; a new stream by default.
+    """
+
+    def __init__(self, config: Config, state: CoordinatorState | None = None) -> None:
+        self.config = config
+        self.state = state or CoordinatorState(
+            next_frame=0,
+            shape=None,
+            gray=np.zeros((0, 0), np.uint8),
+            trajectories=empty_trajectories(config.trajectories),
+            labels=np.zeros(0, np.int64),
+            spreads=np.zeros(0),
+            registry=RegistryState.empty(),
+            clustered=False,
+            held=(),
+            evaluated={},
+        )
+
+    def feedback_index(self, frame_index: int) -> int | None:
+        """Frame whose segmentation :meth:`step` reads: two before the newest it will emit, or None."""
+        newest = frame_index - self.config.layers.lookahead
+        if frame_index + 1 <= self.config.layers.init_frames or newest - 2 < 0:
+            return None
+        return newest - 2 if self._emitted(newest - 2) else None
+
+    def _emitted(self, frame_index: int) -> bool:
+        first_held = self.state.held[0].frame_index if self.state.held else self.state.next_frame
+        return frame_index < first_held
+
+    def step(self, frame_index: int, frame: Array, feedback: Segmentation | None) -> list[FrameEvidence]:
+        """Take one frame.
+
+        Parameters
+        ----------
+        frame_index : int
+            The next one, counting from 0.
+        frame : (H, W, 3) uint8
+            BGR; all of one size.
+        feedback : Segmentation or None
+            Of :meth:`feedback_index`.
+
+        Returns
+        -------
+        list of FrameEvidence
+            In frame order: none while frames are held, several when the hold ends.
+
+        Raises
+        ------
+        FrameError
+            If the frame is not the next one, or has another type or size.
+        """
+        state, config = self.state, self.config
+        self._check(frame_index, frame)
+        shape = (int(frame.shape[0]), int(frame.shape[1]))
+        scale = length_scale(*shape)
+        stage_ms: dict[str, float] = {}
+
+        with _timed(stage_ms, "flow"):
+            gray = flow_gray(frame, config.flow)
+            flow = None
+            if frame_index > 0:
+                flow = dense_flow(state.gray, gray, shape, config.flow, config.trajectories)
+
+        with _timed(stage_ms, "tracking"):
+            trajectories, labels = state.trajectories, state.labels
+            if flow is not None:
+                before = trajectories.ids
+                trajectories = advance_trajectories(trajectories, flow, shape)
+                labels = labels[np.searchsorted(before, trajectories.ids)]
+            survivors = len(trajectories)
+            trajectories = seed_trajectories(trajectories, gray, flow, shape, config.trajectories)
+            labels = np.concatenate([labels, np.full(len(trajectories) - survivors, UNLABELLED, np.int64)])
+            known = (trajectories.ages > 0) & ((labels == BACKGROUND) if state.clustered else True)
+            camera = camera_homography(trajectories.positions[known], trajectories.motions[known], scale)
+            trajectories = with_residuals(trajectories, homography_motion(camera, trajectories.positions))
+            spread = displacement_spread(trajectories, config.affinity, scale)
+            spreads = np.concatenate([[spread], state.spreads])[: config.trajectories.history_frames]
+
+        state.next_frame, state.shape, state.gray = frame_index + 1, shape, gray
+        state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
+        if state.clustered or frame_index + 1 >= config.layers.init_frames:
+            self._cluster(frame, frame_index, stage_ms)
+        state.held = (*state.held, self._hold(frame_index, camera, flow, gray.shape, stage_ms))
+        return self._emit(frame_index - config.layers.lookahead) if state.clustered else []
+
+    def flush(self) -> list[FrameEvidence]:
+        """Emit what is still held: the stream has ended."""
+        state = self.state
+        if state.held and not state.clustered:
+            # Fewer frames than the first clustering wants: it is done with what there is.
+            colourless = np.zeros((*(state.shape or (0, 0)), 3), np.uint8)
+            self._cluster(colourless, state.next_frame - 1, {})
+            self._relabel_held()
+        return self._emit(state.next_frame - 1)
+
+    def _check(self, frame_index: int, frame: Array) -> None:
+        if frame_index != self.state.next_frame:
+            raise FrameError(f"Frame {frame_index} came where frame {self.state.next_frame} is due; give frames in order.")
+        if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3 or 0 in frame.shape:
+            raise FrameError(
+                f"A frame must be a (height, width, 3) uint8 BGR image, not {frame.shape} {frame.dtype}; convert it first."
+            )
+        if self.state.shape not in (None, frame.shape[:2]):
+            raise FrameError(
+                f"Frame {frame_index} is {frame.shape[1]}×{frame.shape[0]} px but the stream is "
+                f"{self.state.shape[1]}×{self.state.shape[0]}; start a new subtractor for another size."  # type: ignore[index]
+            )
+
+    def _graph(self) -> TrajectoryGraph:
+        state, history = self.state, self.config.trajectories.history_frames
+        spreads = np.concatenate([state.spreads, np.full(history - len(state.spreads), state.spreads[-1])])
+        assert state.shape is not None
+        return trajectory_graph(state.trajectories, spreads, state.shape, self.config.affinity)
+
+    def _cluster(self, frame: Array, frame_index: int, stage_ms: dict[str, float]) -> None:
+        """Decide the label of every live trajectory, and with it which layers live."""
+        state, config = self.state, self.config
+        assert state.shape is not None
+        scale = length_scale(*state.shape)
+        registry = LayerRegistry(config.layers, state.registry)
+        with _timed(stage_ms, "affinity"):
+            graph = self._graph()
+            affinity = graph.matrix()
+        with _timed(stage_ms, "clustering"):
+            if state.clustered:
+                labels = propagate_labels(affinity, state.labels, config.affinity)
+                fresh = max(registry.state.next_layer, int(labels.max(initial=0)) + 1)
+                labels, _ = split_labels(affinity, labels, config.affinity, fresh)
+            else:
+                labels = recursive_cut(affinity, config.affinity.cut_threshold, config.affinity.cut_side_tracks)
+                labels = _background_first(labels, state.trajectories, scale)
+            speeds = label_speeds(state.trajectories, labels)
+            least = least_object_speed(state.trajectories, labels == BACKGROUND, config.layers, scale)
+            ages = registry.ages(frame_index)
+            labels = merge_by_motion(graph, labels, ages, speeds, least, config.layers)
+            labels = registry.admit(labels, frame_index)
+            at = np.clip(np.rint(state.trajectories.positions).astype(np.intp), 0, np.array(state.shape)[::-1] - 1)
+            state.labels = registry.observe(
+                labels,
+                state.trajectories.positions,
+                state.trajectories.motions,
+                frame[at[:, 1], at[:, 0]],
+                frame_index,
+                config.layers.probation_frames if state.clustered else 0,
+            )
+        state.registry = registry.state
+        state.clustered = True
+        self._relabel_held()
+
+    def _relabel_held(self) -> None:
+        """Give the held frames the newest labels, backwards along the trajectories that still live."""
+        state = self.state
+        ids, labels = state.trajectories.ids, state.labels
+        relabelled = []
+        for held in state.held:
+            place = np.minimum(np.searchsorted(ids, held.ids), max(len(ids) - 1, 0))
+            alive = ids[place] == held.ids if len(ids) else np.zeros(len(held.ids), bool)
+            newest = held.labels.copy()
+            newest[alive] = labels[place[alive]]
+            relabelled.append(replace(held, labels=newest))
+        state.held = tuple(relabelled)
+
+    def _hold(
+        self, frame_index: int, camera: Array, flow: DenseFlow | None, size: tuple[int, ...], stage_ms: dict[str, float]
+    ) -> HeldFrame:
+        state = self.state
+        return HeldFrame(
+            frame_index,
+            state.trajectories.ids,
+            state.trajectories.positions,
+            state.trajectories.motions,
+            state.labels,
+            camera,
+            np.zeros((*size, 2), np.float16) if flow is None else flow.backward.astype(np.float16),
+            np.zeros(size, bool) if flow is None else flow.backward_reliable,
+            stage_ms,
+        )
+
+    def _emit(self, last: int) -> list[FrameEvidence]:
+        """Evidence of the held frames up to ``last``."""
+        state = self.state
+        ready = [held for held in state.held if held.frame_index <= last]
+        state.held = tuple(held for held in state.held if held.frame_index > last)
+        return [self._evidence(held) for held in ready]
+
+    def _evidence(self, held: HeldFrame) -> FrameEvidence:
+        state = self.state
+        assert state.shape is not None
+        registry = LayerRegistry(self.config.layers, state.registry)
+        layer = np.array([registry.layer_of(int(label)) if label >= 0 else UNLABELLED for label in np.unique(held.labels)])
+        layer = layer[np.searchsorted(np.unique(held.labels), held.labels)] if len(held.labels) else held.labels
+        live = sorted({BACKGROUND, *(int(one) for one in np.unique(layer) if one > BACKGROUND)})
+        layers = []
+        for one in live:
+            kind: LayerKind = "background" if one == BACKGROUND else "other" if one == state.registry.other else "object"
+            members = layer == one
+            last_frame = state.evaluated.get(one, -1)
+            layers.append(LayerEvidence(one, kind, last_frame, held.positions[members], held.motions[members]))
+            state.evaluated[one] = held.frame_index
+        gone = sorted(set(state.evaluated) - registry.remembered_layers() - {BACKGROUND, *live})
+        for one in gone:
+            del state.evaluated[one]
+        return FrameEvidence(
+            frame_index=held.frame_index,
+            shape=state.shape,
+            camera=held.camera,
+            flow=held.flow,
+            flow_reliable=held.flow_reliable,
+            layers=tuple(layers),
+            retired=tuple(gone),
+            latency_frames=state.next_frame - 1 - held.frame_index,
+            stage_ms=held.stage_ms,
+        )
+
+
+def _background_first(labels: Array, trajectories: TrajectoryState, scale: float) -> Array:
+    """Renumber the first clusters so that 0 is the one that best obeys the camera's motion."""
+    clusters = np.unique(labels[labels != UNLABELLED])
+    if len(clusters) == 0:
+        return np.full(len(labels), BACKGROUND, np.int64)
+    residual = np.hypot(trajectories.residuals[:, 0, 0], trajectories.residuals[:, 0, 1])
+    obeying = [int(((labels == cluster) & (residual < scale)).sum()) for cluster in clusters]
+    background = int(clusters[int(np.argmax(obeying))])
+    order = [background, *(int(cluster) for cluster in clusters if cluster != background)]
+    renumbered = np.full(len(labels), UNLABELLED, np.int64)
+    for position, cluster in enumerate(order):
+        renumbered[labels == cluster] = position
+    return renumbered
+
+
+@contextmanager
+def _timed(stage_ms: dict[str, float], stage: str) -> Iterator[None]:
+    start = perf_counter()
+    yield
+    stage_ms[stage] = stage_ms.get(stage, 0.0) + 1e3 * (perf_counter() - start)

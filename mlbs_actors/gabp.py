@@ -1,0 +1,301 @@
+"""Motion field of one layer: mean and marginal variance of a Gaussian Markov random field (§5).
+
+The paper's model on a grid of nodes, each tied to its four neighbours and to the trajectories near it, is
+
+    A d = b,   A = L/σ_m² + diag(w)/σ_p² + ε,   m = prior + d,   marginal of node i: N(m_i, (A⁻¹)_ii)
+
+with L the grid's Laplacian, w the weight of the trajectories that fall on each node, and b their deviation from
+the prior. x and y share A. Gaussian belief propagation converges to this mean, because A is strictly
+diagonally dominant with no positive element off the diagonal and so *walk-summable*; it does not give these
+variances (on a loopy grid it is too sure of itself). Both are computed directly here: the mean by conjugate
+gradients with a multigrid V-cycle as the preconditioner, the variances by block-tridiagonal selected inversion,
+which is exact (:mod:`mlbs_actors.screened_poisson`).
+
+Differs from the paper:
+
+* The grid is coarser than the pixels: node (u, v) stands for the pixels of its ``spacing_px``² cell and lies at its
+  centre. In two dimensions the smoothness term does not change with the spacing (twice the distance, half
+  the gradient, a quarter of the nodes, four times the area), so σ_m needs no rescaling.
+* Evidence is sub-pixel: a trajectory shares its unit weight bilinearly among the four nodes around it. The weights
+  are summed on the diagonal (*lumped*): the exact interpolation rows BᵀWB would couple the nodes with
+  positive elements and walk-summability would be lost. Measured on a 4 px grid under rotation, the two
+  fields are equally far from the truth (0.050 and 0.048 px on average at 0.03 px/frame per px).
+* Evidence is robust: after a plain solve, weights are set to Geman and McClure's (c²/(c²+r²))², r the distance
+  of a trajectory from the field, and the field is solved again, ``robust_rounds`` times.
+* Smoothness acts on the deviation from the prior mean. For a constant prior that is the paper's model; for the camera's
+  motion it leaves zoom and rotation unpunished and lets them reach where no trajectory is.
+* ε is a weak prior, without which A would be singular for a layer without trajectories: spread over all
+  nodes, it weighs as much as a single measurement of standard deviation ``prior_std_px``. Such a layer gets
+  the prior mean itself.
+* The variances are computed exactly on a coarser grid of the same model, ``variance_spacing_px``, and stated for
+  the nodes of the mean's grid: the variance of a point has no limit as a grid is refined, every halving adds
+  σ_m² ln 2 / 2π where no evidence is nearer than the nodes, so that σ_m² ln(coarse / fine) / 2π is added. Measured
+  against the exact ones of the 4 px grid, with 1,000, 200 and 20 trajectories on 320×240 px: from 16 px the error
+  is 10, 7 and 3 % in the median (95 % quantile 25, 22 and 15 %), from 8 px 5, 3 and 1 % (15, 10 and 6 %);
+  without the addition 61 % (16 px) and 30 % (8 px).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from mlbs_actors.errors import SolverError
+from mlbs_actors.messages import Array
+from mlbs_actors.screened_poisson import inverse_diagonal, solve
+
+__all__ = ["MotionField", "MotionParameters", "motion_field", "node_positions"]
+
+#: Relative residual of the solves before the last, see :func:`motion_field`.
+_ROUGH_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True, slots=True)
+class MotionParameters:
+    """What the motion field hangs on.
+
+    Attributes
+    ----------
+    spacing_px : int
+        Distance of the mean's nodes, px.
+    variance_spacing_px : int
+        Distance of the variance's nodes, px.
+    smoothness_std_px : float
+        σ_m, standard deviation of the difference of neighbouring nodes, px/frame.
+    point_std_px : float
+        σ_p, standard deviation of a trajectory's motion, px/frame.
+    prior_std_px : float
+        Standard deviation of the prior of the field as a whole, px/frame.
+    robust_px : float
+        c, the residual at which a trajectory keeps a quarter of its weight, px/frame; raised to three robust
+        standard deviations of the residuals where these spread wider.
+    robust_rounds : int
+        Solves after the first, plain one.
+    tolerance : float
+        Largest residual |b − A d| / |b| that is accepted.
+    max_iterations : int
+        Conjugate-gradient iterations before the direct solver takes over.
+    """
+
+    spacing_px: int = 4
+    variance_spacing_px: int = 16
+    smoothness_std_px: float = 0.5
+    point_std_px: float = 0.5
+    prior_std_px: float = 20.0
+    robust_px: float = 1.5
+    robust_rounds: int = 2
+    tolerance: float = 1e-4
+    max_iterations: int = 40
+
+
+@dataclass(frozen=True, slots=True)
+class MotionField:
+    """Motion of one layer on its region.
+
+    Attributes
+    ----------
+    shape : (h, w)
+        Size of the region, px.
+    mean : (gh, gw, 2) float32
+        Backward motion (x, y) at the nodes :func:`node_positions` of ``spacing``, px/frame.
+    spacing : int
+        px.
+    variance : (vh, vw) float32
+        Marginal variance of either component of a node of the mean's grid, px², computed at the nodes of
+        ``variance_spacing`` (see the module's notes for its error).
+    variance_spacing : int
+        px.
+    point_weights : (n,) float32
+        Robust weight of each trajectory in [0, 1]; 0 for those outside the region.
+    iterations : int
+        Conjugate-gradient iterations, all rounds together.
+    residual : float
+        |b − A d| / |b| of the last solve.
+    solver : {"multigrid", "direct"}
+        What solved the last round.
+    """
+
+    shape: tuple[int, int]
+    mean: Array
+    spacing: int
+    variance: Array
+    variance_spacing: int
+    point_weights: Array
+    iterations: int
+    residual: float
+    solver: Literal["multigrid", "direct"]
+
+    def dense(self) -> Array:
+        """Mean at every pixel of the region: (h, w, 2) float32, px/frame, bilinear, constant past the outer nodes."""
+        return _to_pixels(self.mean, self.spacing, self.shape)
+
+    def dense_variance(self) -> Array:
+        """Variance at every pixel of the region: (h, w) float32, px², interpolated like :meth:`dense`."""
+        return _to_pixels(self.variance, self.variance_spacing, self.shape)
+
+
+def node_positions(shape: tuple[int, int], spacing: int) -> Array:
+    """Where the nodes of a region lie.
+
+    Parameters
+    ----------
+    shape : (h, w)
+        Size of the region, px.
+    spacing : int
+        px.
+
+    Returns
+    -------
+    (⌈h/spacing⌉, ⌈w/spacing⌉, 2) float32
+        Region-local (x, y) of each node, the centre of its cell, px. The last ones may lie past the border.
+    """
+    rows, columns = _grid_shape(shape, spacing)
+    y = (np.arange(rows) + 0.5) * spacing - 0.5
+    x = (np.arange(columns) + 0.5) * spacing - 0.5
+    return np.stack(np.broadcast_arrays(x[None, :], y[:, None]), axis=2).astype(np.float32)
+
+
+def motion_field(
+    positions: Array,
+    motions: Array,
+    shape: tuple[int, int],
+    prior_mean: Array,
+    parameters: MotionParameters,
+) -> MotionField:
+    """Infer a layer's motion field from its trajectories.
+
+    Parameters
+    ----------
+    positions : (n, 2) float
+        Region-local positions (x, y) at frame t, px. Points outside the region are left out.
+    motions : (n, 2) float
+        Their backward motions t → t−1, px/frame.
+    shape : (h, w)
+        Size of the region, px.
+    prior_mean : (2,) or (gh, gw, 2) float
+        Prior motion, one for all or at each of :func:`node_positions` (for example the camera's), px/frame.
+    parameters : MotionParameters
+
+    Returns
+    -------
+    MotionField
+
+    Raises
+    ------
+    SolverError
+        If a position, motion or prior is not finite, or neither solver reaches the tolerance.
+
+    Notes
+    -----
+    Paper §5, P(M|tracks) ∝ Π N(m_i | m_j, Σ_m) Π N(m_i | m_track, Σ_p).
+    """
+    if not (np.isfinite(positions).all() and np.isfinite(motions).all() and np.isfinite(prior_mean).all()):
+        raise SolverError("A motion field needs finite evidence; drop trajectories with NaN or infinite motion.")
+    height, width = shape
+    x, y = positions[:, 0], positions[:, 1]
+    inside = (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5)
+    points = positions[inside].astype(np.float64)
+    spacing = parameters.spacing_px
+    grid = _grid_shape(shape, spacing)
+    prior = np.broadcast_to(np.asarray(prior_mean, np.float64), (*grid, 2))
+    nodes, shares = _bilinear_taps(points, grid, spacing)
+    measured = motions[inside] - _interpolate(prior, nodes, shares)
+
+    weights = np.ones(len(points))
+    iterations = 0
+    edge = 1.0 / parameters.smoothness_std_px**2
+    deviation = np.zeros((2, *grid))
+    for round_index in range(parameters.robust_rounds + 1):
+        evidence = weights / parameters.point_std_px**2
+        diagonal = _lump(nodes, shares, evidence, grid) + _prior_precision(grid, parameters)
+        rhs = np.stack([_lump(nodes, shares, evidence * measured[:, axis], grid) for axis in (0, 1)])
+        last_round = round_index == parameters.robust_rounds or len(points) == 0
+        # A rough field is enough to weigh the trajectories by.
+        tolerance = parameters.tolerance if last_round else max(parameters.tolerance, _ROUGH_TOLERANCE)
+        solution = solve(diagonal, rhs, edge, deviation, tolerance, parameters.max_iterations)
+        deviation = solution.value
+        iterations += solution.iterations
+        if last_round:
+            break
+        misfit = measured - _interpolate(np.moveaxis(deviation, 0, 2), nodes, shares)
+        weights = _robust_weights(np.hypot(misfit[:, 0], misfit[:, 1]), parameters.robust_px)
+
+    point_weights = np.zeros(len(positions), np.float32)
+    point_weights[inside] = weights
+    return MotionField(
+        shape=(height, width),
+        mean=(prior + np.moveaxis(deviation, 0, 2)).astype(np.float32),
+        spacing=spacing,
+        variance=_marginal_variance(points, weights, shape, parameters).astype(np.float32),
+        variance_spacing=parameters.variance_spacing_px,
+        point_weights=point_weights,
+        iterations=iterations,
+        residual=solution.residual,
+        solver=solution.solver,
+    )
+
+
+def _grid_shape(shape: tuple[int, int], spacing: int) -> tuple[int, int]:
+    return -(-shape[0] // spacing), -(-shape[1] // spacing)
+
+
+def _to_pixels(values: Array, spacing: int, shape: tuple[int, int]) -> Array:
+    """Bilinear: cv2 aligns cell centres too and repeats the border."""
+    size = (values.shape[1] * spacing, values.shape[0] * spacing)
+    pixels: Array = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]]
+    return np.ascontiguousarray(pixels)
+
+
+def _bilinear_taps(points: Array, grid: tuple[int, int], spacing: int) -> tuple[Array, Array]:
+    """Indices (n, 4) of the nodes around each point, and the point's shares (n, 4) in them; they sum to 1."""
+    rows, columns = grid
+    u = np.clip((points[:, 0] + 0.5) / spacing - 0.5, 0, columns - 1)
+    v = np.clip((points[:, 1] + 0.5) / spacing - 0.5, 0, rows - 1)
+    left, top = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
+    right, bottom = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
+    along, down = u - left, v - top
+    nodes = np.stack(
+        [top * columns + left, top * columns + right, bottom * columns + left, bottom * columns + right], axis=1
+    )
+    shares = np.stack(
+        [(1 - down) * (1 - along), (1 - down) * along, down * (1 - along), down * along], axis=1
+    )
+    return nodes, shares
+
+
+def _interpolate(field: Array, nodes: Array, shares: Array) -> Array:
+    """Values (n, 2) of a (gh, gw, 2) field at points."""
+    values: Array = np.einsum("nk,nkc->nc", shares, field.reshape(-1, 2)[nodes])
+    return values
+
+
+def _lump(nodes: Array, shares: Array, amounts: Array, grid: tuple[int, int]) -> Array:
+    """Sum the points' amounts (n,) on the nodes by their shares."""
+    total = np.bincount(nodes.ravel(), (shares * amounts[:, None]).ravel(), grid[0] * grid[1])
+    return total.reshape(grid)
+
+
+def _prior_precision(grid: tuple[int, int], parameters: MotionParameters) -> float:
+    return 1.0 / (parameters.prior_std_px**2 * grid[0] * grid[1])
+
+
+def _robust_weights(distance: Array, robust_px: float) -> Array:
+    scale = max(robust_px, 3.0 * 1.4826 * float(np.median(distance)))
+    weights: Array = (scale**2 / (scale**2 + distance**2)) ** 2
+    return weights
+
+
+def _marginal_variance(
+    points: Array, weights: Array, shape: tuple[int, int], parameters: MotionParameters
+) -> Array:
+    """diag(A⁻¹) of the same model on the variance's grid, plus what the finer nodes of the mean vary more."""
+    grid = _grid_shape(shape, parameters.variance_spacing_px)
+    nodes, shares = _bilinear_taps(points, grid, parameters.variance_spacing_px)
+    screening = _lump(nodes, shares, weights / parameters.point_std_px**2, grid)
+    screening += _prior_precision(grid, parameters)
+    refinement = np.log(parameters.variance_spacing_px / parameters.spacing_px) / (2.0 * np.pi)
+    variance = inverse_diagonal(screening, 1.0 / parameters.smoothness_std_px**2)
+    return variance + parameters.smoothness_std_px**2 * refinement

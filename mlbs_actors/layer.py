@@ -1,0 +1,285 @@
+"""One layer: motion field, prediction, likelihood, posterior, update — the "processing block" (§5, §6).
+
+:meth:`Layer.step` is called once a frame: it finishes frame t−1 with the published labels, then predicts and
+evaluates frame t. The layer works on the region of its object; the background's region is the frame.
+
+The negative logarithm of the unnormalised posterior of a pixel is the sum of three terms, each bounded so
+that none can overrule the trajectories alone (nats; weights in :class:`~mlbs_actors.config.PosteriorConfig`):
+
+* appearance, −w log((1 − κ) + κ min(p(I)/u, e^cap)): p the kernel density, u the uniform density over
+  colours, κ the confidence of the pixel's samples. Unknown (κ = 0) costs 0: *unknown is not unlikely*.
+* motion, −w log(ε + (1 − ε) exp(−½ d²)): d² the squared distance of the dense flow from the layer's
+  motion field in units of the field's marginal variance plus the flow's own; 0 where the flow is unreliable.
+* prior, −w log(max(posterior of t−1 warped by the layer's own motion, floor)); where the source is outside the
+  layer's old region, and in a new-born layer, the prior is neutral (its value is a parameter too).
+
+Differs from the paper: the motion likelihood is not in it; the prior has a floor, so that it can be
+overruled, and a layer is weighed by its own confidence, pixel by pixel (the authors' program makes
+*all* layers uniform where one has few samples, and never uses its prior).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import cv2
+import numpy as np
+
+from mlbs_actors.camera import homography_motion
+from mlbs_actors.config import Config, length_scale
+from mlbs_actors.errors import LayerError
+from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_positions
+from mlbs_actors.kde import (
+    AppearanceModel,
+    AppearanceParameters,
+    borrowed_log_likelihood,
+    confidence,
+    empty_model,
+    update,
+    warp_and_evaluate,
+)
+from mlbs_actors.messages import (
+    BACKGROUND,
+    COST_STEP,
+    Array,
+    FrameEvidence,
+    LayerEvidence,
+    LayerKind,
+    LayerPosterior,
+    Region,
+    Segmentation,
+)
+from mlbs_actors.warp import warp_map
+
+__all__ = ["Layer", "LayerState"]
+
+#: log of the uniform density over 8-bit colours, nats per unit RGB volume.
+LOG_UNIFORM = -3.0 * float(np.log(256.0))
+
+
+@dataclass(slots=True)
+class LayerState:
+    """Everything that steers the layer's next frame.
+
+    Attributes
+    ----------
+    last_frame : int
+        Frame evaluated last, −1 before the first.
+    region : Region
+        Where.
+    model : AppearanceModel
+        Samples at ``last_frame``, without that frame's own colours.
+    cost : (h, w) uint8
+        Unnormalised posterior of ``last_frame``, as sent to the segmenter.
+    image : (h, w, 3) uint8
+        That frame's colours, to learn from once its labels are known.
+    velocity : (2,) float32
+        Mean forward motion of the layer, px/frame.
+    """
+
+    last_frame: int
+    region: Region
+    model: AppearanceModel
+    cost: Array
+    image: Array
+    velocity: Array
+
+
+class Layer:
+    """One layer of one stream.
+
+    Parameters
+    ----------
+    config : Config
+    layer : int
+        Its id.
+    kind : {"background", "object", "other"}
+    state : LayerState, optional
+        To go on from a snapshot; new-born by default.
+    """
+
+    def __init__(self, config: Config, layer: int, kind: LayerKind, state: LayerState | None = None) -> None:
+        self.config = config
+        self.layer = layer
+        self.kind = kind
+        nowhere = Region(0, 0, 0, 0)
+        self.state = state or LayerState(
+            last_frame=-1,
+            region=nowhere,
+            model=empty_model(nowhere, config.appearance.samples),
+            cost=np.zeros((0, 0), np.uint8),
+            image=np.zeros((0, 0, 3), np.uint8),
+            velocity=np.zeros(2, np.float32),
+        )
+        self._motion = MotionParameters(
+            spacing_px=config.motion.grid_px,
+            variance_spacing_px=config.motion.variance_grid_px,
+            smoothness_std_px=config.motion.smoothness_std_px,
+            point_std_px=config.motion.point_std_px,
+            prior_std_px=config.motion.prior_std_px,
+            robust_px=config.motion.robust_px,
+        )
+        self._appearance = AppearanceParameters(
+            bandwidth_floor=config.appearance.bandwidth_floor,
+            window_radius=config.appearance.window_radius,
+            half_confidence_samples=config.appearance.half_confidence_samples,
+            borrow_scale=config.appearance.background_borrow_px if kind == "background" else config.appearance.object_borrow_px,
+        )
+
+    def step(
+        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, frame: Array, previous: Segmentation | None
+    ) -> LayerPosterior:
+        """Finish frame t−1, then predict and evaluate frame t.
+
+        Parameters
+        ----------
+        evidence : LayerEvidence
+            This layer's trajectories at t.
+        frame_evidence : FrameEvidence
+            Of the same frame: camera and dense flow.
+        frame : (H, W, 3) uint8
+        previous : Segmentation or None
+            Published result of t−1; None for the first frame.
+
+        Returns
+        -------
+        LayerPosterior
+
+        Raises
+        ------
+        LayerError
+            If the evidence is another layer's, or not the next one for this layer.
+        """
+        state = self.state
+        if evidence.layer != self.layer or evidence.last_frame != state.last_frame:
+            raise LayerError(
+                f"Layer {self.layer} stands at frame {state.last_frame} but was given evidence of layer {evidence.layer} "
+                f"that goes on from frame {evidence.last_frame}; restart the stream from its last snapshot."
+            )
+        start = perf_counter()
+        posterior, support = self._finish(previous)
+        finished = perf_counter()
+        region = self._next_region(evidence, frame_evidence, support)
+        field = self._motion_field(evidence, frame_evidence, region)
+        motion = field.dense()
+        moved = perf_counter()
+        image = np.ascontiguousarray(frame[region.slices])
+        woken = state.last_frame >= 0 and state.last_frame + 1 != frame_evidence.frame_index
+        if woken:  # after a sleep only the place is known, not the path: neither model nor prior fit
+            state.model = empty_model(Region(0, 0, 0, 0), self.config.appearance.samples)
+        model, log_density = warp_and_evaluate(state.model, region, motion, image, self._appearance)
+        appearance, trust = self._appearance_cost(model, image, log_density)
+        weights = self.config.posterior
+        cost = weights.appearance * appearance + weights.motion * self._motion_cost(frame_evidence, region, field, motion)
+        if weights.prior > 0:
+            neutral = weights.neutral_prior
+            prior = np.full(cost.shape, neutral, np.float32)
+            if posterior.size and not woken:
+                prior = warp_map(posterior, state.region, region, motion, neutral)
+            cost -= weights.prior * np.log(np.maximum(prior, weights.prior_floor))
+        quantised = np.clip(np.rint((cost + weights.offset) / COST_STEP), 0, 255).astype(np.uint8)
+        evaluated = perf_counter()
+
+        if len(evidence.motions):
+            velocity = -np.median(evidence.motions, axis=0).astype(np.float32)
+        else:
+            velocity = state.velocity
+        self.state = LayerState(frame_evidence.frame_index, region, model, quantised, image, velocity)
+        return LayerPosterior(
+            layer=self.layer,
+            frame_index=frame_evidence.frame_index,
+            kind=self.kind,
+            region=region,
+            cost=quantised,
+            outside_cost=255,
+            confidence=float(trust.mean()) if trust.size else 0.0,
+            velocity=velocity,
+            stage_ms={
+                "update": 1e3 * (finished - start),
+                "gabp": 1e3 * (moved - finished),
+                "posterior": 1e3 * (evaluated - moved),
+            },
+        )
+
+    def _finish(self, previous: Segmentation | None) -> tuple[Array, Region | None]:
+        """Learn frame t−1; return this layer's normalised posterior of it and the box of its pixels."""
+        state = self.state
+        nothing = np.zeros((0, 0), np.float32)
+        if previous is None or previous.frame_index != state.last_frame:
+            return nothing, None
+        slices = state.region.slices
+        mask = np.ascontiguousarray(previous.labels[slices] == self.layer)
+        update(state.model, state.image, mask)
+        log_posterior = previous.normaliser[slices].astype(np.float32) - state.cost.astype(np.float32)
+        posterior = np.exp(np.minimum(log_posterior * np.float32(COST_STEP), 0.0))
+        # The published map is the better half of the knowledge: it has seen the outlines.
+        posterior = 0.5 * posterior + 0.5 * mask
+        if not mask.any():
+            return posterior, None
+        x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
+        return posterior, Region(state.region.x + x, state.region.y + y, width, height)
+
+    def _next_region(self, evidence: LayerEvidence, frame_evidence: FrameEvidence, support: Region | None) -> Region:
+        """The frame for the background; else the box of trajectories and moved support, with a margin."""
+        height, width = frame_evidence.shape
+        if self.kind == "background":
+            return Region(0, 0, width, height)
+        boxes = []
+        velocity = self.state.velocity
+        if len(evidence.positions):
+            boxes.append(np.concatenate([evidence.positions.min(axis=0), evidence.positions.max(axis=0)]))
+            velocity = -np.median(evidence.motions, axis=0)
+        if support is not None:
+            corner = np.array([support.x, support.y]) + velocity
+            boxes.append(np.concatenate([corner, corner + (support.width, support.height)]))
+        if not boxes:
+            return Region(0, 0, 0, 0)
+        margin = self.config.posterior.region_margin_px * length_scale(height, width)
+        low = np.floor(np.min(boxes, axis=0)[:2] - margin).astype(int)
+        high = np.ceil(np.max(boxes, axis=0)[2:] + margin).astype(int) + 1
+        x0, y0 = np.clip(low, 0, (width, height))
+        x1, y1 = np.clip(high, 0, (width, height))
+        return Region(int(x0), int(y0), int(x1 - x0), int(y1 - y0))
+
+    def _motion_field(self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region) -> MotionField:
+        """GaBP on the region; where nothing is known the camera's motion, or an object's own median."""
+        shape = (region.height, region.width)
+        corner = np.array([region.x, region.y], np.float32)
+        prior = np.zeros(2)
+        if self.kind == "background" and region.area:
+            nodes = node_positions(shape, self._motion.spacing_px)
+            prior = homography_motion(frame_evidence.camera, nodes.reshape(-1, 2)).reshape(nodes.shape)
+        elif len(evidence.motions):
+            prior = np.median(evidence.motions, axis=0)
+        elif region.area:
+            prior = -self.state.velocity
+        return motion_field(evidence.positions - corner, evidence.motions, shape, prior, self._motion)
+
+    def _appearance_cost(self, model: AppearanceModel, image: Array, log_density: Array) -> tuple[Array, Array]:
+        """−log((1−κ) + κ min(p/u, e^cap)) and κ; borrowed from the nearest known samples where there are none."""
+        trust = confidence(model.count, self._appearance)
+        borrowed, borrowed_trust = borrowed_log_likelihood(model, image, self._appearance, np.ones(trust.shape, bool))
+        unknown = model.count == 0
+        log_density = np.where(unknown, borrowed, log_density)
+        trust = np.where(unknown, borrowed_trust, trust)
+        ratio = np.exp(np.minimum(np.nan_to_num(log_density, nan=LOG_UNIFORM) - LOG_UNIFORM, self.config.posterior.appearance_cap))
+        return -np.log((1.0 - trust) + trust * ratio), trust
+
+    def _motion_cost(self, frame_evidence: FrameEvidence, region: Region, field: MotionField, motion: Array) -> Array:
+        """−log(ε + (1−ε) exp(−½d²)) of the dense flow under the motion field."""
+        height, width = frame_evidence.shape
+        if region.area == 0 or self.config.posterior.motion == 0 or not frame_evidence.flow_reliable.any():
+            return np.zeros(motion.shape[:2], np.float32)
+        rows, columns = frame_evidence.flow_reliable.shape
+        x = ((np.arange(region.x, region.x + region.width) + 0.5) * columns / width - 0.5).astype(np.float32)
+        y = ((np.arange(region.y, region.y + region.height) + 0.5) * rows / height - 0.5).astype(np.float32)
+        map_x, map_y = np.meshgrid(x, y)
+        source = np.dstack([frame_evidence.flow.astype(np.float32), frame_evidence.flow_reliable.astype(np.float32)])
+        flow = cv2.remap(source, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        scale = length_scale(height, width)
+        variance = field.dense_variance() + (self.config.motion.flow_std_px * scale) ** 2
+        distance = np.square(flow[..., :2] - motion).sum(axis=2) / variance
+        floor = self.config.posterior.motion_floor
+        cost = -np.log(floor + (1.0 - floor) * np.exp(-0.5 * distance))
+        return np.asarray(cost * flow[..., 2], np.float32)

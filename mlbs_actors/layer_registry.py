@@ -1,0 +1,268 @@
+"""The life of layers: births, dormancy, re-identification, retirement, and the cap (§4).
+
+Two things are kept apart here and nowhere else: a *label* is what a cluster of trajectories carries in the
+coordinator (0 the background, > 0 a layer, −1 none, < −1 a candidate on probation), a *layer id* is for
+life and is what the label map shows. They differ for the objects past the cap, which share one
+layer "other".
+
+Differs from the paper: it creates a layer whenever the N-cut splits a cluster and drops it with its last
+trajectory; here a split must last a few frames first, a layer that loses its trajectories sleeps for a while
+and is woken when a new cluster of like colours appears where it should be, and the number of layers is
+bounded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mlbs_actors.clustering import UNLABELLED
+from mlbs_actors.config import LayersConfig
+from mlbs_actors.messages import BACKGROUND, Array
+
+__all__ = ["LayerRegistry", "RegistryState", "colour_signature"]
+
+#: Bins a colour channel of a signature.
+SIGNATURE_BINS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class RegistryState:
+    """All objects that live, sleep or are on probation; row i of each array is one of them.
+
+    Attributes
+    ----------
+    labels : (k,) int64
+        Ascending; candidates have labels < −1.
+    born : (k,) int64
+        Frame of birth.
+    seen : (k,) int64
+        Last frame with enough trajectories; older than the newest frame = asleep.
+    centroids, velocities : (k, 2) float64
+        Mean position (px) and forward motion (px/frame) when last seen.
+    signatures : (k, SIGNATURE_BINS³) float32
+        Colour histogram, sum 1 (0 before the first).
+    pooled : (k,) bool
+        Shares the layer "other".
+    next_layer : int
+        Next unused layer id.
+    next_candidate : int
+        Next unused candidate label, < −1.
+    other : int
+        Layer id of "other", −1 before it is needed.
+    """
+
+    labels: Array
+    born: Array
+    seen: Array
+    centroids: Array
+    velocities: Array
+    signatures: Array
+    pooled: Array
+    next_layer: int
+    next_candidate: int
+    other: int
+
+    @staticmethod
+    def empty() -> RegistryState:
+        """No object yet."""
+        return RegistryState(
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
+            np.zeros((0, 2)),
+            np.zeros((0, 2)),
+            np.zeros((0, SIGNATURE_BINS**3), np.float32),
+            np.zeros(0, bool),
+            1,
+            UNLABELLED - 1,
+            -1,
+        )
+
+
+def colour_signature(colours: Array) -> Array:
+    """Normalised colour histogram of some pixels.
+
+    Parameters
+    ----------
+    colours : (n, 3) uint8
+
+    Returns
+    -------
+    (SIGNATURE_BINS³,) float32
+        Sum 1, or 0 without pixels.
+    """
+    bins = colours.astype(np.intp) * SIGNATURE_BINS // 256
+    flat = (bins[:, 0] * SIGNATURE_BINS + bins[:, 1]) * SIGNATURE_BINS + bins[:, 2]
+    histogram = np.bincount(flat, minlength=SIGNATURE_BINS**3).astype(np.float32)
+    return histogram / np.float32(max(len(colours), 1))
+
+
+class LayerRegistry:
+    """Decides which labels are layers; see the module's text.
+
+    Parameters
+    ----------
+    config : LayersConfig
+    state : RegistryState, optional
+        To go on from; a new registry by default.
+    """
+
+    def __init__(self, config: LayersConfig, state: RegistryState | None = None) -> None:
+        self.config = config
+        self.state = state or RegistryState.empty()
+
+    def ages(self, frame_index: int) -> dict[int, int]:
+        """Frames since birth of every label, the background being older than all."""
+        ages = {int(label): int(frame_index - born) for label, born in zip(self.state.labels, self.state.born, strict=True)}
+        return {**ages, BACKGROUND: np.iinfo(np.int64).max}
+
+    def live_layers(self, frame_index: int) -> tuple[int, ...]:
+        """Layer ids, without the background, that are awake at a frame; ascending."""
+        awake = (self.state.labels > 0) & (self.state.seen == frame_index)
+        ids = {self.layer_of(int(label)) for label in self.state.labels[awake]}
+        return tuple(sorted(ids))
+
+    def remembered_layers(self) -> frozenset[int]:
+        """Layer ids, without the background, that live or sleep."""
+        return frozenset(self.layer_of(int(label)) for label in self.state.labels if label > 0)
+
+    def layer_of(self, label: int) -> int:
+        """Layer id of a label ≥ 0."""
+        row = np.flatnonzero(self.state.labels == label)
+        if len(row) and self.state.pooled[row[0]]:
+            return self.state.other
+        return label
+
+    def admit(self, labels: Array, frame_index: int) -> Array:
+        """Give the labels that are new since the last frame their candidate labels.
+
+        Parameters
+        ----------
+        labels : (n,) int64
+            Unknown labels ≥ 0 are taken for new clusters.
+        frame_index : int
+
+        Returns
+        -------
+        (n,) int64
+        """
+        known = set(self.state.labels.tolist()) | {BACKGROUND, UNLABELLED}
+        for label in np.unique(labels):
+            if int(label) not in known:
+                candidate = self.state.next_candidate
+                labels = np.where(labels == label, candidate, labels)
+                state = self.state
+                self.state = replace(
+                    state,
+                    labels=np.concatenate([[candidate], state.labels]),
+                    born=np.concatenate([[frame_index], state.born]),
+                    seen=np.concatenate([[frame_index], state.seen]),
+                    centroids=np.concatenate([np.zeros((1, 2)), state.centroids]),
+                    velocities=np.concatenate([np.zeros((1, 2)), state.velocities]),
+                    signatures=np.concatenate([np.zeros((1, SIGNATURE_BINS**3), np.float32), state.signatures]),
+                    pooled=np.concatenate([[False], state.pooled]),
+                    next_candidate=candidate - 1,
+                )
+        return labels
+
+    def observe(self, labels: Array, positions: Array, motions: Array, colours: Array, frame_index: int, probation: int) -> Array:
+        """Take note of a frame's clusters: promote, put to sleep, forget, and keep the cap.
+
+        Parameters
+        ----------
+        labels : (n,) int64
+            From :meth:`admit`.
+        positions, motions : (n, 2) float32
+            Positions and backward motions of the trajectories, px.
+        colours : (n, 3) uint8
+            The frame's colours there.
+        frame_index : int
+        probation : int
+            Frames that a candidate must have lasted to become a layer.
+
+        Returns
+        -------
+        (n,) int64
+            The labels after promotion; trajectories of clusters that are too few are −1.
+        """
+        labels = labels.copy()
+        state = self.state
+        counts = {int(label): int((labels == label).sum()) for label in state.labels}
+        enough = np.array([counts[int(label)] >= self.config.min_tracks for label in state.labels], bool)
+        for row in np.flatnonzero(enough):
+            members = labels == state.labels[row]
+            state.seen[row] = frame_index
+            state.centroids[row] = positions[members].mean(axis=0)
+            state.velocities[row] = -motions[members].mean(axis=0)
+            fresh = colour_signature(colours[members])
+            state.signatures[row] = fresh if state.signatures[row].sum() == 0 else 0.9 * state.signatures[row] + 0.1 * fresh
+        for label in state.labels[~enough]:
+            labels[labels == label] = UNLABELLED
+        asleep = frame_index - state.seen
+        keep = np.where(state.labels > 0, asleep <= self.config.dormant_frames, asleep == 0)
+        self._select(keep)
+        for label in self.state.labels[(self.state.labels < UNLABELLED) & (frame_index - self.state.born >= probation)][::-1]:
+            labels[labels == label] = self._promote(int(label), frame_index)
+        self._keep_cap(labels, frame_index)
+        return labels
+
+    def _select(self, rows: Array) -> None:
+        state = self.state
+        self.state = replace(
+            state,
+            labels=state.labels[rows],
+            born=state.born[rows],
+            seen=state.seen[rows],
+            centroids=state.centroids[rows],
+            velocities=state.velocities[rows],
+            signatures=state.signatures[rows],
+            pooled=state.pooled[rows],
+        )
+
+    def _promote(self, candidate: int, frame_index: int) -> int:
+        """Make a candidate a layer: wake the sleeping one that it is, or else a new one."""
+        state = self.state
+        row = int(np.flatnonzero(state.labels == candidate)[0])
+        sleeper = self._sleeper_like(row, frame_index)
+        if sleeper is None:
+            label, born, pooled = state.next_layer, state.born[row], False
+            state = replace(state, next_layer=state.next_layer + 1)
+        else:
+            label, born, pooled = int(state.labels[sleeper]), state.born[sleeper], bool(state.pooled[sleeper])
+        state.labels[row], state.born[row], state.pooled[row] = label, born, pooled
+        self.state = state
+        rows = np.argsort(state.labels, kind="stable")
+        self._select(rows if sleeper is None else rows[rows != sleeper])
+        return label
+
+    def _sleeper_like(self, row: int, frame_index: int) -> int | None:
+        """The sleeping layer that best explains a candidate by colour and place, if any does."""
+        state, best, chosen = self.state, self.config.wake_similarity, None
+        for sleeper in np.flatnonzero((state.labels > 0) & (state.seen < frame_index)):
+            gap = frame_index - state.seen[sleeper]
+            expected = state.centroids[sleeper] + gap * state.velocities[sleeper]
+            nearest = min(
+                float(np.hypot(*(state.centroids[row] - expected))),
+                float(np.hypot(*(state.centroids[row] - state.centroids[sleeper]))),
+            )
+            if nearest > self.config.wake_px:
+                continue
+            likeness = float(np.sqrt(state.signatures[row] * state.signatures[sleeper]).sum())
+            if likeness > best:
+                best, chosen = likeness, int(sleeper)
+        return chosen
+
+    def _keep_cap(self, labels: Array, frame_index: int) -> None:
+        """Past the cap the smallest objects share the layer "other", for the rest of their lives."""
+        room = self.config.max_layers - 2  # the background and "other" take two
+        while True:
+            state = self.state
+            single = np.flatnonzero((state.labels > 0) & ~state.pooled & (state.seen == frame_index))
+            if len(single) <= room + (state.other < 0):
+                return
+            if state.other < 0:
+                self.state = state = replace(state, other=state.next_layer, next_layer=state.next_layer + 1)
+            sizes = [int((labels == state.labels[row]).sum()) for row in single]
+            state.pooled[single[int(np.lexsort((-state.labels[single], sizes))[0])]] = True

@@ -1,0 +1,220 @@
+"""What passes between the parts of one stream: typed, array-valued, the same in one process and over Ray.
+
+The way of a frame::
+
+    frame ─► Coordinator.step ─► FrameEvidence ─► Layer.step (one a layer) ─► LayerPosterior
+                   ▲                                   ▲                          │
+                   │ segmentations up to t−2           │ segmentation of t−1      ▼
+                   └───────────────────────────────────┴──── Segmentation ◄─ Segmenter.step
+
+Conventions: images are (H, W, 3) uint8 BGR; a pixel is (x right, y down); frame indices count from 0;
+a *motion* is backward: the displacement of a point of frame t to where it was in frame t−1, in px.
+A layer's id is for life and never reused; id 0 is the background.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = [
+    "BACKGROUND",
+    "Array",
+    "FrameEvidence",
+    "LayerEvidence",
+    "LayerKind",
+    "LayerPosterior",
+    "LayerSummary",
+    "Region",
+    "Segmentation",
+]
+
+Array = npt.NDArray[Any]
+LayerKind = Literal["background", "object", "other"]
+
+#: Id of the background layer.
+BACKGROUND = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A half-open rectangle of pixels: columns x … x+width−1, rows y … y+height−1."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Row and column slices that cut this region out of a full-frame array."""
+        return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
+
+    @property
+    def area(self) -> int:
+        """Number of pixels."""
+        return self.width * self.height
+
+
+@dataclass(frozen=True, slots=True)
+class LayerEvidence:
+    """The trajectories of one layer at one frame (coordinator → layer).
+
+    Attributes
+    ----------
+    layer : int
+        Layer id.
+    kind : {"background", "object", "other"}
+    last_frame : int
+        Frame at which this layer was last evaluated, −1 for a new-born layer. The layer refuses
+        evidence whose ``last_frame`` is not its own.
+    positions : (n, 2) float32
+        Sub-pixel positions at frame t, px.
+    motions : (n, 2) float32
+        Backward motions t → t−1, px.
+    """
+
+    layer: int
+    kind: LayerKind
+    last_frame: int
+    positions: Array
+    motions: Array
+
+
+@dataclass(frozen=True, slots=True)
+class FrameEvidence:
+    """All that the coordinator found out about one frame.
+
+    Attributes
+    ----------
+    frame_index : int
+    shape : (H, W)
+        Size of the frame, px.
+    camera : (3, 3) float64
+        Homography that takes homogeneous pixels of frame t to where they were in frame t−1 if they
+        belong to the background.
+    flow : (h, w, 2) float16
+        Dense backward flow t → t−1 in full-size px, on a grid ``H / h`` times coarser than the frame.
+        Zeros for frame 0.
+    flow_reliable : (h, w) bool
+        Where forward and backward flow agree.
+    layers : tuple of LayerEvidence
+        The live layers in ascending id; the background (id 0) is always first.
+    retired : tuple of int
+        Layers that ended with the frame before this one; their processes may be given back.
+    latency_frames : int
+        How many frames later than its own decoding this frame's evidence was complete.
+    stage_ms : mapping of str to float
+        Wall time of the coordinator's stages, ms.
+    """
+
+    frame_index: int
+    shape: tuple[int, int]
+    camera: Array
+    flow: Array
+    flow_reliable: Array
+    layers: tuple[LayerEvidence, ...]
+    retired: tuple[int, ...]
+    latency_frames: int
+    stage_ms: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class LayerPosterior:
+    """One layer's unnormalised posterior of one frame, quantised and cropped (layer → segmenter).
+
+    Attributes
+    ----------
+    layer, frame_index : int
+    kind : {"background", "object", "other"}
+    region : Region
+        Where the layer was evaluated; outside it the cost is ``outside_cost`` (a layer lives on its own
+        support).
+    cost : (region.height, region.width) uint8
+        −log(likelihood × prior) in units of ``COST_STEP`` nats.
+    outside_cost : int
+        The same unit.
+    confidence : float
+        Mean certainty of the layer's own model over its region, in [0, 1].
+    velocity : (2,) float32
+        Mean motion t−1 → t of the layer's support (forward), px/frame.
+    stage_ms : mapping of str to float
+        Wall time of the layer's stages, ms.
+    """
+
+    layer: int
+    frame_index: int
+    kind: LayerKind
+    region: Region
+    cost: Array
+    outside_cost: int
+    confidence: float
+    velocity: Array
+    stage_ms: Mapping[str, float] = field(default_factory=dict)
+
+
+#: Quantum of ``LayerPosterior.cost`` and ``Segmentation.normaliser``, nats.
+COST_STEP = 1.0 / 16.0
+
+
+@dataclass(frozen=True, slots=True)
+class LayerSummary:
+    """What one layer looks like in one published label map: a row of ``layers-*.parquet``.
+
+    Attributes
+    ----------
+    layer : int
+    kind : {"object", "other"}
+    region : Region
+        Bounding box of the layer's pixels.
+    area : int
+        Number of pixels, px.
+    centroid : (float, float)
+        (cx, cy), px.
+    velocity : (float, float)
+        Mean motion t−1 → t, px/frame.
+    confidence : float
+        Mean posterior of the label over its pixels, in [0, 1].
+    """
+
+    layer: int
+    kind: LayerKind
+    region: Region
+    area: int
+    centroid: tuple[float, float]
+    velocity: tuple[float, float]
+    confidence: float
+
+
+@dataclass(frozen=True, slots=True)
+class Segmentation:
+    """The published result of one frame.
+
+    Attributes
+    ----------
+    frame_index : int
+    labels : (H, W) uint16
+        Layer id of every pixel, 0 = background, cleaned.
+    normaliser : (H, W) uint8
+        −log Z in units of ``COST_STEP`` nats, Z the sum of the unnormalised posteriors over the layers.
+    layers : tuple of LayerSummary
+        The object layers that own at least one pixel, in ascending id.
+    camera_motion : (float, float)
+        Mean motion t−1 → t of the background (forward), px/frame.
+    latency_frames : int
+        How many frames after its own decoding the frame was labelled.
+    stage_ms : mapping of str to float
+        Wall time by stage, ms.
+    """
+
+    frame_index: int
+    labels: Array
+    normaliser: Array
+    layers: tuple[LayerSummary, ...]
+    camera_motion: tuple[float, float]
+    latency_frames: int
+    stage_ms: Mapping[str, float] = field(default_factory=dict)

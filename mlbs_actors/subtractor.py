@@ -1,0 +1,86 @@
+"""One stream in one process, without Ray: for notebooks, debugging and as the reference for the actors."""
+
+from __future__ import annotations
+
+from mlbs_actors.config import Config
+from mlbs_actors.coordinator import Coordinator
+from mlbs_actors.determinism import single_threaded
+from mlbs_actors.layer import Layer
+from mlbs_actors.messages import Array, FrameEvidence, Segmentation
+from mlbs_actors.segmenter import Segmenter
+
+__all__ = ["MultilayerSubtractor"]
+
+
+class MultilayerSubtractor:
+    """Labels every independently moving object of one moving-camera video, online.
+
+    Parameters
+    ----------
+    config : Config, optional
+        All parameters; the defaults serve every video.
+
+    Examples
+    --------
+    >>> subtractor = MultilayerSubtractor()
+    >>> for frame in frames:                                   # (H, W, 3) uint8 BGR
+    ...     for result in subtractor.apply(frame):
+    ...         show(result.frame_index, result.labels)        # 0 = background
+    >>> for result in subtractor.flush():
+    ...     show(result.frame_index, result.labels)
+    """
+
+    def __init__(self, config: Config | None = None) -> None:
+        self.config = config or Config()
+        self._coordinator = Coordinator(self.config)
+        self._segmenter = Segmenter(self.config)
+        self._layers: dict[int, Layer] = {}
+        self._waiting: dict[int, Array] = {}
+        self._published: dict[int, Segmentation] = {}
+
+    def apply(self, frame: Array) -> list[Segmentation]:
+        """Take the next frame.
+
+        Parameters
+        ----------
+        frame : (H, W, 3) uint8
+            BGR; every frame of one size.
+
+        Returns
+        -------
+        list of Segmentation
+            0, 1 or several results, in frame order: the first few frames are held until motion is known.
+
+        Raises
+        ------
+        FrameError
+            If the frame has another type or size.
+        """
+        index = self._coordinator.state.next_frame
+        with single_threaded():
+            wanted = self._coordinator.feedback_index(index)
+            feedback = None if wanted is None else self._published[wanted]
+            evidence = self._coordinator.step(index, frame, feedback)
+            self._waiting[index] = frame.copy()  # the caller may reuse its buffer
+            return [self._label(one) for one in evidence]
+
+    def flush(self) -> list[Segmentation]:
+        """Return the results of the frames still held; the stream has ended."""
+        with single_threaded():
+            return [self._label(one) for one in self._coordinator.flush()]
+
+    def _label(self, evidence: FrameEvidence) -> Segmentation:
+        index = evidence.frame_index
+        frame = self._waiting.pop(index)
+        for layer in evidence.retired:
+            del self._layers[layer]
+        posteriors = []
+        for one in evidence.layers:
+            if one.layer not in self._layers:
+                self._layers[one.layer] = Layer(self.config, one.layer, one.kind)
+            layer = self._layers[one.layer]
+            posteriors.append(layer.step(one, evidence, frame, self._published.get(index - 1)))
+        segmentation = self._segmenter.step(evidence, frame, posteriors)
+        self._published = {known: result for known, result in self._published.items() if known > index - 3}
+        self._published[index] = segmentation
+        return segmentation

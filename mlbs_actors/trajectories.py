@@ -1,0 +1,185 @@
+"""Point trajectories on dense flow: advance, check, re-seed (§3; Sundaram, Brox, Keutzer, ECCV 2010).
+
+Differs from the paper: a point seeded in frame t is at once followed back to frame t−1 by the (checked)
+backward flow, so it brings one motion with it and can be compared with its neighbours from its first
+frame on; and a trajectory remembers a bounded number of motions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from mlbs_actors.config import TrajectoriesConfig, length_scale
+from mlbs_actors.flow import DenseFlow, sample_flow
+from mlbs_actors.messages import Array
+
+__all__ = ["TrajectoryState", "advance_trajectories", "empty_trajectories", "seed_trajectories", "with_residuals"]
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryState:
+    """The live trajectories.
+
+    Attributes
+    ----------
+    ids : (n,) int64
+        Ascending, never reused.
+    positions : (n, 2) float32
+        (x, y) in the newest frame, px.
+    motions : (n, 2) float32
+        Backward motion t → t−1, px.
+    residuals : (n, T, 2) float32
+        What the camera's own motion leaves of the backward motions, newest first, px. Zero past a
+        trajectory's age.
+    ages : (n,) int32
+        How many of those motions are known, 0 … T.
+    next_id : int
+    """
+
+    ids: Array
+    positions: Array
+    motions: Array
+    residuals: Array
+    ages: Array
+    next_id: int
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+def empty_trajectories(config: TrajectoriesConfig) -> TrajectoryState:
+    """No trajectory yet."""
+    return TrajectoryState(
+        np.zeros(0, np.int64),
+        np.zeros((0, 2), np.float32),
+        np.zeros((0, 2), np.float32),
+        np.zeros((0, config.history_frames, 2), np.float32),
+        np.zeros(0, np.int32),
+        0,
+    )
+
+
+def advance_trajectories(state: TrajectoryState, flow: DenseFlow, shape: tuple[int, int]) -> TrajectoryState:
+    """Carry every point into the next frame; drop those that leave or that the flow does not confirm.
+
+    Parameters
+    ----------
+    state : TrajectoryState
+        At frame t−1.
+    flow : DenseFlow
+        Between t−1 and t.
+    shape : (int, int)
+        (H, W), px.
+
+    Returns
+    -------
+    TrajectoryState
+        At frame t; the newest residuals are still zero (:func:`with_residuals` fills them in).
+    """
+    height, width = shape
+    motion = sample_flow(flow.forward, state.positions, flow.step)
+    positions = state.positions + motion
+    cell_x = np.clip((state.positions[:, 0] / flow.step[0]).astype(np.intp), 0, flow.forward.shape[1] - 1)
+    cell_y = np.clip((state.positions[:, 1] / flow.step[1]).astype(np.intp), 0, flow.forward.shape[0] - 1)
+    alive = (
+        flow.forward_reliable[cell_y, cell_x]
+        & (positions[:, 0] >= 0)
+        & (positions[:, 0] <= width - 1)
+        & (positions[:, 1] >= 0)
+        & (positions[:, 1] <= height - 1)
+    )
+    residuals = np.zeros((int(alive.sum()), *state.residuals.shape[1:]), np.float32)
+    residuals[:, 1:] = state.residuals[alive, :-1]
+    return TrajectoryState(
+        state.ids[alive],
+        positions[alive],
+        -motion[alive],
+        residuals,
+        np.minimum(state.ages[alive] + 1, state.residuals.shape[1]).astype(np.int32),
+        state.next_id,
+    )
+
+
+def seed_trajectories(
+    state: TrajectoryState, gray: Array, flow: DenseFlow | None, shape: tuple[int, int], config: TrajectoriesConfig
+) -> TrajectoryState:
+    """Start trajectories on a grid wherever the image has structure and no live trajectory is near.
+
+    Parameters
+    ----------
+    state : TrajectoryState
+        At frame t.
+    gray : (h, w) uint8
+        Frame t, shrunk as for the flow.
+    flow : DenseFlow or None
+        Between t−1 and t; None in the first frame.
+    shape : (int, int)
+        (H, W) of the full frame.
+    config : TrajectoriesConfig
+
+    Returns
+    -------
+    TrajectoryState
+        With the new trajectories appended, in raster order.
+
+    Notes
+    -----
+    A seed needs a smaller structure-tensor eigenvalue above mean·(0.1 + exp(−0.1 d)), d the distance to the
+    border in px.
+    """
+    height, width = shape
+    spacing = config.seed_spacing_px * length_scale(height, width)
+    columns, rows = max(1, int(width / spacing)), max(1, int(height / spacing))
+    xs = ((np.arange(columns) + 0.5) * width / columns).astype(np.float32)
+    ys = ((np.arange(rows) + 0.5) * height / rows).astype(np.float32)
+    grid_x, grid_y = (axis.ravel() for axis in np.meshgrid(xs, ys))
+
+    # A live trajectory covers a disc of the seed spacing around it.
+    step_x, step_y = width / gray.shape[1], height / gray.shape[0]
+    free = np.full(gray.shape, 255, np.uint8)
+    px = np.clip((state.positions[:, 0] / step_x).astype(np.intp), 0, gray.shape[1] - 1)
+    py = np.clip((state.positions[:, 1] / step_y).astype(np.intp), 0, gray.shape[0] - 1)
+    free[py, px] = 0
+    distance = np.full(gray.shape, np.inf, np.float32)  # px
+    if len(state):
+        distance = cv2.distanceTransform(free, cv2.DIST_L2, 5) * np.float32(0.5 * (step_x + step_y))
+    cell_x = np.clip((grid_x / step_x).astype(np.intp), 0, gray.shape[1] - 1)
+    cell_y = np.clip((grid_y / step_y).astype(np.intp), 0, gray.shape[0] - 1)
+
+    structure = cv2.cornerMinEigenVal(gray, blockSize=5, ksize=3)
+    border = np.minimum.reduce([grid_x, grid_y, width - 1 - grid_x, height - 1 - grid_y])
+    wanted = distance[cell_y, cell_x] >= 0.75 * spacing
+    wanted &= structure[cell_y, cell_x] > structure.mean() * (0.1 + np.exp(-0.1 * border))
+    points = np.stack([grid_x, grid_y], axis=1)
+    back = np.zeros_like(points)
+    age = 0
+    if flow is not None:
+        wanted &= flow.backward_reliable[cell_y, cell_x]
+        back = sample_flow(flow.backward, points, flow.step)
+        age = 1
+    points, back = points[wanted], back[wanted]
+    return TrajectoryState(
+        np.concatenate([state.ids, state.next_id + np.arange(len(points), dtype=np.int64)]),
+        np.concatenate([state.positions, points]),
+        np.concatenate([state.motions, back]),
+        np.concatenate([state.residuals, np.zeros((len(points), *state.residuals.shape[1:]), np.float32)]),
+        np.concatenate([state.ages, np.full(len(points), age, np.int32)]),
+        state.next_id + len(points),
+    )
+
+
+def with_residuals(state: TrajectoryState, predicted: Array) -> TrajectoryState:
+    """Fill in the newest residuals: the motions less what the camera's own motion predicts for them.
+
+    Parameters
+    ----------
+    state : TrajectoryState
+    predicted : (n, 2) float32
+        Backward motion of a background point at each trajectory, px.
+    """
+    residuals = state.residuals.copy()
+    residuals[:, 0] = np.where(state.ages[:, None] > 0, state.motions - predicted, 0.0)
+    return replace(state, residuals=residuals)

@@ -1,0 +1,208 @@
+"""Drives all streams of a run: admits them, asks each for one burst after the other, ends them.
+
+The rules are pure functions (:mod:`orchestrator.stream_state`, :mod:`orchestrator.admission`); here is
+the loop that waits for whatever happens next. Frames do not pass through it. One stream's failure ends
+that stream alone.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from typing import Protocol
+
+from mlbs_actors.actors.stream_protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
+from mlbs_actors.errors import MlbsError
+from orchestrator.admission import streams_to_start
+from orchestrator.interruption import Interruption
+from orchestrator.stream_state import (
+    StreamState,
+    after_end,
+    after_failure,
+    after_interruption,
+    after_progress,
+    exit_code,
+)
+
+__all__ = ["Driver", "Observer"]
+
+#: Longest time until a signal is noticed, s.
+_WAKE_SECONDS = 0.2
+
+#: Span over which a stream's rate is taken, s.
+_RATE_SECONDS = 10.0
+
+
+class Observer(Protocol):
+    """Whoever shows or stores the states of the streams."""
+
+    def update(self, states: Sequence[StreamState]) -> None:
+        """Take the states of all streams, in the order of the list; called after every change."""
+
+
+class Driver:
+    """One run over a list of streams.
+
+    Parameters
+    ----------
+    specs : sequence of StreamSpec
+        In the order in which they start; names are unique.
+    host : StreamHost
+        Starts streams; is not closed here.
+    limit : int
+        Streams that may run at once.
+    observers : sequence of Observer
+    interruption : Interruption
+        Looked at between events.
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(
+        self,
+        specs: Sequence[StreamSpec],
+        host: StreamHost,
+        *,
+        limit: int,
+        observers: Sequence[Observer],
+        interruption: Interruption,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._specs = {spec.name: spec for spec in specs}
+        self._states = {spec.name: StreamState(spec.name) for spec in specs}
+        self._host = host
+        self._limit = limit
+        self._observers = observers
+        self._interruption = interruption
+        self._rates = {spec.name: _Rate(clock) for spec in specs}
+        self._streams: dict[str, RunningStream] = {}
+        self._bursts: dict[Future[StreamProgress], str] = {}
+        # A stream that ended holds its place until its processes are gone.
+        self._endings: dict[Future[StreamProgress | None], str] = {}
+
+    @property
+    def states(self) -> tuple[StreamState, ...]:
+        """The streams as they stand, in the order of the list."""
+        return tuple(self._states.values())
+
+    def run(self) -> int:
+        """Run all streams to their ends, or until a signal; return the run's exit status."""
+        self._show()
+        while self._interruption.signal_number is None:
+            self._admit()
+            if not self._bursts and not self._endings:
+                break
+            self._await_next()
+        else:
+            self._drain()
+        return exit_code(self.states, self._interruption.signal_number)
+
+    def _admit(self) -> None:
+        for name in streams_to_start(self.states, self._limit - len(self._endings)):
+            self._set(StreamState(name, "starting"))
+            try:
+                self._streams[name] = self._host.start(self._specs[name])
+                self._advance(name)
+            except Exception as error:
+                self._fail(name, error)
+
+    def _await_next(self) -> None:
+        pending = [*self._bursts, *self._endings]
+        ready, _ = wait(pending, timeout=_WAKE_SECONDS, return_when=FIRST_COMPLETED)
+        # In the order they were asked for, not in that of a set.
+        for burst in [future for future in self._bursts if future in ready]:
+            self._take_burst(burst)
+        for ending in [future for future in self._endings if future in ready]:
+            del self._endings[ending]
+
+    def _take_burst(self, burst: Future[StreamProgress]) -> None:
+        name = self._bursts.pop(burst)
+        try:
+            progress = burst.result()
+        except Exception as error:
+            self._fail(name, error)
+            return
+        if progress.done:
+            self._set(after_end(self._states[name], progress))
+            self._end(name, drain=False)
+            return
+        rate = self._rates[name].after(progress.read)
+        self._set(after_progress(self._states[name], progress, rate))
+        if self._interruption.signal_number is None:
+            self._advance(name)
+
+    def _advance(self, name: str) -> None:
+        self._bursts[self._streams[name].advance()] = name
+
+    def _fail(self, name: str, error: Exception) -> None:
+        self._set(after_failure(self._states[name], _sentence(error)))
+        if name in self._streams:
+            self._end(name, drain=False)
+
+    def _end(self, name: str, *, drain: bool) -> Future[StreamProgress | None]:
+        stream = self._streams.pop(name)
+        ending = _in_thread(lambda: stream.stop(drain=drain))
+        self._endings[ending] = name
+        return ending
+
+    def _drain(self) -> None:
+        """Let the bursts under way come to their end, then label and commit what was read."""
+        while self._bursts:
+            self._await_next()
+        endings = {self._end(name, drain=True): name for name in list(self._streams)}
+        while self._endings:
+            ready, _ = wait(self._endings, timeout=_WAKE_SECONDS, return_when=FIRST_COMPLETED)
+            for ending in ready:
+                del self._endings[ending]
+                if ending in endings:
+                    name = endings[ending]
+                    progress = None if ending.exception() else ending.result()
+                    self._set(after_interruption(self._states[name], progress))
+
+    def _set(self, state: StreamState) -> None:
+        self._states[state.name] = state
+        self._show()
+
+    def _show(self) -> None:
+        for observer in self._observers:
+            observer.update(self.states)
+
+
+class _Rate:
+    """Frames a second over the last seconds."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._samples: deque[tuple[float, int]] = deque()
+
+    def after(self, frames: int) -> float:
+        """Take the total so far; return the rate, 0 for the first one."""
+        now = self._clock()
+        self._samples.append((now, frames))
+        while len(self._samples) > 2 and self._samples[0][0] < now - _RATE_SECONDS:
+            self._samples.popleft()
+        started, already = self._samples[0]
+        return (frames - already) / (now - started) if now > started else 0.0
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, MlbsError):
+        return str(error)
+    return f"The stream failed unexpectedly with {type(error).__name__}: {error}."
+
+
+def _in_thread(call: Callable[[], StreamProgress | None]) -> Future[StreamProgress | None]:
+    """Run a blocking call beside the loop; in a daemon thread, so that it cannot hold up an end at once."""
+    outcome: Future[StreamProgress | None] = Future()
+
+    def run() -> None:
+        try:
+            outcome.set_result(call())
+        except Exception as error:
+            outcome.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return outcome

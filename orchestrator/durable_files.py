@@ -1,0 +1,60 @@
+"""Files that are either whole or not there, also after a kill or a power cut.
+
+A file is written under a temporary name, synced, and renamed; the rename is durable once its folder is
+synced. Groups of files share the waits: write all, sync all, rename all, sync the folder once.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+__all__ = ["append_line", "publish", "replace_file", "temporary_path"]
+
+
+def temporary_path(path: Path) -> Path:
+    """Name under which ``path`` is written until it is published; hidden, in the same folder."""
+    return path.with_name(f".{path.name}.part")
+
+
+def publish(paths: Iterable[Path]) -> None:
+    """Make files that are complete under their temporary names durable under their own.
+
+    Raises
+    ------
+    OSError
+        As the disk says; files already renamed stay.
+    """
+    published = list(paths)
+    for path in published:
+        _sync(temporary_path(path))
+    for path in published:
+        temporary_path(path).replace(path)
+    for folder in sorted({path.parent for path in published}):
+        _sync(folder)
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Write ``path`` at once: readers see the old content or the new one, never a part."""
+    temporary_path(path).write_bytes(content)
+    publish([path])
+
+
+def append_line(path: Path, line: str) -> None:
+    """Add a line to a log and wait until it is on the disk."""
+    is_new = not path.exists()
+    with path.open("a", encoding="utf-8") as file:
+        file.write(line + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+    if is_new:
+        _sync(path.parent)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,277 @@
+"""The command ``scripts/evaluate``: score a finished run, or the engine, on sequences with truth."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import asdict
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from mlbs_actors.errors import ConfigError, MlbsError
+from orchestrator.evaluation import datasets
+from orchestrator.evaluation.metrics import SequenceScore
+from orchestrator.evaluation.scoring import SequenceResult, engine_result, run_label_maps, score_sequence
+from orchestrator.sources.synthetic import SCHEME
+
+__all__ = ["main"]
+
+DESCRIPTION = """\
+Score label maps against truth.
+
+  scripts/evaluate --run out --truth cars1=data/cars1/gt    the masks a run wrote in out/cars1/masks
+  scripts/evaluate --data data                              the engine, in process, on every folder below
+                                                            data that holds frames/ and gt/
+  scripts/evaluate --sequences 'synthetic:demo?frames=60'   the engine on a scene with exact truth
+
+Truth maps are PNG: 0 = background, 1 ... 254 = objects, 255 = not judged. Figures are percent, except
+extra (layers off the truth per 100 frames), switches (of identity), delay (median frames from an object's
+entry until it is found; synthetic scenes only) and ms (wall time a frame).
+"""
+
+#: Heading of a column, and how its value is found.
+Column = tuple[str, Callable[[SequenceResult, SequenceScore], float]]
+
+FIGURES: tuple[Column, ...] = (
+    ("two_label_f", lambda result, score: 100 * score.all_frames.two_label_f),
+    ("j", lambda result, score: 100 * score.all_frames.j),
+    ("object_f", lambda result, score: 100 * score.all_frames.object_f),
+    ("multi_f", lambda result, score: 100 * score.all_frames.multi_f),
+    ("multi_f_matlab", lambda result, score: 100 * score.all_frames.multi_f_matlab),
+    ("extra", lambda result, score: score.extra_layers),
+    ("switches", lambda result, score: float(score.id_switches)),
+    ("delay", lambda result, score: median_delay(score)),
+    ("frames", lambda result, score: float(score.frames)),
+    ("ms", lambda result, score: math.nan if result.ms_per_frame is None else result.ms_per_frame),
+)
+RANGES: tuple[Column, ...] = (
+    ("precision", lambda result, score: 100 * score.all_frames.precision),
+    ("recall", lambda result, score: 100 * score.all_frames.recall),
+    ("f first ten", lambda result, score: 100 * score.first_ten.two_label_f),
+    ("f after start", lambda result, score: 100 * score.after_start.two_label_f),
+    ("object_f first ten", lambda result, score: 100 * score.first_ten.object_f),
+    ("object_f after start", lambda result, score: 100 * score.after_start.object_f),
+    ("j davis", lambda result, score: 100 * score.davis.j),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : sequence of str or None
+        Without the program's name; None: those of this process.
+
+    Returns
+    -------
+    int
+        0: all scored; 1: some sequence could not be scored, or not all of its frames with truth had a mask;
+        2: wrong usage.
+    """
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    try:
+        results = _score_run(options) if options.run else _score_engine(options)
+    except MlbsError as error:
+        parser.error(str(error))
+    _print(results)
+    if options.json:
+        text = json.dumps(_as_json(results), indent=1, allow_nan=False)
+        try:
+            options.json.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            parser.error(f"The figures cannot be written with --json: {error}.")
+    return int(any(result.error or result.missing for result in results))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scripts/evaluate", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--run", type=Path, metavar="OUT_DIR", help="score the masks of this finished run; needs --truth")
+    add(
+        "--truth",
+        nargs="+",
+        default=[],
+        metavar="NAME=GT_DIR",
+        help="a stream of the run and its truth: a folder of PNG label maps with the masks' stems, or a "
+        "synthetic: URI; pictures for --sheets are looked for in frames/ beside the folder",
+    )
+    add(
+        "--data",
+        type=Path,
+        metavar="ROOT",
+        help="run the engine on the sequences below this folder "
+        f"(default: the environment variable {datasets.DATA_VARIABLE})",
+    )
+    add(
+        "--sequences",
+        type=lambda text: [name for name in text.split(",") if name],
+        metavar="NAME,...",
+        help="only these: folders relative to ROOT, as in mlbs/cars1, or synthetic:NAME?frames=60&seed=1",
+    )
+    add("--lookahead", type=int, metavar="N", help="the same as --set layers.lookahead=N")
+    add("--set", action="append", default=[], metavar="KEY=VALUE", help="override a parameter of the engine")
+    add(
+        "--jobs",
+        type=int,
+        default=2,
+        metavar="N",
+        help="sequences at the same time (default 2)",
+    )
+    add("--json", type=Path, metavar="FILE", help="write all figures there, also by range of frames")
+    add("--sheets", type=Path, metavar="DIR", help="write contact sheets there: labels, truth, difference")
+    return parser
+
+
+def _score_run(options: argparse.Namespace) -> list[SequenceResult]:
+    if not options.truth:
+        raise ConfigError("--run needs --truth NAME=GT_DIR for each stream to score.")
+    if options.data or options.sequences or options.set or options.lookahead is not None:
+        raise ConfigError("--run scores finished masks: leave --data, --sequences, --set, --lookahead out.")
+    pairs = [text.partition("=") for text in options.truth]
+    for text, (name, _, truth) in zip(options.truth, pairs, strict=True):
+        if not name or not truth:
+            raise ConfigError(f"Cannot use --truth {text!r}; write NAME=GT_DIR.")
+    return [_run_result(options.run, name, truth, options.sheets) for name, _, truth in pairs]
+
+
+def _run_result(run: Path, name: str, truth: str, sheets: Path | None) -> SequenceResult:
+    try:
+        sequence: datasets.Sequence
+        if truth.startswith(SCHEME):
+            sequence = datasets.open_sequence(truth, None)
+        else:
+            frames = Path(truth).parent / "frames"
+            sequence = datasets.FolderSequence(name, Path(truth), frames if frames.is_dir() else None)
+        return score_sequence(sequence, run_label_maps(sequence, run / name / "masks"), sheets)
+    except ConfigError:
+        raise
+    except MlbsError as error:
+        return SequenceResult(name, error=str(error))
+
+
+def _score_engine(options: argparse.Namespace) -> list[SequenceResult]:
+    from mlbs_actors.config import load_config
+
+    if options.truth:
+        raise ConfigError("--truth belongs to --run; with --data the truth is each sequence's gt/.")
+    if options.jobs < 1:
+        raise ConfigError(f"--jobs is {options.jobs}; it must be 1 or more.")
+    overrides = list(options.set)
+    if options.lookahead is not None:
+        overrides.append(f"layers.lookahead={options.lookahead}")
+    load_config(None, overrides)  # a wrong override is told before anything runs
+    names = options.sequences
+    if not names:
+        root = datasets.data_root(options.data)
+        names = datasets.find_sequences(root)
+        if not names:
+            raise ConfigError(f"No folder below {root} holds frames/ and gt/.")
+    for name in names:
+        datasets.open_sequence(name, options.data)
+    tasks = [(name, options.data, overrides, options.sheets) for name in names]
+    if options.jobs == 1 or len(tasks) == 1:
+        return [_told(engine_result(*task)) for task in tasks]
+    # Fresh processes: an engine's threads and compiled functions do not survive a fork.
+    with ProcessPoolExecutor(min(options.jobs, len(tasks)), mp_context=get_context("spawn")) as pool:
+        futures: list[Future[SequenceResult]] = [pool.submit(engine_result, *task) for task in tasks]
+        for future in as_completed(futures):
+            _told(future.result())
+        return [future.result() for future in futures]
+
+
+def _told(result: SequenceResult) -> SequenceResult:
+    """Say that a sequence is done, where it does not mix with the table."""
+    print(f"{result.name}: {'failed' if result.error else 'done'}", file=sys.stderr, flush=True)
+    return result
+
+
+def median_delay(score: SequenceScore) -> float:
+    """Median entry delay, frames; infinite where most objects are never found, NaN where nothing entered."""
+    delays = sorted(math.inf if delay is None else float(delay) for delay in score.entry_delay.values())
+    return delays[(len(delays) - 1) // 2] if delays else math.nan
+
+
+def mean_of_sequences(values: Iterable[float]) -> float:
+    """Unweighted mean of the values that are known; NaN without one."""
+    known = [value for value in values if not math.isnan(value)]
+    return sum(known) / len(known) if known else math.nan
+
+
+def _print(results: Sequence[SequenceResult]) -> None:
+    scored = [(result, result.score) for result in results if result.score is not None]
+    for columns in (FIGURES, RANGES):
+        rows = [
+            [result.name, *(_number(value(result, score)) for _, value in columns)]
+            for result, score in scored
+        ]
+        means = [mean_of_sequences(value(result, score) for result, score in scored) for _, value in columns]
+        if len(rows) > 1:
+            rows.append(["mean", *(_number(mean) for mean in means)])
+        if rows:
+            print(format_table(["sequence", *(heading for heading, _ in columns)], rows) + "\n")
+    for result in results:
+        if result.error:
+            print(f"{result.name}: {result.error}", file=sys.stderr)
+        if result.missing:
+            print(
+                f"{result.name}: {result.missing} frames with truth have no labels.",
+                file=sys.stderr,
+            )
+        for path in result.sheets:
+            print(f"{result.name}: see {path}")
+
+
+def format_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Plain text columns: the first to the left, the others to the right."""
+    widths = [max(len(row[column]) for row in [headings, *rows]) for column in range(len(headings))]
+    return "\n".join(
+        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
+        for row in [headings, *rows]
+    )
+
+
+def _number(value: float) -> str:
+    if math.isnan(value):
+        return "-"
+    return "never" if math.isinf(value) else f"{round(value, 1):g}"
+
+
+def _as_json(results: Sequence[SequenceResult]) -> dict[str, Any]:
+    sequences = {result.name: _result_as_json(result) for result in results}
+    scored = [(result, result.score) for result in results if result.score is not None]
+    means = {
+        heading: _null_if_unknown(mean_of_sequences(value(result, score) for result, score in scored))
+        for heading, value in (*FIGURES, *RANGES)
+    }
+    return {"sequences": sequences, "mean": means}
+
+
+def _result_as_json(result: SequenceResult) -> dict[str, Any]:
+    record = asdict(result)
+    if result.score is not None:
+        for extra in record["score"]["extras"]:
+            del extra["mask"]  # a picture, shown on the sheet
+        record["score"]["entry_delay"] = {str(k): v for k, v in result.score.entry_delay.items()}
+    cleaned = _null_if_unknown(record)
+    assert isinstance(cleaned, dict)
+    return cleaned
+
+
+def _null_if_unknown(value: Any) -> Any:
+    """JSON has no NaN and no infinity."""
+    if isinstance(value, dict):
+        return {key: _null_if_unknown(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_null_if_unknown(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

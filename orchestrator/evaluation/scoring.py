@@ -1,0 +1,211 @@
+"""Label one sequence and score it: with the engine in this process, or from the masks of a finished run."""
+
+from __future__ import annotations
+
+import re
+import time
+import traceback
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+
+from mlbs_actors.errors import FrameError, MlbsError, SinkError, SourceError
+from mlbs_actors.messages import Array, Segmentation
+from orchestrator.evaluation import datasets
+from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, extra_layer_sheet, spread_evenly
+from orchestrator.evaluation.metrics import SequenceScore, SequenceScorer
+
+__all__ = ["EngineLabelling", "SequenceResult", "engine_result", "run_label_maps", "score_sequence"]
+
+SHEET_FRAMES = 8
+
+
+class Subtractor(Protocol):
+    """What labels frames: the engine, or anything like it."""
+
+    def apply(self, frame: Array) -> Sequence[Segmentation]:
+        """Take the next frame; return the frames that are now labelled."""
+
+    def flush(self) -> Sequence[Segmentation]:
+        """Return the frames still held."""
+
+
+@dataclass(slots=True)
+class EngineLabelling:
+    """A sequence's label maps as the engine gives them, by frame index, and what they cost so far.
+
+    Attributes
+    ----------
+    sequence : Sequence
+    subtractor : Subtractor
+        Fresh: it has seen no frame.
+    frames : int
+        Label maps given so far.
+    milliseconds : float
+        Wall time spent in the engine so far, ms.
+    stage_ms : defaultdict of str to float
+        The same by stage, as the segmentations tell it.
+    """
+
+    sequence: datasets.Sequence
+    subtractor: Subtractor
+    frames: int = 0
+    milliseconds: float = 0.0
+    stage_ms: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
+
+    def __iter__(self) -> Iterator[tuple[int, Array]]:
+        for index in range(len(self.sequence.stems)):
+            yield from self._timed(self.subtractor.apply, self.sequence.frame(index))
+        yield from self._timed(self.subtractor.flush)
+
+    def _timed(
+        self, step: Callable[..., Sequence[Segmentation]], *frame: Array
+    ) -> Iterator[tuple[int, Array]]:
+        started = time.perf_counter()
+        segmentations = step(*frame)
+        self.milliseconds += 1000 * (time.perf_counter() - started)
+        for segmentation in segmentations:
+            self.frames += 1
+            for stage, milliseconds in segmentation.stage_ms.items():
+                self.stage_ms[stage] += milliseconds
+            yield segmentation.frame_index, segmentation.labels
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceResult:
+    """The outcome of one sequence.
+
+    Attributes
+    ----------
+    name : str
+    score : SequenceScore or None
+        None: it could not be scored, ``error`` says why.
+    missing : int
+        Frames with truth that got no label map.
+    ms_per_frame : float or None
+        Wall time in the engine, ms; None when the masks were read.
+    stage_ms : dict of str to float
+        Mean wall time a frame by stage, ms.
+    sheets : tuple of str
+        Pictures written.
+    error : str or None
+    """
+
+    name: str
+    score: SequenceScore | None = None
+    missing: int = 0
+    ms_per_frame: float | None = None
+    stage_ms: dict[str, float] = field(default_factory=dict)
+    sheets: tuple[str, ...] = ()
+    error: str | None = None
+
+
+def run_label_maps(sequence: datasets.Sequence, masks: Path) -> Iterator[tuple[int, Array]]:
+    """Read the masks that a run wrote, by frame index; frames without a mask are left out.
+
+    Raises
+    ------
+    SourceError
+        If the folder is missing, no mask has the stem of a frame, or a mask cannot be read.
+    """
+    if not masks.is_dir():
+        raise SourceError(f"{masks} is no folder; name the stream as the run's list did.")
+    present = {path.stem for path in masks.glob("*.png")}
+    indices = [index for index, stem in enumerate(sequence.stems) if stem in present]
+    if not indices:
+        raise SourceError(
+            f"No mask in {masks} has the stem of a frame of {sequence.name}; check the folder of the truth."
+        )
+    for index in indices:
+        yield index, datasets.read_label_map(masks / f"{sequence.stems[index]}.png")
+
+
+def score_sequence(
+    sequence: datasets.Sequence, label_maps: Iterable[tuple[int, Array]], sheet_folder: Path | None = None
+) -> SequenceResult:
+    """Score a sequence's label maps as they come; write contact sheets when a folder is given.
+
+    Parameters
+    ----------
+    sequence : Sequence
+    label_maps : iterable of (int, (H, W) integer)
+        Frame index and label map, in ascending index.
+    sheet_folder : Path or None
+        Gets ``<name>.png`` and, where layers lie off the truth, ``<name>-extra-layers.png``.
+
+    Raises
+    ------
+    MlbsError
+        If a frame, mask or truth cannot be read or differs in size, frames come out of order, or a sheet
+        cannot be written.
+    """
+    with_truth = [index for index in range(len(sequence.stems)) if sequence.has_truth(index)]
+    shown = set(spread_evenly(with_truth, SHEET_FRAMES)) if sheet_folder else set()
+    scorer = SequenceScorer()
+    sheet_frames: list[SheetFrame] = []
+    labelled: set[int] = set()
+    for index, labels in label_maps:
+        if labelled and index <= max(labelled):
+            raise FrameError(
+                f"{sequence.name}: frame {index} was labelled twice or late; give each once, in order."
+            )
+        labelled.add(index)
+        truth = sequence.truth(index)
+        scorer.add(index, labels, truth, sequence.motion(index) if index else None)
+        if index in shown and truth is not None:
+            title = f"{sequence.name} {sequence.stems[index]}"
+            sheet_frames.append(SheetFrame(title, sequence.frame(index), labels, truth))
+    score = scorer.score()
+    return SequenceResult(
+        name=sequence.name,
+        score=score,
+        missing=sum(index not in labelled for index in with_truth),
+        sheets=_write_sheets(sheet_folder, sequence, score, sheet_frames) if sheet_folder else (),
+    )
+
+
+def engine_result(
+    name: str, root: Path | None, overrides: Sequence[str], sheet_folder: Path | None
+) -> SequenceResult:
+    """Open a sequence, run the engine over it, score it. A failure is told in the result: others go on."""
+    # Imported here, since scoring a run's masks needs no engine and starts faster without.
+    from mlbs_actors import MultilayerSubtractor
+    from mlbs_actors.config import load_config
+
+    try:
+        sequence = datasets.open_sequence(name, root)
+        labelling = EngineLabelling(sequence, MultilayerSubtractor(load_config(None, list(overrides))))
+        result = score_sequence(sequence, labelling, sheet_folder)
+    except MlbsError as error:
+        return SequenceResult(name, error=str(error))
+    except Exception:  # a defect that shows on one sequence must not lose the figures of the others
+        return SequenceResult(name, error=traceback.format_exc())
+    frames = max(labelling.frames, 1)
+    return replace(
+        result,
+        ms_per_frame=labelling.milliseconds / frames,
+        stage_ms={stage: total / frames for stage, total in labelling.stage_ms.items()},
+    )
+
+
+def _write_sheets(
+    folder: Path, sequence: datasets.Sequence, score: SequenceScore, frames: list[SheetFrame]
+) -> tuple[str, ...]:
+    stem = re.sub(r"[^\w.-]", "-", sequence.name)
+    pictures = {}
+    if frames:
+        pictures[folder / f"{stem}.png"] = contact_sheet(frames)
+    if score.extras:
+        crops = [(extra, sequence.frame(extra.example_frame)) for extra in score.extras]
+        pictures[folder / f"{stem}-extra-layers.png"] = extra_layer_sheet(crops)
+    folder.mkdir(parents=True, exist_ok=True)
+    for path, picture in pictures.items():
+        if not cv2.imwrite(str(path), picture):
+            raise SinkError(
+                f"The contact sheet {path} cannot be written; check the folder given with --sheets."
+            )
+    return tuple(str(path) for path in pictures)

@@ -1,0 +1,46 @@
+"""SIGINT and SIGTERM: the first asks for a clean end, the second ends at once."""
+
+from __future__ import annotations
+
+import signal
+from types import FrameType, TracebackType
+from typing import Any
+
+__all__ = ["Interruption", "StopAtOnce"]
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class StopAtOnce(BaseException):
+    """Raised in the main thread by the second signal. No ``except Exception`` may hold it up."""
+
+
+class Interruption:
+    """Notes the first signal while its ``with`` block runs; must be entered after ``ray.init``.
+
+    Ray replaces the handler of SIGTERM when it starts. The handlers found on entry are restored on exit.
+
+    Attributes
+    ----------
+    signal_number : int, optional
+        The signal that came first, None as long as none came.
+    """
+
+    def __init__(self) -> None:
+        self.signal_number: int | None = None
+        self._found: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Interruption:
+        self._found = {number: signal.signal(number, self._receive) for number in _SIGNALS}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._found.items():
+            signal.signal(number, handler)
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        if self.signal_number is not None:
+            raise StopAtOnce
+        self.signal_number = number

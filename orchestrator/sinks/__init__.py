@@ -1,0 +1,1 @@
+"""Where results go: label maps, tables, the commit log, the overlay video."""

@@ -1,0 +1,78 @@
+"""Label maps as PNG files: a pixel's value is its layer's id."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from PIL import Image
+
+from mlbs_actors.messages import Array
+
+__all__ = ["LARGEST_INDEXED_LABEL", "davis_palette", "encode_label_image", "voc_colours"]
+
+#: Larger ids are stored in 16-bit grey; 255 is left out because it means "ignore" in DAVIS and PASCAL VOC.
+LARGEST_INDEXED_LABEL = 254
+
+_DAVIS_COLOURS = 22  # from here on its palette is a grey ramp
+
+# Label maps are large flat areas: a higher level takes longer and saves nothing.
+_COMPRESSION = 3
+
+
+def voc_colours(count: int = 256) -> Array:
+    """Colours of the PASCAL VOC palette: the bits of an index, three at a time, from the highest bit down.
+
+    Parameters
+    ----------
+    count : int
+        1 … 256.
+
+    Returns
+    -------
+    (count, 3) uint8, RGB
+    """
+    index = np.arange(count, dtype=np.int64)
+    colours = np.zeros((count, 3), np.int64)
+    for level in range(8):
+        bits = np.stack([index >> (3 * level + channel) & 1 for channel in range(3)], axis=1)
+        colours |= bits << (7 - level)
+    return colours.astype(np.uint8)
+
+
+def davis_palette() -> Array:
+    """Return the palette of the DAVIS masks: that of VOC with 191 for 192, then from 22 on a grey ramp.
+
+    Returns
+    -------
+    (256, 3) uint8, RGB
+    """
+    palette = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    palette[:_DAVIS_COLOURS] = np.where(voc_colours(_DAVIS_COLOURS) == 192, 191, voc_colours(_DAVIS_COLOURS))
+    return palette
+
+
+_PALETTE_BYTES = davis_palette().tobytes()
+
+
+def encode_label_image(labels: Array) -> bytes:
+    """Encode a label map: indexed with the DAVIS palette, or 16-bit grey past id 254.
+
+    Parameters
+    ----------
+    labels : (H, W) uint16
+
+    Returns
+    -------
+    bytes
+        A PNG file; the same map gives the same bytes.
+    """
+    if labels.max(initial=0) <= LARGEST_INDEXED_LABEL:
+        height, width = labels.shape
+        image = Image.frombytes("P", (width, height), labels.astype(np.uint8).tobytes())
+        image.putpalette(_PALETTE_BYTES)
+    else:
+        image = Image.fromarray(labels.astype(np.uint16))
+    buffer = io.BytesIO()
+    image.save(buffer, format="PNG", compress_level=_COMPRESSION)
+    return buffer.getvalue()

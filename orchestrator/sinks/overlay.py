@@ -1,0 +1,135 @@
+"""The labels drawn over the video, as an mp4 file: derived from the record, never part of it."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import av.error
+import cv2
+import numpy as np
+from av.video.frame import VideoFrame
+
+from mlbs_actors.messages import BACKGROUND, Array
+from orchestrator.durable_files import publish, temporary_path
+from orchestrator.sinks.label_image import voc_colours
+
+__all__ = ["OverlayVideo", "draw_labels"]
+
+_OPACITY = 0.5
+_TIME_BASE = Fraction(1, 90_000)
+_NOMINAL_RATE = 25  # only a hint to the encoder; every frame carries its own time
+_SMALLEST_SIDE = 16  # of what H.264 encoders take, px
+_COLOURS_BGR = np.ascontiguousarray(voc_colours()[:, ::-1])
+
+
+def draw_labels(image: Array, labels: Array) -> Array:
+    """Tint each layer with its colour and draw its outline.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        BGR; not changed.
+    labels : (H, W) uint16
+        The colours of ids up to 21 are those of the mask files; from 256 on they repeat.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+    """
+    drawn = image.copy()
+    inside = labels != BACKGROUND
+    if not inside.any():
+        return drawn
+    # The background alone is black: an id that is a multiple of 256 takes the colour of 255.
+    colours = _COLOURS_BGR[np.where(labels[inside] % 256 == 0, 255, labels[inside] % 256)]
+    drawn[inside] = (image[inside] * (1 - _OPACITY) + colours * _OPACITY).astype(np.uint8)
+    wide = labels.astype(np.float32)
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    outline = inside & (cv2.erode(wide, cross) != wide)
+    drawn[outline] = _COLOURS_BGR[np.where(labels[outline] % 256 == 0, 255, labels[outline] % 256)]
+    return drawn
+
+
+class OverlayVideo:
+    """An overlay being written; what goes wrong ends the overlay alone.
+
+    The first frame's size is the video's; frames of another size are scaled to it. The file has its
+    name only once it is closed: an mp4 without its index cannot be played.
+
+    Parameters
+    ----------
+    path : Path
+        The mp4 file; ``overlay.error`` beside it says why there is none, if so.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._container: av.container.OutputContainer | None = None
+        self._stream: av.VideoStream | None = None
+        self._failed = False
+        self._last_pts = -1
+
+    def add(self, image: Array, labels: Array, pts: float) -> None:
+        """Append a frame shown at ``pts`` seconds; times that do not advance are moved on by 1/90,000 s."""
+        if self._failed:
+            return
+        try:
+            container, stream = self._opened(image.shape)
+            size = (stream.width, stream.height)
+            drawn = _padded(draw_labels(image, labels))
+            if (drawn.shape[1], drawn.shape[0]) != size:
+                drawn = cv2.resize(drawn, size, interpolation=cv2.INTER_AREA)
+            frame = VideoFrame.from_ndarray(np.ascontiguousarray(drawn), format="bgr24")
+            self._last_pts = max(self._last_pts + 1, round(pts / _TIME_BASE))
+            frame.pts, frame.time_base = self._last_pts, _TIME_BASE
+            container.mux(stream.encode(frame))
+        except (av.error.FFmpegError, OSError, ValueError) as error:
+            self._give_up(error)
+
+    def close(self) -> None:
+        """Finish the file; may be called twice."""
+        if self._failed or self._container is None or self._stream is None:
+            return
+        try:
+            self._container.mux(self._stream.encode(None))
+            self._container.close()
+            publish([self._path])
+        except (av.error.FFmpegError, OSError, ValueError) as error:
+            self._give_up(error)
+        self._container = self._stream = None
+
+    def _opened(self, shape: tuple[int, ...]) -> tuple[av.container.OutputContainer, av.VideoStream]:
+        if self._container is None or self._stream is None:
+            self._container = av.open(str(temporary_path(self._path)), "w", format="mp4")
+            self._stream = self._container.add_stream("libx264", rate=_NOMINAL_RATE)
+            self._stream.width, self._stream.height = _even(shape[1]), _even(shape[0])
+            self._stream.pix_fmt = "yuv420p"
+            self._stream.codec_context.time_base = _TIME_BASE
+            # One thread: the cores belong to the segmentation.
+            self._stream.codec_context.thread_count = 1
+            self._stream.options = {"preset": "veryfast", "crf": "23"}
+        return self._container, self._stream
+
+    def _give_up(self, error: Exception) -> None:
+        self._failed = True
+        self._container = self._stream = None
+        temporary_path(self._path).unlink(missing_ok=True)
+        try:
+            self._path.with_suffix(".error").write_text(f"The overlay could not be written: {error}\n")
+        except OSError:
+            return  # the same full or lost disk; the record reports it
+
+
+def _even(length: int) -> int:
+    """Smallest length that 4:2:0 video can have and that holds ``length``."""
+    return max(_SMALLEST_SIDE, length + length % 2)
+
+
+def _padded(image: Array) -> Array:
+    height, width = image.shape[:2]
+    below, right = _even(height) - height, _even(width) - width
+    if below == right == 0:
+        return image
+    return np.asarray(cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE))

@@ -1,0 +1,128 @@
+"""The record of one stream: what survives a kill.
+
+Frames are collected in groups of :data:`GROUP_FRAMES`. A group is committed in this order: its files are
+written under temporary names, synced together, renamed, and then one line in ``commits.jsonl`` says that
+they count. The size of a group is fixed, so the parts do not depend on how fast the stream ran.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from mlbs_actors.actors.stream_protocol import GapStatus, SourceFrame
+from mlbs_actors.errors import SinkError
+from mlbs_actors.messages import Segmentation
+from orchestrator.durable_files import append_line, publish, temporary_path
+from orchestrator.sinks.label_image import encode_label_image
+from orchestrator.sinks.overlay import OverlayVideo
+from orchestrator.sinks.tables import FrameRow, ResultRow, write_frames, write_layers
+
+__all__ = ["COMMIT_LOG", "GROUP_FRAMES", "StreamRecord"]
+
+COMMIT_LOG = "commits.jsonl"
+
+#: Rows of one commit.
+GROUP_FRAMES = 32
+
+
+class StreamRecord:
+    """Writes the record of one stream.
+
+    Parameters
+    ----------
+    folder : Path
+        The stream's folder; made here, and refused if it exists.
+    name : str
+        The stream's name.
+    save : frozenset of str
+        Which of ``"masks"``, ``"parquet"``, ``"overlay"`` to write.
+
+    Raises
+    ------
+    SinkError
+        Here and from every method, if the record cannot be written.
+    """
+
+    def __init__(self, folder: Path, name: str, save: frozenset[str]) -> None:
+        self._folder = folder
+        self._name = name
+        self._save = save
+        self._rows: list[FrameRow] = []
+        self._unpublished: list[Path] = []
+        self._committed = 0
+        self._stages: tuple[str, ...] | None = None
+        self._overlay = OverlayVideo(folder / "overlay.mp4") if "overlay" in save else None
+        try:
+            folder.mkdir(parents=True)
+            if "masks" in save:
+                (folder / "masks").mkdir()
+        except OSError as error:
+            raise self._unwritable(error) from None
+
+    def write(self, segmentation: Segmentation, frame: SourceFrame) -> int:
+        """Take one result; return how many label maps are committed."""
+        try:
+            if "masks" in self._save:
+                path = self._folder / "masks" / f"{frame.name}.png"
+                temporary_path(path).write_bytes(encode_label_image(segmentation.labels))
+                self._unpublished.append(path)
+            self._add(FrameRow(frame.index, frame.pts, "ok", ResultRow.of(segmentation)))
+        except OSError as error:
+            raise self._unwritable(error) from None
+        if self._overlay is not None and frame.image is not None:
+            self._overlay.add(frame.image, segmentation.labels, frame.pts)
+        return self._committed
+
+    def gap(self, index: int, pts: float, status: GapStatus) -> int:
+        """Record a frame that has no label map; return how many label maps are committed."""
+        try:
+            self._add(FrameRow(index, pts, status))
+        except OSError as error:
+            raise self._unwritable(error) from None
+        return self._committed
+
+    def close(self) -> int:
+        """Commit what is left and finish the overlay; return how many label maps are committed."""
+        try:
+            self._commit()
+        except OSError as error:
+            raise self._unwritable(error) from None
+        if self._overlay is not None:
+            self._overlay.close()
+        return self._committed
+
+    def _add(self, row: FrameRow) -> None:
+        self._rows.append(row)
+        if len(self._rows) == GROUP_FRAMES:
+            self._commit()
+
+    def _commit(self) -> None:
+        if not self._rows:
+            return
+        rows, files = self._rows, list(self._unpublished)
+        first, last = rows[0].frame, rows[-1].frame
+        if "parquet" in self._save:
+            files += self._write_tables(rows, first)
+        publish(files)
+        line = {"generation": 0, "first": first, "last": last, "snapshot": None}
+        append_line(self._folder / COMMIT_LOG, json.dumps(line))
+        self._committed += sum(row.result is not None for row in rows)
+        self._rows, self._unpublished = [], []
+
+    def _write_tables(self, rows: list[FrameRow], first: int) -> list[Path]:
+        if self._stages is None:
+            results = [row.result for row in rows if row.result is not None]
+            self._stages = tuple(sorted({stage for result in results for stage in result.stage_ms}))
+        layers = self._folder / f"layers-{first:08d}.parquet"
+        frames = self._folder / f"frames-{first:08d}.parquet"
+        write_layers(temporary_path(layers), self._name, rows)
+        write_frames(temporary_path(frames), self._name, rows, self._stages)
+        return [layers, frames]
+
+    def _unwritable(self, error: OSError) -> SinkError:
+        reason = error.strerror or type(error).__name__
+        return SinkError(
+            f"The record of {self._name!r} cannot be written to {self._folder}: {reason}. "
+            "Check the folder and the free space, then run again into a new folder."
+        )

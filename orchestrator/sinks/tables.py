@@ -1,0 +1,195 @@
+"""The rows of a record, as Parquet parts.
+
+Two tables: ``frames``, a row per frame of the source, and ``layers``, a row per frame and object layer. Each
+part is a closed file of its own (a Parquet file without its footer cannot be read), and all parts of a
+table have the same columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pycocotools import mask as coco_mask
+
+from mlbs_actors.actors.stream_protocol import GapStatus
+from mlbs_actors.messages import Array, LayerSummary, Segmentation
+
+__all__ = [
+    "FrameRow",
+    "ResultRow",
+    "frame_schema",
+    "layer_schema",
+    "run_length_code",
+    "write_frames",
+    "write_layers",
+]
+
+#: Time of stages that the first part did not know.
+OTHER_STAGES = "other"
+
+
+@dataclass(frozen=True, slots=True)
+class ResultRow:
+    """What the tables keep of a segmentation: no map, so that waiting rows hold no frames in memory.
+
+    Attributes
+    ----------
+    layers : tuple of LayerSummary
+    run_length_codes : tuple of str
+        One for each of ``layers``.
+    shape : (H, W)
+    camera_motion : (float, float)
+        px/frame.
+    latency_frames : int
+    stage_ms : mapping of str to float
+    """
+
+    layers: tuple[LayerSummary, ...]
+    run_length_codes: tuple[str, ...]
+    shape: tuple[int, int]
+    camera_motion: tuple[float, float]
+    latency_frames: int
+    stage_ms: Mapping[str, float]
+
+    @classmethod
+    def of(cls, segmentation: Segmentation) -> ResultRow:
+        """Summarise a segmentation."""
+        labels = segmentation.labels
+        height, width = labels.shape
+        return cls(
+            layers=segmentation.layers,
+            run_length_codes=tuple(run_length_code(labels == layer.layer) for layer in segmentation.layers),
+            shape=(height, width),
+            camera_motion=segmentation.camera_motion,
+            latency_frames=segmentation.latency_frames,
+            stage_ms=dict(segmentation.stage_ms),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRow:
+    """One frame of the source in the record.
+
+    Attributes
+    ----------
+    frame : int
+        Source index.
+    pts : float
+        Seconds since the source's first frame.
+    status : {"ok", "dropped", "gap", "quarantined"}
+    result : ResultRow, optional
+        None unless ``status`` is ``"ok"``.
+    """
+
+    frame: int
+    pts: float
+    status: Literal["ok"] | GapStatus
+    result: ResultRow | None = None
+
+
+def run_length_code(mask: Array) -> str:
+    """Encode an (H, W) bool mask as COCO's compressed run-length string (column-major)."""
+    encoded = coco_mask.encode(np.asfortranarray(mask, dtype=np.uint8))
+    return str(encoded["counts"].decode("ascii"))
+
+
+def layer_schema() -> pa.Schema:
+    """Columns of ``layers``; positions in px, velocities in px/frame (mean motion t−1 → t)."""
+    return pa.schema(
+        [
+            ("stream", pa.string()),
+            ("frame", pa.int64()),
+            ("layer", pa.int32()),
+            ("kind", pa.string()),
+            *((name, pa.int32()) for name in ("x", "y", "w", "h")),
+            ("area", pa.int64()),
+            *((name, pa.float32()) for name in ("cx", "cy", "vx", "vy", "confidence")),
+            ("rle", pa.string()),
+        ]
+    )
+
+
+def frame_schema(stages: Sequence[str]) -> pa.Schema:
+    """Columns of ``frames``; those after ``status`` are null where there is no label map.
+
+    Parameters
+    ----------
+    stages : sequence of str
+        Stages of the pipeline, each a column ``ms_<stage>`` of wall time, ms.
+    """
+    return pa.schema(
+        [
+            ("stream", pa.string()),
+            ("frame", pa.int64()),
+            ("pts", pa.float64()),
+            ("status", pa.string()),
+            ("layers", pa.int32()),
+            ("latency_frames", pa.int32()),
+            ("camera_dx", pa.float32()),
+            ("camera_dy", pa.float32()),
+            ("height", pa.int32()),
+            ("width", pa.int32()),
+            *((f"ms_{stage}", pa.float32()) for stage in (*stages, OTHER_STAGES)),
+        ]
+    )
+
+
+def write_layers(path: Path, stream: str, rows: Sequence[FrameRow]) -> None:
+    """Write one part of ``layers``; empty parts are written too, so that the table is always there."""
+    records = [
+        {
+            "stream": stream,
+            "frame": row.frame,
+            "layer": layer.layer,
+            "kind": layer.kind,
+            "x": layer.region.x,
+            "y": layer.region.y,
+            "w": layer.region.width,
+            "h": layer.region.height,
+            "area": layer.area,
+            "cx": layer.centroid[0],
+            "cy": layer.centroid[1],
+            "vx": layer.velocity[0],
+            "vy": layer.velocity[1],
+            "confidence": layer.confidence,
+            "rle": code,
+        }
+        for row in rows
+        if row.result is not None
+        for layer, code in zip(row.result.layers, row.result.run_length_codes, strict=True)
+    ]
+    pq.write_table(pa.Table.from_pylist(records, layer_schema()), path)
+
+
+def write_frames(path: Path, stream: str, rows: Sequence[FrameRow], stages: Sequence[str]) -> None:
+    """Write one part of ``frames``; see :func:`frame_schema` for ``stages``."""
+    records = [
+        {"stream": stream, "frame": row.frame, "pts": row.pts, "status": row.status}
+        | ({} if row.result is None else _result_columns(row.result, stages))
+        for row in rows
+    ]
+    pq.write_table(pa.Table.from_pylist(records, frame_schema(stages)), path)
+
+
+def _result_columns(result: ResultRow, stages: Sequence[str]) -> dict[str, float | int | None]:
+    return {
+        "layers": len(result.layers),
+        "latency_frames": result.latency_frames,
+        "camera_dx": result.camera_motion[0],
+        "camera_dy": result.camera_motion[1],
+        "height": result.shape[0],
+        "width": result.shape[1],
+        **_stage_columns(result.stage_ms, stages),
+    }
+
+
+def _stage_columns(stage_ms: Mapping[str, float], stages: Sequence[str]) -> dict[str, float | None]:
+    columns: dict[str, float | None] = {f"ms_{stage}": stage_ms.get(stage) for stage in stages}
+    columns[f"ms_{OTHER_STAGES}"] = sum(ms for stage, ms in stage_ms.items() if stage not in stages)
+    return columns

@@ -1,0 +1,129 @@
+"""The addresses of the list of streams: which there are, and what each means.
+
+Only these are known; whatever else libav would open (``concat:``, ``http:``, ``subfile:``, playlists …)
+is refused, because a list may come from someone who should not read this machine's files or network.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from urllib.parse import parse_qsl
+
+from mlbs_actors.errors import ConfigError
+from orchestrator.credentials import mask
+from orchestrator.sources.scene_scripts import SCRIPTS
+from orchestrator.sources.synthetic import LIMITS, SCHEME
+
+__all__ = ["GLOB_CHARACTERS", "SourceAddress", "SourceKind", "parse_address"]
+
+GLOB_CHARACTERS = "*?["
+
+_MAX_ADDRESS_BYTES = 4096
+_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*):")
+_CAMERA = re.compile(r"/dev/video\d{1,4}")
+
+
+class SourceKind(Enum):
+    """What sort of source an address names."""
+
+    PATH = "path"  # a video file, or a folder or glob of images
+    NETWORK = "network"
+    CAMERA = "camera"
+    SYNTHETIC = "synthetic"
+
+
+@dataclass(frozen=True, slots=True)
+class SourceAddress:
+    """A checked address.
+
+    Attributes
+    ----------
+    kind : SourceKind
+    location : str
+        What is opened: an absolute path, or the whole URI. May hold a password, so it is not part of
+        ``repr``; show ``str(address)``, which hides it.
+    default_name : str
+        Last part of the path, without extension, wildcards and credentials; perhaps unfit as a name.
+    """
+
+    kind: SourceKind
+    location: str = field(repr=False)
+    default_name: str
+
+    def __str__(self) -> str:
+        return mask(self.location)
+
+
+def parse_address(text: str, folder: Path) -> SourceAddress:
+    """Check one address.
+
+    Parameters
+    ----------
+    text : str
+    folder : Path
+        Where relative paths count from.
+
+    Raises
+    ------
+    ConfigError
+        If it is none of the known kinds. Whether a file exists is not looked at: it is read on the
+        machine that runs the stream.
+    """
+    if not text or len(text.encode()) > _MAX_ADDRESS_BYTES:
+        raise ConfigError(f"the URI must have 1 to {_MAX_ADDRESS_BYTES} bytes")
+    scheme = _SCHEME.match(text)
+    if scheme is None:
+        return _path_address(text, folder)
+    match scheme[1].lower():
+        case "rtsp" | "rtsps":
+            return _network_address(text)
+        case "synthetic":
+            return _synthetic_address(text)
+        case other:
+            raise ConfigError(
+                f"{other}: is no known kind of source; use a path, rtsp://, rtsps:// or synthetic: "
+                "(for a file whose name holds a colon, write ./NAME)"
+            )
+
+
+def _path_address(text: str, folder: Path) -> SourceAddress:
+    # Not resolved: the names of links, not of their targets, are the user's.
+    path = Path(folder.absolute(), Path(text).expanduser() if text.startswith("~/") else text)
+    if _CAMERA.fullmatch(str(path)):
+        return SourceAddress(SourceKind.CAMERA, str(path), path.name)
+    plain = [part for part in path.parts if not any(mark in part for mark in GLOB_CHARACTERS)]
+    last = Path(plain[-1])
+    is_file_name = plain[-1] == path.name
+    return SourceAddress(SourceKind.PATH, str(path), last.stem if is_file_name else last.name)
+
+
+def _network_address(text: str) -> SourceAddress:
+    match = re.fullmatch(r"[A-Za-z]+://[^/\s?#]+[^\s]*", text)
+    if match is None:
+        raise ConfigError("a camera's address is written rtsp://HOST/PATH")
+    # The name is taken from the masked text: a password may look like any other part.
+    visible = mask(text).partition("://")[2].partition("?")[0].rstrip("/")
+    host_and_path = visible.rpartition("@")[2]
+    name = host_and_path.rpartition("/")[2] if "/" in host_and_path else host_and_path.partition(":")[0]
+    return SourceAddress(SourceKind.NETWORK, text, Path(name).stem if "/" in host_and_path else name)
+
+
+def _synthetic_address(text: str) -> SourceAddress:
+    name, _, query = text.removeprefix(SCHEME).partition("?")
+    if not text.startswith(SCHEME) or name not in SCRIPTS:
+        raise ConfigError(
+            f"there is no scene {name!r}; write synthetic: and one of {', '.join(sorted(SCRIPTS))}"
+        )
+    seen: set[str] = set()
+    for parameter, value in parse_qsl(query, keep_blank_values=True):
+        low, high = LIMITS.get(parameter, (0, -1))
+        if parameter in seen or not value.isdecimal() or not low <= int(value[:12]) <= high:
+            known = ", ".join(f"{key} ({least} to {most})" for key, (least, most) in LIMITS.items())
+            raise ConfigError(
+                f"{parameter}={value} is no parameter of a scene; there are, each once, {known}"
+            )
+        seen.add(parameter)
+    return SourceAddress(SourceKind.SYNTHETIC, text, name)

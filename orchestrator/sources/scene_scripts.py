@@ -1,0 +1,394 @@
+"""The synthetic scenes: what stands where, how camera and objects move. :data:`SCRIPTS` lists them.
+
+Canvas units: 320 to the width of the picture; (0, 0) is its centre, y down. An object's path is either in the
+*view* (it goes along with the camera, so it stays in sight however long the scene) or in the *world*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mlbs_actors.messages import BACKGROUND, Array
+from orchestrator.sources.textures import blob, capsule, patchwork
+
+__all__ = ["SCRIPTS", "Script", "Surface", "build_surfaces"]
+
+CANVAS = 320.0  # units to the width of the picture
+TILE = 512  # side of the texture of a plane, which repeats, units
+HORIZON = -25.0  # height at which the ground begins in the first frame, units
+SLOPE = 0.006  # nearness that the ground gains by a unit below the horizon; nearness 1 is the far plane
+PAN_REACH = 160.0  # how far the camera pans before it turns, units
+FAR_COLOUR, GROUND_COLOUR, PROP_COLOUR = (136.0, 128.0, 112.0), (96.0, 106.0, 112.0), (78.0, 112.0, 96.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """One textured, rigid piece of a scene.
+
+    Attributes
+    ----------
+    label : int
+        Truth id; 0 = background.
+    texture : (h, w, 3) uint8 BGR
+        Repeats where ``opacity`` is None.
+    opacity : (h, w) uint8 or None
+        0 = clear; None: unbounded.
+    top_row : float or None
+        Row of the texture, px, above which an unbounded surface is clear; None: it covers all.
+    maps : (frames, 2, 3) float64
+        For each frame the affine map of texture px (x, y, 1) to image px.
+    """
+
+    label: int
+    texture: Array
+    opacity: Array | None
+    top_row: float | None
+    maps: Array
+
+
+@dataclass(frozen=True)
+class Script:
+    """A scene's meaning in a sentence, and the function that sets it up."""
+
+    description: str
+    set_up: Callable[[Stage], None]
+
+
+@dataclass
+class Stage:
+    """A scene while it is set up: the camera first, then what it sees.
+
+    All paths are arrays with one entry a frame. ``x``, ``y``: the camera's translation, units; ``roll``: rad.
+    """
+
+    frames: int
+    rng: np.random.Generator
+    width: int
+    height: int
+    x: Array = field(init=False)
+    y: Array = field(init=False)
+    roll: Array = field(init=False)
+    zoom: Array = field(init=False)
+    slope: float = SLOPE
+    placed: list[tuple[float, Surface]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.x, self.y, self.roll = np.zeros((3, self.frames))
+        self.zoom = np.ones(self.frames)
+
+    @property
+    def time(self) -> Array:
+        """Frame numbers, (frames,) float64."""
+        return np.arange(self.frames, dtype=np.float64)
+
+    @property
+    def unit(self) -> float:
+        """px a canvas unit."""
+        return self.width / CANVAS
+
+    @property
+    def tallness(self) -> float:
+        """Height of the picture against one of 4:3; heights in the view scale with it."""
+        return self.height / (0.75 * self.width)
+
+    def pan(self, speed: float) -> None:
+        """Pan at about ``speed`` units a frame, turning softly at the ends, with an unsteady hand."""
+        self.x = PAN_REACH * np.sin(self.time * speed / PAN_REACH)
+        self.x += 0.5 * np.sin(self.time * 0.61 + 1.0) - 0.5 * np.sin(1.0)
+        self.y = 0.8 * np.sin(self.time * 0.37)
+
+    def nearness(self, foot: float) -> float:
+        """Parallax of what stands on the ground at this height of the canvas."""
+        return 1.0 + self.slope * max(foot - HORIZON, 0.0)
+
+    def background(self, props: int = 7) -> None:
+        """Far plane, ground, and bushes that stand on it."""
+        self._plane(FAR_COLOUR, 1.0, 0.0, None)
+        self._plane(GROUND_COLOUR, 1.0 - self.slope * HORIZON, self.slope, HORIZON)
+        for place in np.linspace(-1.6, 1.6, props):
+            size = (self.rng.uniform(10, 22), self.rng.uniform(10, 20))
+            foot = HORIZON + self.rng.uniform(8, 50)
+            path = np.tile((place * CANVAS / 2 + self.rng.uniform(-15, 15), foot - size[1]), (self.frames, 1))
+            self._bounded(BACKGROUND, blob(self.rng, size, self.unit), PROP_COLOUR, path, self.nearness(foot))
+
+    def thing(
+        self,
+        label: int,
+        path: tuple[Array | float, Array | float],
+        size: tuple[float, float],
+        *,
+        in_world: bool = False,
+        turn: Array | float = 0.0,
+    ) -> None:
+        """A moving object with its own outline and texture.
+
+        Parameters
+        ----------
+        label : int
+        path : (x, y)
+            Its centre, units, (frames,) or constant.
+        size : (float, float)
+            Half axes, units.
+        in_world : bool
+            False: the path is in the view.
+        turn : (frames,) or constant
+            Its rotation, rad.
+        """
+        centre = self._path(path)
+        nearness = self.nearness(float(centre[0, 1]) + size[1])
+        if not in_world:
+            centre = centre + nearness * np.stack([self.x, self.y], axis=1)
+        colour = _object_colour(self.rng)
+        self._bounded(label, blob(self.rng, size, self.unit), colour, centre, nearness, turn)
+
+    def walker(self, label: int, path: tuple[Array | float, Array | float], tall: float) -> None:
+        """A figure that walks along a path of its hip (units, in the view): swinging legs and arms."""
+        hip = self._path(path)
+        leg, trunk, arm = 0.25 * tall, 0.3 * tall, 0.17 * tall
+        nearness = self.nearness(float(hip[0, 1]) + 2 * leg)
+        hip = hip + nearness * np.stack([self.x, self.y], axis=1)
+        shoulder = hip - (0.0, trunk)
+        trousers, shirt = _object_colour(self.rng), _object_colour(self.rng)
+        stride = self.time * 2 * np.pi / 26
+
+        def limb(joint: Array, angle: Array, length: float, thick: float, colour: tuple[float, ...]) -> Array:
+            """Place a limb that hangs from a joint; return its lower end."""
+            along = np.stack([-np.sin(angle), np.cos(angle)], axis=1) * length
+            shape = capsule(length, thick, self.unit)
+            self._bounded(label, shape, colour, joint + along / 2, nearness, angle)
+            return joint + along
+
+        for side in (0.0, np.pi):
+            swing = 0.55 * np.sin(stride + side)
+            knee = limb(hip, swing, leg, 0.055 * tall, trousers)
+            limb(knee, swing - 0.45 * (1 + np.cos(stride + side)), leg, 0.045 * tall, trousers)
+            elbow = limb(shoulder, -0.8 * swing, arm, 0.04 * tall, shirt)
+            limb(elbow, -0.8 * swing + 0.35, arm, 0.035 * tall, shirt)
+        still = np.zeros(self.frames)
+        limb(shoulder, still, trunk, 0.09 * tall, shirt)
+        limb(shoulder - (0.0, 0.17 * tall), still, 0.03 * tall, 0.07 * tall, (110.0, 140.0, 180.0))
+
+    def surfaces(self) -> tuple[Surface, ...]:
+        """All that was placed, far to near; equally near things in the order they were placed."""
+        return tuple(surface for _, surface in sorted(self.placed, key=lambda entry: entry[0]))
+
+    def _path(self, path: tuple[Array | float, Array | float]) -> Array:
+        x, y = (np.broadcast_to(np.asarray(axis, np.float64), (self.frames,)) for axis in path)
+        return np.stack([x, y * self.tallness], axis=1)
+
+    def _plane(self, colour: tuple[float, ...], nearness: float, slope: float, top: float | None) -> None:
+        side = round(TILE * self.unit)
+        texture = patchwork(self.rng, (side, side), colour, self.unit)
+        maps = self._maps((side, side), np.zeros((self.frames, 2)), 0.0, nearness, slope)
+        top_row = None if top is None else top * self.unit + (side - 1) / 2
+        self.placed.append((1.0, Surface(BACKGROUND, texture, None, top_row, maps)))
+
+    def _bounded(
+        self,
+        label: int,
+        opacity: Array,
+        colour: tuple[float, ...],
+        centre: Array,
+        nearness: float,
+        turn: Array | float = 0.0,
+    ) -> None:
+        height, width = opacity.shape
+        texture = patchwork(self.rng, (height, width), colour, self.unit * 0.6, contrast=32.0)
+        maps = self._maps((height, width), centre, turn, nearness, 0.0)
+        self.placed.append((nearness, Surface(label, texture, opacity, None, maps)))
+
+    def _maps(
+        self, shape: tuple[int, int], centre: Array, turn: Array | float, nearness: float, slope: float
+    ) -> Array:
+        """Texture px → image px: place in the world, shift by the camera with parallax, roll and zoom."""
+        to_units = np.diag([1 / self.unit, 1 / self.unit, 1.0])
+        to_units[:2, 2] = -(shape[1] - 1) / 2 / self.unit, -(shape[0] - 1) / 2 / self.unit
+        place = _similarity(np.broadcast_to(turn, (self.frames,)), np.ones(self.frames), centre)
+        parallax = np.tile(np.eye(3), (self.frames, 1, 1))
+        for axis, camera in enumerate((self.x, self.y)):
+            parallax[:, axis, 1] -= slope * camera
+            parallax[:, axis, 2] -= nearness * camera
+        view = _similarity(self.roll, self.zoom, np.zeros((self.frames, 2)))
+        to_pixels = np.diag([self.unit, self.unit, 1.0])
+        to_pixels[:2, 2] = (self.width - 1) / 2, (self.height - 1) / 2
+        return (to_pixels @ view @ parallax @ place @ to_units)[:, :2]
+
+
+def _similarity(angle: Array, scale: Array, shift: Array) -> Array:
+    """(frames, 3, 3): turn and scale about the origin, then shift."""
+    matrices = np.tile(np.eye(3), (len(shift), 1, 1))
+    matrices[:, 0, 0] = matrices[:, 1, 1] = scale * np.cos(angle)
+    matrices[:, 1, 0] = scale * np.sin(angle)
+    matrices[:, 0, 1] = -matrices[:, 1, 0]
+    matrices[:, :2, 2] = shift
+    return matrices
+
+
+def _object_colour(rng: np.random.Generator) -> tuple[float, ...]:
+    """A colour that stands out from the background only moderately."""
+    colour = rng.uniform(50, 205, 3)
+    return tuple((0.7 * colour + 0.3 * 110).tolist())
+
+
+def _to_and_fro(time: Array, period: float) -> Array:
+    """−1 at time 0, +1 half a period later, at constant speed."""
+    return np.abs(((time / period) % 1.0) * 4 - 2) * -1 + 1
+
+
+def _demo(stage: Stage) -> None:
+    time = stage.time
+    stage.pan(1.8)
+    stage.zoom = 1.0 + 0.05 * np.sin(time / 40)
+    stage.background()
+    stage.thing(1, (100 * _to_and_fro(time, 120), 62 + 3 * np.sin(time / 9)), (34, 19))
+    stage.thing(2, (-92 * _to_and_fro(time, 130), 34 + 2 * np.sin(time / 7)), (27, 17))
+    stage.thing(3, (80 * np.cos(time / 15), -62 + 22 * np.sin(time / 11)), (15, 13), turn=time / 18)
+
+
+def _pan(stage: Stage) -> None:
+    stage.pan(2.0)
+    stage.background()
+    stage.thing(1, (-60 + 20 * np.sin(stage.time / 14), 55), (30, 18))
+    stage.thing(2, (60, 30 + 12 * np.sin(stage.time / 10)), (20, 24))
+
+
+def _roll_zoom(stage: Stage) -> None:
+    stage.pan(0.6)
+    stage.roll = 0.10 * np.sin(stage.time / 13)
+    stage.zoom = 1.0 + 0.15 * np.sin(stage.time / 17)
+    stage.background()
+    stage.thing(1, (70 * _to_and_fro(stage.time, 100), 50), (28, 18))
+    stage.thing(2, (50, -40 + 25 * np.sin(stage.time / 9)), (16, 18))
+
+
+def _crossing(stage: Stage) -> None:
+    stage.pan(1.2)
+    stage.background()
+    stage.thing(1, (75 * _to_and_fro(stage.time, 120), 40), (24, 20))
+    stage.thing(2, (-75 * _to_and_fro(stage.time, 120), 50), (26, 22))
+
+
+def _stop(stage: Stage) -> None:
+    stage.x = 25 * np.sin(stage.time / 14)
+    stage.y = 4 * np.sin(stage.time / 10)
+    stage.background()
+    driven = np.minimum(stage.time, min(stage.frames // 2, 55))
+    stage.thing(1, (-60 + 2.2 * driven, 50), (28, 18), in_world=True)
+
+
+def _late_entry(stage: Stage) -> None:
+    stage.pan(1.2)
+    stage.background()
+    stage.thing(1, (-50 + 25 * np.sin(stage.time / 12), 60), (28, 17))
+    first, second = min(stage.frames // 4, 40), min(stage.frames // 2, 80)
+    stage.thing(2, (np.maximum(205 - 3.0 * np.maximum(stage.time - first, 0), 70), 40), (26, 20))
+    stage.thing(3, (np.minimum(-195 + 3.2 * np.maximum(stage.time - second, 0), 0), -50), (20, 16))
+
+
+def _leave(stage: Stage) -> None:
+    stage.pan(1.5)
+    stage.background()
+    stage.thing(1, (60 + 20 * np.sin(stage.time / 12), 60), (28, 17))
+    away = np.maximum(stage.time - min(stage.frames // 4, 40), 0)
+    stage.thing(2, (np.maximum(-20 - 3.5 * away, -260), 25), (26, 20))
+
+
+def _no_mover(stage: Stage) -> None:
+    stage.pan(1.8)
+    stage.background()
+
+
+def _static_walker(stage: Stage) -> None:
+    stage.background()
+    stage.walker(1, (95 * _to_and_fro(stage.time, 220), 30 + 1.2 * np.cos(stage.time * 4 * np.pi / 26)), 95)
+
+
+def _camera_stops(stage: Stage) -> None:
+    pause = min(stage.frames // 3, 60)
+    stage.x = 2.0 * (np.minimum(stage.time, pause) + np.clip(stage.time - 2 * pause, 0, 60))
+    stage.background()
+    stage.thing(1, (80 * _to_and_fro(stage.time, 130), 55), (28, 18))
+    stage.thing(2, (-30, -20 + 40 * _to_and_fro(stage.time, 90)), (18, 22))
+
+
+def _static_empty(stage: Stage) -> None:
+    stage.background()
+
+
+def _parallax(stage: Stage) -> None:
+    stage.slope = 2.2 * SLOPE
+    stage.pan(1.6)
+    stage.background(props=14)
+    stage.thing(1, (-70 * _to_and_fro(stage.time, 110), 45), (26, 18))
+
+
+def _crowd(stage: Stage) -> None:
+    """Each object comes in from the nearer long side, circles about its place, and goes out again."""
+    stage.pan(1.0)
+    stage.background(props=3)
+    flight = max(min(25, stage.frames // 8), 1)
+    for label in range(1, 33):
+        column, row = (label * 5) % 8, (label * 5) // 8 % 4
+        place = (-140 + 40 * column, -88 + 58.0 * row)
+        enters = 0.0 if label == 1 else 0.3 * stage.frames * (label - 1) / 31
+        hidden = np.maximum(enters + flight - stage.time, 0) / flight
+        hidden = np.maximum(hidden, np.maximum(stage.time - (stage.frames - 1 - enters - flight), 0) / flight)
+        if label == 1:
+            hidden[:] = 0.0
+        outside = np.sign(place[1]) * (155 - abs(place[1])) * np.minimum(hidden, 1.0)
+        angle = stage.time * 2 * np.pi / stage.rng.uniform(28, 44) + stage.rng.uniform(0, 2 * np.pi)
+        path = (place[0] + 9 * np.cos(angle), place[1] + 9 * np.sin(angle) + outside)
+        stage.thing(label, path, (stage.rng.uniform(11, 14), stage.rng.uniform(10, 13)))
+
+
+def _small_object(stage: Stage) -> None:
+    stage.pan(1.4)
+    stage.background()
+    stage.thing(1, (80 * _to_and_fro(stage.time, 110), 15), (11, 8))
+
+
+#: Every scene by name.
+SCRIPTS: dict[str, Script] = {
+    "demo": Script("moving camera; three objects, two of which pass each other", _demo),
+    "pan": Script("panning camera; two objects that go along with it", _pan),
+    "roll-zoom": Script("camera that rolls ±6° and zooms ±15 %; two objects", _roll_zoom),
+    "crossing": Script("two equally fast objects meet; one hides the other, again and again", _crossing),
+    "stop": Script("an object moves and then stops for good; the camera sways", _stop),
+    "late-entry": Script("one object from the start, a second and a third enter later", _late_entry),
+    "leave": Script("two objects, one of which leaves", _leave),
+    "no-mover": Script("moving camera and parallax, nothing else moves", _no_mover),
+    "static-walker": Script("still camera; one walker with swinging arms and legs", _static_walker),
+    "camera-stops": Script("the camera stops and goes on; two objects move all the time", _camera_stops),
+    "static-empty": Script("still camera, nothing moves: only sensor noise", _static_empty),
+    "parallax": Script("strong parallax and many near bushes; one object", _parallax),
+    "crowd": Script("objects come and go: 1, then 32, then 1", _crowd),
+    "small-object": Script("one object of about 280 px (at 320×240)", _small_object),
+}
+
+
+def build_surfaces(
+    name: str, frames: int, rng: np.random.Generator, width: int, height: int
+) -> tuple[Surface, ...]:
+    """Set a scene up.
+
+    Parameters
+    ----------
+    name : str
+        A key of :data:`SCRIPTS`.
+    frames : int
+    rng : numpy Generator
+        For textures and outlines.
+    width, height : int
+        Size of the picture, px.
+
+    Returns
+    -------
+    tuple of Surface
+        Back to front.
+    """
+    stage = Stage(frames, rng, width, height)
+    SCRIPTS[name].set_up(stage)
+    return stage.surfaces()

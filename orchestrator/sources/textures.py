@@ -1,0 +1,102 @@
+"""Textures and outlines of synthetic scenes: band-limited noise, patches with edges, smooth shapes."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from mlbs_actors.messages import Array
+
+__all__ = ["blob", "capsule", "patchwork"]
+
+PATCH_WAVELENGTH, DETAIL_WAVELENGTH, GRAIN_WAVELENGTH = 26.0, 7.0, 3.5  # canvas units
+PATCH_TONES = 5
+
+
+def _periodic_noise(rng: np.random.Generator, shape: tuple[int, int], wavelength: float) -> Array:
+    """Gaussian noise without waves much shorter than ``wavelength`` (px); it tiles; mean 0, deviation 1."""
+    spectrum = np.fft.rfft2(rng.standard_normal(shape))
+    frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :])
+    spectrum *= np.exp(-((frequency * wavelength) ** 2))
+    spectrum[0, 0] = 0.0
+    noise: Array = np.fft.irfft2(spectrum, s=shape)
+    noise /= noise.std()
+    return noise
+
+
+def patchwork(
+    rng: np.random.Generator,
+    shape: tuple[int, int],
+    colour: tuple[float, ...],
+    unit: float,
+    contrast: float = 45.0,
+) -> Array:
+    """Patches of a few tones around a colour, with soft shading and grain: edges and corners everywhere.
+
+    Parameters
+    ----------
+    rng : numpy Generator
+    shape : (h, w)
+        Size, px. The texture tiles in both directions.
+    colour : (3,) float
+        Mean colour, BGR, 0 … 255.
+    unit : float
+        px a canvas unit; the pattern keeps its size in canvas units.
+    contrast : float
+        How far the tones lie from the colour at most, grey levels.
+
+    Returns
+    -------
+    (h, w, 3) uint8
+    """
+    fields = [_periodic_noise(rng, shape, PATCH_WAVELENGTH * unit) for _ in range(PATCH_TONES)]
+    tones = np.asarray(colour) + rng.uniform(-contrast, contrast, (PATCH_TONES, 1))
+    tones += rng.uniform(-0.35, 0.35, (PATCH_TONES, 3)) * contrast
+    texture = tones[np.argmax(fields, axis=0)]
+    texture = ndimage.gaussian_filter(texture, (0.7, 0.7, 0), mode="wrap")
+    texture += 14 * _periodic_noise(rng, shape, DETAIL_WAVELENGTH * unit)[:, :, None]
+    texture += 7 * _periodic_noise(rng, shape, GRAIN_WAVELENGTH * unit)[:, :, None]
+    return np.clip(texture, 0, 255).round().astype(np.uint8)
+
+
+def blob(rng: np.random.Generator, size: tuple[float, float], unit: float, wobble: float = 0.12) -> Array:
+    """Opacity of a smooth, arbitrary outline: an ellipse whose radius swings a few times on the way around.
+
+    Parameters
+    ----------
+    rng : numpy Generator
+    size : (float, float)
+        Half axes x, y, canvas units.
+    unit : float
+        px a canvas unit.
+    wobble : float
+        Amplitude of the swings against the radius.
+
+    Returns
+    -------
+    (h, w) uint8, 0 … 255
+        Centred; the edge is one px soft.
+    """
+    half = [int(np.ceil(axis * unit * 1.5)) + 2 for axis in size]
+    y, x = np.mgrid[-half[1] : half[1] + 1, -half[0] : half[0] + 1] / unit
+    around = np.arctan2(y / size[1], x / size[0])
+    radius = np.ones_like(around)
+    for swings in (2, 3, 5):
+        amplitude, phase = wobble / swings**0.5 * rng.uniform(-1, 1), rng.uniform(0, 2 * np.pi)
+        radius += amplitude * np.cos(swings * around + phase)
+    inside = (radius - np.hypot(x / size[0], y / size[1])) * min(size) * unit
+    return _opacity(inside)
+
+
+def capsule(length: float, radius: float, unit: float) -> Array:
+    """Opacity of an upright rod with round ends; ``length`` between its joints; canvas units."""
+    half_width = int(np.ceil(radius * unit)) + 2
+    half_height = int(np.ceil((length / 2 + radius) * unit)) + 2
+    y, x = np.mgrid[-half_height : half_height + 1, -half_width : half_width + 1] / unit
+    beyond = np.maximum(np.abs(y) - length / 2, 0)
+    return _opacity((radius - np.hypot(x, beyond)) * unit)
+
+
+def _opacity(inside: Array) -> Array:
+    """255 inside, 0 outside, one px of ramp; ``inside`` is the distance to the outline, px."""
+    return (np.clip(inside + 0.5, 0, 1) * 255).round().astype(np.uint8)

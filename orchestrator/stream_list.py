@@ -1,0 +1,180 @@
+"""The list of streams: a line a stream, ``URI`` or ``NAME URI``, shell quoting, ``#`` comments.
+
+The list may come from elsewhere, so it is read with distrust: bounded in size, only the addresses of
+:mod:`orchestrator.sources.address`, names that stay inside the output folder. All bad lines are reported
+together, before anything starts.
+"""
+
+from __future__ import annotations
+
+import shlex
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mlbs_actors.errors import ConfigError
+from orchestrator.credentials import mask
+from orchestrator.sources.address import SourceAddress, parse_address
+
+__all__ = ["MAX_BYTES", "MAX_STREAMS", "ListedStream", "read_stream_list"]
+
+MAX_BYTES = 8 * 2**20
+MAX_STREAMS = 10_000
+
+_MAX_NAME_BYTES = 100
+_RESERVED_NAMES = frozenset({"run.json", "status.json", "report.html"})
+_LINES_SHOWN = 20
+
+
+@dataclass(frozen=True, slots=True)
+class ListedStream:
+    """One stream of the list.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the list, and a plain file name.
+    source : SourceAddress
+    line : int
+        Where it stands in the list, from 1.
+    """
+
+    name: str
+    source: SourceAddress
+    line: int
+
+
+def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
+    """Read and check a list of streams.
+
+    Parameters
+    ----------
+    path : Path
+        UTF-8 text; relative sources in it count from its folder.
+
+    Returns
+    -------
+    tuple of ListedStream
+        In the order of the list, at least one.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is too long, holds no stream, or has bad lines: then the message
+        names every one of them.
+    """
+    lines = _lines(path)
+    streams: list[ListedStream] = []
+    first_line: dict[str, int] = {}
+    faults: dict[int, str] = {}
+    for number, raw in enumerate(lines, start=1):
+        try:
+            stream = _parse_line(raw, number, path.parent)
+            if stream is None:
+                continue
+            if stream.name in first_line:
+                raise ConfigError(
+                    f"the name {stream.name!r} is taken by line {first_line[stream.name]}; "
+                    "give this stream another one by writing NAME URI"
+                )
+        except ConfigError as error:
+            faults[number] = mask(str(error))
+            continue
+        first_line[stream.name] = number
+        streams.append(stream)
+    if faults:
+        raise ConfigError(_fault_report(path, faults))
+    if not streams:
+        raise ConfigError(f"The list {path} holds no stream; write one a line, as NAME URI.")
+    if len(streams) > MAX_STREAMS:
+        raise ConfigError(f"The list {path} holds more than {MAX_STREAMS} streams; split it.")
+    return tuple(streams)
+
+
+def _lines(path: Path) -> list[bytes]:
+    try:
+        if not path.is_file():
+            raise ConfigError(f"There is no list of streams at {path}; give an existing file with --streams.")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"The list {path} cannot be read: {error}.") from error
+    if len(content) > MAX_BYTES:
+        raise ConfigError(f"The list {path} is larger than {MAX_BYTES // 2**20} MiB; split it.")
+    return content.removeprefix(b"\xef\xbb\xbf").split(b"\n")
+
+
+def _parse_line(raw: bytes, number: int, folder: Path) -> ListedStream | None:
+    try:
+        text = raw.decode("utf-8").strip()
+    except UnicodeDecodeError:
+        raise ConfigError("is not UTF-8 text") from None
+    if any(unicodedata.category(character) == "Cc" and character != "\t" for character in text):
+        raise ConfigError("holds a control character (NUL or alike); remove it")
+    try:
+        words = shlex.split(_without_comment(text))
+    except ValueError:
+        raise ConfigError("has a quote or backslash without its partner") from None
+    if not words:
+        return None
+    if len(words) > 2:
+        raise ConfigError(f"has {len(words)} words, not URI or NAME URI; quote a path that holds spaces")
+    source = parse_address(words[-1], folder)
+    name = words[0] if len(words) == 2 else source.default_name
+    _check_name(name, given=len(words) == 2)
+    return ListedStream(name, source, number)
+
+
+def _without_comment(text: str) -> str:
+    """Cut an unquoted ``#`` that begins a word, as a shell does.
+
+    ``shlex`` would cut inside a word too, and so turn ``rtsp://bob:a#b@host`` into another address.
+    """
+    quote = ""
+    position = 0
+    while position < len(text):
+        character = text[position]
+        if quote:
+            if character == quote:
+                quote = ""
+            elif character == "\\" and quote == '"':
+                position += 1
+        elif character == "\\":
+            position += 1
+        elif character in "'\"":
+            quote = character
+        elif character == "#" and (position == 0 or text[position - 1].isspace()):
+            return text[:position]
+        position += 1
+    return text
+
+
+def _check_name(name: str, *, given: bool) -> None:
+    advice = "choose another name" if given else "give it a name by writing NAME URI"
+    if not name or "/" in name or "\\" in name or name.startswith((".", "-")) or "***" in name:
+        raise ConfigError(f"{name!r} cannot be the name of a stream's folder; {advice}")
+    if len(name.encode()) > _MAX_NAME_BYTES:
+        raise ConfigError(f"the name is longer than {_MAX_NAME_BYTES} bytes; {advice}")
+    if name.lower() in _RESERVED_NAMES:
+        raise ConfigError(f"{name!r} is the name of a file of the run; {advice}")
+
+
+def _fault_report(path: Path, faults: dict[int, str]) -> str:
+    shown = [f"  line {number}: {sentence}." for number, sentence in list(faults.items())[:_LINES_SHOWN]]
+    rest = list(faults)[_LINES_SHOWN:]
+    if rest:
+        shown.append(f"  and lines {_as_ranges(rest)}.")
+    count = "1 bad line" if len(faults) == 1 else f"{len(faults)} bad lines"
+    return f"The list {path} has {count}; nothing was started.\n" + "\n".join(shown)
+
+
+def _as_ranges(numbers: Sequence[int]) -> str:
+    """Write ascending numbers shortly: ``3, 5–9``."""
+    ranges: list[tuple[int, int]] = []
+    for number in numbers:
+        if ranges and number == ranges[-1][1] + 1:
+            ranges[-1] = (ranges[-1][0], number)
+        else:
+            ranges.append((number, number))
+    return ", ".join(str(low) if low == high else f"{low}–{high}" for low, high in ranges)

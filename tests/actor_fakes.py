@@ -1,0 +1,312 @@
+"""Small parts for the actors: quick, and every bit of their label maps depends on all that they were given.
+
+A frame's first pixels say what is to happen: which layers live (row 0, a column a layer), which of them are
+dormant (row 1), and which part is to die at that frame (:data:`DEATHS`).
+"""
+
+from __future__ import annotations
+
+import os
+import time
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, PartFactory, SegmenterPart
+from mlbs_actors.actors.stream_protocol import FrameReader, GapStatus, SourceFrame, StreamSink, StreamSpec
+from mlbs_actors.config import Config
+from mlbs_actors.errors import SinkError, SourceError
+from mlbs_actors.messages import (
+    Array,
+    FrameEvidence,
+    LayerEvidence,
+    LayerKind,
+    LayerPosterior,
+    Region,
+    Segmentation,
+)
+
+SHAPE = (24, 40)
+#: Where a frame says that a part dies: value 1 at this (row, column); for a layer its id.
+DEATHS = {"coordinator": (2, 0), "segmenter": (2, 1), "layer": (2, 2), "sink": (2, 3)}
+CONFIG = Config.model_validate({"layers": {"init_frames": 3}})
+
+
+def picture(
+    index: int, live: Iterable[int] = (), dormant: Iterable[int] = (), dies: str = "", value: int = 1
+) -> Array:
+    """A noisy frame that carries its orders in its first pixels."""
+    image = np.random.default_rng(index).integers(0, 256, (*SHAPE, 3), dtype=np.uint8)
+    image[:3] = 0
+    image[0, list(live)] = 1
+    image[1, list(dormant)] = 1
+    if dies:
+        image[DEATHS[dies]] = value
+    return image
+
+
+def crowd(frames: int, most: int) -> list[Array]:
+    """One layer, then up to ``most`` and back, layer 1 dormant for a while; ids are never reused."""
+    pictures = []
+    for t in range(frames):
+        size = round(most * (1 - abs(2 * t / (frames - 1) - 1)))
+        objects = range(1 + max(0, t - frames // 2), 1 + max(0, t - frames // 2) + size)
+        asleep = [1] if 1 in objects and t % 5 == 4 else []
+        pictures.append(picture(t, live=[k for k in objects if k not in asleep], dormant=asleep))
+    return pictures
+
+
+class _Coordinator:
+    """Holds the first frames, then emits each at once; reads the labels of exactly t−2."""
+
+    def __init__(self, config: Config) -> None:
+        self._hold = config.layers.init_frames
+        self._held: list[tuple[int, Array]] = []
+        self._last: dict[int, int] = {}
+        self._memory = 1
+
+    def feedback_index(self, frame_index: int) -> int | None:
+        return None if frame_index < max(self._hold, 2) else frame_index - 2
+
+    def step(self, frame_index: int, frame: Array, feedback: Segmentation | None) -> list[FrameEvidence]:
+        if frame[DEATHS["coordinator"]][0]:
+            os._exit(1)
+        assert (None if feedback is None else feedback.frame_index) == self.feedback_index(frame_index)
+        if feedback is not None:
+            self._memory = zlib.crc32(feedback.labels.tobytes(), self._memory)
+        self._held.append((frame_index, frame))
+        return [] if frame_index + 1 < self._hold else self.flush()
+
+    def flush(self) -> list[FrameEvidence]:
+        held, self._held = self._held, []
+        return [self._evidence(*frame) for frame in held]
+
+    def _evidence(self, t: int, frame: Array) -> FrameEvidence:
+        live = [0, *np.flatnonzero(frame[0, :, 0]).tolist()]
+        dormant = np.flatnonzero(frame[1, :, 0]).tolist()
+        retired = tuple(sorted(set(self._last) - {*live, *dormant}))
+        for layer in retired:
+            del self._last[layer]
+        layers = tuple(
+            LayerEvidence(
+                layer=layer,
+                kind="object" if layer else "background",
+                last_frame=self._last.get(layer, -1),
+                positions=np.full((1, 2), self._memory % 1009 + layer, np.float32),
+                motions=np.zeros((1, 2), np.float32),
+            )
+            for layer in live
+        )
+        self._last |= dict.fromkeys(live, t)
+        return FrameEvidence(
+            frame_index=t,
+            shape=SHAPE,
+            camera=np.eye(3),
+            flow=np.zeros((2, 2, 2), np.float16),
+            flow_reliable=np.ones((2, 2), bool),
+            layers=layers,
+            retired=retired,
+            latency_frames=0,
+        )
+
+
+class _Layer:
+    def __init__(self, layer: int, kind: LayerKind, slow_seconds: float) -> None:
+        self._layer, self._kind, self._slow_seconds = layer, kind, slow_seconds
+        self._memory = layer + 1
+
+    def step(
+        self,
+        evidence: LayerEvidence,
+        frame_evidence: FrameEvidence,
+        frame: Array,
+        previous: Segmentation | None,
+    ) -> LayerPosterior:
+        t = frame_evidence.frame_index
+        if frame[DEATHS["layer"]][0] == self._layer > 0:
+            os._exit(1)
+        assert (previous.frame_index if previous else -1) == t - 1
+        time.sleep(self._slow_seconds)
+        for told in (evidence.positions, frame, *([] if previous is None else [previous.labels])):
+            self._memory = zlib.crc32(told.tobytes(), self._memory)
+        cost = np.random.default_rng(self._memory).integers(0, 256, SHAPE, dtype=np.uint8)
+        region = Region(0, 0, SHAPE[1], SHAPE[0])
+        return LayerPosterior(
+            self._layer, t, self._kind, region, cost, 255, 1.0, np.zeros(2, np.float32), {"layer": 1.0}
+        )
+
+
+class _Segmenter:
+    def __init__(self) -> None:
+        self._memory = 7
+
+    def step(self, evidence: FrameEvidence, frame: Array, posteriors: list[LayerPosterior]) -> Segmentation:
+        if frame[DEATHS["segmenter"]][0]:
+            os._exit(1)
+        ids = [posterior.layer for posterior in posteriors]
+        assert ids == [own.layer for own in evidence.layers] == sorted(ids)
+        costs = np.stack([posterior.cost for posterior in posteriors]) ^ np.uint8(self._memory & 255)
+        labels = np.array(ids, np.uint16)[costs.argmin(axis=0)]
+        self._memory = zlib.crc32(labels.tobytes(), self._memory)
+        return Segmentation(
+            evidence.frame_index,
+            labels,
+            costs.min(axis=0),
+            (),
+            (0.0, 0.0),
+            0,
+            {"segmenter": 2.0, "layer": 4.0},
+        )
+
+
+@dataclass(frozen=True)
+class FakeParts:
+    """Makes the small parts, and notes the processes they are in.
+
+    Attributes
+    ----------
+    folder : Path
+        Holds a file ``pid-<process id>`` for each process that ran a part.
+    cannot_start : bool
+        Layer processes die at their start.
+    slow_seconds : float
+        What a layer needs for a frame.
+    """
+
+    folder: Path
+    cannot_start: bool = False
+    slow_seconds: float = 0.0
+
+    def coordinator(self, config: Config) -> CoordinatorPart:
+        self._note()
+        return _Coordinator(config)
+
+    def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
+        return _Layer(layer, kind, self.slow_seconds)
+
+    def segmenter(self, config: Config) -> SegmenterPart:
+        self._note()
+        return _Segmenter()
+
+    def warm_layer(self) -> None:
+        self._note()
+        if self.cannot_start:
+            raise MemoryError("no memory left for a layer")
+
+    def processes(self) -> set[int]:
+        return {int(note.name.removeprefix("pid-")) for note in self.folder.glob("pid-*")}
+
+    def _note(self) -> None:
+        (self.folder / f"pid-{os.getpid()}").touch()
+
+
+@dataclass
+class FakeReader:
+    """Reads from memory; notes every read in a file, and fails or dies where told to."""
+
+    pictures: list[Array | None]
+    folder: Path
+    raises_at: int = -1
+    dies_at: int = -1
+    problem: str | None = None
+    index: int = 0
+
+    def opened(self) -> FrameReader:
+        return self
+
+    def read(self) -> SourceFrame | None:
+        if self.index == self.raises_at:
+            raise SourceError("The source is not to be had.")
+        if self.index == self.dies_at:
+            os._exit(1)
+        if self.index >= len(self.pictures):
+            return None
+        image, t = self.pictures[self.index], self.index
+        self.index += 1
+        with (self.folder / "reads").open("a") as reads:
+            reads.write(f"{t}\n")
+        return SourceFrame(t, image, t / 25, f"{t:05d}", "quarantined" if image is None else "ok")
+
+    def close(self) -> None:
+        (self.folder / "reader-closed").touch()
+
+
+@dataclass
+class FakeSink:
+    """Writes a line for each row: source index, what it is, and a checksum of the labels."""
+
+    folder: Path
+    slow_seconds: float = 0.0
+    fails_at: int = -1
+    rows: int = 0
+
+    def opened(self) -> StreamSink:
+        return self
+
+    def write(self, segmentation: Segmentation, frame: SourceFrame) -> int:
+        assert frame.image is not None
+        if frame.image[DEATHS["sink"]][0]:
+            os._exit(1)
+        self._row(frame.index, f"{segmentation.frame_index} {zlib.crc32(segmentation.labels.tobytes())}")
+        self.rows += 1
+        return self.rows
+
+    def gap(self, index: int, pts: float, status: GapStatus) -> int:
+        self._row(index, status)
+        return self.rows
+
+    def close(self) -> int:
+        (self.folder / "sink-closed").touch()
+        return self.rows
+
+    def _row(self, index: int, text: str) -> None:
+        if index == self.fails_at:
+            raise SinkError("The disk is full; free some space.")
+        time.sleep(self.slow_seconds)
+        read = len((self.folder / "reads").read_text().splitlines())
+        with (self.folder / "rows").open("a") as rows:
+            rows.write(f"{index} {text}\n")
+        with (self.folder / "ahead").open("a") as ahead:
+            ahead.write(f"{read - index}\n")
+
+
+def spec(
+    name: str, reader: FakeReader, sink: FakeSink | None = None, *, max_frames: int | None = None
+) -> StreamSpec:
+    """A stream that reads from memory and writes its rows into the reader's folder."""
+    reader.folder.mkdir(parents=True, exist_ok=True)
+    sink = sink or FakeSink(reader.folder)
+    return StreamSpec(name, CONFIG, reader.opened, sink.opened, max_frames)
+
+
+def rows(folder: Path) -> list[str]:
+    """Rows the sink took, in order."""
+    return (folder / "rows").read_text().splitlines() if (folder / "rows").exists() else []
+
+
+def rows_in_one_process(parts: PartFactory, pictures: Iterable[Array], config: Config = CONFIG) -> list[str]:
+    """The same parts called one after the other, as the plain way to do what the actors do."""
+    coordinator, segmenter = parts.coordinator(config), parts.segmenter(config)
+    layers: dict[int, LayerPart] = {}
+    results: list[Segmentation] = []
+    given = list(pictures)
+    for index, image in enumerate(given):
+        wanted = coordinator.feedback_index(index)
+        complete = coordinator.step(index, image, None if wanted is None else results[wanted])
+        if index == len(given) - 1:
+            complete = [*complete, *coordinator.flush()]
+        for evidence in complete:
+            for retired in evidence.retired:
+                del layers[retired]
+            frame = given[evidence.frame_index]
+            previous = results[-1] if results else None
+            posteriors = []
+            for own in evidence.layers:
+                if own.layer not in layers:
+                    layers[own.layer] = parts.layer(config, own.layer, own.kind)
+                posteriors.append(layers[own.layer].step(own, evidence, frame, previous))
+            results.append(segmenter.step(evidence, frame, posteriors))
+    return [f"{t} {t} {zlib.crc32(result.labels.tobytes())}" for t, result in enumerate(results)]

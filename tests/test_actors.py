@@ -1,0 +1,365 @@
+"""A stream as actors: the same bytes as in one process, and failures that stay where they are."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import ray
+from actor_fakes import (
+    CONFIG,
+    FakeParts,
+    FakeReader,
+    FakeSink,
+    crowd,
+    picture,
+    rows,
+    rows_in_one_process,
+    spec,
+)
+from ray._private.internal_api import node_stats
+
+from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
+from mlbs_actors.actors.order import FrameOrder
+from mlbs_actors.actors.pool import PoolActor
+from mlbs_actors.actors.processes import end, spawn
+from mlbs_actors.actors.stream_protocol import RunningStream, StreamProgress
+from mlbs_actors.errors import LayerError, SinkError, SourceError
+
+pytestmark = pytest.mark.ray
+
+
+@pytest.fixture
+def parts(tmp_path: Path) -> FakeParts:
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    return FakeParts(folder)
+
+
+@pytest.fixture
+def node(ray_session: None, parts: FakeParts) -> Iterator[Node]:
+    node = Node(parts=parts, policy=PoolPolicy(spare=1, idle_seconds=0.5))
+    yield node
+    node.close()
+
+
+def run_to_end(*streams: RunningStream) -> list[StreamProgress]:
+    """Ask each stream for one burst after the other, all at once, and stop each at its end."""
+    asked = {index: stream.advance() for index, stream in enumerate(streams)}
+    last: dict[int, StreamProgress] = {}
+    while asked:
+        for index, answer in list(asked.items()):
+            last[index] = answer.result(timeout=60)
+            if last[index].done:
+                streams[index].stop(drain=False)
+                del asked[index]
+            else:
+                asked[index] = streams[index].advance()
+    return [last[index] for index in range(len(streams))]
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come about in time"
+        time.sleep(0.05)
+
+
+def is_running(process: int) -> bool:
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+# ---- the same bytes
+
+
+def test_layers_born_dormant_and_retired_while_running_give_the_same_bytes_as_in_one_process(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures = crowd(30, most=5)
+    [progress] = run_to_end(node.start(spec("crowd", FakeReader([*pictures], tmp_path))))
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+    assert progress == StreamProgress(30, 30, 0, 0, 0, True, None, progress.stage_ms)
+
+
+def test_three_streams_at_once_give_the_bytes_each_gives_alone_and_again(node: Node, tmp_path: Path) -> None:
+    videos = {"a": crowd(20, 3), "b": crowd(25, 2), "c": crowd(12, 1)}
+
+    def start(name: str, folder: Path) -> RunningStream:
+        return node.start(spec(name, FakeReader([*videos[name]], folder)))
+
+    for name in videos:
+        (tmp_path / "alone" / name).mkdir(parents=True)
+        run_to_end(start(name, tmp_path / "alone" / name))
+    run_to_end(*[start(name, tmp_path / "together" / name) for name in videos])
+    for name, video in videos.items():
+        alone = rows(tmp_path / "alone" / name)
+        assert len(alone) == len(video)
+        assert rows(tmp_path / "together" / name) == alone
+
+
+def test_a_stream_shorter_than_its_start_still_gets_every_label_map(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures = crowd(2, 0)
+    assert len(pictures) < CONFIG.layers.init_frames
+    [progress] = run_to_end(node.start(spec("short", FakeReader([*pictures], tmp_path))))
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+    assert progress.committed == 2
+
+
+def test_an_undecodable_frame_is_a_row_in_its_place_and_the_others_are_labelled_as_if_it_were_not_there(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures = crowd(12, 2)
+    given = [*pictures[:1], None, *pictures[1:6], None, None, *pictures[6:], None]
+    [progress] = run_to_end(node.start(spec("gaps", FakeReader(given, tmp_path))))
+    labelled = iter(row.partition(" ")[2] for row in rows_in_one_process(parts, pictures))
+    expected = [
+        f"{index} {'quarantined' if image is None else next(labelled)}" for index, image in enumerate(given)
+    ]
+    assert rows(tmp_path) == expected
+    assert (progress.read, progress.committed, progress.quarantined) == (16, 12, 4)
+
+
+def test_a_stream_ends_after_its_most_frames(node: Node, tmp_path: Path) -> None:
+    reader = FakeReader([*crowd(30, 1)], tmp_path)
+    [progress] = run_to_end(node.start(spec("most", reader, max_frames=7)))
+    assert (progress.read, progress.committed, len(rows(tmp_path))) == (7, 7, 7)
+    assert len((tmp_path / "reads").read_text().splitlines()) == 7
+
+
+# ---- bounded
+
+
+@pytest.mark.parametrize("slow", ["sink", "layers"])
+def test_the_reader_is_held_back_to_the_pace_of_the_slowest(
+    ray_session: None, tmp_path: Path, parts: FakeParts, slow: str
+) -> None:
+    layers = FakeParts(parts.folder, slow_seconds=0.03 if slow == "layers" else 0.0)
+    node = Node(parts=layers, policy=PoolPolicy(spare=0))
+    reader = FakeReader([*crowd(60, 0)], tmp_path)
+    sink_seconds = 0.03 if slow == "sink" else 0.0
+    run_to_end(node.start(spec(slow, reader, FakeSink(tmp_path, slow_seconds=sink_seconds))))
+    node.close()
+    ahead = [int(frames) for frames in (tmp_path / "ahead").read_text().split()]
+    # 3 reads under way, 1 in hand and 1 being written; between them 8 rows, or 2 frames in the layers.
+    assert 3 <= max(ahead) <= (13 if slow == "sink" else 7)
+
+
+def test_nothing_of_the_frames_that_are_done_stays_in_the_object_store(node: Node, tmp_path: Path) -> None:
+    def used() -> int:
+        here = ray.nodes()[0]
+        stats = node_stats(here["NodeManagerAddress"], here["NodeManagerPort"])
+        assert stats.store_stats.spilled_bytes_total == 0
+        return int(stats.store_stats.object_store_bytes_used)
+
+    before = used()
+    big = [image.repeat(12, 0).repeat(12, 1) for image in crowd(150, 2)]  # 150 × 0.4 MB
+    stream = node.start(spec("big", FakeReader([*big], tmp_path)))
+    most = 0
+    while not stream.advance().result(timeout=60).done:
+        most = max(most, used() - before)
+    stream.stop(drain=False)
+    assert 0 < most < 25 * big[0].nbytes
+    wait_until(lambda: used() <= before)
+
+
+# ---- the pool
+
+
+def test_released_processes_become_other_layers_and_idle_ones_beyond_the_spare_are_ended(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    one_after_the_other = [picture(t, live=[1 + t // 3]) for t in range(30)]
+    stream = node.start(spec("changing", FakeReader([*one_after_the_other], tmp_path)))
+    run_to_end(stream)
+    layers, others = 1 + 10, 2  # the background and ten objects; coordinator and segmenter
+    assert len(parts.processes()) - others < layers
+    wait_until(lambda: node.census() == PoolCensus(idle=1, busy=0))
+
+
+def test_the_pool_is_refilled_in_the_background(node: Node, tmp_path: Path) -> None:
+    stream = node.start(spec("two", FakeReader([picture(t, live=[1]) for t in range(500)], tmp_path)))
+    stream.advance().result(timeout=60)
+    assert node.census() == PoolCensus(idle=1, busy=2)
+    stream.stop(drain=False)
+    assert node.census().busy == 0
+
+
+def test_a_birth_takes_another_process_when_an_idle_one_has_died_unnoticed(
+    ray_session: None, parts: FakeParts
+) -> None:
+    pool = spawn(PoolActor, parts, PoolPolicy(spare=1), node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote())
+    first = ray.get(pool.acquire.remote(run, 1, "object", CONFIG))
+    ray.get(pool.release.remote(run, 1, None))
+    ray.kill(first)
+    second = ray.get(pool.acquire.remote(run, 2, "object", CONFIG))
+    assert ray.get(second.__ray_ready__.remote())
+    assert second != first
+    end([pool])
+
+
+def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
+    ray_session: None, parts: FakeParts, tmp_path: Path
+) -> None:
+    node = Node(parts=FakeParts(parts.folder, cannot_start=True))
+    stream = node.start(spec("poor", FakeReader([*crowd(9, 1)], tmp_path)))
+    with pytest.raises(LayerError, match=r"No process could be started for layer 0: .*no memory left"):
+        stream.advance().result(timeout=60)
+    stream.stop(drain=False)
+    node.close()
+
+
+def test_a_stream_that_has_ended_gets_no_more_processes(ray_session: None, parts: FakeParts) -> None:
+    pool = spawn(PoolActor, parts, PoolPolicy(spare=0), node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote())
+    late = pool.acquire.remote(run, 1, "object", CONFIG)
+    ray.get(pool.end.remote(run))
+    with pytest.raises(LayerError, match="has ended"):
+        ray.get(late)
+    assert ray.get(pool.census.remote()) == PoolCensus(idle=0, busy=0)
+    end([pool])
+
+
+# ---- failures
+
+
+@pytest.mark.parametrize(
+    ("dies", "error", "says"),
+    [
+        ("layer", LayerError, "'bad' lost the process of its layer 2"),
+        ("segmenter", LayerError, "'bad' lost the process of its segmenter"),
+        ("coordinator", LayerError, "'bad' lost the process of its coordinator"),
+    ],
+)
+def test_a_lost_process_fails_its_stream_alone_and_what_was_labelled_before_stays(
+    node: Node, parts: FakeParts, tmp_path: Path, dies: str, error: type[Exception], says: str
+) -> None:
+    pictures = [picture(t, live=[1, 2]) for t in range(16)]
+    fatal = [*pictures[:9], picture(9, live=[1, 2], dies=dies, value=2), *pictures[10:]]
+    bad = node.start(spec("bad", FakeReader([*fatal], tmp_path / "bad")))
+    good = node.start(spec("good", FakeReader([*pictures], tmp_path / "good")))
+    with pytest.raises(error, match=says):
+        run_to_end(bad)
+    assert bad.stop(drain=True) is None
+    [progress] = run_to_end(good)
+    expected = rows_in_one_process(parts, pictures)
+    assert rows(tmp_path / "good") == expected
+    assert progress.committed == 16
+    before = rows(tmp_path / "bad")
+    assert before == expected[: len(before)]
+    assert len(before) == 9 or dies == "coordinator"
+    assert node.census().busy == 0
+
+
+def test_the_death_of_the_reader_ends_the_stream_with_its_frames_committed(
+    node: Node, tmp_path: Path
+) -> None:
+    reader = FakeReader([*crowd(20, 2)], tmp_path, dies_at=10)
+    [progress] = run_to_end(node.start(spec("damaged", reader)))
+    assert progress.problem is not None
+    assert "process that reads stream 'damaged' died after 10 frames" in progress.problem
+    assert (progress.read, progress.committed, len(rows(tmp_path))) == (10, 10, 10)
+
+
+def test_the_reader_s_own_problem_is_told_at_the_end(node: Node, tmp_path: Path) -> None:
+    reader = FakeReader([*crowd(5, 1)], tmp_path, problem="The file ends in the middle of a frame.")
+    [progress] = run_to_end(node.start(spec("cut", reader)))
+    assert progress.problem == "The file ends in the middle of a frame."
+    assert progress.committed == 5
+
+
+@pytest.mark.parametrize(
+    ("reader", "says"),
+    [
+        (FakeReader([], Path(), raises_at=0), "is not to be had"),
+        (FakeReader([], Path(), dies_at=0), "died before its first frame"),
+    ],
+)
+def test_a_source_that_gives_no_frame_fails_the_stream(
+    node: Node, tmp_path: Path, reader: FakeReader, says: str
+) -> None:
+    stream = node.start(spec("none", replace(reader, folder=tmp_path)))
+    for _ in range(2):
+        with pytest.raises(SourceError, match=says):
+            stream.advance().result(timeout=60)
+    stream.stop(drain=True)
+
+
+def test_a_row_that_cannot_be_written_fails_the_stream_and_none_is_written_after_it(
+    node: Node, tmp_path: Path
+) -> None:
+    stream = node.start(spec("full", FakeReader([*crowd(20, 1)], tmp_path), FakeSink(tmp_path, fails_at=6)))
+    with pytest.raises(SinkError, match="disk is full"):
+        run_to_end(stream)
+    stream.stop(drain=False)
+    assert [row.split()[0] for row in rows(tmp_path)] == ["0", "1", "2", "3", "4", "5"]
+    assert (tmp_path / "sink-closed").exists()
+
+
+def test_the_death_of_the_sink_process_is_a_sink_error(node: Node, tmp_path: Path) -> None:
+    fatal = [*crowd(6, 1), picture(6, dies="sink"), *crowd(6, 1)]
+    stream = node.start(spec("lost", FakeReader([*fatal], tmp_path)))
+    with pytest.raises(SinkError, match="lost the process of its sink"):
+        run_to_end(stream)
+    stream.stop(drain=False)
+
+
+# ---- stopping
+
+
+def test_a_drained_stop_labels_and_commits_exactly_what_was_read(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures = crowd(100, 2)
+    stream = node.start(spec("stopped", FakeReader([*pictures], tmp_path)))
+    read = stream.advance().result(timeout=60).read
+    final = stream.stop(drain=True)
+    assert final is not None
+    assert final.done
+    assert final.read == final.committed == read < 100
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures[:read])
+    assert stream.stop(drain=True) == final
+
+
+def test_stopping_and_closing_leaves_no_process(ray_session: None, parts: FakeParts, tmp_path: Path) -> None:
+    node = Node(parts=parts, policy=PoolPolicy(spare=2))
+    stream = node.start(spec("gone", FakeReader([*crowd(100, 3)], tmp_path)))
+    stream.advance().result(timeout=60)
+    stream.advance()
+    stream.stop(drain=False)
+    stream.stop(drain=False)
+    assert (tmp_path / "sink-closed").exists()
+    assert (tmp_path / "reader-closed").exists()
+    node.close()
+    node.close()
+    assert len(parts.processes()) >= 4
+    wait_until(lambda: not any(is_running(process) for process in parts.processes()))
+
+
+# ---- once and in order
+
+
+def test_a_frame_is_done_once_in_order_and_not_after_one_that_failed() -> None:
+    order = FrameOrder()
+    with order.step(0, after=-1):
+        pass
+    for frame, after in ((0, -1), (2, 1)):
+        with pytest.raises(LayerError, match="frame 0 was last"), order.step(frame, after=after):
+            raise AssertionError("the work must not start")
+    with pytest.raises(ZeroDivisionError), order.step(1, after=0):
+        _ = 1 // 0
+    for after in (0, 1):
+        with (
+            pytest.raises(LayerError, match="a frame that failed was last"),
+            order.step(after + 1, after=after),
+        ):
+            raise AssertionError("the work must not start")

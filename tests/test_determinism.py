@@ -1,0 +1,84 @@
+"""The number of threads: one inside, whatever it was outside."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import cv2
+import numba
+import numpy as np
+import pytest
+import scipy.linalg  # noqa: F401  (brings a BLAS of its own, which must be limited too)
+from threadpoolctl import threadpool_info, threadpool_limits  # type: ignore[import-untyped]
+
+from mlbs_actors.determinism import single_threaded
+
+
+def thread_counts() -> dict[str, int]:
+    """Threads each numerical library of this process would use now."""
+    counts = {"numba": numba.get_num_threads(), "opencv": cv2.getNumThreads()}
+    return counts | {pool["filepath"]: int(pool["num_threads"]) for pool in threadpool_info()}
+
+
+@pytest.fixture(autouse=True)
+def _two_opencv_threads() -> object:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    yield
+    cv2.setNumThreads(before)
+
+
+def test_every_library_computes_in_one_thread_inside_the_block_and_as_before_after_it() -> None:
+    before = thread_counts()
+    assert len(before) > 2, "a BLAS must be loaded for this test to mean anything"
+    with single_threaded():
+        assert set(thread_counts().values()) == {1}
+    assert thread_counts() == before
+
+
+def test_the_threads_are_restored_after_an_exception() -> None:
+    before = thread_counts()
+    with pytest.raises(ZeroDivisionError), single_threaded():
+        _ = 1 // 0
+    assert thread_counts() == before
+
+
+def test_leaving_an_inner_block_keeps_the_outer_one_single_threaded() -> None:
+    with single_threaded():
+        with single_threaded():
+            pass
+        assert set(thread_counts().values()) == {1}
+
+
+def test_a_matrix_product_does_not_depend_on_the_number_of_threads_outside() -> None:
+    matrix = np.random.default_rng(3).normal(size=(300, 300))
+    products = []
+    for threads in (1, 2, 3):
+        with threadpool_limits(threads), single_threaded():
+            products.append((matrix @ matrix).tobytes())
+    assert products[0] == products[1] == products[2]
+
+
+@pytest.mark.parametrize("loaded", ["before", "after"])
+def test_a_limited_process_computes_in_one_thread_for_good(loaded: str) -> None:
+    libraries = "import cv2, numba, os, scipy.linalg; from threadpoolctl import threadpool_info"
+    limit = "from mlbs_actors.determinism import limit_process; limit_process()"
+    count = (
+        "print({numba.get_num_threads(), cv2.getNumThreads(), int(os.environ['OMP_NUM_THREADS'])}"
+        " | {pool['num_threads'] for pool in threadpool_info()})"
+    )
+    program = [libraries, limit, count] if loaded == "before" else [limit, libraries, count]
+    ran = subprocess.run(
+        [sys.executable, "-c", "\n".join(program)], capture_output=True, text=True, check=True
+    )
+    assert ran.stdout.strip() == "{1}"
+
+
+def test_limiting_a_process_loads_neither_numba_nor_scipy() -> None:
+    program = (
+        "from mlbs_actors.determinism import limit_process; limit_process(); import sys;"
+        "print({'numba', 'scipy'} & set(sys.modules))"
+    )
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "set()"
