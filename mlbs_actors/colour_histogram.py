@@ -125,7 +125,7 @@ def _bin(image: Array, y: int, x: int, bins: int) -> int:
     blue = image[y, x, 0] * bins // _LEVELS
     green = image[y, x, 1] * bins // _LEVELS
     red = image[y, x, 2] * bins // _LEVELS
-    return (blue * bins + green) * bins + red
+    return int((blue * bins + green) * bins + red)
 
 
 @njit(cache=True)

@@ -199,7 +199,7 @@ def prune(whole: LabelCostEnergy) -> Pruning:
 
 
 def movable(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array, Array]:
-    """Pixels that the best expansion of ``alpha`` may take, and the labels that it cannot empty.
+    """Pixels that a best expansion of ``alpha`` may take, and labels that it leaves in use.
 
     A pixel is left out when taking it costs more than its neighbours, those that can be at alpha, and the
     release of its own label can ever pay back: every move is better without it. Its neighbours then have one
@@ -218,7 +218,7 @@ def movable(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array, Ar
     pixels : (m,) intp
         Positions 0 … n−1, ascending.
     kept : (K,) bool
-        Labels other than alpha that stay in use whatever the move, or cost nothing.
+        Labels that keep a pixel in every best move, or cost nothing; alpha's own entry has no meaning.
     """
     pixels, kept = _movable(rest.unary, rest.neighbour, rest.weight, rest.label_costs, labels, alpha)
     return pixels, kept

@@ -4,35 +4,35 @@ The paper's model on a grid of nodes, each tied to its four neighbours and to th
 
     A d = b,   A = L/σ_m² + diag(w)/σ_p² + ε,   m = prior + d,   marginal of node i: N(m_i, (A⁻¹)_ii)
 
-with L the grid's Laplacian, w the weight of the trajectories that fall on each node, and b their deviation from
-the prior. x and y share A. Gaussian belief propagation converges to this mean, because A is strictly
+with L the grid's Laplacian, w the weight of the trajectories that fall on each node, and b their deviation
+from the prior. x and y share A. Gaussian belief propagation converges to this mean, because A is strictly
 diagonally dominant with no positive element off the diagonal and so *walk-summable*; it does not give these
 variances (on a loopy grid it is too sure of itself). Both are computed directly here: the mean by conjugate
-gradients with a multigrid V-cycle as the preconditioner, the variances by block-tridiagonal selected inversion,
-which is exact (:mod:`mlbs_actors.screened_poisson`).
+gradients with a multigrid V-cycle as the preconditioner, the variances by block-tridiagonal selected
+inversion, which is exact (:mod:`mlbs_actors.screened_poisson`).
 
 Differs from the paper:
 
-* The grid is coarser than the pixels: node (u, v) stands for the pixels of its ``spacing_px``² cell and lies at its
-  centre. In two dimensions the smoothness term does not change with the spacing (twice the distance, half
+* The grid is coarser than the pixels: a node stands for the pixels of its ``spacing_px``² cell and lies at
+  its centre. In two dimensions the smoothness term does not change with the spacing (twice the distance, half
   the gradient, a quarter of the nodes, four times the area), so σ_m needs no rescaling.
-* Evidence is sub-pixel: a trajectory shares its unit weight bilinearly among the four nodes around it. The weights
+* Evidence is sub-pixel: a trajectory shares its unit weight bilinearly among the four nodes around it. These
   are summed on the diagonal (*lumped*): the exact interpolation rows BᵀWB would couple the nodes with
   positive elements and walk-summability would be lost. Measured on a 4 px grid under rotation, the two
   fields are equally far from the truth (0.050 and 0.048 px on average at 0.03 px/frame per px).
-* Evidence is robust: after a plain solve, weights are set to Geman and McClure's (c²/(c²+r²))², r the distance
-  of a trajectory from the field, and the field is solved again, ``robust_rounds`` times.
-* Smoothness acts on the deviation from the prior mean. For a constant prior that is the paper's model; for the camera's
-  motion it leaves zoom and rotation unpunished and lets them reach where no trajectory is.
+* Evidence is robust: after a plain solve, weights are set to Geman and McClure's (c²/(c²+r²))², r the
+  distance of a trajectory from the field, and the field is solved again, ``robust_rounds`` times.
+* Smoothness acts on the deviation from the prior mean. For a constant prior that is the paper's model; for
+  the camera's motion it leaves zoom and rotation unpunished and lets them reach where no trajectory is.
 * ε is a weak prior, without which A would be singular for a layer without trajectories: spread over all
   nodes, it weighs as much as a single measurement of standard deviation ``prior_std_px``. Such a layer gets
   the prior mean itself.
-* The variances are computed exactly on a coarser grid of the same model, ``variance_spacing_px``, and stated for
-  the nodes of the mean's grid: the variance of a point has no limit as a grid is refined, every halving adds
-  σ_m² ln 2 / 2π where no evidence is nearer than the nodes, so that σ_m² ln(coarse / fine) / 2π is added. Measured
-  against the exact ones of the 4 px grid, with 1,000, 200 and 20 trajectories on 320×240 px: from 16 px the error
-  is 10, 7 and 3 % in the median (95 % quantile 25, 22 and 15 %), from 8 px 5, 3 and 1 % (15, 10 and 6 %);
-  without the addition 61 % (16 px) and 30 % (8 px).
+* The variances are computed exactly on a coarser grid of the same model, ``variance_spacing_px``, and stated
+  for the nodes of the mean's grid: the variance of a point has no limit as a grid is refined, every halving
+  adds σ_m² ln 2 / 2π where no evidence is nearer than the nodes, so σ_m² ln(coarse / fine) / 2π is added.
+  Measured against the exact ones of the 4 px grid, with 1,000, 200 and 20 trajectories on 320×240 px: from 16
+  px the error is 10, 7 and 3 % in the median (95 % quantile 25, 22 and 15 %), from 8 px 5, 3 and 1 % (15, 10
+  and 6 %); without the addition 61 % (16 px) and 30 % (8 px).
 """
 
 from __future__ import annotations
@@ -129,11 +129,11 @@ class MotionField:
     solver: Literal["multigrid", "direct"]
 
     def dense(self) -> Array:
-        """Mean at every pixel of the region: (h, w, 2) float32, px/frame, bilinear, constant past the outer nodes."""
+        """Mean at every pixel: (h, w, 2) float32, px/frame; bilinear, constant past the outer nodes."""
         return _to_pixels(self.mean, self.spacing, self.shape)
 
     def dense_variance(self) -> Array:
-        """Variance at every pixel of the region: (h, w) float32, px², interpolated like :meth:`dense`."""
+        """Variance at every pixel: (h, w) float32, px², interpolated like :meth:`dense`."""
         return _to_pixels(self.variance, self.variance_spacing, self.shape)
 
 
@@ -193,8 +193,12 @@ def motion_field(
     Paper §5, P(M|tracks) ∝ Π N(m_i | m_j, Σ_m) Π N(m_i | m_track, Σ_p).
     """
     if not (np.isfinite(positions).all() and np.isfinite(motions).all() and np.isfinite(prior_mean).all()):
-        raise SolverError("A motion field needs finite evidence; drop trajectories with NaN or infinite motion.")
+        raise SolverError(
+            "A motion field needs finite evidence; drop trajectories with NaN or infinite motion."
+        )
     height, width = shape
+    if height == 0 or width == 0:
+        return _empty_field(shape, len(positions), parameters)
     x, y = positions[:, 0], positions[:, 1]
     inside = (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5)
     points = positions[inside].astype(np.float64)
@@ -238,12 +242,29 @@ def motion_field(
     )
 
 
+def _empty_field(shape: tuple[int, int], point_count: int, parameters: MotionParameters) -> MotionField:
+    """Field of a region without pixels."""
+    return MotionField(
+        shape=shape,
+        mean=np.zeros((*_grid_shape(shape, parameters.spacing_px), 2), np.float32),
+        spacing=parameters.spacing_px,
+        variance=np.zeros(_grid_shape(shape, parameters.variance_spacing_px), np.float32),
+        variance_spacing=parameters.variance_spacing_px,
+        point_weights=np.zeros(point_count, np.float32),
+        iterations=0,
+        residual=0.0,
+        solver="multigrid",
+    )
+
+
 def _grid_shape(shape: tuple[int, int], spacing: int) -> tuple[int, int]:
     return -(-shape[0] // spacing), -(-shape[1] // spacing)
 
 
 def _to_pixels(values: Array, spacing: int, shape: tuple[int, int]) -> Array:
     """Bilinear: cv2 aligns cell centres too and repeats the border."""
+    if values.size == 0:
+        return np.zeros((*shape, *values.shape[2:]), np.float32)
     size = (values.shape[1] * spacing, values.shape[0] * spacing)
     pixels: Array = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]]
     return np.ascontiguousarray(pixels)
@@ -258,7 +279,8 @@ def _bilinear_taps(points: Array, grid: tuple[int, int], spacing: int) -> tuple[
     right, bottom = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
     along, down = u - left, v - top
     nodes = np.stack(
-        [top * columns + left, top * columns + right, bottom * columns + left, bottom * columns + right], axis=1
+        [top * columns + left, top * columns + right, bottom * columns + left, bottom * columns + right],
+        axis=1,
     )
     shares = np.stack(
         [(1 - down) * (1 - along), (1 - down) * along, down * (1 - along), down * along], axis=1
@@ -275,7 +297,7 @@ def _interpolate(field: Array, nodes: Array, shares: Array) -> Array:
 def _lump(nodes: Array, shares: Array, amounts: Array, grid: tuple[int, int]) -> Array:
     """Sum the points' amounts (n,) on the nodes by their shares."""
     total = np.bincount(nodes.ravel(), (shares * amounts[:, None]).ravel(), grid[0] * grid[1])
-    return total.reshape(grid)
+    return total.reshape(grid).astype(np.float64)  # bincount of no points at all is integer
 
 
 def _prior_precision(grid: tuple[int, int], parameters: MotionParameters) -> float:
@@ -298,4 +320,5 @@ def _marginal_variance(
     screening += _prior_precision(grid, parameters)
     refinement = np.log(parameters.variance_spacing_px / parameters.spacing_px) / (2.0 * np.pi)
     variance = inverse_diagonal(screening, 1.0 / parameters.smoothness_std_px**2)
-    return variance + parameters.smoothness_std_px**2 * refinement
+    variance += parameters.smoothness_std_px**2 * refinement
+    return variance

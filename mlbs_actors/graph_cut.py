@@ -16,8 +16,7 @@ Differs from the paper:
 * Costs are rounded to ``COST_QUANTUM`` = 1/1024 nat and cut in integers. Energies are exact multiples of
   it, as floats too: no tolerance anywhere.
 * Pixels whose label is the same in every optimum are decided first (``cut_pruning``), only the rest is cut.
-* Beside expansions, whole labels are tried for *removal*, their pixels shared out to the other labels; an
-  expansion can only hand all of a label's pixels to one other.
+* Beside expansions (one label takes pixels), *removals* are tried: a label's pixels are shared out to others.
 * The usual star of one node a label cost with thousands of edges makes the Boykov–Kolmogorov algorithm crawl.
   Here the pixels of one image row meet in a row node first; the minimum is the same.
 """
@@ -50,7 +49,7 @@ __all__ = [
 #: Costs are rounded to multiples of this, nats.
 COST_QUANTUM = 1.0 / 1024.0
 
-#: Largest unary cost or pair weight, nats (up to it every quantum is exact in float32), and largest label cost.
+#: Largest unary cost or pair weight, nats: up to it every quantum is exact in float32.
 MAX_COST = 2.0**14
 _MAX_LABEL_COST = 2.0**40
 
@@ -327,7 +326,7 @@ def _expansion(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array,
     graph.add_grid_tedges(ids, move, stay)
     graph.add_edges(*ends, *capacities)
     unmoved = int(stay.sum())
-    for label in np.setdiff1d(labels[nodes], np.flatnonzero(kept)):
+    for label in np.flatnonzero(~kept & (np.bincount(labels[nodes], minlength=kept.size) > 0)):
         members = np.flatnonzero(labels[nodes] == label)
         _add_label_cost(graph, members, rest.row[nodes[members]], int(rest.label_costs[label]))
         unmoved += int(rest.label_costs[label])

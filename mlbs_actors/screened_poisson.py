@@ -1,13 +1,13 @@
 """Solves the screened Poisson equation of a rectangular grid, and gives the diagonal of its inverse.
 
 The matrix is A = e·L + diag(s): L the Laplacian of the grid's 4-neighbour graph (no edges across the border),
-e > 0 the weight of an edge, s ≥ 0 the screening of each node, positive somewhere. It is the precision matrix of
-the Gaussian Markov random field of :mod:`mlbs_actors.gabp`.
+e > 0 the weight of an edge, s ≥ 0 the screening of each node, positive somewhere. It is the precision matrix
+of the Gaussian Markov random field of :mod:`mlbs_actors.gabp`.
 
 :func:`solve` runs conjugate gradients with one multigrid V-cycle as the preconditioner; the cost a node
-does not grow with the grid, nor with the unevenness of s (preconditioners that replace s by its mean suffer from
-it). The residual it returns with is computed anew; where it misses the tolerance a direct sparse solve takes
-over. :func:`inverse_diagonal` is exact: selected inversion with the grid's rows as blocks.
+does not grow with the grid, nor with the unevenness of s (preconditioners that replace s by its mean suffer
+from it). The residual it returns with is computed anew; where it misses the tolerance a direct sparse solve
+takes over. :func:`inverse_diagonal` is exact: selected inversion with the grid's rows as blocks.
 """
 
 from __future__ import annotations
@@ -90,7 +90,8 @@ def solve(
     residual = _residual(matrix, rhs, value) / size
     if residual <= tolerance:
         return Solution(value, residual, iterations, "multigrid")
-    value = np.stack([scipy.sparse.linalg.spsolve(matrix, part.ravel()) for part in rhs]).reshape(rhs.shape)
+    factors = scipy.sparse.linalg.splu(matrix.tocsc())
+    value = np.stack([factors.solve(part.ravel()) for part in rhs]).reshape(rhs.shape)
     residual = _residual(matrix, rhs, value) / size
     if not residual <= tolerance:
         raise SolverError(
@@ -110,7 +111,13 @@ def assemble(screening: Array, edge: float) -> scipy.sparse.dia_array:
     diagonal = screening.ravel() + edge * _degree(rows, columns).ravel()
     offsets = [0, 1, -1, columns, -columns]
     data = np.stack(
-        [diagonal, np.roll(beside_flat, 1), beside_flat, below, below]  # dia format: column j of each diagonal
+        [
+            diagonal,
+            np.roll(beside_flat, 1),
+            beside_flat,
+            below,
+            below,
+        ]  # dia format: column j of each diagonal
     )
     if columns == 1:
         offsets, data = [0, 1, -1], np.stack([diagonal, below, below])
@@ -120,8 +127,8 @@ def assemble(screening: Array, edge: float) -> scipy.sparse.dia_array:
 def inverse_diagonal(screening: Array, edge: float) -> Array:
     """Diagonal of A⁻¹, exactly.
 
-    With the grid's lines as blocks, A has D_i (tridiagonal) on its diagonal and −e·I beside it. Elimination gives
-    S_i = D_i − e² S_{i−1}⁻¹, and backwards the diagonal blocks of the inverse are
+    With the grid's lines as blocks, A has D_i (tridiagonal) on its diagonal and −e·I beside it. Elimination
+    gives S_i = D_i − e² S_{i−1}⁻¹, and backwards the diagonal blocks of the inverse are
     G_i = S_i⁻¹ + e² S_i⁻¹ G_{i+1} S_i⁻¹. The cost is O(long side · short side³).
 
     Parameters
@@ -168,11 +175,12 @@ def _residual(matrix: scipy.sparse.dia_array, rhs: Array, value: Array) -> float
     return float(np.sqrt(np.sum(difference**2)))
 
 
-# The multigrid pyramid. Level 0 is the grid, each next level joins 2×2 nodes, down to a single one. Joined nodes sum
-# their screening and their edges, which is the Galerkin operator of constant interpolation, and the edges are
-# then halved: constant interpolation makes a smooth function's gradient twice too steep. Every array has a
-# border of zeros, so that no loop asks for the grid's edge; all levels of a quantity lie in one array, and
-# the tables say where each starts, how many rows and columns it has, and its edge weights (vertical, horizontal).
+# The multigrid pyramid. Level 0 is the grid, each next level joins 2×2 nodes, down to a single one. Joined
+# nodes sum their screening and their edges, which is the Galerkin operator of constant interpolation, and the
+# edges are then halved: constant interpolation makes a smooth function's gradient twice too steep. Every
+# array has a border of zeros, so that no loop asks for the grid's edge; all levels of a quantity lie in one
+# array, and the tables say where each starts, its rows and columns, and its edge weights (vertical,
+# horizontal).
 
 
 def _pyramid(rows: int, columns: int, edge: float) -> tuple[Array, Array]:
@@ -196,9 +204,7 @@ def _level(buffer: Array, levels: Array, level: int) -> Array:
 
 
 @njit(cache=True)
-def _sweep(
-    value: Array, rhs: Array, inverse: Array, vertical: float, horizontal: float, colour: int
-) -> None:
+def _sweep(value: Array, rhs: Array, inverse: Array, vertical: float, horizontal: float, colour: int) -> None:
     """Gauss–Seidel on the nodes of one colour of the checkerboard: they depend on the other colour only."""
     for v in range(1, value.shape[0] - 1):
         for u in range(1 + (v + colour) % 2, value.shape[1] - 1, 2):
@@ -210,9 +216,7 @@ def _sweep(
 
 
 @njit(cache=True)
-def _v_cycle(
-    value: Array, rhs: Array, diagonal: Array, inverse: Array, levels: Array, edges: Array
-) -> None:
+def _v_cycle(value: Array, rhs: Array, diagonal: Array, inverse: Array, levels: Array, edges: Array) -> None:
     """Set value ≈ A⁻¹ rhs on level 0. Colours 0, 1 on the way down, 1, 0 up, which makes it symmetric."""
     last = len(levels) - 1
     for level in range(last):
@@ -251,7 +255,11 @@ def _set_operators(screening: Array, diagonal: Array, inverse: Array, levels: Ar
     summed = np.zeros_like(diagonal)
     _level(summed, levels, 0)[1:-1, 1:-1] = screening
     for level in range(len(levels)):
-        s, d, i = _level(summed, levels, level), _level(diagonal, levels, level), _level(inverse, levels, level)
+        s, d, i = (
+            _level(summed, levels, level),
+            _level(diagonal, levels, level),
+            _level(inverse, levels, level),
+        )
         rows, columns = levels[level, 1], levels[level, 2]
         for v in range(1, rows + 1):
             vertical = edges[level, 0] * ((v > 1) + (v < rows))
@@ -305,7 +313,9 @@ def _conjugate_gradients(
             curvature = 0.0
             for v in range(1, rows + 1):
                 for u in range(1, columns + 1):
-                    near = direction[v - 1, u] + direction[v + 1, u] + direction[v, u - 1] + direction[v, u + 1]
+                    near = (
+                        direction[v - 1, u] + direction[v + 1, u] + direction[v, u - 1] + direction[v, u + 1]
+                    )
                     product[v, u] = a[v, u] * direction[v, u] - edge * near
                     curvature += direction[v, u] * product[v, u]
             length = descent / curvature

@@ -27,42 +27,10 @@ from numba import njit
 
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["MAX_MISS_PX", "nearest_source", "nearest_sources", "warp_map"]
+__all__ = ["MAX_MISS_PX", "nearest_sources", "warp_map"]
 
-#: A stack that describes a point this far from the source (px) describes another surface: it is not taken over.
+#: A stack that describes a point this far from the source, px, is not taken over.
 MAX_MISS_PX = 1.0
-
-
-@njit(cache=True)
-def round_half_up(value: float) -> int:
-    """Nearest integer, halves upwards whatever the sign (so that a pan does not depend on the position)."""
-    return int(np.floor(value + 0.5))
-
-
-@njit(cache=True)
-def nearest_source(residual: Array, source_y: float, source_x: float) -> tuple[int, int]:
-    """Row and column of the stack that describes a source position of the old region best, or (−1, −1)."""
-    height, width = residual.shape[0], residual.shape[1]
-    row, column = round_half_up(source_y), round_half_up(source_x)
-    if not (0 <= row < height and 0 <= column < width):
-        return -1, -1
-    best_row = round_half_up(source_y - residual[row, column, 1])
-    best_column = round_half_up(source_x - residual[row, column, 0])
-    if 0 <= best_row < height and 0 <= best_column < width:
-        miss_x = abs(best_column + residual[best_row, best_column, 0] - source_x)
-        miss_y = abs(best_row + residual[best_row, best_column, 1] - source_y)
-        if max(miss_x, miss_y) <= 0.5:
-            return best_row, best_column
-    # The residual jumps here (a border, a bend of the motion): look at all neighbours.
-    best_row, best_column, best = -1, -1, MAX_MISS_PX**2
-    for near_row in range(max(row - 1, 0), min(row + 2, height)):
-        for near_column in range(max(column - 1, 0), min(column + 2, width)):
-            miss_x = near_column + residual[near_row, near_column, 0] - source_x
-            miss_y = near_row + residual[near_row, near_column, 1] - source_y
-            miss = miss_x * miss_x + miss_y * miss_y
-            if miss < best:
-                best_row, best_column, best = near_row, near_column, miss
-    return best_row, best_column
 
 
 def nearest_sources(
@@ -81,16 +49,16 @@ def nearest_sources(
 
     Returns
     -------
-    source : (new height, new width, 2) int32
-        Column and row in the old region, −1 where the source is outside it or nothing describes it.
+    source : (new height, new width) int64
+        Raster index in the old region, −1 where the source is outside it or nothing describes it.
     new_residual : (new height, new width, 2) float32
         Residual (x, y) after the move, px; 0 where there is no source.
 
     Notes
     -----
-    METHOD: backward warp of the appearance model, paper §6.1.
+    Backward warp of the appearance model, paper §6.1.
     """
-    source = np.empty((new_region.height, new_region.width, 2), np.int32)
+    source = np.empty((new_region.height, new_region.width), np.int64)
     new_residual = np.empty((new_region.height, new_region.width, 2), np.float32)
     _find_sources(
         residual, motion, new_region.x - old_region.x, new_region.y - old_region.y, source, new_residual
@@ -102,17 +70,48 @@ def nearest_sources(
 def _find_sources(
     residual: Array, motion: Array, shift_x: int, shift_y: int, source: Array, new_residual: Array
 ) -> None:
+    height, width = residual.shape[0], residual.shape[1]
     for y in range(source.shape[0]):
         for x in range(source.shape[1]):
             source_x = np.float64(x + shift_x) + motion[y, x, 0]
             source_y = np.float64(y + shift_y) + motion[y, x, 1]
-            row, column = nearest_source(residual, source_y, source_x)
-            source[y, x, 0], source[y, x, 1] = column, row
-            if row < 0:
-                new_residual[y, x, :] = 0.0
-            else:
-                new_residual[y, x, 0] = column + residual[row, column, 0] - source_x
-                new_residual[y, x, 1] = row + residual[row, column, 1] - source_y
+            # Halves round upwards whatever the sign, so that a pan is treated alike everywhere.
+            column, row = int(np.floor(source_x + 0.5)), int(np.floor(source_y + 0.5))
+            if not (0 <= row < height and 0 <= column < width):
+                source[y, x] = -1
+                new_residual[y, x, 0], new_residual[y, x, 1] = 0.0, 0.0
+                continue
+            miss_x = column + residual[row, column, 0] - source_x
+            miss_y = row + residual[row, column, 1] - source_y
+            if max(abs(miss_x), abs(miss_y)) > 0.5:
+                row, column, miss_x, miss_y = _search(residual, source_y, source_x, row, column)
+            source[y, x] = row * width + column if row >= 0 else -1
+            new_residual[y, x, 0], new_residual[y, x, 1] = miss_x, miss_y
+
+
+@njit(cache=True)
+def _search(
+    residual: Array, source_y: float, source_x: float, row: int, column: int
+) -> tuple[int, int, float, float]:
+    """Row, column and miss (x, y) of the best stack when the one at the nearest pixel is not it."""
+    height, width = residual.shape[0], residual.shape[1]
+    guess_row = int(np.floor(source_y - residual[row, column, 1] + 0.5))
+    guess_column = int(np.floor(source_x - residual[row, column, 0] + 0.5))
+    if 0 <= guess_row < height and 0 <= guess_column < width:
+        miss_x = guess_column + residual[guess_row, guess_column, 0] - source_x
+        miss_y = guess_row + residual[guess_row, guess_column, 1] - source_y
+        if max(abs(miss_x), abs(miss_y)) <= 0.5:
+            return guess_row, guess_column, miss_x, miss_y
+    # The residual jumps here (a border, a bend of the motion): look at all neighbours.
+    best_row, best_column, best_x, best_y, best = -1, -1, 0.0, 0.0, MAX_MISS_PX**2
+    for near_row in range(max(row - 1, 0), min(row + 2, height)):
+        for near_column in range(max(column - 1, 0), min(column + 2, width)):
+            miss_x = near_column + residual[near_row, near_column, 0] - source_x
+            miss_y = near_row + residual[near_row, near_column, 1] - source_y
+            miss = miss_x * miss_x + miss_y * miss_y
+            if miss < best:
+                best_row, best_column, best_x, best_y, best = near_row, near_column, miss_x, miss_y, miss
+    return best_row, best_column, best_x, best_y
 
 
 def warp_map(values: Array, old_region: Region, new_region: Region, motion: Array, neutral: float) -> Array:
@@ -139,7 +138,7 @@ def warp_map(values: Array, old_region: Region, new_region: Region, motion: Arra
     """
     warped = np.empty((new_region.height, new_region.width), np.float32)
     _warp_bilinear(
-        values, motion, new_region.x - old_region.x, new_region.y - old_region.y, np.float32(neutral), warped
+        values, motion, new_region.x - old_region.x, new_region.y - old_region.y, float(neutral), warped
     )
     if values.dtype == np.uint8:
         rounded: Array = np.floor(warped + np.float32(0.5)).astype(np.uint8)

@@ -12,7 +12,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from typing import Protocol
+from typing import Any, Protocol
 
 from mlbs_actors.actors.stream_protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
 from mlbs_actors.errors import MlbsError
@@ -101,7 +101,9 @@ class Driver:
         return exit_code(self.states, self._interruption.signal_number)
 
     def _admit(self) -> None:
-        for name in streams_to_start(self.states, self._limit - len(self._endings)):
+        # One at a time: a stream that fails at once frees its place for the next.
+        while names := streams_to_start(self.states, self._limit - len(self._endings)):
+            name = names[0]
             self._set(StreamState(name, "starting"))
             try:
                 self._streams[name] = self._host.start(self._specs[name])
@@ -110,7 +112,7 @@ class Driver:
                 self._fail(name, error)
 
     def _await_next(self) -> None:
-        pending = [*self._bursts, *self._endings]
+        pending: list[Future[Any]] = [*self._bursts, *self._endings]
         ready, _ = wait(pending, timeout=_WAKE_SECONDS, return_when=FIRST_COMPLETED)
         # In the order they were asked for, not in that of a set.
         for burst in [future for future in self._bursts if future in ready]:

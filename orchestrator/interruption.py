@@ -12,7 +12,17 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopAtOnce(BaseException):
-    """Raised in the main thread by the second signal. No ``except Exception`` may hold it up."""
+    """Raised in the main thread by the second signal. No ``except Exception`` may hold it up.
+
+    Attributes
+    ----------
+    signal_number : int
+        The signal that came first.
+    """
+
+    def __init__(self, signal_number: int) -> None:
+        super().__init__(signal_number)
+        self.signal_number = signal_number
 
 
 class Interruption:
@@ -42,5 +52,5 @@ class Interruption:
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
         if self.signal_number is not None:
-            raise StopAtOnce
+            raise StopAtOnce(self.signal_number)
         self.signal_number = number

@@ -31,7 +31,7 @@ from mlbs_actors.messages import (
 
 SHAPE = (24, 40)
 #: Where a frame says that a part dies: value 1 at this (row, column); for a layer its id.
-DEATHS = {"coordinator": (2, 0), "segmenter": (2, 1), "layer": (2, 2), "sink": (2, 3)}
+DEATHS = {"coordinator": (2, 0), "segmenter": (2, 1), "layer": (2, 2)}
 CONFIG = Config.model_validate({"layers": {"init_frames": 3}})
 
 
@@ -211,6 +211,7 @@ class FakeReader:
     folder: Path
     raises_at: int = -1
     dies_at: int = -1
+    enlarged: int = 1
     problem: str | None = None
     index: int = 0
 
@@ -225,6 +226,8 @@ class FakeReader:
         if self.index >= len(self.pictures):
             return None
         image, t = self.pictures[self.index], self.index
+        if image is not None:
+            image = image.repeat(self.enlarged, 0).repeat(self.enlarged, 1)
         self.index += 1
         with (self.folder / "reads").open("a") as reads:
             reads.write(f"{t}\n")
@@ -241,14 +244,14 @@ class FakeSink:
     folder: Path
     slow_seconds: float = 0.0
     fails_at: int = -1
+    dies_at: int = -1
     rows: int = 0
 
     def opened(self) -> StreamSink:
         return self
 
     def write(self, segmentation: Segmentation, frame: SourceFrame) -> int:
-        assert frame.image is not None
-        if frame.image[DEATHS["sink"]][0]:
+        if frame.index == self.dies_at:
             os._exit(1)
         self._row(frame.index, f"{segmentation.frame_index} {zlib.crc32(segmentation.labels.tobytes())}")
         self.rows += 1

@@ -4,31 +4,45 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import secrets
 import warnings
 from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 import ray
 
+_OBJECT_STORE_BYTES = 100_000_000
+
+
+@dataclass(frozen=True)
+class RaySession:
+    """The running session: its folder, and the size of its object store, bytes."""
+
+    folder: Path
+    object_store_bytes: int
+
 
 @pytest.fixture(scope="session")
-def ray_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def ray_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RaySession]:
     """An embedded Ray session on this machine, with a token of its own; never one that runs already."""
     token = tmp_path_factory.mktemp("ray") / "token"
     token.write_text(secrets.token_hex(32))
     with pytest.MonkeyPatch.context() as environment:
         environment.delenv("RAY_ADDRESS", raising=False)
         environment.setenv("RAY_AUTH_TOKEN_PATH", str(token))
-        ray.init(
+        environment.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)  # for the fakes
+        context = ray.init(
             address="local",
             num_cpus=2,
             include_dashboard=False,
             log_to_driver=False,
             logging_level=logging.ERROR,
-            object_store_memory=200_000_000,
+            object_store_memory=_OBJECT_STORE_BYTES,
         )
-        yield
+        yield RaySession(Path(vars(context)["address_info"]["session_dir"]), _OBJECT_STORE_BYTES)
         ray.shutdown()
         with warnings.catch_warnings():
             # Ray drops the handles of the processes it has ended without waiting for them.

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import mlbs_actors
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, FrameError, SourceError
 from mlbs_actors.messages import Array, Region, Segmentation
+from orchestrator.evaluation import scoring
 from orchestrator.evaluation.command import format_table, main, mean_of_sequences
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, label_colour, spread_evenly
 from orchestrator.evaluation.datasets import (
@@ -197,7 +197,7 @@ def test_the_command_runs_the_engine_and_prints_its_time(
         lookaheads.append(config.layers.lookahead)
         return TruthfulSubtractor(made)
 
-    monkeypatch.setattr(mlbs_actors, "MultilayerSubtractor", engine, raising=False)
+    monkeypatch.setattr(scoring, "MultilayerSubtractor", engine)
     figures = tmp_path / "figures.json"
     arguments = ["--sequences", TINY_CROSSING, "--lookahead", "2", "--json", str(figures)]
     assert main([*arguments, "--sheets", str(tmp_path / "sheets")]) == 0
@@ -220,7 +220,7 @@ def test_an_engine_that_fails_on_one_sequence_leaves_the_others_their_figures(
             return ready
         raise ZeroDivisionError("planted")
 
-    monkeypatch.setattr(mlbs_actors, "MultilayerSubtractor", engine, raising=False)
+    monkeypatch.setattr(scoring, "MultilayerSubtractor", engine)
     other = TINY_CROSSING.replace("crossing", "pan")
     assert main(["--sequences", f"{TINY_CROSSING},{other}", "--jobs", "1"]) == 1
     printed = capsys.readouterr()

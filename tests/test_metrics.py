@@ -12,7 +12,6 @@ from mlbs_actors.errors import FrameError
 from mlbs_actors.messages import Array, Region
 from orchestrator.evaluation.metrics import (
     FrameOverlap,
-    SequenceScorer,
     count_overlap,
     entry_delays,
     id_switches,
@@ -24,6 +23,7 @@ from orchestrator.evaluation.metrics import (
     object_level,
     two_label,
 )
+from orchestrator.evaluation.sequence_scorer import SequenceScorer
 
 
 def row(text: str) -> Array:

@@ -53,6 +53,8 @@ def test_the_exact_motion_carries_the_frame_before_onto_the_frame(name: str) -> 
     for index in (1, 21):
         known, labels = seen_before(made, index), made.labels(index)
         exact = carried_error(made, index, (0.0, 0.0))
+        shifts = ((0.25, 0.0), (-0.25, 0.0), (0.0, 0.25), (0.0, -0.25))
+        wrong = [carried_error(made, index, shift) for shift in shifts]
         # What is left is the blur of sampling twice. It must be small on each object by itself too, and a
         # motion that is off by a quarter px in any direction must be clearly worse.
         for label in np.unique(labels[known]).tolist():
@@ -60,8 +62,7 @@ def test_the_exact_motion_carries_the_frame_before_onto_the_frame(name: str) -> 
             if surface.sum() < 100:
                 continue
             assert exact[surface].mean() < 2.0
-            for shift in ((0.25, 0.0), (-0.25, 0.0), (0.0, 0.25), (0.0, -0.25)):
-                assert carried_error(made, index, shift)[surface].mean() > 1.3 * exact[surface].mean()
+            assert all(error[surface].mean() > 1.3 * exact[surface].mean() for error in wrong)
 
 
 @pytest.mark.parametrize("name", MOVERS)
@@ -79,19 +80,19 @@ def test_labels_move_with_the_exact_motion(name: str) -> None:
 
 @pytest.mark.parametrize("name", MOVERS)
 def test_each_object_moves_against_the_background_beside_it(name: str) -> None:
-    made = scene(name, frames=30)
-    moved: set[int] = set()
-    for index in range(1, 30, 4):
+    made = scene(name, frames=60)
+    speeds: dict[int, list[float]] = {}
+    for index in range(1, 60, 4):
         labels, flow = made.labels(index), made.flow(index)
         for label in np.unique(labels[labels > 0]).tolist():
             own = (labels == label).astype(np.uint8)
             ring = (cv2.dilate(own, np.ones((25, 25), np.uint8)) > 0) & (labels == 0)
             difference = flow[own > 0].mean(axis=0) - flow[ring].mean(axis=0)
-            if np.hypot(*difference) > 0.8:
-                moved.add(label)
-    present = {label for index in range(30) for label in np.unique(made.labels(index)).tolist()} - {0}
-    assert present
-    assert moved == present
+            speeds.setdefault(label, []).append(float(np.hypot(*difference)))
+    assert speeds
+    # Slower, an object cannot be told from its surroundings; the object of "stop" rests half of the time.
+    for of_label in speeds.values():
+        assert np.quantile(of_label, 0.75 if name == "stop" else 0.5) > 1.0
 
 
 def test_equal_seeds_give_equal_bytes_in_any_order_of_asking() -> None:

@@ -101,15 +101,16 @@ class EngineParts:
         config = Config()
         height, width = 48, 64
         frame = _read_only(np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8))
-        columns, rows = np.meshgrid(np.arange(4, width, 8), np.arange(4, height, 8))
+        columns, rows = np.meshgrid(np.arange(24, 40, 4), np.arange(16, 32, 4))
         positions = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float32)
-        for kind, layer in (("background", 0), ("object", 1)):
-            part = self.layer(config, layer, kind)  # type: ignore[arg-type]
+        kinds: tuple[LayerKind, ...] = ("background", "object")
+        for layer, kind in enumerate(kinds):  # one works on the frame, the other on a piece of it
+            part = self.layer(config, layer, kind)
             previous = None
             for t in range(3):
                 own = LayerEvidence(
                     layer=layer,
-                    kind=kind,  # type: ignore[arg-type]
+                    kind=kind,
                     last_frame=t - 1,
                     positions=_read_only(positions),
                     motions=_read_only(np.zeros_like(positions)),

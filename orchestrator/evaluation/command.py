@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import statistics
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -13,11 +14,12 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.evaluation import datasets
-from orchestrator.evaluation.metrics import SequenceScore
 from orchestrator.evaluation.scoring import SequenceResult, engine_result, run_label_maps, score_sequence
-from orchestrator.sources.synthetic import SCHEME
+from orchestrator.evaluation.sequence_scorer import SequenceScore
+from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
 __all__ = ["main"]
 
@@ -147,7 +149,7 @@ def _run_result(run: Path, name: str, truth: str, sheets: Path | None) -> Sequen
     try:
         sequence: datasets.Sequence
         if truth.startswith(SCHEME):
-            sequence = datasets.open_sequence(truth, None)
+            sequence = datasets.SceneSequence(name, scene_from_uri(truth))
         else:
             frames = Path(truth).parent / "frames"
             sequence = datasets.FolderSequence(name, Path(truth), frames if frames.is_dir() else None)
@@ -159,8 +161,6 @@ def _run_result(run: Path, name: str, truth: str, sheets: Path | None) -> Sequen
 
 
 def _score_engine(options: argparse.Namespace) -> list[SequenceResult]:
-    from mlbs_actors.config import load_config
-
     if options.truth:
         raise ConfigError("--truth belongs to --run; with --data the truth is each sequence's gt/.")
     if options.jobs < 1:
@@ -195,9 +195,9 @@ def _told(result: SequenceResult) -> SequenceResult:
 
 
 def median_delay(score: SequenceScore) -> float:
-    """Median entry delay, frames; infinite where most objects are never found, NaN where nothing entered."""
-    delays = sorted(math.inf if delay is None else float(delay) for delay in score.entry_delay.values())
-    return delays[(len(delays) - 1) // 2] if delays else math.nan
+    """Median entry delay, frames; infinite where half of the objects are never found, NaN where nothing entered."""
+    delays = [math.inf if delay is None else float(delay) for delay in score.entry_delay.values()]
+    return statistics.median(delays) if delays else math.nan
 
 
 def mean_of_sequences(values: Iterable[float]) -> float:

@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import Array
-from orchestrator.evaluation.metrics import IGNORE, ExtraLayer
+from orchestrator.evaluation.metrics import IGNORE
+from orchestrator.evaluation.sequence_scorer import ExtraLayer
 
 __all__ = ["SheetFrame", "contact_sheet", "extra_layer_sheet", "label_colour", "overlay", "spread_evenly"]
 
@@ -187,5 +188,8 @@ def _write_inside(picture: Array, text: str, mask: Array) -> None:
 
 def _write(picture: Array, text: str, origin: tuple[int, int]) -> None:
     """White text with a black rim, legible on anything."""
-    for colour, thickness in ((BLACK, 3), (WHITE, 1)):
-        cv2.putText(picture, text, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, thickness, cv2.LINE_AA)
+    x, y = origin
+    # A thicker stroke would also be wider; so the rim is the same text, shifted.
+    places = [(x + dx, y + dy, BLACK) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+    for left, bottom, colour in [*places, (x, y, WHITE)]:
+        cv2.putText(picture, text, (left, bottom), cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, 1, cv2.LINE_AA)

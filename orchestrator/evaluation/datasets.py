@@ -7,16 +7,15 @@ their frames; frames without one are not scored). A *data root* is searched for 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 from PIL import Image
 
 from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.messages import Array
+from orchestrator.sources.images import decode_image, images_of
 from orchestrator.sources.synthetic import SCHEME, SyntheticScene, scene_from_uri
 
 __all__ = [
@@ -32,8 +31,6 @@ __all__ = [
 
 #: Environment variable that names the default data root.
 DATA_VARIABLE = "MLBS_DATA"
-
-PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
 
 
 class Sequence(Protocol):
@@ -79,10 +76,10 @@ class FolderSequence:
 
     def __init__(self, name: str, truth_folder: Path, frames_folder: Path | None) -> None:
         self.name = name
-        self._truth = {path.stem: path for path in _files(truth_folder, {".png"})}
+        self._truth = _by_stem(truth_folder)
         self._frames: dict[str, Path] = {}
         if frames_folder is not None:
-            self._frames = {path.stem: path for path in _files(frames_folder, PICTURES)}
+            self._frames = _by_stem(frames_folder)
             strays = sorted(self._truth.keys() - self._frames.keys())
             if strays:
                 raise SourceError(
@@ -96,7 +93,7 @@ class FolderSequence:
         path = self._frames.get(self.stems[index])
         if path is None:
             raise SourceError(f"{self.name}: there are no pictures; put them in frames/ beside the truth.")
-        picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        picture = decode_image(path.read_bytes())
         if picture is None:
             raise SourceError(f"{path} cannot be decoded as a picture; replace or remove it.")
         return picture
@@ -210,10 +207,8 @@ def open_sequence(name: str, root: Path | None) -> Sequence:
     return FolderSequence(name, folder / "gt", folder / "frames")
 
 
-def _files(folder: Path, suffixes: Iterable[str]) -> list[Path]:
+def _by_stem(folder: Path) -> dict[str, Path]:
+    """The pictures of a folder in the order in which a run takes them."""
     if not folder.is_dir():
-        raise SourceError(f"{folder} is no folder.")
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
-    if not files:
-        raise SourceError(f"{folder} holds no {' or '.join(sorted(suffixes))} files.")
-    return files
+        raise SourceError(f"{folder} is no folder; check the path.")
+    return {path.stem: path for path in images_of(str(folder))}

@@ -1,19 +1,18 @@
-"""How well label maps agree with truth: two-label and multi-label figures, extra layers, identity, delay.
+"""How well one label map agrees with its truth, and how well labels and objects keep together over time.
 
 Every figure is a function of one small table a frame, the pixel counts of each (truth object, label) pair
-(:class:`FrameOverlap`), so a sequence is scored while it runs and no label map is kept.
+(:class:`FrameOverlap`), so no label map needs to be kept.
 
 Truth: 0 = background, 1 … 254 = objects, 255 = not judged; such pixels belong to no region of either side.
 
-Differs from the paper: the paper's multi-label figure (``multi_f``) counts every extra region as a failure,
-also a real small mover that the truth leaves out. ``object_f`` leaves the extra regions out and
-``extra_layers`` counts them beside it. ``multi_f_matlab`` follows the authors' program, which weighs the
-objects of a frame by (P + R)².
+Differs from the paper: the paper's multi-label figure (:func:`multi_label`) counts every extra region as a
+failure, also a real small mover that the truth leaves out; :func:`object_level` leaves the extra regions out.
+:func:`multi_label_matlab` follows the authors' program, which weighs the objects of a frame by (P + R)².
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,17 +21,12 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from mlbs_actors.errors import FrameError
-from mlbs_actors.messages import Array, Region
+from mlbs_actors.messages import Array
 
 __all__ = [
     "IGNORE",
-    "START_FRAMES",
     "Agreement",
-    "ExtraLayer",
     "FrameOverlap",
-    "RangeScore",
-    "SequenceScore",
-    "SequenceScorer",
     "count_overlap",
     "entry_delays",
     "id_switches",
@@ -47,10 +41,7 @@ __all__ = [
 
 #: Truth value of the pixels that are not judged.
 IGNORE = 255
-#: Frames held until the first clustering (at most); "after the start" begins behind them.
-START_FRAMES = 5
 
-MIN_EXTRA_LIFE = 3  # frames a layer must live to count as extra
 MIN_ENTRY_AREA = 400  # visible px from which an object counts as entered
 MIN_ENTRY_SPEED = 1.0  # px/frame against its surroundings
 SURROUNDINGS = 12  # width of the ring around an object that counts as its surroundings, px
@@ -85,85 +76,6 @@ class FrameOverlap:
     objects: Array
     labels: Array
     counts: Array
-
-
-@dataclass(frozen=True, slots=True)
-class ExtraLayer:
-    """A layer that lies mostly off every truth object: a real mover the truth leaves out, or a false one.
-
-    Attributes
-    ----------
-    layer : int
-        Label id.
-    first_frame, frames : int
-        The frame it was first seen in, and in how many it was seen.
-    on_truth : float
-        Share of its judged pixels that lie on truth objects, in [0, 0.5).
-    example_frame : int
-        The frame in which it was largest.
-    region : Region
-        Its bounding box there.
-    mask : (region.height, region.width) bool
-        Its pixels there.
-    """
-
-    layer: int
-    first_frame: int
-    frames: int
-    on_truth: float
-    example_frame: int
-    region: Region
-    mask: Array
-
-
-@dataclass(frozen=True, slots=True)
-class RangeScore:
-    """Means over the frames with truth of one range of a sequence; NaN where no frame counts.
-
-    ``precision``, ``recall``, ``two_label_f`` and ``j`` are means over all of them, ``multi_f``, ``object_f``
-    and ``multi_f_matlab`` over those whose truth has objects. All in [0, 1].
-    """
-
-    frames: int
-    precision: float
-    recall: float
-    two_label_f: float
-    j: float
-    multi_f: float
-    object_f: float
-    multi_f_matlab: float
-
-
-@dataclass(frozen=True, slots=True)
-class SequenceScore:
-    """All figures of one sequence.
-
-    Attributes
-    ----------
-    frames : int
-        Labelled frames, with or without truth.
-    all_frames, first_ten, after_start, davis : RangeScore
-        Frames with truth: all; with index below ten; from index ``START_FRAMES`` on; without the first and
-        the last of them (DAVIS's own protocol).
-    extra_layers : float
-        Extra layers per 100 labelled frames.
-    extras : tuple of ExtraLayer
-        The same, one by one, in ascending id.
-    id_switches : int
-    entry_delay : mapping of int to int or None
-        Frames from an object's entry until it is found, by truth id; None: never found. Objects there from
-        the start enter with frame 1. Empty when the exact motion is not known.
-    """
-
-    frames: int
-    all_frames: RangeScore
-    first_ten: RangeScore
-    after_start: RangeScore
-    davis: RangeScore
-    extra_layers: float
-    extras: tuple[ExtraLayer, ...]
-    id_switches: int
-    entry_delay: Mapping[int, int | None]
 
 
 def count_overlap(labels: Array, truth: Array, index: int = 0) -> FrameOverlap:
@@ -354,129 +266,3 @@ def entry_delays(overlaps: Iterable[FrameOverlap], entries: Mapping[int, int]) -
             if waiting and overlap.index >= entries[truth_id] and iou >= FOUND_IOU:
                 delays[truth_id] = overlap.index - entries[truth_id]
     return delays
-
-
-def _score_range(overlaps: Sequence[FrameOverlap]) -> RangeScore:
-    binary = [two_label(overlap) for overlap in overlaps]
-    with_objects = [overlap for overlap in overlaps if len(overlap.objects)]
-    return RangeScore(
-        frames=len(overlaps),
-        precision=_mean(agreement.precision for agreement in binary),
-        recall=_mean(agreement.recall for agreement in binary),
-        two_label_f=_mean(agreement.f for agreement in binary),
-        j=_mean(jaccard(overlap) for overlap in overlaps),
-        multi_f=_mean(multi_label(overlap).f for overlap in with_objects),
-        object_f=_mean(object_level(overlap).f for overlap in with_objects),
-        multi_f_matlab=_mean(multi_label_matlab(overlap) for overlap in with_objects),
-    )
-
-
-def _mean(values: Iterable[float]) -> float:
-    collected = list(values)
-    return sum(collected) / len(collected) if collected else float("nan")
-
-
-@dataclass(slots=True)
-class _Life:
-    """What is known so far of one label id."""
-
-    first_frame: int
-    frames: int = 0
-    judged: int = 0
-    on_truth: int = 0
-    largest: int = 0
-    example_frame: int = 0
-    region: Region = Region(0, 0, 0, 0)  # noqa: RUF009 - Region is immutable
-    mask: Array | None = None
-
-
-class SequenceScorer:
-    """Collects one sequence's label maps, frame by frame in ascending index, and scores them.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> scorer = SequenceScorer()
-    >>> scorer.add(0, np.array([[0, 7]]), np.array([[0, 1]], np.uint8))
-    >>> scorer.score().all_frames.two_label_f
-    1.0
-    """
-
-    def __init__(self) -> None:
-        self._frames = 0
-        self._overlaps: list[FrameOverlap] = []
-        self._lives: dict[int, _Life] = {}
-        self._entries: dict[int, int] = {}
-
-    def add(self, index: int, labels: Array, truth: Array | None, flow: Array | None = None) -> None:
-        """Take one labelled frame.
-
-        Parameters
-        ----------
-        index : int
-            Frame index.
-        labels : (H, W) integer, ≥ 0
-        truth : (H, W) uint8 or None
-            None: this frame has no truth; it counts for the life of layers only.
-        flow : (H, W, 2) float32 or None
-            Exact motion, px/frame, when known: from it come the entries of :func:`entry_delays`.
-
-        Raises
-        ------
-        FrameError
-            If labels and truth differ in size.
-        """
-        self._frames += 1
-        areas = np.bincount(labels.ravel())
-        for label in (np.flatnonzero(areas[1:]) + 1).tolist():
-            life = self._lives.setdefault(label, _Life(first_frame=index))
-            life.frames += 1
-            if areas[label] > life.largest:
-                life.largest, life.example_frame = int(areas[label]), index
-                life.region, life.mask = _cut_out(labels == label)
-        if truth is None:
-            return
-        overlap = count_overlap(labels, truth, index)
-        self._overlaps.append(overlap)
-        for column, label in enumerate(overlap.labels.tolist(), start=1):
-            self._lives[label].judged += int(overlap.counts[:, column].sum())
-            self._lives[label].on_truth += int(overlap.counts[1:, column].sum())
-        if flow is not None:
-            for truth_id in moving_objects(truth, flow):
-                self._entries.setdefault(truth_id, index)
-
-    def score(self) -> SequenceScore:
-        """All figures of the frames taken so far."""
-        extras = tuple(self._extras())
-        return SequenceScore(
-            frames=self._frames,
-            all_frames=_score_range(self._overlaps),
-            first_ten=_score_range([overlap for overlap in self._overlaps if overlap.index < 10]),
-            after_start=_score_range([o for o in self._overlaps if o.index >= START_FRAMES]),
-            davis=_score_range(self._overlaps[1:-1]),
-            extra_layers=100.0 * len(extras) / self._frames if self._frames else 0.0,
-            extras=extras,
-            id_switches=id_switches(self._overlaps),
-            entry_delay=entry_delays(self._overlaps, self._entries),
-        )
-
-    def _extras(self) -> Iterable[ExtraLayer]:
-        for label, life in sorted(self._lives.items()):
-            if life.frames < MIN_EXTRA_LIFE or life.judged == 0 or 2 * life.on_truth >= life.judged:
-                continue
-            assert life.mask is not None
-            yield ExtraLayer(
-                label,
-                life.first_frame,
-                life.frames,
-                life.on_truth / life.judged,
-                life.example_frame,
-                life.region,
-                life.mask,
-            )
-
-
-def _cut_out(mask: Array) -> tuple[Region, Array]:
-    """Bounding box of a mask and the mask inside it."""
-    region = Region(*cv2.boundingRect(mask.astype(np.uint8)))
-    return region, mask[region.slices].copy()

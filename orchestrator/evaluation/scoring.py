@@ -13,11 +13,13 @@ from typing import Protocol
 
 import cv2
 
+from mlbs_actors import MultilayerSubtractor
+from mlbs_actors.config import load_config
 from mlbs_actors.errors import FrameError, MlbsError, SinkError, SourceError
 from mlbs_actors.messages import Array, Segmentation
 from orchestrator.evaluation import datasets
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, extra_layer_sheet, spread_evenly
-from orchestrator.evaluation.metrics import SequenceScore, SequenceScorer
+from orchestrator.evaluation.sequence_scorer import SequenceScore, SequenceScorer
 
 __all__ = ["EngineLabelling", "SequenceResult", "engine_result", "run_label_maps", "score_sequence"]
 
@@ -172,10 +174,6 @@ def engine_result(
     name: str, root: Path | None, overrides: Sequence[str], sheet_folder: Path | None
 ) -> SequenceResult:
     """Open a sequence, run the engine over it, score it. A failure is told in the result: others go on."""
-    # Imported here, since scoring a run's masks needs no engine and starts faster without.
-    from mlbs_actors import MultilayerSubtractor
-    from mlbs_actors.config import load_config
-
     try:
         sequence = datasets.open_sequence(name, root)
         labelling = EngineLabelling(sequence, MultilayerSubtractor(load_config(None, list(overrides))))

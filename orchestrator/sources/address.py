@@ -22,7 +22,7 @@ __all__ = ["GLOB_CHARACTERS", "SourceAddress", "SourceKind", "parse_address"]
 GLOB_CHARACTERS = "*?["
 
 _MAX_ADDRESS_BYTES = 4096
-_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*):")
+_SCHEME = re.compile(r"([^/:]*):")  # wider than the standard's: libav knows "subfile,,start,0,,:"
 _CAMERA = re.compile(r"/dev/video\d{1,4}")
 
 
@@ -84,7 +84,7 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
             return _synthetic_address(text)
         case other:
             raise ConfigError(
-                f"{other}: is no known kind of source; use a path, rtsp://, rtsps:// or synthetic: "
+                f"{other[:40]!r} is no known kind of source; use a path, rtsp://, rtsps:// or synthetic: "
                 "(for a file whose name holds a colon, write ./NAME)"
             )
 

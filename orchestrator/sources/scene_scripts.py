@@ -179,9 +179,13 @@ class Stage:
         x, y = (np.broadcast_to(np.asarray(axis, np.float64), (self.frames,)) for axis in path)
         return np.stack([x, y * self.tallness], axis=1)
 
+    def _texture_rng(self) -> np.random.Generator:
+        """One for each texture: a larger texture draws more numbers, which must not alter outlines."""
+        return np.random.default_rng(self.rng.integers(2**63))
+
     def _plane(self, colour: tuple[float, ...], nearness: float, slope: float, top: float | None) -> None:
         side = round(TILE * self.unit)
-        texture = patchwork(self.rng, (side, side), colour, self.unit)
+        texture = patchwork(self._texture_rng(), (side, side), colour, self.unit)
         maps = self._maps((side, side), np.zeros((self.frames, 2)), 0.0, nearness, slope)
         top_row = None if top is None else top * self.unit + (side - 1) / 2
         self.placed.append((1.0, Surface(BACKGROUND, texture, None, top_row, maps)))
@@ -196,7 +200,7 @@ class Stage:
         turn: Array | float = 0.0,
     ) -> None:
         height, width = opacity.shape
-        texture = patchwork(self.rng, (height, width), colour, self.unit * 0.6, contrast=32.0)
+        texture = patchwork(self._texture_rng(), (height, width), colour, self.unit * 0.6, contrast=30.0)
         maps = self._maps((height, width), centre, turn, nearness, 0.0)
         self.placed.append((nearness, Surface(label, texture, opacity, None, maps)))
 
@@ -229,8 +233,7 @@ def _similarity(angle: Array, scale: Array, shift: Array) -> Array:
 
 def _object_colour(rng: np.random.Generator) -> tuple[float, ...]:
     """A colour that stands out from the background only moderately."""
-    colour = rng.uniform(50, 205, 3)
-    return tuple((0.7 * colour + 0.3 * 110).tolist())
+    return tuple(rng.uniform(60, 200, 3).tolist())
 
 
 def _to_and_fro(time: Array, period: float) -> Array:
@@ -240,11 +243,11 @@ def _to_and_fro(time: Array, period: float) -> Array:
 
 def _demo(stage: Stage) -> None:
     time = stage.time
-    stage.pan(1.8)
+    stage.pan(1.2)
     stage.zoom = 1.0 + 0.05 * np.sin(time / 40)
     stage.background()
     stage.thing(1, (100 * _to_and_fro(time, 120), 62 + 3 * np.sin(time / 9)), (34, 19))
-    stage.thing(2, (-92 * _to_and_fro(time, 130), 34 + 2 * np.sin(time / 7)), (27, 17))
+    stage.thing(2, (-105 * _to_and_fro(time, 100), 34 + 2 * np.sin(time / 7)), (27, 17))
     stage.thing(3, (80 * np.cos(time / 15), -62 + 22 * np.sin(time / 11)), (15, 13), turn=time / 18)
 
 
@@ -265,7 +268,7 @@ def _roll_zoom(stage: Stage) -> None:
 
 
 def _crossing(stage: Stage) -> None:
-    stage.pan(1.2)
+    stage.pan(0.5)
     stage.background()
     stage.thing(1, (75 * _to_and_fro(stage.time, 120), 40), (24, 20))
     stage.thing(2, (-75 * _to_and_fro(stage.time, 120), 50), (26, 22))
@@ -284,7 +287,7 @@ def _late_entry(stage: Stage) -> None:
     stage.background()
     stage.thing(1, (-50 + 25 * np.sin(stage.time / 12), 60), (28, 17))
     first, second = min(stage.frames // 4, 40), min(stage.frames // 2, 80)
-    stage.thing(2, (np.maximum(205 - 3.0 * np.maximum(stage.time - first, 0), 70), 40), (26, 20))
+    stage.thing(2, (np.maximum(205 - 4.0 * np.maximum(stage.time - first, 0), 70), 40), (26, 20))
     stage.thing(3, (np.minimum(-195 + 3.2 * np.maximum(stage.time - second, 0), 0), -50), (20, 16))
 
 
@@ -322,7 +325,7 @@ def _parallax(stage: Stage) -> None:
     stage.slope = 2.2 * SLOPE
     stage.pan(1.6)
     stage.background(props=14)
-    stage.thing(1, (-70 * _to_and_fro(stage.time, 110), 45), (26, 18))
+    stage.thing(1, (25 * np.sin(stage.time / 14), 45), (26, 18))
 
 
 def _crowd(stage: Stage) -> None:

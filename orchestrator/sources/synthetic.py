@@ -25,13 +25,14 @@ from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import Array, Region
 from orchestrator.sources.scene_scripts import SCRIPTS, Surface, build_surfaces
 
-__all__ = ["SCHEME", "SyntheticScene", "scene", "scene_from_uri"]
+__all__ = ["LIMITS", "SCHEME", "SyntheticScene", "scene", "scene_from_uri"]
 
 #: How the URI of a scene begins: ``synthetic:NAME?frames=60&seed=1&width=640&height=480``.
 SCHEME = "synthetic:"
 
 LENS_BLUR = 0.6  # standard deviation, px
 SENSOR_NOISE = 2.0  # standard deviation, grey levels
+#: Least and largest value of each parameter of a scene.
 LIMITS = {"frames": (1, 100_000), "seed": (0, 2**32 - 1), "width": (32, 4096), "height": (32, 4096)}
 
 

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
+from scipy import fft, ndimage
 
 from mlbs_actors.messages import Array
 
 __all__ = ["blob", "capsule", "patchwork"]
 
-PATCH_WAVELENGTH, DETAIL_WAVELENGTH, GRAIN_WAVELENGTH = 26.0, 7.0, 3.5  # canvas units
+PATCH_WAVELENGTH, DETAIL_WAVELENGTH = 24.0, 7.0  # canvas units
+GRAIN_WAVELENGTH = 3.5  # px: a picture of any size has detail to follow
 PATCH_TONES = 5
 
 
 def _periodic_noise(rng: np.random.Generator, shape: tuple[int, int], wavelength: float) -> Array:
     """Gaussian noise without waves much shorter than ``wavelength`` (px); it tiles; mean 0, deviation 1."""
-    spectrum = np.fft.rfft2(rng.standard_normal(shape))
-    frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :])
-    spectrum *= np.exp(-((frequency * wavelength) ** 2))
+    spectrum = fft.rfft2(rng.standard_normal(shape, dtype=np.float32))
+    frequency = np.hypot(fft.fftfreq(shape[0])[:, None], fft.rfftfreq(shape[1])[None, :])
+    spectrum *= np.exp(-((frequency * wavelength) ** 2)).astype(np.float32)
     spectrum[0, 0] = 0.0
-    noise: Array = np.fft.irfft2(spectrum, s=shape)
+    noise: Array = fft.irfft2(spectrum, s=shape)
     noise /= noise.std()
     return noise
 
@@ -29,7 +30,7 @@ def patchwork(
     shape: tuple[int, int],
     colour: tuple[float, ...],
     unit: float,
-    contrast: float = 45.0,
+    contrast: float = 36.0,
 ) -> Array:
     """Patches of a few tones around a colour, with soft shading and grain: edges and corners everywhere.
 
@@ -51,12 +52,13 @@ def patchwork(
     """
     fields = [_periodic_noise(rng, shape, PATCH_WAVELENGTH * unit) for _ in range(PATCH_TONES)]
     tones = np.asarray(colour) + rng.uniform(-contrast, contrast, (PATCH_TONES, 1))
-    tones += rng.uniform(-0.35, 0.35, (PATCH_TONES, 3)) * contrast
-    texture = tones[np.argmax(fields, axis=0)]
-    texture = ndimage.gaussian_filter(texture, (0.7, 0.7, 0), mode="wrap")
-    texture += 14 * _periodic_noise(rng, shape, DETAIL_WAVELENGTH * unit)[:, :, None]
-    texture += 7 * _periodic_noise(rng, shape, GRAIN_WAVELENGTH * unit)[:, :, None]
-    return np.clip(texture, 0, 255).round().astype(np.uint8)
+    tones += rng.uniform(-0.3, 0.3, (PATCH_TONES, 3)) * contrast
+    texture = tones.astype(np.float32)[np.argmax(fields, axis=0)]
+    texture = ndimage.gaussian_filter(texture, (0.7, 0.7, 0), mode="wrap", truncate=3.0)
+    shading = 12 * _periodic_noise(rng, shape, DETAIL_WAVELENGTH * unit)
+    shading += 8 * _periodic_noise(rng, shape, GRAIN_WAVELENGTH)
+    texture += shading[:, :, None]
+    return np.clip(texture + 0.5, 0, 255).astype(np.uint8)
 
 
 def blob(rng: np.random.Generator, size: tuple[float, float], unit: float, wobble: float = 0.12) -> Array:

@@ -1,0 +1,239 @@
+"""All figures of one sequence, collected frame by frame: means by range of frames, and layers off the truth.
+
+Differs from the paper: beside its figures stand ``object_f`` and ``extra_layers``, which tell objects lost
+from layers the truth does not know, and the frames of the start are also scored apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from mlbs_actors.messages import Array, Region
+from orchestrator.evaluation.metrics import (
+    FrameOverlap,
+    count_overlap,
+    entry_delays,
+    id_switches,
+    jaccard,
+    moving_objects,
+    multi_label,
+    multi_label_matlab,
+    object_level,
+    two_label,
+)
+
+__all__ = ["START_FRAMES", "ExtraLayer", "RangeScore", "SequenceScore", "SequenceScorer"]
+
+#: Frames held until the first clustering (at most); "after the start" begins behind them.
+START_FRAMES = 5
+
+MIN_EXTRA_LIFE = 3  # frames a layer must live to count as extra
+
+
+@dataclass(frozen=True, slots=True)
+class ExtraLayer:
+    """A layer that lies mostly off every truth object: a real mover the truth leaves out, or a false one.
+
+    Attributes
+    ----------
+    layer : int
+        Label id.
+    first_frame, frames : int
+        The frame it was first seen in, and in how many it was seen.
+    on_truth : float
+        Share of its judged pixels that lie on truth objects, in [0, 0.5).
+    example_frame : int
+        The frame in which it was largest.
+    region : Region
+        Its bounding box there.
+    mask : (region.height, region.width) bool
+        Its pixels there.
+    """
+
+    layer: int
+    first_frame: int
+    frames: int
+    on_truth: float
+    example_frame: int
+    region: Region
+    mask: Array
+
+
+@dataclass(frozen=True, slots=True)
+class RangeScore:
+    """Means over the frames with truth of one range of a sequence; NaN where no frame counts.
+
+    ``precision``, ``recall``, ``two_label_f`` and ``j`` are means over all of them, ``multi_f``, ``object_f``
+    and ``multi_f_matlab`` over those whose truth has objects. All in [0, 1].
+    """
+
+    frames: int
+    precision: float
+    recall: float
+    two_label_f: float
+    j: float
+    multi_f: float
+    object_f: float
+    multi_f_matlab: float
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceScore:
+    """All figures of one sequence.
+
+    Attributes
+    ----------
+    frames : int
+        Labelled frames, with or without truth.
+    all_frames, first_ten, after_start, davis : RangeScore
+        Frames with truth: all; with index below ten; from index ``START_FRAMES`` on; without the first and
+        the last of them (DAVIS's own protocol).
+    extra_layers : float
+        Extra layers per 100 labelled frames.
+    extras : tuple of ExtraLayer
+        The same, one by one, in ascending id.
+    id_switches : int
+    entry_delay : mapping of int to int or None
+        Frames from an object's entry until it is found, by truth id; None: never found. Objects there from
+        the start enter with frame 1. Empty when the exact motion is not known.
+    """
+
+    frames: int
+    all_frames: RangeScore
+    first_ten: RangeScore
+    after_start: RangeScore
+    davis: RangeScore
+    extra_layers: float
+    extras: tuple[ExtraLayer, ...]
+    id_switches: int
+    entry_delay: Mapping[int, int | None]
+
+
+def _score_range(overlaps: Sequence[FrameOverlap]) -> RangeScore:
+    binary = [two_label(overlap) for overlap in overlaps]
+    with_objects = [overlap for overlap in overlaps if len(overlap.objects)]
+    return RangeScore(
+        frames=len(overlaps),
+        precision=_mean(agreement.precision for agreement in binary),
+        recall=_mean(agreement.recall for agreement in binary),
+        two_label_f=_mean(agreement.f for agreement in binary),
+        j=_mean(jaccard(overlap) for overlap in overlaps),
+        multi_f=_mean(multi_label(overlap).f for overlap in with_objects),
+        object_f=_mean(object_level(overlap).f for overlap in with_objects),
+        multi_f_matlab=_mean(multi_label_matlab(overlap) for overlap in with_objects),
+    )
+
+
+def _mean(values: Iterable[float]) -> float:
+    collected = list(values)
+    return sum(collected) / len(collected) if collected else float("nan")
+
+
+@dataclass(slots=True)
+class _Life:
+    """What is known so far of one label id."""
+
+    first_frame: int
+    frames: int = 0
+    judged: int = 0
+    on_truth: int = 0
+    largest: int = 0
+    example_frame: int = 0
+    region: Region = Region(0, 0, 0, 0)  # noqa: RUF009 - Region is immutable
+    mask: Array | None = None
+
+
+class SequenceScorer:
+    """Collects one sequence's label maps, frame by frame in ascending index, and scores them.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> scorer = SequenceScorer()
+    >>> scorer.add(0, np.array([[0, 7]]), np.array([[0, 1]], np.uint8))
+    >>> scorer.score().all_frames.two_label_f
+    1.0
+    """
+
+    def __init__(self) -> None:
+        self._frames = 0
+        self._overlaps: list[FrameOverlap] = []
+        self._lives: dict[int, _Life] = {}
+        self._entries: dict[int, int] = {}
+
+    def add(self, index: int, labels: Array, truth: Array | None, flow: Array | None = None) -> None:
+        """Take one labelled frame.
+
+        Parameters
+        ----------
+        index : int
+            Frame index.
+        labels : (H, W) integer, ≥ 0
+        truth : (H, W) uint8 or None
+            None: this frame has no truth; it counts for the life of layers only.
+        flow : (H, W, 2) float32 or None
+            Exact motion, px/frame, when known: from it come the entries of :func:`entry_delays`.
+
+        Raises
+        ------
+        FrameError
+            If labels and truth differ in size.
+        """
+        self._frames += 1
+        areas = np.bincount(labels.ravel())
+        for label in (np.flatnonzero(areas[1:]) + 1).tolist():
+            life = self._lives.setdefault(label, _Life(first_frame=index))
+            life.frames += 1
+            if areas[label] > life.largest:
+                life.largest, life.example_frame = int(areas[label]), index
+                life.region, life.mask = _cut_out(labels == label)
+        if truth is None:
+            return
+        overlap = count_overlap(labels, truth, index)
+        self._overlaps.append(overlap)
+        for column, label in enumerate(overlap.labels.tolist(), start=1):
+            self._lives[label].judged += int(overlap.counts[:, column].sum())
+            self._lives[label].on_truth += int(overlap.counts[1:, column].sum())
+        if flow is not None:
+            for truth_id in moving_objects(truth, flow):
+                self._entries.setdefault(truth_id, index)
+
+    def score(self) -> SequenceScore:
+        """All figures of the frames taken so far."""
+        extras = tuple(self._extras())
+        return SequenceScore(
+            frames=self._frames,
+            all_frames=_score_range(self._overlaps),
+            first_ten=_score_range([overlap for overlap in self._overlaps if overlap.index < 10]),
+            after_start=_score_range([o for o in self._overlaps if o.index >= START_FRAMES]),
+            davis=_score_range(self._overlaps[1:-1]),
+            extra_layers=100.0 * len(extras) / self._frames if self._frames else 0.0,
+            extras=extras,
+            id_switches=id_switches(self._overlaps),
+            entry_delay=entry_delays(self._overlaps, self._entries),
+        )
+
+    def _extras(self) -> Iterable[ExtraLayer]:
+        for label, life in sorted(self._lives.items()):
+            if life.frames < MIN_EXTRA_LIFE or life.judged == 0 or 2 * life.on_truth >= life.judged:
+                continue
+            assert life.mask is not None
+            yield ExtraLayer(
+                label,
+                life.first_frame,
+                life.frames,
+                life.on_truth / life.judged,
+                life.example_frame,
+                life.region,
+                life.mask,
+            )
+
+
+def _cut_out(mask: Array) -> tuple[Region, Array]:
+    """Bounding box of a mask and the mask inside it."""
+    region = Region(*cv2.boundingRect(mask.astype(np.uint8)))
+    return region, mask[region.slices].copy()

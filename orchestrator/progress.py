@@ -1,0 +1,138 @@
+"""Shows a run while it goes on: a live table on a terminal, JSON lines elsewhere."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from typing import Protocol, TextIO
+
+from rich.console import Console
+from rich.live import Live
+from rich.markup import escape
+from rich.table import Table
+
+from orchestrator.stream_state import ENDED, StreamState
+
+__all__ = ["JsonLines", "LiveTable", "Progress", "progress_for"]
+
+#: Least time between two lines about a stream whose state is the same, s.
+_LINE_SECONDS = 5.0
+
+_STYLES = {"running": "green", "done": "dim", "partial": "yellow", "failed": "red", "waiting": "dim"}
+
+
+class Progress(Protocol):
+    """An observer of the driver that shows what it is told."""
+
+    def update(self, states: Sequence[StreamState]) -> None:
+        """Show the states."""
+
+    def close(self) -> None:
+        """Show the last states and give the terminal back."""
+
+
+def progress_for(output: TextIO) -> Progress:
+    """Return what suits ``output``: a table if it is a terminal."""
+    return LiveTable(Console(file=output)) if output.isatty() else JsonLines(output)
+
+
+class JsonLines:
+    """A line per stream when its state changes, and every few seconds while it runs.
+
+    Parameters
+    ----------
+    output : text file
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(self, output: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
+        self._output = output
+        self._clock = clock
+        self._shown: dict[str, tuple[float, StreamState]] = {}
+
+    def update(self, states: Sequence[StreamState]) -> None:
+        """Write the lines that are due."""
+        now = self._clock()
+        for state in states:
+            last = self._shown.get(state.name)
+            if last is None or last[1].state != state.state:
+                due = True
+            else:
+                due = state != last[1] and now - last[0] >= _LINE_SECONDS
+            if due:
+                self._shown[state.name] = now, state
+                self._write(state)
+
+    def close(self) -> None:
+        """Nothing is held back."""
+
+    def _write(self, state: StreamState) -> None:
+        fields = asdict(state) | {"frames_per_second": round(state.frames_per_second, 2)}
+        self._output.write(json.dumps({"stream": fields.pop("name")} | fields) + "\n")
+        self._output.flush()
+
+
+class LiveTable:
+    """A table that is redrawn in place; streams at work come first if not all fit.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._live = Live(console=console, refresh_per_second=4, transient=False)
+        self._live.start()
+
+    def update(self, states: Sequence[StreamState]) -> None:
+        """Redraw the table with the next refresh."""
+        self._live.update(self._table(states))
+
+    def close(self) -> None:
+        """Draw the last states and give the terminal back."""
+        self._live.stop()
+
+    def _table(self, states: Sequence[StreamState]) -> Table:
+        rows = max(3, self._console.height - 6)
+        shown = list(states)
+        if len(shown) > rows:
+            shown = sorted(shown, key=_interest)[:rows]
+        table = Table(caption=_summary(states, len(shown)), caption_justify="left")
+        for heading in ("stream", "state"):
+            table.add_column(heading, no_wrap=True)
+        for heading in ("read", "committed", "frames/s", "layers", "lost"):
+            table.add_column(heading, justify="right", no_wrap=True)
+        table.add_column("note", overflow="fold")
+        for state in shown:
+            rate = f"{state.frames_per_second:.1f}" if state.frames_per_second else ""
+            lost = state.dropped + state.quarantined
+            table.add_row(
+                escape(state.name),
+                f"[{_STYLES.get(state.state, 'cyan')}]{state.state}[/]",
+                str(state.read),
+                str(state.committed),
+                rate,
+                str(state.layers) if state.layers else "",
+                str(lost) if lost else "",
+                escape(state.error or ""),
+            )
+        return table
+
+
+def _interest(state: StreamState) -> int:
+    """Rank for a table that is too small: at work, gone wrong, waiting, done."""
+    if state.state not in ENDED and state.state != "waiting":
+        return 0
+    return {"failed": 1, "partial": 1, "waiting": 2}.get(state.state, 3)
+
+
+def _summary(states: Sequence[StreamState], shown: int) -> str:
+    counts = Counter(state.state for state in states)
+    parts = ", ".join(f"{count} {name}" for name, count in counts.items())
+    hidden = len(states) - shown
+    return f"{parts} ({hidden} not shown)" if hidden else parts

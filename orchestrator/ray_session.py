@@ -1,0 +1,152 @@
+"""Ray for one run: started on this machine with safe settings, or a cluster that is joined.
+
+Ray's ports listen on all interfaces and whoever reaches them can run code. So a session of our own asks for
+a token that only this user can read, and has no dashboard. A cluster is joined only when asked for:
+``RAY_ADDRESS`` in the environment alone does nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import secrets
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from mlbs_actors.errors import ConfigError, MlbsError
+
+__all__ = ["ray_session", "ray_settings"]
+
+#: Frames, label maps and posteriors on their way; a few of each a stream, bytes.
+_OBJECT_STORE_BYTES = 2 * 2**30
+
+# Ray's sockets must have short paths, and TMPDIR may be long.
+_SCRATCH_PARENT = Path("/tmp")
+
+
+@contextmanager
+def ray_settings(address: str | None) -> Iterator[Path]:
+    """Set Ray's environment for a run and make its scratch folder; both are undone on exit.
+
+    Ray reads its settings when it is imported, so this comes before the first import of anything on Ray.
+
+    Parameters
+    ----------
+    address : str, optional
+        Cluster to join, whose own settings then count; None for a session of our own.
+
+    Yields
+    ------
+    Path
+        Folder for the files of a session of our own, readable by this user only.
+
+    Raises
+    ------
+    RuntimeError
+        If Ray is imported already.
+    """
+    if "ray" in sys.modules:
+        raise RuntimeError("Ray is imported already and would ignore the settings; call ray_settings before.")
+    scratch = Path(tempfile.mkdtemp(prefix="mlbs-ray-", dir=_SCRATCH_PARENT))
+    settings: dict[str, str | None] = {"RAY_ADDRESS": None}
+    if address is None:
+        token = scratch / "token"
+        token.touch(mode=0o600)
+        token.write_text(secrets.token_hex(32), encoding="ascii")
+        settings |= {
+            "RAY_AUTH_MODE": "token",
+            "RAY_AUTH_TOKEN": None,
+            "RAY_AUTH_TOKEN_PATH": str(token),
+            "RAY_USAGE_STATS_ENABLED": "0",
+        }
+    try:
+        with _environment(settings):
+            yield scratch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+@contextmanager
+def ray_session(address: str | None, scratch: Path) -> Iterator[None]:
+    """Have a Ray session while the ``with`` block runs; ends what it has started, and nothing else.
+
+    Parameters
+    ----------
+    address : str, optional
+        Cluster to join, ``HOST:PORT`` or ``auto``; None for a session of our own.
+    scratch : Path
+        From :func:`ray_settings`.
+
+    Raises
+    ------
+    ConfigError
+        If the cluster cannot be joined.
+    MlbsError
+        If Ray does not start.
+    """
+    import ray
+
+    try:
+        if address is None:
+            ray.init(
+                address="local",
+                include_dashboard=False,
+                log_to_driver=False,
+                logging_level=logging.ERROR,
+                object_store_memory=_object_store_bytes(),
+                _temp_dir=str(scratch),
+            )
+        else:
+            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+    except Exception as error:
+        ray.shutdown()
+        raise _start_failure(address, error) from error
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _start_failure(address: str | None, error: Exception) -> MlbsError:
+    reason = (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
+    if address is None:
+        return MlbsError(
+            f"Ray could not be started on this machine: {reason}. "
+            "Look for free memory, and for space in /tmp and /dev/shm."
+        )
+    return ConfigError(
+        f"The Ray cluster at {address} cannot be joined: {reason}. "
+        "Check --address, and that this machine is one of its nodes."
+    )
+
+
+@contextmanager
+def _environment(settings: Mapping[str, str | None]) -> Iterator[None]:
+    """Set environment variables (None: unset) and restore them on exit."""
+    before = {name: os.environ.get(name) for name in settings}
+    _apply(settings)
+    try:
+        yield
+    finally:
+        _apply(before)
+
+
+def _apply(settings: Mapping[str, str | None]) -> None:
+    for name, value in settings.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
+
+
+def _object_store_bytes() -> int:
+    """At most half of the shared memory: where that is small (containers), Ray would use the disk."""
+    try:
+        free = shutil.disk_usage("/dev/shm").free
+    except OSError:
+        return _OBJECT_STORE_BYTES
+    return max(96 * 2**20, min(_OBJECT_STORE_BYTES, free // 2))

@@ -1,0 +1,119 @@
+"""One run of the command, from the checked arguments to its exit status."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from mlbs_actors.actors import Node
+from mlbs_actors.actors.stream_protocol import StreamSpec
+from mlbs_actors.config import Config
+from mlbs_actors.errors import SinkError
+from orchestrator.admission import available_memory, cores, places
+from orchestrator.command_line import Arguments
+from orchestrator.driver import Driver
+from orchestrator.durable_files import replace_file
+from orchestrator.interruption import Interruption
+from orchestrator.progress import progress_for
+from orchestrator.ray_session import ray_session
+from orchestrator.report import render_report
+from orchestrator.run_folder import RunFolder, StatusFile, describe_run
+from orchestrator.sinks.record import StreamRecord
+from orchestrator.sources.opening import open_reader
+from orchestrator.stream_list import ListedStream
+from orchestrator.stream_state import StreamState
+
+__all__ = ["run"]
+
+
+def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, scratch: Path) -> int:
+    """Segment all streams; return the exit status.
+
+    Parameters
+    ----------
+    arguments : Arguments
+    streams : sequence of ListedStream
+        What ``arguments.streams`` lists.
+    config : Config
+        What ``arguments`` asks for.
+    scratch : Path
+        Folder for Ray's files, from :func:`orchestrator.ray_session.ray_settings`.
+
+    Raises
+    ------
+    ConfigError
+        If the output folder or the cluster cannot be used; nothing was started.
+    MlbsError
+        If Ray cannot be started, or the run's own files cannot be written.
+    """
+    folder = RunFolder(arguments.output.absolute())
+    folder.refuse_if_used([stream.name for stream in streams])
+    specs = [
+        StreamSpec(
+            name=stream.name,
+            config=config,
+            open_reader=partial(open_reader, stream.source),
+            open_sink=partial(StreamRecord, folder.stream(stream.name), stream.name, arguments.save),
+            max_frames=arguments.max_frames,
+        )
+        for stream in streams
+    ]
+    description = describe_run(streams, config, arguments.save, arguments.max_frames)
+    limit = places(available_memory(), cores())
+    _say(f"Starting Ray; {len(specs)} streams, up to {limit} at a time.")
+    with ray_session(arguments.address, scratch), Interruption() as interruption:
+        folder.claim(description)
+        status = StatusFile(folder.path / "status.json")
+        states, exit_status = _drive(specs, limit, status, interruption)
+    status.finish(states, exit_status)
+    try:
+        report = render_report(description, states, exit_status)
+        replace_file(folder.path / "report.html", report.encode())
+    except OSError as error:
+        raise SinkError(f"Cannot write {folder.path / 'report.html'}: {error.strerror}.") from None
+    _say(_closing_words(folder, states, arguments.save))
+    return exit_status
+
+
+def _drive(
+    specs: Sequence[StreamSpec], limit: int, status: StatusFile, interruption: Interruption
+) -> tuple[tuple[StreamState, ...], int]:
+    progress = progress_for(sys.stdout)
+    node = Node()
+    try:
+        driver = Driver(specs, node, limit=limit, observers=[status, progress], interruption=interruption)
+        exit_status = driver.run()
+        node.close()
+    finally:
+        progress.close()
+    return driver.states, exit_status
+
+
+def _closing_words(folder: RunFolder, states: Sequence[StreamState], save: frozenset[str]) -> str:
+    done = sum(state.state == "done" for state in states)
+    lines = [f"{done} of {len(states)} streams are complete. Results: {folder.path}"]
+    lines += [f"  {state.name} ({state.state}): {state.error}" for state in states if state.error is not None]
+    lines += [
+        f"  {state.name}: {error.read_text(encoding='utf-8').strip()}"
+        for state in states
+        if (error := folder.stream(state.name) / "overlay.error").exists()
+    ]
+    begun = [state.name for state in states if state.committed]
+    if begun:
+        lines.append(f"Look at {_what_to_look_at(folder.stream(begun[0]), save)}")
+        lines.append(f"and at {folder.path / 'report.html'}")
+    return "\n".join(lines)
+
+
+def _what_to_look_at(stream: Path, save: frozenset[str]) -> Path:
+    overlay = stream / "overlay.mp4"
+    if overlay.exists():
+        return overlay
+    return stream / "masks" if "masks" in save else stream
+
+
+def _say(text: str) -> None:
+    """Tell the user; standard output is left to the progress, which a program may read."""
+    print(text, file=sys.stderr, flush=True)

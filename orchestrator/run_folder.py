@@ -1,0 +1,194 @@
+"""The files of a whole run: what it was asked (``run.json``), how it stands (``status.json``), its report."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from datetime import datetime, timezone
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from mlbs_actors.config import Config
+from mlbs_actors.errors import ConfigError, SinkError
+from orchestrator.credentials import mask
+from orchestrator.durable_files import replace_file
+from orchestrator.stream_list import ListedStream
+from orchestrator.stream_state import ENDED, StreamState
+
+__all__ = ["RunFolder", "StatusFile", "describe_run"]
+
+_PACKAGES = ("mlbs-actors", "ray", "numpy", "scipy", "opencv-python-headless", "PyMaxflow", "numba", "av")
+
+#: Least time between two writings of ``status.json``, s.
+_STATUS_SECONDS = 0.5
+
+
+class RunFolder:
+    """The output folder of one run.
+
+    Parameters
+    ----------
+    path : Path
+        May exist, but must not hold a run, nor a folder of one of the streams.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def stream(self, name: str) -> Path:
+        """Folder of one stream's record."""
+        return self.path / name
+
+    def refuse_if_used(self, names: Sequence[str]) -> None:
+        """Check that a run can begin here, without leaving a trace if not.
+
+        Raises
+        ------
+        ConfigError
+            If the folder holds a run or part of one, is no folder, or cannot be written to.
+        """
+        existing = next((name for name in ("run.json", *names) if os.path.lexists(self.path / name)), None)
+        if existing is not None:
+            raise ConfigError(
+                f"The output folder {self.path} holds a run already ({existing}); "
+                "choose another one with --output."
+            )
+        nearest = next(parent for parent in (self.path, *self.path.absolute().parents) if parent.exists())
+        if not nearest.is_dir():
+            raise ConfigError(f"{nearest} is not a folder; choose another one with --output.")
+        if not os.access(nearest, os.W_OK | os.X_OK):
+            raise ConfigError(f"The folder {nearest} cannot be written to; choose another one with --output.")
+
+    def claim(self, description: dict[str, Any]) -> None:
+        """Make the folder this run's, by writing ``run.json`` whole; of two runs one gets it.
+
+        Raises
+        ------
+        ConfigError
+            If another run was faster, or the folder cannot be written.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(
+                "w", dir=self.path, prefix=".run.json.", encoding="utf-8"
+            ) as draft:
+                json.dump(description, draft, indent=2)
+                draft.write("\n")
+                draft.flush()
+                os.fsync(draft.fileno())
+                Path(draft.name).chmod(0o644)
+                # A link fails if the name is taken; a rename would replace the other run's file.
+                os.link(draft.name, self.path / "run.json")
+        except FileExistsError:
+            raise ConfigError(
+                f"Another run has begun in {self.path}; choose another folder with --output."
+            ) from None
+        except OSError as error:
+            raise ConfigError(f"Cannot write to {self.path}: {error.strerror}.") from None
+
+
+class StatusFile:
+    """Keeps ``status.json`` up to date; an observer of the driver.
+
+    Parameters
+    ----------
+    path : Path
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self._path = path
+        self._clock = clock
+        self._written_at: float | None = None
+
+    def update(self, states: Sequence[StreamState]) -> None:
+        """Write the states, not more often than twice a second.
+
+        A disk that is full or gone does not end the run here: the streams' own records say so.
+        """
+        now = self._clock()
+        if self._written_at is not None and now - self._written_at < _STATUS_SECONDS:
+            return
+        self._written_at = now
+        try:
+            self._write(states, None)
+        except OSError:
+            return
+
+    def finish(self, states: Sequence[StreamState], exit_status: int) -> None:
+        """Write the final states.
+
+        Raises
+        ------
+        SinkError
+            If they cannot be written.
+        """
+        try:
+            self._write(states, exit_status)
+        except OSError as error:
+            raise SinkError(f"Cannot write {self._path}: {error.strerror}; free some space.") from None
+
+    def _write(self, states: Sequence[StreamState], exit_status: int | None) -> None:
+        streams = {}
+        for state in states:
+            fields = asdict(state)
+            streams[fields.pop("name")] = fields
+        status = {
+            "updated": _now(),
+            "ended": exit_status is not None,
+            "exit_status": exit_status,
+            "waiting": sum(state.state == "waiting" for state in states),
+            "running": sum(state.state != "waiting" and state.state not in ENDED for state in states),
+            "streams": streams,
+        }
+        replace_file(self._path, (json.dumps(status, indent=1) + "\n").encode())
+
+
+def describe_run(
+    streams: Sequence[ListedStream], config: Config, save: frozenset[str], max_frames: int | None
+) -> dict[str, Any]:
+    """Content of ``run.json``: everything that the results depend on, without credentials."""
+    parameters = config.model_dump(mode="json")
+    sources = {stream.name: str(stream.source) for stream in streams}
+    return {
+        "started": _now(),
+        "config": parameters,
+        "sources": sources,
+        "save": sorted(save),
+        "max_frames": max_frames,
+        "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
+        "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
+        "machine": {"cpu": _cpu(), "system": platform.platform()},
+    }
+
+
+def _digest(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return platform.machine()
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return mask(next(names, platform.machine()))
+
+
+def _now() -> str:
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")

@@ -1,0 +1,198 @@
+"""The density estimate against the formula written out, and what a layer needs of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel
+from mlbs_actors.kde import (
+    AppearanceParameters,
+    borrowed_log_likelihood,
+    confidence,
+    empty_model,
+    log_likelihood,
+    update,
+    warp_and_evaluate,
+    warp_model,
+)
+from mlbs_actors.messages import Array, Region
+
+REGION = Region(0, 0, 12, 9)
+PARAMETERS = AppearanceParameters()
+
+
+def model_with_gaps(seed: int, region: Region = REGION, capacity: int = 7) -> AppearanceModel:
+    """Every number of samples from 0 to all, smooth colours, uneven spread and residual."""
+    rng = np.random.default_rng(seed)
+    shape = (region.height, region.width)
+    return AppearanceModel(
+        region,
+        (100 + rng.integers(0, 40, (*shape, 3, capacity))).astype(np.uint8),
+        rng.integers(0, capacity + 1, shape).astype(np.uint8),
+        np.zeros(shape, np.uint8),
+        rng.integers(0, 120, shape).astype(np.uint8),
+        rng.uniform(-0.5, 0.5, (*shape, 2)).astype(np.float32),
+    )
+
+
+def smooth_image(seed: int, region: Region = REGION) -> Array:
+    rng = np.random.default_rng(seed)
+    return (100 + rng.integers(0, 40, (region.height, region.width, 3))).astype(np.uint8)
+
+
+def plain_density(model: AppearanceModel, y: int, x: int, colour: Array, floor: float) -> float:
+    """1/n Σ_f Π_ch N(c_ch; c_f,ch, σ²)."""
+    sigma = max(float(model.spread[y, x]) * SPREAD_STEP, floor)
+    samples = model.samples[y, x, :, : model.count[y, x]].astype(np.float64).T
+    kernels = np.exp(-((colour - samples) ** 2) / (2 * sigma**2)) / (sigma * np.sqrt(2 * np.pi))
+    return float(kernels.prod(axis=1).mean())
+
+
+def plain_colour(image: Array, y: float, x: float) -> Array:
+    y, x = min(max(y, 0), image.shape[0] - 1), min(max(x, 0), image.shape[1] - 1)
+    colour = np.zeros(3)
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            share = max(0.0, 1 - abs(row - y)) * max(0.0, 1 - abs(column - x))
+            colour += share * image[row, column]
+    return colour
+
+
+@pytest.mark.parametrize("radius", [0, 1, 2])
+def test_the_density_is_that_of_the_formula(radius: int) -> None:
+    model, image = model_with_gaps(0), smooth_image(1)
+    parameters = replace(PARAMETERS, window_radius=radius)
+    result = log_likelihood(model, image, parameters)
+    for y in range(REGION.height):
+        for x in range(REGION.width):
+            if model.count[y, x] == 0:
+                assert np.isnan(result[y, x])
+                continue
+            colour = plain_colour(image, y + model.residual[y, x, 1], x + model.residual[y, x, 0])
+            total = weight = 0.0
+            for row in range(max(y - radius, 0), min(y + radius + 1, REGION.height)):
+                for column in range(max(x - radius, 0), min(x + radius + 1, REGION.width)):
+                    if model.count[row, column] > 0:
+                        share = np.exp(-((row - y) ** 2 + (column - x) ** 2) / (2 * parameters.window_std**2))
+                        total += share * plain_density(model, row, column, colour, parameters.bandwidth_floor)
+                        weight += share
+            if np.log(total / weight) > -25:
+                assert abs(result[y, x] - np.log(total / weight)) < 0.02
+            else:  # far out the kernel is cut off at e⁻⁴⁰
+                assert result[y, x] < -24
+
+
+def test_an_impossible_colour_is_very_unlikely_and_finite() -> None:
+    model = empty_model(REGION)
+    update(model, np.zeros((9, 12, 3), np.uint8), np.ones((9, 12), bool))
+    result = log_likelihood(model, np.full((9, 12, 3), 255, np.uint8), PARAMETERS)
+    assert np.isfinite(result).all()
+    assert (result < -40).all()
+
+
+def test_the_number_of_samples_is_no_prior() -> None:
+    image = smooth_image(2)
+    few, many = empty_model(REGION), empty_model(REGION)
+    update(few, image, np.ones((9, 12), bool))
+    for _ in range(20):
+        update(many, image, np.ones((9, 12), bool))
+    np.testing.assert_allclose(
+        log_likelihood(few, image, PARAMETERS), log_likelihood(many, image, PARAMETERS), atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("radius", [0, 1])
+def test_only_needed_pixels_are_evaluated_and_get_the_same_values(radius: int) -> None:
+    model, image = model_with_gaps(3), smooth_image(4)
+    parameters = replace(PARAMETERS, window_radius=radius)
+    needed = np.random.default_rng(5).random((9, 12)) < 0.3
+    everywhere = log_likelihood(model, image, parameters)
+    partly = log_likelihood(model, image, parameters, needed)
+    np.testing.assert_array_equal(partly, np.where(needed, everywhere, np.nan))
+
+
+def test_moving_and_evaluating_at_once_is_moving_and_then_evaluating() -> None:
+    model, image = model_with_gaps(6), smooth_image(7)
+    motion = np.random.default_rng(8).normal(0, 1, (9, 12, 2)).astype(np.float32)
+    moved, result = warp_and_evaluate(model, REGION, motion, image, PARAMETERS)
+    expected = warp_model(model, REGION, motion)
+    np.testing.assert_array_equal(moved.samples, expected.samples)
+    np.testing.assert_array_equal(result, log_likelihood(expected, image, PARAMETERS))
+
+
+def texture(x: Array, y: Array) -> Array:
+    """Static texture with a period of about 12 px, at any sub-pixel position."""
+    waves = [120 + 60 * np.sin(x / 2 + phase) * np.cos(y / 2.3 - phase) for phase in (0.0, 1.0, 2.0)]
+    image: Array = np.rint(np.dstack(waves)).astype(np.uint8)
+    return image
+
+
+def test_a_static_texture_keeps_its_likelihood_under_fifty_frames_of_slow_pan() -> None:
+    region = Region(0, 0, 80, 24)
+    everywhere = np.ones((24, 80), bool)
+    y, x = np.mgrid[:24, :80].astype(np.float64)
+    motion = np.full((24, 80, 2), (0.3, 0.0), np.float32)
+    model = empty_model(region)
+    update(model, texture(x, y), everywhere)
+    typical = []
+    for frame in range(1, 51):  # nothing is learnt any more: only the carrying can go wrong
+        model, result = warp_and_evaluate(model, region, motion, texture(x + 0.3 * frame, y), PARAMETERS)
+        typical.append(float(np.nanmedian(result)))
+    best = -3 * np.log(PARAMETERS.bandwidth_floor * np.sqrt(2 * np.pi))
+    assert min(typical) > best - 0.3
+    assert np.mean(typical[40:]) > np.mean(typical[:10]) - 0.1
+
+
+def test_confidence_grows_with_the_samples_and_is_nothing_without() -> None:
+    trust = confidence(np.arange(21, dtype=np.uint8), PARAMETERS)
+    assert trust[0] == 0
+    assert trust[2] == 0.5
+    assert (np.diff(trust) > 0).all()
+    assert trust[-1] < 1
+
+
+def half_known(seed: int) -> tuple[AppearanceModel, Array]:
+    model = model_with_gaps(seed, Region(0, 0, 30, 20))
+    model.count[:] = 7
+    model.count[:, 15:] = 0
+    return model, smooth_image(seed + 1, Region(0, 0, 30, 20))
+
+
+def test_unknown_pixels_borrow_from_the_nearest_known_one() -> None:
+    model, image = half_known(9)
+    everywhere = np.ones((20, 30), bool)
+    result, trust = borrowed_log_likelihood(model, image, PARAMETERS, everywhere)
+    assert np.isnan(result[:, :15]).all()
+    assert (trust[:, :15] == 0).all()
+    for y in range(20):
+        for x in range(15, 30):
+            colour = image[y, x].astype(np.float64)
+            expected = np.log(plain_density(model, y, 14, colour, PARAMETERS.borrow_bandwidth_floor))
+            assert abs(result[y, x] - expected) < 0.02
+            decay = np.exp(-(x - 14) / PARAMETERS.borrow_scale)
+            assert np.isclose(trust[y, x], 7 / 9 * decay, rtol=0.05)
+
+
+def test_only_wanted_pixels_borrow() -> None:
+    model, image = half_known(10)
+    wanted = np.random.default_rng(11).random((20, 30)) < 0.5
+    result, trust = borrowed_log_likelihood(model, image, PARAMETERS, wanted)
+    borrower = wanted & (model.count == 0)
+    np.testing.assert_array_equal(~np.isnan(result), borrower)
+    np.testing.assert_array_equal(trust > 0, borrower)
+
+
+def test_a_model_that_knows_nothing_has_nothing_to_lend() -> None:
+    result, trust = borrowed_log_likelihood(
+        empty_model(REGION), smooth_image(12), PARAMETERS, np.ones((9, 12), bool)
+    )
+    assert np.isnan(result).all()
+    assert not trust.any()
+
+
+def test_equal_input_gives_equal_bytes() -> None:
+    first, second = (log_likelihood(model_with_gaps(13), smooth_image(14), PARAMETERS) for _ in "ab")
+    assert first.tobytes() == second.tobytes()

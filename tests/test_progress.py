@@ -1,0 +1,71 @@
+"""What is shown while a run goes on."""
+
+from __future__ import annotations
+
+import io
+import json
+
+from rich.console import Console
+
+from orchestrator.progress import JsonLines, LiveTable, progress_for
+from orchestrator.stream_state import StreamState
+
+
+def lines(output: io.StringIO) -> list[dict[str, object]]:
+    return [json.loads(line) for line in output.getvalue().splitlines()]
+
+
+def test_away_from_a_terminal_each_change_of_state_is_a_json_line() -> None:
+    output = io.StringIO()
+    progress = progress_for(output)
+    progress.update([StreamState("a"), StreamState("b")])
+    progress.update([StreamState("a", "starting"), StreamState("b")])
+    progress.update([StreamState("a", "failed", error="It is gone."), StreamState("b")])
+    progress.close()
+    assert [(line["stream"], line["state"]) for line in lines(output)] == [
+        ("a", "waiting"),
+        ("b", "waiting"),
+        ("a", "starting"),
+        ("a", "failed"),
+    ]
+    assert lines(output)[-1]["error"] == "It is gone."
+
+
+def test_a_running_stream_gets_a_line_every_five_seconds_if_it_moves() -> None:
+    output, now = io.StringIO(), [0.0]
+    progress = JsonLines(output, lambda: now[0])
+    for second in range(31):
+        now[0] = float(second)
+        progress.update([StreamState("a", "running", read=min(second, 20))])
+    assert [line["read"] for line in lines(output)] == [0, 5, 10, 15, 20]
+
+
+def table(states: list[StreamState], height: int = 40) -> str:
+    console = Console(file=io.StringIO(), force_terminal=True, width=110, height=height, no_color=True)
+    progress = LiveTable(console)
+    progress.update(states)
+    progress.close()
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def test_the_table_shows_frames_rate_layers_state_and_faults() -> None:
+    shown = table(
+        [
+            StreamState("yard", "running", read=120, committed=96, layers=4, frames_per_second=17.25),
+            StreamState("[red]x", "failed", error="The file [b]is gone."),
+        ]
+    )
+    for text in ("yard", "running", "120", "96", "17.2", "4", "[red]x", "The file [b]is gone."):
+        assert text in shown
+
+
+def test_a_table_of_more_streams_than_fit_shows_those_at_work_and_counts_the_others() -> None:
+    states = [StreamState(f"w{number}") for number in range(200)]
+    states[150] = StreamState("busy", "running", read=5)
+    states[151] = StreamState("broken", "failed", error="It is gone.")
+    shown = table(states, height=20)
+    assert "busy" in shown
+    assert "broken" in shown
+    assert "198 waiting, 1 running, 1 failed" in shown
+    assert "not shown" in shown

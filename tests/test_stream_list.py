@@ -1,0 +1,183 @@
+"""The list of streams: what is read, and how hostile or mistaken lists are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mlbs_actors.errors import ConfigError
+from orchestrator.sources.address import SourceKind
+from orchestrator.stream_list import MAX_BYTES, MAX_STREAMS, ListedStream, read_stream_list
+
+
+def read(folder: Path, text: str | bytes) -> tuple[ListedStream, ...]:
+    path = folder / "list.txt"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_stream_list(path)
+
+
+def refusal(folder: Path, text: str | bytes) -> str:
+    with pytest.raises(ConfigError) as caught:
+        read(folder, text)
+    return str(caught.value)
+
+
+def test_a_line_is_a_uri_or_a_name_and_a_uri(tmp_path: Path) -> None:
+    streams = read(tmp_path, "videos/street.mp4\nyard /data/yard/frames\n")
+    assert [(s.name, s.source.location, s.line) for s in streams] == [
+        ("street", str(tmp_path / "videos/street.mp4"), 1),
+        ("yard", "/data/yard/frames", 2),
+    ]
+
+
+def test_relative_paths_count_from_the_folder_of_the_list_not_from_the_working_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "lists").mkdir()
+    (tmp_path / "lists/a.txt").write_text("../clips/a.mp4\n")
+    monkeypatch.chdir(tmp_path)
+    (stream,) = read_stream_list(Path("lists/a.txt"))
+    assert Path(stream.source.location).resolve() == (tmp_path / "clips/a.mp4").resolve()
+
+
+def test_quotes_comments_blank_lines_and_windows_line_ends_are_understood(tmp_path: Path) -> None:
+    text = "\ufeff# my list\r\n\r\n'my yard' \"a b.mp4\"  # the yard\r\nc\\ d.mp4\r\n"
+    assert [(s.name, Path(s.source.location).name) for s in read(tmp_path, text)] == [
+        ("my yard", "a b.mp4"),
+        ("c d", "c d.mp4"),
+    ]
+
+
+@pytest.mark.parametrize("uri", ["take#2.mp4", "'#take.mp4'", "\\#take.mp4", '"a #b.mp4"'])
+def test_a_hash_inside_a_word_or_quoted_is_no_comment(tmp_path: Path, uri: str) -> None:
+    (stream,) = read(tmp_path, f"x {uri}\n")
+    assert "#" in stream.source.location
+
+
+@pytest.mark.parametrize(
+    ("uri", "kind", "name"),
+    [
+        ("a/street.v2.mp4", SourceKind.PATH, "street.v2"),
+        ("a/frames/", SourceKind.PATH, "frames"),
+        ("a/cars/*.jpg", SourceKind.PATH, "cars"),
+        ("rtsp://10.0.0.7:554/door", SourceKind.NETWORK, "door"),
+        ("rtsps://bob:pw@10.0.0.7/yard/live.sdp?token=x", SourceKind.NETWORK, "live"),
+        ("rtsp://bob:pw@cam-3.lan:554", SourceKind.NETWORK, "cam-3.lan"),
+        ("/dev/video12", SourceKind.CAMERA, "video12"),
+        ("synthetic:demo?frames=9&seed=2", SourceKind.SYNTHETIC, "demo"),
+    ],
+)
+def test_each_kind_of_uri_is_known_and_names_its_stream(
+    tmp_path: Path, uri: str, kind: SourceKind, name: str
+) -> None:
+    (stream,) = read(tmp_path, f"'{uri}'\n")
+    assert (stream.source.kind, stream.name) == (kind, name)
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "rtsp://bob:hunter2@10.0.0.7/door",
+        "rtsp://bob:hun/ter2@10.0.0.7",
+        "rtsp://bob:a@hunter2@10.0.0.7/door",
+        "rtsp://10.0.0.7/user=bob&password=hunter2",
+        "rtsp://10.0.0.7/door?pwd=hunter2",
+        "rtsp://bob:a#hunter2@10.0.0.7/door",
+    ],
+)
+def test_no_name_message_or_repr_of_a_stream_shows_its_password(tmp_path: Path, uri: str) -> None:
+    (stream,) = read(tmp_path, f"door {uri}\n")
+    shown = f"{stream!r} {stream.source} {refusal(tmp_path, f'a {uri}' + chr(10) + f'a {uri}' + chr(10))}"
+    shown += refusal(tmp_path, f"{uri} {uri} {uri}\n")
+    try:
+        shown += read(tmp_path, f"{uri}\n")[0].name
+    except ConfigError as error:
+        shown += str(error)
+    assert "ter2" in stream.source.location
+    assert "ter2" not in shown
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "concat:a.mp4|b.mp4",
+        "http://example.org/a.mp4",
+        "file:///etc/passwd",
+        "subfile,,start,0,end,9,,:/etc/passwd",
+        "x data:text/plain,abc",
+        "../up a.mp4",
+        ".. a.mp4",
+        "a/b c.mp4",
+        "'a\\b' c.mp4",
+        ".hidden a.mp4",
+        "-rf a.mp4",
+        "'' a.mp4",
+        "status.json a.mp4",
+        "REPORT.HTML a.mp4",
+        "/",
+        "''",
+        "a b c.mp4",
+        "'unclosed.mp4",
+        "rtsp://",
+        "synthetic:nowhere",
+        "synthetic:demo?frames=0",
+        "synthetic:demo?frames=1e9",
+        "synthetic:demo?speed=2",
+        "synthetic:demo?seed=1&seed=2",
+        "n" * 101 + " a.mp4",
+        "a " + "n" * 5000,
+    ],
+)
+def test_a_bad_line_is_refused_with_its_number(tmp_path: Path, line: str) -> None:
+    assert "line 2:" in refusal(tmp_path, f"good.mp4\n{line}\n")
+
+
+@pytest.mark.parametrize("raw", [b"a\x00b.mp4", b"a\x1b[2Jb.mp4", b"\xff\xfe.mp4"])
+def test_control_characters_and_broken_text_are_refused_with_their_line(tmp_path: Path, raw: bytes) -> None:
+    assert "line 2:" in refusal(tmp_path, b"good.mp4\n" + raw + b"\n")
+
+
+def test_all_bad_lines_are_named_at_once_also_when_they_are_many(tmp_path: Path) -> None:
+    message = refusal(tmp_path, "http://x/a\ngood.mp4\n" + "ftp://x/b\n" * 30 + "ok.mp4\nhttp://x/c\n")
+    assert "32 bad lines" in message
+    assert "line 1:" in message
+    assert "22–32, 34" in message
+
+
+def test_a_name_that_comes_twice_is_refused_and_says_where_it_was(tmp_path: Path) -> None:
+    message = refusal(tmp_path, "a/frames\nb/frames\n")
+    assert "line 2:" in message
+    assert "line 1" in message
+    assert "NAME URI" in message
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "# nothing\n"])
+def test_an_empty_list_is_refused(tmp_path: Path, text: str) -> None:
+    assert "no stream" in refusal(tmp_path, text)
+
+
+def test_a_missing_list_and_a_folder_for_a_list_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.txt", tmp_path):
+        with pytest.raises(ConfigError, match="--streams"):
+            read_stream_list(path)
+
+
+def test_a_list_past_its_limits_is_refused_without_reading_on(tmp_path: Path) -> None:
+    assert "MiB" in refusal(tmp_path, b"a.mp4\n" * (MAX_BYTES // 6 + 1))
+    assert str(MAX_STREAMS) in refusal(tmp_path, "".join(f"s{i} a.mp4\n" for i in range(MAX_STREAMS + 1)))
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_either_a_list_or_refused_in_a_sentence(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes
+) -> None:
+    folder = tmp_path_factory.mktemp("list")
+    try:
+        streams = read(folder, content)
+    except ConfigError:
+        return
+    for stream in streams:
+        assert Path(folder / stream.name).parent == folder

@@ -1,0 +1,62 @@
+"""Run by a test in a process of its own: which kernels a warmed layer process still compiles."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+from typing import TypeVar
+
+from numba.core.dispatcher import Dispatcher
+
+from mlbs_actors import Config
+from mlbs_actors.actors.parts import EngineParts, LayerPart
+from mlbs_actors.messages import Segmentation
+from orchestrator.sources.synthetic import scene
+
+T = TypeVar("T")
+
+
+def compiled() -> set[tuple[str, str]]:
+    """Name and signature of every kernel compiled or loaded so far."""
+    modules = [module for name, module in list(sys.modules.items()) if name.startswith("mlbs_actors")]
+    kernels = [
+        kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher)
+    ]
+    return {(str(kernel), str(signature)) for kernel in kernels for signature in kernel.signatures}
+
+
+def arrived(sent: T) -> T:
+    """What an actor gets: a copy whose arrays are read-only."""
+    buffers: list[pickle.PickleBuffer] = []
+    data = pickle.dumps(sent, protocol=5, buffer_callback=buffers.append)
+    received: T = pickle.loads(data, buffers=[bytes(buffer.raw()) for buffer in buffers])
+    return received
+
+
+def main() -> None:
+    parts, config = EngineParts(), Config()
+    parts.warm_layer()
+    assert compiled(), "nothing was warmed"
+    coordinator, segmenter = parts.coordinator(config), parts.segmenter(config)
+    layers: dict[int, LayerPart] = {}
+    previous: Segmentation | None = None
+    results: dict[int, Segmentation] = {}
+    later: set[tuple[str, str]] = set()
+    video = scene("demo", frames=8, seed=1, width=320, height=240)
+    for t in range(len(video)):
+        wanted = coordinator.feedback_index(t)
+        for evidence in coordinator.step(t, video.frame(t), None if wanted is None else results[wanted]):
+            frame = arrived(video.frame(evidence.frame_index))
+            posteriors = []
+            for own in evidence.layers:
+                layer = layers.setdefault(own.layer, parts.layer(config, own.layer, own.kind))
+                before = compiled()
+                posteriors.append(layer.step(arrived(own), arrived(evidence), frame, arrived(previous)))
+                later |= compiled() - before
+            previous = segmenter.step(evidence, frame, posteriors)
+            results[evidence.frame_index] = previous
+    assert len(layers) > 1, "a scene without an object proves little"
+    print("compiled later:", later)
+
+
+main()
