@@ -12,7 +12,7 @@ import numpy as np
 
 from mlbs_actors.messages import Array
 
-__all__ = ["camera_homography", "homography_motion"]
+__all__ = ["camera_difference", "camera_homography", "homography_motion"]
 
 #: Reprojection error of an inlier, px.
 INLIER_PX = 1.0
@@ -67,3 +67,33 @@ def homography_motion(matrix: Array, positions: Array) -> Array:
     """
     mapped = positions.astype(np.float64) @ matrix[:, :2].T + matrix[:, 2]
     return np.asarray(mapped[:, :2] / mapped[:, 2:] - positions, np.float32)
+
+
+def camera_difference(previous: Array, current: Array, matrix: Array, step: tuple[float, float]) -> Array:
+    """How badly the camera's own motion explains the new frame, place by place.
+
+    Parameters
+    ----------
+    previous, current : (h, w) uint8
+        Grey frames t−1 and t, shrunk alike.
+    matrix : (3, 3) float64
+        :func:`camera_homography`, in full-size px.
+    step : (float, float)
+        Full-size px per shrunk px in x and y.
+
+    Returns
+    -------
+    (h, w) float32
+        Mean absolute difference over a 5×5 window between frame t and frame t−1 moved by the camera's
+        motion, grey levels; 0 where frame t−1 did not reach.
+    """
+    # Full-size pixel centres lie at (shrunk + ½)·step − ½.
+    shrink = np.array([[1 / step[0], 0, 0.5 / step[0] - 0.5], [0, 1 / step[1], 0.5 / step[1] - 0.5], [0, 0, 1]])
+    mapping = shrink @ matrix @ np.linalg.inv(shrink)
+    size = (current.shape[1], current.shape[0])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    moved = cv2.warpPerspective(previous, mapping, size, flags=flags, borderMode=cv2.BORDER_CONSTANT)
+    reached = cv2.warpPerspective(np.full_like(previous, 255), mapping, size, flags=flags)
+    difference = cv2.absdiff(current, moved)
+    difference[reached < 255] = 0
+    return np.asarray(cv2.blur(difference.astype(np.float32), (5, 5)))

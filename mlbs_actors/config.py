@@ -89,6 +89,9 @@ class LayersConfig(_Section):
     merge_reach: float = Field(0.5, ge=0, description="Border edges per trajectory of the younger of two objects to merge.")
     camera_px: float = Field(0.6, ge=0, description="A young label moves at least this much against the camera, px/frame.")
     camera_relative: float = Field(0.06, ge=0, description="... and at least this share of the camera's own motion.")
+    unexplained_levels: float = Field(
+        5.0, ge=0, description="An object's trajectory counts only where the camera's motion is this wrong, grey levels."
+    )
     probation_frames: int = Field(2, ge=0, description="Frames a split must last before it becomes a layer.")
     min_tracks: int = Field(5, ge=1, description="Fewer trajectories retire a layer.")
     wake_similarity: float = Field(0.75, ge=0, le=1, description="Bhattacharyya coefficient of colours that wakes a sleeping layer.")
@@ -129,6 +132,12 @@ class PosteriorConfig(_Section):
     prior: float = Field(0.3, ge=0, description="Weight of the warped posterior of the last frame.")
     prior_floor: float = Field(0.1, gt=0, lt=1, description="Least prior.")
     neutral_prior: float = Field(0.5, gt=0, le=1, description="Prior where the layer was not before.")
+    distance: float = Field(0.1, ge=0, description="Cost of an object away from its trajectories, nats.")
+    near_px: float = Field(10.0, ge=0, description="Distance from its trajectories up to which it costs nothing, px.")
+    far_px: float = Field(30.0, gt=0, description="Distance from which it costs all, px.")
+    close_px: float = Field(20.0, ge=0, description="Half the width of gaps between its trajectories that belong to an object, px.")
+    keep_off_px: float = Field(40.0, ge=0, description="So near to an object the background learns only beside its own trajectories, px.")
+    learn_px: float = Field(10.0, ge=0, description="An object learns only this near to its trajectories, px.")
     offset: float = Field(4.0, ge=0, description="Added to every cost so that it is not negative, nats.")
     region_margin_px: float = Field(24.0, ge=0, description="Margin of an object's region around its trajectories, px.")
 

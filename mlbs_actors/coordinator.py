@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.affinity import TrajectoryGraph, displacement_spread, trajectory_graph
-from mlbs_actors.camera import camera_homography, homography_motion
+from mlbs_actors.camera import camera_difference, camera_homography, homography_motion
 from mlbs_actors.clustering import (
     UNLABELLED,
     label_speeds,
@@ -30,7 +30,7 @@ from mlbs_actors.clustering import (
 )
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
-from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray
+from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray, sample_flow
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, LayerKind, Segmentation
 from mlbs_actors.normalized_cut import recursive_cut
@@ -57,11 +57,11 @@ class HeldFrame:
     positions, motions : (n, 2) float32
     labels : (n,) int64
         As known so far.
+    unexplained : (n,) float32
+        As in :class:`~mlbs_actors.trajectories.TrajectoryState`.
     camera : (3, 3) float64
     flow : (h, w, 2) float16
     flow_reliable : (h, w) bool
-    live : tuple of int
-        Layers awake when the frame was last labelled.
     stage_ms : mapping of str to float
     """
 
@@ -70,6 +70,7 @@ class HeldFrame:
     positions: Array
     motions: Array
     labels: Array
+    unexplained: Array
     camera: Array
     flow: Array
     flow_reliable: Array
@@ -194,7 +195,12 @@ class Coordinator:
             labels = np.concatenate([labels, np.full(len(trajectories) - survivors, UNLABELLED, np.int64)])
             known = (trajectories.ages > 0) & ((labels == BACKGROUND) if state.clustered else True)
             camera = camera_homography(trajectories.positions[known], trajectories.motions[known], scale)
-            trajectories = with_residuals(trajectories, homography_motion(camera, trajectories.positions))
+            difference = np.zeros(len(trajectories), np.float32)
+            if flow is not None:
+                unexplained = camera_difference(state.gray, gray, camera, flow.step)
+                difference = sample_flow(unexplained[..., None], trajectories.positions, flow.step)[:, 0]
+            predicted = homography_motion(camera, trajectories.positions)
+            trajectories = with_residuals(trajectories, predicted, difference)
             spread = displacement_spread(trajectories, config.affinity, scale)
             spreads = np.concatenate([[spread], state.spreads])[: config.trajectories.history_frames]
 
@@ -272,14 +278,16 @@ class Coordinator:
     def _relabel_held(self) -> None:
         """Give the held frames the newest labels, backwards along the trajectories that still live."""
         state = self.state
-        ids, labels = state.trajectories.ids, state.labels
+        ids, labels, unexplained = state.trajectories.ids, state.labels, state.trajectories.unexplained
         relabelled = []
         for held in state.held:
             place = np.minimum(np.searchsorted(ids, held.ids), max(len(ids) - 1, 0))
             alive = ids[place] == held.ids if len(ids) else np.zeros(len(held.ids), bool)
             newest = held.labels.copy()
             newest[alive] = labels[place[alive]]
-            relabelled.append(replace(held, labels=newest))
+            worst = held.unexplained.copy()
+            worst[alive] = np.maximum(worst[alive], unexplained[place[alive]])
+            relabelled.append(replace(held, labels=newest, unexplained=worst))
         state.held = tuple(relabelled)
 
     def _hold(
@@ -292,6 +300,7 @@ class Coordinator:
             state.trajectories.positions,
             state.trajectories.motions,
             state.labels,
+            state.trajectories.unexplained,
             camera,
             np.zeros((*size, 2), np.float16) if flow is None else flow.backward.astype(np.float16),
             np.zeros(size, bool) if flow is None else flow.backward_reliable,
@@ -312,10 +321,13 @@ class Coordinator:
         layer = np.array([registry.layer_of(int(label)) if label >= 0 else UNLABELLED for label in np.unique(held.labels)])
         layer = layer[np.searchsorted(np.unique(held.labels), held.labels)] if len(held.labels) else held.labels
         live = sorted({BACKGROUND, *(int(one) for one in np.unique(layer) if one > BACKGROUND)})
+        # Where the camera's motion explains the image as well, a trajectory says nothing for an object: flow
+        # bleeds from an object over the smooth road beside it.
+        telling = held.unexplained >= self.config.layers.unexplained_levels
         layers = []
         for one in live:
             kind: LayerKind = "background" if one == BACKGROUND else "other" if one == state.registry.other else "object"
-            members = layer == one
+            members = (layer == one) & (telling | (one == BACKGROUND))
             last_frame = state.evaluated.get(one, -1)
             layers.append(LayerEvidence(one, kind, last_frame, held.positions[members], held.motions[members]))
             state.evaluated[one] = held.frame_index

@@ -84,6 +84,7 @@ class LayerState:
     cost: Array
     image: Array
     velocity: Array
+    trusted: Array
 
 
 class Layer:
@@ -111,6 +112,7 @@ class Layer:
             cost=np.zeros((0, 0), np.uint8),
             image=np.zeros((0, 0, 3), np.uint8),
             velocity=np.zeros(2, np.float32),
+            trusted=np.zeros((0, 0), bool),
         )
         self._motion = MotionParameters(
             spacing_px=config.motion.grid_px,
@@ -172,6 +174,16 @@ class Layer:
         appearance, trust = self._appearance_cost(model, image, log_density)
         weights = self.config.posterior
         cost = weights.appearance * appearance + weights.motion * self._motion_cost(frame_evidence, region, field, motion)
+        scale = length_scale(*frame_evidence.shape)
+        own = _track_distance([evidence], region)
+        objects = [one for one in frame_evidence.layers if one.layer not in (self.layer, BACKGROUND)]
+        others = _track_distance(objects if self.kind == "background" else list(frame_evidence.layers[:1]) + objects, region)
+        if self.kind == "background":
+            trusted = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
+        else:
+            trusted = (own <= weights.learn_px * scale) & (own < others)
+            body = _closed(own, weights.close_px * scale)
+            cost += weights.distance * np.clip((body - weights.near_px * scale) / ((weights.far_px - weights.near_px) * scale), 0.0, 1.0)
         if weights.prior > 0:
             neutral = weights.neutral_prior
             prior = np.full(cost.shape, neutral, np.float32)
@@ -185,7 +197,7 @@ class Layer:
             velocity = -np.median(evidence.motions, axis=0).astype(np.float32)
         else:
             velocity = state.velocity
-        self.state = LayerState(frame_evidence.frame_index, region, model, quantised, image, velocity)
+        self.state = LayerState(frame_evidence.frame_index, region, model, quantised, image, velocity, trusted)
         return LayerPosterior(
             layer=self.layer,
             frame_index=frame_evidence.frame_index,
@@ -210,7 +222,7 @@ class Layer:
             return nothing, None
         slices = state.region.slices
         mask = np.ascontiguousarray(previous.labels[slices] == self.layer)
-        update(state.model, state.image, mask)
+        update(state.model, state.image, mask & state.trusted)
         log_posterior = previous.normaliser[slices].astype(np.float32) - state.cost.astype(np.float32)
         posterior = np.exp(np.minimum(log_posterior * np.float32(COST_STEP), 0.0))
         # The published map is the better half of the knowledge: it has seen the outlines.
@@ -264,6 +276,8 @@ class Layer:
         log_density = np.where(unknown, borrowed, log_density)
         trust = np.where(unknown, borrowed_trust, trust)
         ratio = np.exp(np.minimum(np.nan_to_num(log_density, nan=LOG_UNIFORM) - LOG_UNIFORM, self.config.posterior.appearance_cap))
+        # Samples borrowed from elsewhere may speak for the layer where they match, never against it.
+        ratio = np.where(unknown, np.maximum(ratio, 1.0), ratio)
         return -np.log((1.0 - trust) + trust * ratio), trust
 
     def _motion_cost(self, frame_evidence: FrameEvidence, region: Region, field: MotionField, motion: Array) -> Array:
@@ -283,3 +297,30 @@ class Layer:
         floor = self.config.posterior.motion_floor
         cost = -np.log(floor + (1.0 - floor) * np.exp(-0.5 * distance))
         return np.asarray(cost * flow[..., 2], np.float32)
+
+
+def _track_distance(layers: list[LayerEvidence], region: Region) -> Array:
+    """Distance of every pixel of a region to the nearest trajectory of some layers in it, (h, w) float32, px."""
+    free = np.full((region.height, region.width), 255, np.uint8)
+    for evidence in layers:
+        x = np.rint(evidence.positions[:, 0]).astype(np.intp) - region.x
+        y = np.rint(evidence.positions[:, 1]).astype(np.intp) - region.y
+        inside = (x >= 0) & (x < region.width) & (y >= 0) & (y < region.height)
+        free[y[inside], x[inside]] = 0
+    if free.size == 0 or free.all():
+        return np.full(free.shape, np.inf, np.float32)
+    return np.asarray(cv2.distanceTransform(free, cv2.DIST_L2, 5), np.float32)
+
+
+def _closed(distance: Array, radius: float) -> Array:
+    """Distance to the morphological closing of a set, from the distance to the set itself, px.
+
+    Gaps of up to twice the radius that are enclosed by the set belong to it.
+    """
+    if distance.size == 0 or not np.isfinite(distance).all():
+        return distance
+    padded = np.pad(distance, int(radius) + 2, mode="constant", constant_values=2 * radius)
+    outside = cv2.distanceTransform((padded <= radius).astype(np.uint8), cv2.DIST_L2, 5)
+    closed = (outside >= radius)[int(radius) + 2 : -int(radius) - 2, int(radius) + 2 : -int(radius) - 2]
+    to_closed = cv2.distanceTransform((~closed).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.asarray(np.minimum(distance, to_closed), np.float32)

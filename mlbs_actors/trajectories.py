@@ -19,6 +19,10 @@ from mlbs_actors.messages import Array
 __all__ = ["TrajectoryState", "advance_trajectories", "empty_trajectories", "seed_trajectories", "with_residuals"]
 
 
+#: Share of a trajectory's unexplained difference that lasts to the next frame.
+UNEXPLAINED_KEPT = np.float32(0.95)
+
+
 @dataclass(frozen=True, slots=True)
 class TrajectoryState:
     """The live trajectories.
@@ -36,6 +40,9 @@ class TrajectoryState:
         trajectory's age.
     ages : (n,) int32
         How many of those motions are known, 0 … T.
+    unexplained : (n,) float32
+        How badly the camera's motion has explained the image around the trajectory, at its worst and slowly
+        forgotten, grey levels.
     next_id : int
     """
 
@@ -44,6 +51,7 @@ class TrajectoryState:
     motions: Array
     residuals: Array
     ages: Array
+    unexplained: Array
     next_id: int
 
     def __len__(self) -> int:
@@ -58,6 +66,7 @@ def empty_trajectories(config: TrajectoriesConfig) -> TrajectoryState:
         np.zeros((0, 2), np.float32),
         np.zeros((0, config.history_frames, 2), np.float32),
         np.zeros(0, np.int32),
+        np.zeros(0, np.float32),
         0,
     )
 
@@ -99,6 +108,7 @@ def advance_trajectories(state: TrajectoryState, flow: DenseFlow, shape: tuple[i
         -motion[alive],
         residuals,
         np.minimum(state.ages[alive] + 1, state.residuals.shape[1]).astype(np.int32),
+        state.unexplained[alive],
         state.next_id,
     )
 
@@ -167,19 +177,22 @@ def seed_trajectories(
         np.concatenate([state.motions, back]),
         np.concatenate([state.residuals, np.zeros((len(points), *state.residuals.shape[1:]), np.float32)]),
         np.concatenate([state.ages, np.full(len(points), age, np.int32)]),
+        np.concatenate([state.unexplained, np.zeros(len(points), np.float32)]),
         state.next_id + len(points),
     )
 
 
-def with_residuals(state: TrajectoryState, predicted: Array) -> TrajectoryState:
-    """Fill in the newest residuals: the motions less what the camera's own motion predicts for them.
+def with_residuals(state: TrajectoryState, predicted: Array, difference: Array) -> TrajectoryState:
+    """Fill in what the camera's own motion leaves of the newest motions and images.
 
     Parameters
     ----------
     state : TrajectoryState
     predicted : (n, 2) float32
         Backward motion of a background point at each trajectory, px.
+    difference : (n,) float32
+        :func:`~mlbs_actors.camera.camera_difference` at each trajectory, grey levels.
     """
     residuals = state.residuals.copy()
     residuals[:, 0] = np.where(state.ages[:, None] > 0, state.motions - predicted, 0.0)
-    return replace(state, residuals=residuals)
+    return replace(state, residuals=residuals, unexplained=np.maximum(UNEXPLAINED_KEPT * state.unexplained, difference))

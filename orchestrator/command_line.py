@@ -25,7 +25,10 @@ a URI is a video file, a folder or a glob of images, rtsp://HOST/PATH, rtsps://H
 or a made scene, synthetic:demo?frames=60&seed=1
 
 output:
-  DIR/run.json, status.json, report.html
+  DIR/run.json                   what was asked for, with versions and hashes
+  DIR/status.json                how each stream stands, while running too
+  DIR/report.html                how each stream ended
+  DIR/ray.log                    warnings of Ray itself
   DIR/NAME/masks/FRAME.png       a pixel's value is its layer's id, 0 is the background
   DIR/NAME/layers-*.parquet      a row per frame and layer
   DIR/NAME/frames-*.parquet      a row per frame

@@ -86,7 +86,7 @@ class LiveTable:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._live = Live(console=console, refresh_per_second=4, transient=False)
+        self._live = Live(console=console, refresh_per_second=4, redirect_stdout=False, redirect_stderr=False)
         self._live.start()
 
     def update(self, states: Sequence[StreamState]) -> None:

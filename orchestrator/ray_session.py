@@ -11,6 +11,7 @@ import logging
 import os
 import secrets
 import shutil
+import socket
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -23,6 +24,8 @@ __all__ = ["ray_session", "ray_settings"]
 
 #: Frames, label maps and posteriors on their way; a few of each a stream, bytes.
 _OBJECT_STORE_BYTES = 2 * 2**30
+
+_CONNECT_SECONDS = 10.0
 
 # Ray's sockets must have short paths, and TMPDIR may be long.
 _SCRATCH_PARENT = Path("/tmp")
@@ -101,6 +104,7 @@ def ray_session(address: str | None, scratch: Path) -> Iterator[None]:
                 _temp_dir=str(scratch),
             )
         else:
+            _refuse_unreachable(address)
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     except Exception as error:
         ray.shutdown()
@@ -109,6 +113,15 @@ def ray_session(address: str | None, scratch: Path) -> Iterator[None]:
         yield
     finally:
         ray.shutdown()
+
+
+def _refuse_unreachable(address: str) -> None:
+    """Raise OSError or ValueError if nobody listens at HOST:PORT; Ray itself would try for minutes."""
+    if address == "auto":
+        return
+    host, _, port = address.rpartition(":")
+    with socket.create_connection((host, int(port)), timeout=_CONNECT_SECONDS):
+        return
 
 
 def _start_failure(address: str | None, error: Exception) -> MlbsError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from functools import partial
 from pathlib import Path
 
@@ -63,31 +64,34 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
     description = describe_run(streams, config, arguments.save, arguments.max_frames)
     limit = places(available_memory(), cores())
     _say(f"Starting Ray; {len(specs)} streams, up to {limit} at a time.")
-    with ray_session(arguments.address, scratch), Interruption() as interruption:
+    with ray_session(arguments.address, scratch):
         folder.claim(description)
         status = StatusFile(folder.path / "status.json")
-        states, exit_status = _drive(specs, limit, status, interruption)
-    status.finish(states, exit_status)
+        states, exit_status = _drive(specs, limit, status, folder.path / "ray.log")
     try:
+        status.finish(states, exit_status)
         report = render_report(description, states, exit_status)
         replace_file(folder.path / "report.html", report.encode())
     except OSError as error:
-        raise SinkError(f"Cannot write {folder.path / 'report.html'}: {error.strerror}.") from None
+        raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
     _say(_closing_words(folder, states, arguments.save))
     return exit_status
 
 
 def _drive(
-    specs: Sequence[StreamSpec], limit: int, status: StatusFile, interruption: Interruption
+    specs: Sequence[StreamSpec], limit: int, status: StatusFile, ray_log: Path
 ) -> tuple[tuple[StreamState, ...], int]:
-    progress = progress_for(sys.stdout)
-    node = Node()
-    try:
-        driver = Driver(specs, node, limit=limit, observers=[status, progress], interruption=interruption)
-        exit_status = driver.run()
-        node.close()
-    finally:
-        progress.close()
+    output = sys.stdout
+    # Ray prints its own warnings; standard output belongs to the progress.
+    with ray_log.open("w", encoding="utf-8") as log, redirect_stdout(log), Interruption() as interruption:
+        progress = progress_for(output)
+        try:
+            node = Node()
+            driver = Driver(specs, node, limit=limit, observers=[status, progress], interruption=interruption)
+            exit_status = driver.run()
+            node.close()
+        finally:
+            progress.close()
     return driver.states, exit_status
 
 

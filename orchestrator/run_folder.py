@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from mlbs_actors.config import Config
-from mlbs_actors.errors import ConfigError, SinkError
+from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
 from orchestrator.durable_files import replace_file
 from orchestrator.stream_list import ListedStream
@@ -124,17 +124,8 @@ class StatusFile:
             return
 
     def finish(self, states: Sequence[StreamState], exit_status: int) -> None:
-        """Write the final states.
-
-        Raises
-        ------
-        SinkError
-            If they cannot be written.
-        """
-        try:
-            self._write(states, exit_status)
-        except OSError as error:
-            raise SinkError(f"Cannot write {self._path}: {error.strerror}; free some space.") from None
+        """Write the final states; OSError if they cannot be written."""
+        self._write(states, exit_status)
 
     def _write(self, states: Sequence[StreamState], exit_status: int | None) -> None:
         streams = {}

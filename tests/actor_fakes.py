@@ -9,14 +9,22 @@ from __future__ import annotations
 import os
 import time
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, PartFactory, SegmenterPart
-from mlbs_actors.actors.stream_protocol import FrameReader, GapStatus, SourceFrame, StreamSink, StreamSpec
+from mlbs_actors.actors.stream_protocol import (
+    FrameReader,
+    GapStatus,
+    RunningStream,
+    SourceFrame,
+    StreamProgress,
+    StreamSink,
+    StreamSpec,
+)
 from mlbs_actors.config import Config
 from mlbs_actors.errors import SinkError, SourceError
 from mlbs_actors.messages import (
@@ -222,6 +230,7 @@ class FakeReader:
         if self.index == self.raises_at:
             raise SourceError("The source is not to be had.")
         if self.index == self.dies_at:
+            time.sleep(0.2)  # the frame before may still be on its way out of this process
             os._exit(1)
         if self.index >= len(self.pictures):
             return None
@@ -313,3 +322,33 @@ def rows_in_one_process(parts: PartFactory, pictures: Iterable[Array], config: C
                 posteriors.append(layers[own.layer].step(own, evidence, frame, previous))
             results.append(segmenter.step(evidence, frame, posteriors))
     return [f"{t} {t} {zlib.crc32(result.labels.tobytes())}" for t, result in enumerate(results)]
+
+
+def run_to_end(*streams: RunningStream) -> list[StreamProgress]:
+    """Ask each stream for one burst after the other, all at once, and stop each at its end."""
+    asked = {index: stream.advance() for index, stream in enumerate(streams)}
+    last: dict[int, StreamProgress] = {}
+    while asked:
+        for index, answer in list(asked.items()):
+            last[index] = answer.result(timeout=120)
+            if last[index].done:
+                streams[index].stop(drain=False)
+                del asked[index]
+            else:
+                asked[index] = streams[index].advance()
+    return [last[index] for index in range(len(streams))]
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come about in time"
+        time.sleep(0.05)
+
+
+def is_running(process: int) -> bool:
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,10 +17,13 @@ from actor_fakes import (
     FakeReader,
     FakeSink,
     crowd,
+    is_running,
     picture,
     rows,
     rows_in_one_process,
+    run_to_end,
     spec,
+    wait_until,
 )
 from conftest import RaySession
 
@@ -30,7 +32,8 @@ from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.pool import PoolActor
 from mlbs_actors.actors.processes import end, spawn
-from mlbs_actors.actors.stream_protocol import RunningStream, StreamProgress
+from mlbs_actors.actors.sink import SinkActor
+from mlbs_actors.actors.stream_protocol import StreamProgress
 from mlbs_actors.errors import LayerError, SinkError, SourceError
 from orchestrator.sources.synthetic import scene
 
@@ -49,36 +52,6 @@ def node(ray_session: RaySession, parts: FakeParts) -> Iterator[Node]:
     node = Node(parts=parts, policy=PoolPolicy(spare=1, idle_seconds=0.5))
     yield node
     node.close()
-
-
-def run_to_end(*streams: RunningStream) -> list[StreamProgress]:
-    """Ask each stream for one burst after the other, all at once, and stop each at its end."""
-    asked = {index: stream.advance() for index, stream in enumerate(streams)}
-    last: dict[int, StreamProgress] = {}
-    while asked:
-        for index, answer in list(asked.items()):
-            last[index] = answer.result(timeout=60)
-            if last[index].done:
-                streams[index].stop(drain=False)
-                del asked[index]
-            else:
-                asked[index] = streams[index].advance()
-    return [last[index] for index in range(len(streams))]
-
-
-def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "it did not come about in time"
-        time.sleep(0.05)
-
-
-def is_running(process: int) -> bool:
-    try:
-        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except FileNotFoundError:
-        return False
-    return state != "Z"
 
 
 # ---- the same bytes
@@ -156,11 +129,11 @@ def test_the_reader_is_held_back_to_the_pace_of_the_slowest(
 def test_frames_that_are_done_leave_the_object_store(
     node: Node, tmp_path: Path, ray_session: RaySession
 ) -> None:
-    enlarged = 20
-    frames = 3 * ray_session.object_store_bytes // (picture(0).nbytes * enlarged**2)
+    enlarged = 30
+    frames = 2 * ray_session.object_store_bytes // (picture(0).nbytes * enlarged**2)
     reader = FakeReader([picture(t, live=[1]) for t in range(frames)], tmp_path, enlarged=enlarged)
     stream = node.start(spec("big", reader))
-    while not stream.advance().result(timeout=60).done:
+    while not stream.advance().result(timeout=120).done:
         # What is forgotten fills the store, and a full one is moved to disk.
         assert not [*ray_session.folder.glob("ray_spilled_objects*/*")]
     stream.stop(drain=False)
@@ -182,7 +155,7 @@ def test_released_processes_become_other_layers_and_idle_ones_beyond_the_spare_a
 
 def test_the_pool_is_refilled_in_the_background(node: Node, tmp_path: Path) -> None:
     stream = node.start(spec("two", FakeReader([picture(t, live=[1]) for t in range(500)], tmp_path)))
-    stream.advance().result(timeout=60)
+    stream.advance().result(timeout=120)
     assert node.census() == PoolCensus(idle=1, busy=2)
     stream.stop(drain=False)
     assert node.census().busy == 0
@@ -208,7 +181,7 @@ def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
     node = Node(parts=FakeParts(parts.folder, cannot_start=True))
     stream = node.start(spec("poor", FakeReader([*crowd(9, 1)], tmp_path)))
     with pytest.raises(LayerError, match=r"No process could be started for layer 0: .*no memory left"):
-        stream.advance().result(timeout=60)
+        stream.advance().result(timeout=120)
     stream.stop(drain=False)
     node.close()
 
@@ -285,7 +258,7 @@ def test_a_source_that_gives_no_frame_fails_the_stream(
     stream = node.start(spec("none", replace(reader, folder=tmp_path)))
     for _ in range(2):
         with pytest.raises(SourceError, match=says):
-            stream.advance().result(timeout=60)
+            stream.advance().result(timeout=120)
     stream.stop(drain=True)
 
 
@@ -315,7 +288,7 @@ def test_a_drained_stop_labels_and_commits_exactly_what_was_read(
 ) -> None:
     pictures = crowd(100, 2)
     stream = node.start(spec("stopped", FakeReader([*pictures], tmp_path)))
-    read = stream.advance().result(timeout=60).read
+    read = stream.advance().result(timeout=120).read
     final = stream.stop(drain=True)
     assert final is not None
     assert final.done
@@ -328,8 +301,8 @@ def test_stopping_and_closing_leaves_no_process(
     ray_session: RaySession, parts: FakeParts, tmp_path: Path
 ) -> None:
     node = Node(parts=parts, policy=PoolPolicy(spare=2))
-    stream = node.start(spec("gone", FakeReader([*crowd(100, 3)], tmp_path)))
-    stream.advance().result(timeout=60)
+    stream = node.start(spec("gone", FakeReader([*crowd(60, 3)], tmp_path)))
+    stream.advance().result(timeout=120)
     stream.advance()
     stream.stop(drain=False)
     stream.stop(drain=False)
@@ -359,6 +332,20 @@ def test_a_frame_is_done_once_in_order_and_not_after_one_that_failed() -> None:
             order.step(after + 1, after=after),
         ):
             raise AssertionError("the work must not start")
+
+
+def test_a_record_takes_no_row_after_one_that_was_lost_on_its_way(
+    ray_session: RaySession, tmp_path: Path
+) -> None:
+    (tmp_path / "reads").touch()
+    sink = spawn(SinkActor, node=ray.get_runtime_context().get_node_id())
+    ray.get(sink.open.remote(1, FakeSink(tmp_path).opened))
+    ray.get(sink.gap.remote(1, 0, 0.0, "quarantined"))
+    with pytest.raises(LayerError, match="frame 0 was last"):
+        ray.get(sink.gap.remote(1, 2, 0.08, "quarantined"))
+    ray.get(sink.gap.remote(1, 1, 0.04, "quarantined"))
+    assert rows(tmp_path) == ["0 quarantined", "1 quarantined"]
+    end([sink])
 
 
 # ---- the engine

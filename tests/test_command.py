@@ -136,6 +136,17 @@ def test_an_output_folder_that_holds_a_run_is_refused_untouched(tmp_path: Path) 
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["run.json"]
 
 
+@pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere.invalid:6379", "head", ":"])
+def test_a_cluster_that_cannot_be_reached_ends_with_status_2_soon(tmp_path: Path, address: str) -> None:
+    path, output = stream_list(tmp_path, "synthetic:demo"), tmp_path / "out"
+    started = time.monotonic()
+    ended = command("--streams", path, "--output", output, "--address", address)
+    assert ended.returncode == 2
+    assert "cannot be joined" in ended.stderr
+    assert not output.exists()
+    assert time.monotonic() - started < 60
+
+
 def test_settings_of_ray_come_before_ray_or_not_at_all() -> None:
     code = "import ray, orchestrator.ray_session as r\nwith r.ray_settings(None): pass"
     ended = subprocess.run(
@@ -231,7 +242,7 @@ def _wait_for(condition: Callable[[], bool], seconds: float) -> None:
 
 
 @pytest.mark.ray
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_a_signal_ends_a_run_cleanly_with_all_that_was_read_committed(
     tmp_path: Path, number: signal.Signals
 ) -> None:

@@ -355,6 +355,25 @@ def test_layers_are_tinted_and_outlined_and_the_background_is_untouched() -> Non
     assert (image == 100).all()
 
 
+def test_drawing_by_region_equals_drawing_pixel_by_pixel() -> None:
+    rng = np.random.default_rng(3)
+    colours = voc_colours()[:, ::-1]
+    for _ in range(20):
+        labels = np.zeros((12, 15), np.uint16)
+        for painted in (1, 2, 30):
+            top, left = rng.integers(0, 12), rng.integers(0, 15)
+            labels[top : top + rng.integers(1, 6), left : left + rng.integers(1, 6)] = painted
+        image = rng.integers(0, 256, (12, 15, 3)).astype(np.uint8)
+        expected = image.astype(float)
+        for (y, x), layer in np.ndenumerate(labels):
+            cross = ((y, x), (y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1))
+            around = [labels[v, u] for v, u in cross if v in range(12) and u in range(15)]
+            if layer:
+                tint = (image[y, x] + colours[layer].astype(float)) / 2
+                expected[y, x] = colours[layer] if min(around) != layer else tint
+        np.testing.assert_allclose(draw_labels(image, labels), expected, atol=0.5)
+
+
 @pytest.mark.parametrize("layer", [255, 256, 512, 40000])
 def test_a_layer_of_any_id_is_visible(layer: int) -> None:
     labels = np.full((9, 9), layer, np.uint16)

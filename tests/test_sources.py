@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -278,8 +279,23 @@ def _playlist(folder: Path) -> Path:
     return folder / "a.ffconcat"
 
 
+def _pipe(folder: Path) -> Path:
+    os.mkfifo(folder / "a.mp4")
+    return folder / "a.mp4"
+
+
 @pytest.mark.parametrize(
-    "make", [_text_file, _empty_file, _empty_folder, _missing, _sound_only, _header_without_frames, _playlist]
+    "make",
+    [
+        _text_file,
+        _empty_file,
+        _empty_folder,
+        _missing,
+        _sound_only,
+        _header_without_frames,
+        _playlist,
+        _pipe,
+    ],
 )
 def test_what_holds_no_video_fails_with_a_sentence_that_names_it(
     tmp_path: Path, make: Callable[[Path], Path]

@@ -11,7 +11,6 @@ from mlbs_actors.errors import LayerError, MlbsError, SinkError, SourceError
 __all__ = [
     "COORDINATOR",
     "POOL",
-    "READER",
     "SEGMENTER",
     "SINK",
     "cause_of",
@@ -23,7 +22,6 @@ __all__ = [
 #: Parts of a stream, as sentences name them.
 COORDINATOR = "coordinator"
 POOL = "pool of layer processes"
-READER = "reader"
 SEGMENTER = "segmenter"
 SINK = "sink"
 

@@ -93,27 +93,29 @@ class EngineParts:
         return Segmenter(config)
 
     def warm_layer(self) -> None:
-        """Run a layer over three tiny frames, so that its kernels are compiled or loaded.
+        """Run two layers over two small frames, so that their kernels are compiled or loaded.
 
         The arrays are read-only, as those of real frames are when they arrive: for Numba that is another
         type, with kernels of its own.
         """
         config = Config()
-        height, width = 48, 64
-        frame = _read_only(np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8))
-        columns, rows = np.meshgrid(np.arange(24, 40, 4), np.arange(16, 32, 4))
+        height, width = 240, 320
+        random = np.random.default_rng(0)
+        frame = _read_only(random.integers(0, 256, (height, width, 3), dtype=np.uint8))
+        columns, rows = np.meshgrid(np.arange(140, 180, 8), np.arange(100, 140, 8))
         positions = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float32)
+        motions = random.normal(size=positions.shape).astype(np.float32)  # so that there is a field to solve
         kinds: tuple[LayerKind, ...] = ("background", "object")
         for layer, kind in enumerate(kinds):  # one works on the frame, the other on a piece of it
             part = self.layer(config, layer, kind)
             previous = None
-            for t in range(3):
+            for t in range(2):
                 own = LayerEvidence(
                     layer=layer,
                     kind=kind,
                     last_frame=t - 1,
                     positions=_read_only(positions),
-                    motions=_read_only(np.zeros_like(positions)),
+                    motions=_read_only(motions),
                 )
                 evidence = FrameEvidence(
                     frame_index=t,

@@ -110,7 +110,6 @@ class PoolActor:
                 self._idle.remove(waiting)
             process = waiting or self._start()
             self._busy[run][layer] = process.handle
-            self._refill()
             try:
                 await process.ready
                 await process.handle.assign.remote(layer, kind, config)
@@ -122,6 +121,8 @@ class PoolActor:
                         f"No process could be started for layer {layer}: {last_line(error)}."
                     ) from error
             else:
+                # Not before: where every start fails, refilling for each try would try for ever.
+                self._refill()
                 if run in self._busy:
                     return process.handle
         raise LayerError(f"Layer {layer} was to be born in a stream that has ended; start the stream again.")

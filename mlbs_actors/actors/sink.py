@@ -8,6 +8,7 @@ from collections.abc import Callable
 import ray
 from ray.exceptions import RayError
 
+from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.processes import Handle, Reference
 from mlbs_actors.actors.stream_protocol import GapStatus, SourceFrame, StreamSink
 from mlbs_actors.determinism import limit_process
@@ -23,44 +24,40 @@ _PENDING_ROWS = 8
 class SinkActor:
     """Writes the records of all streams of one node, each known by the stream's number in the pool.
 
-    After a row that could not be written no other row of that stream is taken, since rows are in order
-    and without holes.
+    A record has no holes: after a row that could not be written, or that was lost on its way, no other row of
+    that stream is taken.
     """
 
     def __init__(self) -> None:
         limit_process()
-        self._sinks: dict[int, StreamSink] = {}
-        self._failed: dict[int, str] = {}
+        self._records: dict[int, tuple[StreamSink, FrameOrder]] = {}
 
     def open(self, run: int, open_sink: Callable[[], StreamSink]) -> int:
         """Open a stream's record; no label map is committed yet."""
-        self._sinks[run] = open_sink()
+        self._records[run] = open_sink(), FrameOrder()
         return 0
 
     def write(self, run: int, segmentation: Segmentation, frame: SourceFrame) -> int:
         """Take one result; return how many label maps are committed by now."""
-        return self._row(run, lambda sink: sink.write(segmentation, frame))
+        sink, order = self._record(run)
+        with order.step(frame.index, after=frame.index - 1):
+            return sink.write(segmentation, frame)
 
     def gap(self, run: int, index: int, pts: float, status: GapStatus) -> int:
         """Record a frame without label map; return how many label maps are committed by now."""
-        return self._row(run, lambda sink: sink.gap(index, pts, status))
+        sink, order = self._record(run)
+        with order.step(index, after=index - 1):
+            return sink.gap(index, pts, status)
 
     def close(self, run: int) -> int:
         """Commit the rest, close the stream's files and forget it; return the final count, 0 if forgotten."""
-        sink = self._sinks.pop(run, None)
-        self._failed.pop(run, None)
+        sink, _ = self._records.pop(run, (None, None))
         return 0 if sink is None else sink.close()
 
-    def _row(self, run: int, write: Callable[[StreamSink], int]) -> int:
-        if run not in self._sinks:
+    def _record(self, run: int) -> tuple[StreamSink, FrameOrder]:
+        if run not in self._records:
             raise SinkError("A row came for a record that is not open; start the stream again.")
-        if run in self._failed:
-            raise SinkError(self._failed[run])
-        try:
-            return write(self._sinks[run])
-        except Exception as error:
-            self._failed[run] = str(error)
-            raise
+        return self._records[run]
 
 
 class Record:

@@ -195,7 +195,7 @@ def _told(result: SequenceResult) -> SequenceResult:
 
 
 def median_delay(score: SequenceScore) -> float:
-    """Median entry delay, frames; infinite where half of the objects are never found, NaN where nothing entered."""
+    """Median entry delay, frames; infinite if half of the objects are never found, NaN without entries."""
     delays = [math.inf if delay is None else float(delay) for delay in score.entry_delay.values()]
     return statistics.median(delays) if delays else math.nan
 

@@ -21,7 +21,17 @@ _OPACITY = 0.5
 _TIME_BASE = Fraction(1, 90_000)
 _NOMINAL_RATE = 25  # only a hint to the encoder; every frame carries its own time
 _SMALLEST_SIDE = 16  # of what H.264 encoders take, px
-_COLOURS_BGR = np.ascontiguousarray(voc_colours()[:, ::-1])
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+
+
+def _colour_of_id() -> Array:
+    """BGR colour of every 16-bit id; the background alone is black: 256, 512 … take the colour of 255."""
+    ids = np.arange(2**16) % 256
+    ids[256::256] = 255
+    return np.ascontiguousarray(voc_colours()[ids, ::-1])
+
+
+_COLOUR_OF_ID = _colour_of_id()
 
 
 def draw_labels(image: Array, labels: Array) -> Array:
@@ -39,16 +49,18 @@ def draw_labels(image: Array, labels: Array) -> Array:
     (H, W, 3) uint8
     """
     drawn = image.copy()
-    inside = labels != BACKGROUND
-    if not inside.any():
+    x, y, width, height = cv2.boundingRect((labels != BACKGROUND).view(np.uint8))
+    # A pixel more on each side, so that the outline sees the background around.
+    region = (slice(max(y - 1, 0), y + height + 1), slice(max(x - 1, 0), x + width + 1))
+    ids, canvas = labels[region], drawn[region]
+    if width == 0:
         return drawn
-    # The background alone is black: an id that is a multiple of 256 takes the colour of 255.
-    colours = _COLOURS_BGR[np.where(labels[inside] % 256 == 0, 255, labels[inside] % 256)]
-    drawn[inside] = (image[inside] * (1 - _OPACITY) + colours * _OPACITY).astype(np.uint8)
-    wide = labels.astype(np.float32)
-    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    outline = inside & (cv2.erode(wide, cross) != wide)
-    drawn[outline] = _COLOURS_BGR[np.where(labels[outline] % 256 == 0, 255, labels[outline] % 256)]
+    colours = _COLOUR_OF_ID[ids]
+    inside = ids != BACKGROUND
+    tinted = cv2.addWeighted(canvas, 1 - _OPACITY, colours, _OPACITY, 0)
+    cv2.copyTo(tinted, inside.view(np.uint8), canvas)
+    outline = inside & (cv2.erode(ids, _CROSS) != ids)
+    cv2.copyTo(colours, outline.view(np.uint8), canvas)
     return drawn
 
 
@@ -109,7 +121,7 @@ class OverlayVideo:
             self._stream.codec_context.time_base = _TIME_BASE
             # One thread: the cores belong to the segmentation.
             self._stream.codec_context.thread_count = 1
-            self._stream.options = {"preset": "veryfast", "crf": "23"}
+            self._stream.options = {"preset": "superfast", "crf": "23"}
         return self._container, self._stream
 
     def _give_up(self, error: Exception) -> None:

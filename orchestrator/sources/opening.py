@@ -29,8 +29,11 @@ def open_reader(address: SourceAddress) -> FrameReader:
     path = Path(address.location)
     if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
         return ImageSequenceReader(address.location)
-    if path.exists():
+    if path.is_file():
         return VideoReader(address)
+    if path.exists():
+        # A pipe would keep its reader waiting for ever.
+        raise SourceError(f"{address} is no regular file; name a video file or a folder of images.")
     if any(mark in address.location for mark in GLOB_CHARACTERS):
         return ImageSequenceReader(address.location)
     raise SourceError(f"There is no file or folder {address}; correct its line in the list of streams.")
