@@ -41,7 +41,10 @@ def camera_homography(positions: Array, motions: Array, scale: float) -> Array:
     matrix = None
     if len(positions) >= LEAST_POINTS:
         found, _ = cv2.findHomography(
-            positions.astype(np.float64), (positions + motions).astype(np.float64), cv2.RANSAC, INLIER_PX * scale
+            positions.astype(np.float64),
+            (positions + motions).astype(np.float64),
+            cv2.RANSAC,
+            INLIER_PX * scale,
         )
         matrix = found
     if matrix is None or not np.isfinite(matrix).all() or not 0.5 < np.linalg.det(matrix[:2, :2]) < 2.0:
@@ -88,7 +91,9 @@ def camera_difference(previous: Array, current: Array, matrix: Array, step: tupl
         motion, grey levels; 0 where frame t−1 did not reach.
     """
     # Full-size pixel centres lie at (shrunk + ½)·step − ½.
-    shrink = np.array([[1 / step[0], 0, 0.5 / step[0] - 0.5], [0, 1 / step[1], 0.5 / step[1] - 0.5], [0, 0, 1]])
+    shrink = np.array(
+        [[1 / step[0], 0, 0.5 / step[0] - 0.5], [0, 1 / step[1], 0.5 / step[1] - 0.5], [0, 0, 1]]
+    )
     mapping = shrink @ matrix @ np.linalg.inv(shrink)
     size = (current.shape[1], current.shape[0])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP

@@ -67,7 +67,9 @@ def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConf
     return np.where(share.max(axis=1) > 0, decided, UNLABELLED)
 
 
-def split_labels(affinity: sp.csr_array, labels: Array, config: AffinityConfig, next_label: int) -> tuple[Array, int]:
+def split_labels(
+    affinity: sp.csr_array, labels: Array, config: AffinityConfig, next_label: int
+) -> tuple[Array, int]:
     """Put every cluster to the N-cut test; parts that fall off get fresh labels.
 
     The part with most trajectories keeps the label. Trajectories without a label are clustered too.
@@ -81,7 +83,9 @@ def split_labels(affinity: sp.csr_array, labels: Array, config: AffinityConfig, 
     result = labels.copy()
     for label in np.unique(labels):
         nodes = np.flatnonzero(labels == label)
-        parts = recursive_cut(sp.csr_array(affinity[nodes][:, nodes]), config.cut_threshold, config.cut_side_tracks)
+        parts = recursive_cut(
+            sp.csr_array(affinity[nodes][:, nodes]), config.cut_threshold, config.cut_side_tracks
+        )
         result[nodes[parts < 0]] = UNLABELLED
         for part in range(parts.max() + 1):
             if part == 0 and label != UNLABELLED:
@@ -91,7 +95,9 @@ def split_labels(affinity: sp.csr_array, labels: Array, config: AffinityConfig, 
     return result, next_label
 
 
-def border_motion(graph: TrajectoryGraph, labels: Array, quantile: float) -> dict[tuple[int, int], tuple[float, int]]:
+def border_motion(
+    graph: TrajectoryGraph, labels: Array, quantile: float
+) -> dict[tuple[int, int], tuple[float, int]]:
     """Motion distance across the border of each pair of neighbouring labels.
 
     Parameters
@@ -136,10 +142,16 @@ def label_speeds(trajectories: TrajectoryState, labels: Array) -> dict[int, floa
         Label → median over its trajectories of their mean residual motion of up to three frames, px/frame.
     """
     speed = _residual_speed(trajectories)
-    return {int(label): float(np.median(speed[labels == label])) for label in np.unique(labels) if label != UNLABELLED}
+    return {
+        int(label): float(np.median(speed[labels == label]))
+        for label in np.unique(labels)
+        if label != UNLABELLED
+    }
 
 
-def least_object_speed(trajectories: TrajectoryState, background: Array, config: LayersConfig, scale: float) -> float:
+def least_object_speed(
+    trajectories: TrajectoryState, background: Array, config: LayersConfig, scale: float
+) -> float:
     """Speed against the camera below which a young label is background, px/frame.
 
     Parameters

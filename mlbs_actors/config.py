@@ -49,8 +49,12 @@ class FlowConfig(_Section):
 class TrajectoriesConfig(_Section):
     """Point trajectories (§3, after Sundaram, Brox, Keutzer, ECCV 2010)."""
 
-    seed_spacing_px: float = Field(8.0, gt=1, description="Grid on which points without a live track near are seeded.")
-    consistency_relative: float = Field(0.01, ge=0, description="Forward–backward error allowed, × (|w|²+|w'|²).")
+    seed_spacing_px: float = Field(
+        8.0, gt=1, description="Grid on which points without a live track near are seeded."
+    )
+    consistency_relative: float = Field(
+        0.01, ge=0, description="Forward–backward error allowed, × (|w|²+|w'|²)."
+    )
     consistency_px2: float = Field(0.5, ge=0, description="Forward–backward error allowed besides, px².")
     boundary_relative: float = Field(0.01, ge=0, description="Squared flow gradient allowed, × |w|².")
     boundary_absolute: float = Field(0.002, ge=0, description="Squared flow gradient allowed besides.")
@@ -61,15 +65,25 @@ class AffinityConfig(_Section):
     """Affinities between trajectories, and their clustering (§4)."""
 
     neighbours: int = Field(20, ge=1, description="Nearest trajectories each one is compared with.")
-    radius_px: float = Field(67.0, gt=0, description="Spatial scale of the affinity, and the largest distance of a pair.")
+    radius_px: float = Field(
+        67.0, gt=0, description="Spatial scale of the affinity, and the largest distance of a pair."
+    )
     motion_floor_px: float = Field(1.5, gt=0, description="Least spread of two-frame displacements, px.")
-    motion_relative: float = Field(0.1, ge=0, description="Spread of displacements as a share of the camera's motion.")
+    motion_relative: float = Field(
+        0.1, ge=0, description="Spread of displacements as a share of the camera's motion."
+    )
     object_relative: float = Field(
         0.15, ge=0, description="Spread of displacements inside an object as a share of its own motion."
     )
-    motion_factor: float = Field(0.5, gt=0, description="Motion distance is in units of this × the spread of displacements.")
-    forgetting: float = Field(0.005, ge=0, lt=1, description="Share of a past motion distance forgotten a frame.")
-    cut_threshold: float = Field(1e-3, gt=0, description="A cluster is split while its best N-cut is below this.")
+    motion_factor: float = Field(
+        0.5, gt=0, description="Motion distance is in units of this × the spread of displacements."
+    )
+    forgetting: float = Field(
+        0.005, ge=0, lt=1, description="Share of a past motion distance forgotten a frame."
+    )
+    cut_threshold: float = Field(
+        1e-2, gt=0, description="A cluster is split while its best N-cut is below this."
+    )
     cut_side_tracks: int = Field(12, ge=2, description="Least trajectories on either side of a split.")
     propagation: Literal["soft", "absorbing"] = Field(
         "soft", description="Random walk with soft restart, or the paper's absorbing one."
@@ -82,20 +96,36 @@ class LayersConfig(_Section):
 
     init_frames: int = Field(5, ge=1, le=5, description="Frames held before the first clustering (n_init).")
     lookahead: int = Field(0, ge=0, description="Frames by which every label is delayed.")
-    max_layers: int = Field(33, ge=2, description="Most layers of a stream with the background; smaller objects share 'other'.")
+    max_layers: int = Field(
+        33, ge=2, description="Most layers of a stream with the background; smaller objects share 'other'."
+    )
     young_frames: int = Field(6, ge=0, description="Age below which a label can be merged by motion.")
-    merge_quantile: float = Field(0.3, ge=0, le=1, description="Quantile of motion distances across a border.")
+    merge_quantile: float = Field(
+        0.3, ge=0, le=1, description="Quantile of motion distances across a border."
+    )
     merge_distance: float = Field(1.2, ge=0, description="Labels below it at that quantile are one.")
-    merge_reach: float = Field(0.5, ge=0, description="Border edges per trajectory of the younger of two objects to merge.")
-    camera_px: float = Field(0.6, ge=0, description="A young label moves at least this much against the camera, px/frame.")
-    camera_relative: float = Field(0.06, ge=0, description="... and at least this share of the camera's own motion.")
+    merge_reach: float = Field(
+        0.5, ge=0, description="Border edges per trajectory of the younger of two objects to merge."
+    )
+    camera_px: float = Field(
+        0.6, ge=0, description="A young label moves at least this much against the camera, px/frame."
+    )
+    camera_relative: float = Field(
+        0.06, ge=0, description="... and at least this share of the camera's own motion."
+    )
     unexplained_levels: float = Field(
-        5.0, ge=0, description="An object's trajectory counts only where the camera's motion is this wrong, grey levels."
+        14.0,
+        ge=0,
+        description="An object's trajectory counts only where the camera's motion is this wrong, grey levels.",
     )
     probation_frames: int = Field(2, ge=0, description="Frames a split must last before it becomes a layer.")
     min_tracks: int = Field(5, ge=1, description="Fewer trajectories retire a layer.")
-    wake_similarity: float = Field(0.75, ge=0, le=1, description="Bhattacharyya coefficient of colours that wakes a sleeping layer.")
-    wake_px: float = Field(80.0, ge=0, description="How far from its expected place a sleeping layer can wake, px.")
+    wake_similarity: float = Field(
+        0.75, ge=0, le=1, description="Bhattacharyya coefficient of colours that wakes a sleeping layer."
+    )
+    wake_px: float = Field(
+        80.0, ge=0, description="How far from its expected place a sleeping layer can wake, px."
+    )
     dormant_frames: int = Field(30, ge=0, description="Frames a vanished layer is remembered.")
 
 
@@ -103,11 +133,17 @@ class MotionConfig(_Section):
     """Motion field of a layer: Gaussian belief propagation (§5)."""
 
     grid_px: int = Field(4, ge=1, description="Spacing of the field's grid, px (not scaled with the frame).")
-    variance_grid_px: int = Field(16, ge=1, description="Spacing of the grid on which marginal variances hold, px.")
+    variance_grid_px: int = Field(
+        16, ge=1, description="Spacing of the grid on which marginal variances hold, px."
+    )
     smoothness_std_px: float = Field(0.5, gt=0, description="σ_m: difference of neighbouring nodes, px.")
     point_std_px: float = Field(0.5, gt=0, description="σ_p: a trajectory's error, px.")
-    prior_std_px: float = Field(20.0, gt=0, description="Weak prior on the camera's motion where nothing is known, px.")
-    robust_px: float = Field(1.5, gt=0, description="Misfit at which a trajectory keeps a quarter of its weight, px.")
+    prior_std_px: float = Field(
+        20.0, gt=0, description="Weak prior on the camera's motion where nothing is known, px."
+    )
+    robust_px: float = Field(
+        1.5, gt=0, description="Misfit at which a trajectory keeps a quarter of its weight, px."
+    )
     flow_std_px: float = Field(1.0, gt=0, description="Error of the dense flow, px.")
 
 
@@ -116,37 +152,59 @@ class AppearanceConfig(_Section):
 
     samples: int = Field(20, ge=1, le=255, description="N: samples kept a pixel.")
     bandwidth_floor: float = Field(5.0, gt=0, description="Least kernel bandwidth, grey levels.")
-    window_radius: int = Field(1, ge=0, le=2, description="Radius of the window of samples a colour is compared with, px.")
-    half_confidence_samples: float = Field(2.0, gt=0, description="Samples at which a pixel's model is trusted half.")
-    background_borrow_px: float = Field(40.0, gt=0, description="Distance at which samples borrowed by the background fade to 1/e, px.")
-    object_borrow_px: float = Field(8.0, gt=0, description="The same for an object.")
+    window_radius: int = Field(
+        0, ge=0, le=2, description="Radius of the window of samples a colour is compared with, px."
+    )
+    half_confidence_samples: float = Field(
+        2.0, gt=0, description="Samples at which a pixel's model is trusted half."
+    )
 
 
 class PosteriorConfig(_Section):
     """Weights and bounds of a layer's unnormalised posterior (§6)."""
 
-    appearance: float = Field(0.3, ge=0, description="Weight of the colour likelihood.")
-    appearance_cap: float = Field(6.0, gt=0, description="Most that a matching colour counts against the uniform one, nats.")
-    motion: float = Field(0.3, ge=0, description="Weight of the flow's agreement with the layer's motion field.")
-    motion_floor: float = Field(0.05, gt=0, lt=1, description="Likelihood of a flow that contradicts the field altogether.")
-    prior: float = Field(0.3, ge=0, description="Weight of the warped posterior of the last frame.")
+    appearance: float = Field(0.2, ge=0, description="Weight of the colour likelihood.")
+    appearance_cap: float = Field(
+        3.0, gt=0, description="Most that a matching colour counts against the uniform one, nats."
+    )
+    motion: float = Field(
+        0.03, ge=0, description="Weight of the flow's agreement with the layer's motion field."
+    )
+    motion_floor: float = Field(
+        0.05, gt=0, lt=1, description="Likelihood of a flow that contradicts the field altogether."
+    )
+    prior: float = Field(0.02, ge=0, description="Weight of the warped posterior of the last frame.")
     prior_floor: float = Field(0.1, gt=0, lt=1, description="Least prior.")
     neutral_prior: float = Field(0.5, gt=0, le=1, description="Prior where the layer was not before.")
     distance: float = Field(0.1, ge=0, description="Cost of an object away from its trajectories, nats.")
-    near_px: float = Field(10.0, ge=0, description="Distance from its trajectories up to which it costs nothing, px.")
+    near_px: float = Field(
+        10.0, ge=0, description="Distance from its trajectories up to which it costs nothing, px."
+    )
     far_px: float = Field(30.0, gt=0, description="Distance from which it costs all, px.")
-    close_px: float = Field(20.0, ge=0, description="Half the width of gaps between its trajectories that belong to an object, px.")
-    keep_off_px: float = Field(40.0, ge=0, description="So near to an object the background learns only beside its own trajectories, px.")
-    learn_px: float = Field(10.0, ge=0, description="An object learns only this near to its trajectories, px.")
+    close_px: float = Field(
+        20.0,
+        ge=0,
+        description="Half the width of gaps between its trajectories that belong to an object, px.",
+    )
+    keep_off_px: float = Field(
+        40.0,
+        ge=0,
+        description="So near to an object the background learns only beside its own trajectories, px.",
+    )
+    learn_px: float = Field(6.0, ge=0, description="An object learns only this near to its trajectories, px.")
     offset: float = Field(4.0, ge=0, description="Added to every cost so that it is not negative, nats.")
-    region_margin_px: float = Field(24.0, ge=0, description="Margin of an object's region around its trajectories, px.")
+    region_margin_px: float = Field(
+        24.0, ge=0, description="Margin of an object's region around its trajectories, px."
+    )
 
 
 class SegmentationConfig(_Section):
     """Posterior, data costs and the label-cost graph cut (§6, §7)."""
 
-    contrast_strength: float = Field(0.8, ge=0, description="Pairwise weight of equal neighbours, nats.")
-    contrast_scale: float = Field(200.0, gt=0, description="Squared colour difference at which it falls to 1/e.")
+    contrast_strength: float = Field(1.8, ge=0, description="Pairwise weight of equal neighbours, nats.")
+    contrast_scale: float = Field(
+        300.0, gt=0, description="Squared colour difference at which it falls to 1/e."
+    )
     track_cost: float = Field(2.0, ge=0, description="|c|: pull of a labelled trajectory at its pixel, nats.")
     label_cost: float = Field(20.0, ge=0, description="h_k: cost of using a label at all, px × nats.")
     speck_px: float = Field(50.0, ge=0, description="Smaller components of an object are cleaned away, px².")
@@ -198,7 +256,9 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
         name, equals, text = override.partition("=")
         section, dot, key = name.strip().partition(".")
         if not (equals and dot and section and key):
-            raise ConfigError(f"Cannot use --set {override!r}; write section.key=value, as in layers.lookahead=4.")
+            raise ConfigError(
+                f"Cannot use --set {override!r}; write section.key=value, as in layers.lookahead=4."
+            )
         group = values.get(section) or {}
         if not isinstance(group, dict):
             raise ConfigError(f"The section {section!r} must hold key: value pairs.")
@@ -210,6 +270,7 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
         return Config.model_validate(values)
     except ValidationError as error:
         problems = "; ".join(
-            f"{'.'.join(str(part) for part in problem['loc'])}: {problem['msg']}" for problem in error.errors()
+            f"{'.'.join(str(part) for part in problem['loc'])}: {problem['msg']}"
+            for problem in error.errors()
         )
         raise ConfigError(f"The configuration cannot be used: {problems}.") from error

@@ -62,6 +62,8 @@ class HeldFrame:
     camera : (3, 3) float64
     flow : (h, w, 2) float16
     flow_reliable : (h, w) bool
+    difference : (h, w) uint8
+        :func:`~mlbs_actors.camera.camera_difference`.
     stage_ms : mapping of str to float
     """
 
@@ -74,6 +76,7 @@ class HeldFrame:
     camera: Array
     flow: Array
     flow_reliable: Array
+    difference: Array
     stage_ms: Mapping[str, float]
 
 
@@ -196,6 +199,7 @@ class Coordinator:
             known = (trajectories.ages > 0) & ((labels == BACKGROUND) if state.clustered else True)
             camera = camera_homography(trajectories.positions[known], trajectories.motions[known], scale)
             difference = np.zeros(len(trajectories), np.float32)
+            unexplained = np.zeros(gray.shape, np.float32)
             if flow is not None:
                 unexplained = camera_difference(state.gray, gray, camera, flow.step)
                 difference = sample_flow(unexplained[..., None], trajectories.positions, flow.step)[:, 0]
@@ -208,7 +212,7 @@ class Coordinator:
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
         if state.clustered or frame_index + 1 >= config.layers.init_frames:
             self._cluster(frame, frame_index, stage_ms)
-        state.held = (*state.held, self._hold(frame_index, camera, flow, gray.shape, stage_ms))
+        state.held = (*state.held, self._hold(frame_index, camera, flow, unexplained, stage_ms))
         return self._emit(frame_index - config.layers.lookahead) if state.clustered else []
 
     def flush(self) -> list[FrameEvidence]:
@@ -223,7 +227,9 @@ class Coordinator:
 
     def _check(self, frame_index: int, frame: Array) -> None:
         if frame_index != self.state.next_frame:
-            raise FrameError(f"Frame {frame_index} came where frame {self.state.next_frame} is due; give frames in order.")
+            raise FrameError(
+                f"Frame {frame_index} came where frame {self.state.next_frame} is due; give frames in order."
+            )
         if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3 or 0 in frame.shape:
             raise FrameError(
                 f"A frame must be a (height, width, 3) uint8 BGR image, not {frame.shape} {frame.dtype}; convert it first."
@@ -255,14 +261,18 @@ class Coordinator:
                 fresh = max(registry.state.next_layer, int(labels.max(initial=0)) + 1)
                 labels, _ = split_labels(affinity, labels, config.affinity, fresh)
             else:
-                labels = recursive_cut(affinity, config.affinity.cut_threshold, config.affinity.cut_side_tracks)
+                labels = recursive_cut(
+                    affinity, config.affinity.cut_threshold, config.affinity.cut_side_tracks
+                )
                 labels = _background_first(labels, state.trajectories, scale)
             speeds = label_speeds(state.trajectories, labels)
             least = least_object_speed(state.trajectories, labels == BACKGROUND, config.layers, scale)
             ages = registry.ages(frame_index)
             labels = merge_by_motion(graph, labels, ages, speeds, least, config.layers)
             labels = registry.admit(labels, frame_index)
-            at = np.clip(np.rint(state.trajectories.positions).astype(np.intp), 0, np.array(state.shape)[::-1] - 1)
+            at = np.clip(
+                np.rint(state.trajectories.positions).astype(np.intp), 0, np.array(state.shape)[::-1] - 1
+            )
             state.labels = registry.observe(
                 labels,
                 state.trajectories.positions,
@@ -291,9 +301,14 @@ class Coordinator:
         state.held = tuple(relabelled)
 
     def _hold(
-        self, frame_index: int, camera: Array, flow: DenseFlow | None, size: tuple[int, ...], stage_ms: dict[str, float]
+        self,
+        frame_index: int,
+        camera: Array,
+        flow: DenseFlow | None,
+        difference: Array,
+        stage_ms: dict[str, float],
     ) -> HeldFrame:
-        state = self.state
+        state, size = self.state, difference.shape
         return HeldFrame(
             frame_index,
             state.trajectories.ids,
@@ -304,6 +319,7 @@ class Coordinator:
             camera,
             np.zeros((*size, 2), np.float16) if flow is None else flow.backward.astype(np.float16),
             np.zeros(size, bool) if flow is None else flow.backward_reliable,
+            np.clip(np.rint(difference), 0, 255).astype(np.uint8),
             stage_ms,
         )
 
@@ -318,18 +334,26 @@ class Coordinator:
         state = self.state
         assert state.shape is not None
         registry = LayerRegistry(self.config.layers, state.registry)
-        layer = np.array([registry.layer_of(int(label)) if label >= 0 else UNLABELLED for label in np.unique(held.labels)])
-        layer = layer[np.searchsorted(np.unique(held.labels), held.labels)] if len(held.labels) else held.labels
+        layer = np.array(
+            [registry.layer_of(int(label)) if label >= 0 else UNLABELLED for label in np.unique(held.labels)]
+        )
+        layer = (
+            layer[np.searchsorted(np.unique(held.labels), held.labels)] if len(held.labels) else held.labels
+        )
         live = sorted({BACKGROUND, *(int(one) for one in np.unique(layer) if one > BACKGROUND)})
         # Where the camera's motion explains the image as well, a trajectory says nothing for an object: flow
         # bleeds from an object over the smooth road beside it.
         telling = held.unexplained >= self.config.layers.unexplained_levels
         layers = []
         for one in live:
-            kind: LayerKind = "background" if one == BACKGROUND else "other" if one == state.registry.other else "object"
+            kind: LayerKind = (
+                "background" if one == BACKGROUND else "other" if one == state.registry.other else "object"
+            )
             members = (layer == one) & (telling | (one == BACKGROUND))
             last_frame = state.evaluated.get(one, -1)
-            layers.append(LayerEvidence(one, kind, last_frame, held.positions[members], held.motions[members]))
+            layers.append(
+                LayerEvidence(one, kind, last_frame, held.positions[members], held.motions[members])
+            )
             state.evaluated[one] = held.frame_index
         gone = sorted(set(state.evaluated) - registry.remembered_layers() - {BACKGROUND, *live})
         for one in gone:
@@ -340,6 +364,7 @@ class Coordinator:
             camera=held.camera,
             flow=held.flow,
             flow_reliable=held.flow_reliable,
+            unexplained=held.difference,
             layers=tuple(layers),
             retired=tuple(gone),
             latency_frames=state.next_frame - 1 - held.frame_index,

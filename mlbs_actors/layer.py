@@ -33,7 +33,6 @@ from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_p
 from mlbs_actors.kde import (
     AppearanceModel,
     AppearanceParameters,
-    borrowed_log_likelihood,
     confidence,
     empty_model,
     update,
@@ -126,11 +125,14 @@ class Layer:
             bandwidth_floor=config.appearance.bandwidth_floor,
             window_radius=config.appearance.window_radius,
             half_confidence_samples=config.appearance.half_confidence_samples,
-            borrow_scale=config.appearance.background_borrow_px if kind == "background" else config.appearance.object_borrow_px,
         )
 
     def step(
-        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, frame: Array, previous: Segmentation | None
+        self,
+        evidence: LayerEvidence,
+        frame_evidence: FrameEvidence,
+        frame: Array,
+        previous: Segmentation | None,
     ) -> LayerPosterior:
         """Finish frame t−1, then predict and evaluate frame t.
 
@@ -171,25 +173,38 @@ class Layer:
         if woken:  # after a sleep only the place is known, not the path: neither model nor prior fit
             state.model = empty_model(Region(0, 0, 0, 0), self.config.appearance.samples)
         model, log_density = warp_and_evaluate(state.model, region, motion, image, self._appearance)
-        appearance, trust = self._appearance_cost(model, image, log_density)
+        appearance, trust = self._appearance_cost(model, log_density)
         weights = self.config.posterior
-        cost = weights.appearance * appearance + weights.motion * self._motion_cost(frame_evidence, region, field, motion)
+        cost = weights.appearance * appearance + weights.motion * self._motion_cost(
+            frame_evidence, region, field, motion
+        )
         scale = length_scale(*frame_evidence.shape)
         own = _track_distance([evidence], region)
         objects = [one for one in frame_evidence.layers if one.layer not in (self.layer, BACKGROUND)]
-        others = _track_distance(objects if self.kind == "background" else list(frame_evidence.layers[:1]) + objects, region)
+        others = _track_distance(
+            objects if self.kind == "background" else list(frame_evidence.layers[:1]) + objects, region
+        )
+        unexplained = _to_region(frame_evidence.unexplained, region, frame_evidence.shape)
         if self.kind == "background":
             trusted = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
+            if frame_evidence.frame_index > 0:
+                still = unexplained < 0.5 * self.config.layers.unexplained_levels
+                trusted |= (others > weights.learn_px * scale) & still
         else:
             trusted = (own <= weights.learn_px * scale) & (own < others)
+            trusted &= unexplained >= self.config.layers.unexplained_levels
             body = _closed(own, weights.close_px * scale)
-            cost += weights.distance * np.clip((body - weights.near_px * scale) / ((weights.far_px - weights.near_px) * scale), 0.0, 1.0)
+            cost += weights.distance * np.clip(
+                (body - weights.near_px * scale) / ((weights.far_px - weights.near_px) * scale), 0.0, 1.0
+            )
         if weights.prior > 0:
             neutral = weights.neutral_prior
             prior = np.full(cost.shape, neutral, np.float32)
             if posterior.size and not woken:
                 prior = warp_map(posterior, state.region, region, motion, neutral)
-            cost -= weights.prior * np.log(np.maximum(prior, weights.prior_floor))
+            # Background that was hidden has been there all the same: for it the floor is the neutral value.
+            floor = neutral if self.kind == "background" else weights.prior_floor
+            cost -= weights.prior * np.log(np.maximum(prior, floor))
         quantised = np.clip(np.rint((cost + weights.offset) / COST_STEP), 0, 255).astype(np.uint8)
         evaluated = perf_counter()
 
@@ -197,7 +212,9 @@ class Layer:
             velocity = -np.median(evidence.motions, axis=0).astype(np.float32)
         else:
             velocity = state.velocity
-        self.state = LayerState(frame_evidence.frame_index, region, model, quantised, image, velocity, trusted)
+        self.state = LayerState(
+            frame_evidence.frame_index, region, model, quantised, image, velocity, trusted
+        )
         return LayerPosterior(
             layer=self.layer,
             frame_index=frame_evidence.frame_index,
@@ -232,7 +249,9 @@ class Layer:
         x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
         return posterior, Region(state.region.x + x, state.region.y + y, width, height)
 
-    def _next_region(self, evidence: LayerEvidence, frame_evidence: FrameEvidence, support: Region | None) -> Region:
+    def _next_region(
+        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, support: Region | None
+    ) -> Region:
         """The frame for the background; else the box of trajectories and moved support, with a margin."""
         height, width = frame_evidence.shape
         if self.kind == "background":
@@ -254,7 +273,9 @@ class Layer:
         x1, y1 = np.clip(high, 0, (width, height))
         return Region(int(x0), int(y0), int(x1 - x0), int(y1 - y0))
 
-    def _motion_field(self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region) -> MotionField:
+    def _motion_field(
+        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region
+    ) -> MotionField:
         """GaBP on the region; where nothing is known the camera's motion, or an object's own median."""
         shape = (region.height, region.width)
         corner = np.array([region.x, region.y], np.float32)
@@ -268,35 +289,37 @@ class Layer:
             prior = -self.state.velocity
         return motion_field(evidence.positions - corner, evidence.motions, shape, prior, self._motion)
 
-    def _appearance_cost(self, model: AppearanceModel, image: Array, log_density: Array) -> tuple[Array, Array]:
-        """−log((1−κ) + κ min(p/u, e^cap)) and κ; borrowed from the nearest known samples where there are none."""
+    def _appearance_cost(self, model: AppearanceModel, log_density: Array) -> tuple[Array, Array]:
+        """−log((1−κ) + κ min(p/u, e^cap)) and κ, (h, w) float32 each; 0 where there are no samples."""
         trust = confidence(model.count, self._appearance)
-        borrowed, borrowed_trust = borrowed_log_likelihood(model, image, self._appearance, np.ones(trust.shape, bool))
-        unknown = model.count == 0
-        log_density = np.where(unknown, borrowed, log_density)
-        trust = np.where(unknown, borrowed_trust, trust)
-        ratio = np.exp(np.minimum(np.nan_to_num(log_density, nan=LOG_UNIFORM) - LOG_UNIFORM, self.config.posterior.appearance_cap))
-        # Samples borrowed from elsewhere may speak for the layer where they match, never against it.
-        ratio = np.where(unknown, np.maximum(ratio, 1.0), ratio)
+        advantage = np.nan_to_num(log_density, nan=LOG_UNIFORM) - LOG_UNIFORM
+        ratio = np.exp(np.minimum(advantage, self.config.posterior.appearance_cap))
         return -np.log((1.0 - trust) + trust * ratio), trust
 
-    def _motion_cost(self, frame_evidence: FrameEvidence, region: Region, field: MotionField, motion: Array) -> Array:
+    def _motion_cost(
+        self, frame_evidence: FrameEvidence, region: Region, field: MotionField, motion: Array
+    ) -> Array:
         """−log(ε + (1−ε) exp(−½d²)) of the dense flow under the motion field."""
         height, width = frame_evidence.shape
         if region.area == 0 or self.config.posterior.motion == 0 or not frame_evidence.flow_reliable.any():
             return np.zeros(motion.shape[:2], np.float32)
-        rows, columns = frame_evidence.flow_reliable.shape
-        x = ((np.arange(region.x, region.x + region.width) + 0.5) * columns / width - 0.5).astype(np.float32)
-        y = ((np.arange(region.y, region.y + region.height) + 0.5) * rows / height - 0.5).astype(np.float32)
-        map_x, map_y = np.meshgrid(x, y)
-        source = np.dstack([frame_evidence.flow.astype(np.float32), frame_evidence.flow_reliable.astype(np.float32)])
-        flow = cv2.remap(source, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        source = np.dstack(
+            [frame_evidence.flow.astype(np.float32), frame_evidence.flow_reliable.astype(np.float32)]
+        )
+        flow = _to_region(source, region, frame_evidence.shape)
         scale = length_scale(height, width)
         variance = field.dense_variance() + (self.config.motion.flow_std_px * scale) ** 2
         distance = np.square(flow[..., :2] - motion).sum(axis=2) / variance
         floor = self.config.posterior.motion_floor
         cost = -np.log(floor + (1.0 - floor) * np.exp(-0.5 * distance))
-        return np.asarray(cost * flow[..., 2], np.float32)
+        # Where the camera's motion explains the image as well, the flow may have bled there: it is not heard.
+        levels = np.float32(self.config.layers.unexplained_levels)
+        heard = np.clip(
+            2.0 * _to_region(frame_evidence.unexplained, region, frame_evidence.shape) / levels - 1.0,
+            0.0,
+            1.0,
+        )
+        return np.asarray(cost * flow[..., 2] * heard, np.float32)
 
 
 def _track_distance(layers: list[LayerEvidence], region: Region) -> Array:
@@ -319,8 +342,19 @@ def _closed(distance: Array, radius: float) -> Array:
     """
     if distance.size == 0 or not np.isfinite(distance).all():
         return distance
-    padded = np.pad(distance, int(radius) + 2, mode="constant", constant_values=2 * radius)
-    outside = cv2.distanceTransform((padded <= radius).astype(np.uint8), cv2.DIST_L2, 5)
-    closed = (outside >= radius)[int(radius) + 2 : -int(radius) - 2, int(radius) + 2 : -int(radius) - 2]
+    # Past the region's border the set is taken to go on: an object that leaves the frame stays whole.
+    outside = cv2.distanceTransform((distance <= radius).astype(np.uint8), cv2.DIST_L2, 5)
+    closed = outside >= radius
     to_closed = cv2.distanceTransform((~closed).astype(np.uint8), cv2.DIST_L2, 5)
     return np.asarray(np.minimum(distance, to_closed), np.float32)
+
+
+def _to_region(coarse: Array, region: Region, shape: tuple[int, int]) -> Array:
+    """Bilinear values of a map of the whole frame, coarser than it, at a region's pixels."""
+    if region.area == 0:
+        return np.zeros((region.height, region.width, *coarse.shape[2:]), coarse.dtype)
+    rows, columns = coarse.shape[:2]
+    x = ((np.arange(region.x, region.x + region.width) + 0.5) * columns / shape[1] - 0.5).astype(np.float32)
+    y = ((np.arange(region.y, region.y + region.height) + 0.5) * rows / shape[0] - 0.5).astype(np.float32)
+    map_x, map_y = np.meshgrid(x, y)
+    return np.asarray(cv2.remap(coarse, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))

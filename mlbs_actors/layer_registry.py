@@ -115,7 +115,10 @@ class LayerRegistry:
 
     def ages(self, frame_index: int) -> dict[int, int]:
         """Frames since birth of every label, the background being older than all."""
-        ages = {int(label): int(frame_index - born) for label, born in zip(self.state.labels, self.state.born, strict=True)}
+        ages = {
+            int(label): int(frame_index - born)
+            for label, born in zip(self.state.labels, self.state.born, strict=True)
+        }
         return {**ages, BACKGROUND: np.iinfo(np.int64).max}
 
     def live_layers(self, frame_index: int) -> tuple[int, ...]:
@@ -161,13 +164,23 @@ class LayerRegistry:
                     seen=np.concatenate([[frame_index], state.seen]),
                     centroids=np.concatenate([np.zeros((1, 2)), state.centroids]),
                     velocities=np.concatenate([np.zeros((1, 2)), state.velocities]),
-                    signatures=np.concatenate([np.zeros((1, SIGNATURE_BINS**3), np.float32), state.signatures]),
+                    signatures=np.concatenate(
+                        [np.zeros((1, SIGNATURE_BINS**3), np.float32), state.signatures]
+                    ),
                     pooled=np.concatenate([[False], state.pooled]),
                     next_candidate=candidate - 1,
                 )
         return labels
 
-    def observe(self, labels: Array, positions: Array, motions: Array, colours: Array, frame_index: int, probation: int) -> Array:
+    def observe(
+        self,
+        labels: Array,
+        positions: Array,
+        motions: Array,
+        colours: Array,
+        frame_index: int,
+        probation: int,
+    ) -> Array:
         """Take note of a frame's clusters: promote, put to sleep, forget, and keep the cap.
 
         Parameters
@@ -197,13 +210,17 @@ class LayerRegistry:
             state.centroids[row] = positions[members].mean(axis=0)
             state.velocities[row] = -motions[members].mean(axis=0)
             fresh = colour_signature(colours[members])
-            state.signatures[row] = fresh if state.signatures[row].sum() == 0 else 0.9 * state.signatures[row] + 0.1 * fresh
+            state.signatures[row] = (
+                fresh if state.signatures[row].sum() == 0 else 0.9 * state.signatures[row] + 0.1 * fresh
+            )
         for label in state.labels[~enough]:
             labels[labels == label] = UNLABELLED
         asleep = frame_index - state.seen
         keep = np.where(state.labels > 0, asleep <= self.config.dormant_frames, asleep == 0)
         self._select(keep)
-        for label in self.state.labels[(self.state.labels < UNLABELLED) & (frame_index - self.state.born >= probation)][::-1]:
+        for label in self.state.labels[
+            (self.state.labels < UNLABELLED) & (frame_index - self.state.born >= probation)
+        ][::-1]:
             labels[labels == label] = self._promote(int(label), frame_index)
         self._keep_cap(labels, frame_index)
         return labels

@@ -102,6 +102,8 @@ class FrameEvidence:
         Zeros for frame 0.
     flow_reliable : (h, w) bool
         Where forward and backward flow agree.
+    unexplained : (h, w) uint8
+        How badly the camera's own motion explains the image, grey levels; 0 for frame 0.
     layers : tuple of LayerEvidence
         The live layers in ascending id; the background (id 0) is always first.
     retired : tuple of int
@@ -117,6 +119,7 @@ class FrameEvidence:
     camera: Array
     flow: Array
     flow_reliable: Array
+    unexplained: Array
     layers: tuple[LayerEvidence, ...]
     retired: tuple[int, ...]
     latency_frames: int

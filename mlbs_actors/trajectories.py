@@ -16,7 +16,13 @@ from mlbs_actors.config import TrajectoriesConfig, length_scale
 from mlbs_actors.flow import DenseFlow, sample_flow
 from mlbs_actors.messages import Array
 
-__all__ = ["TrajectoryState", "advance_trajectories", "empty_trajectories", "seed_trajectories", "with_residuals"]
+__all__ = [
+    "TrajectoryState",
+    "advance_trajectories",
+    "empty_trajectories",
+    "seed_trajectories",
+    "with_residuals",
+]
 
 
 #: Share of a trajectory's unexplained difference that lasts to the next frame.
@@ -114,7 +120,11 @@ def advance_trajectories(state: TrajectoryState, flow: DenseFlow, shape: tuple[i
 
 
 def seed_trajectories(
-    state: TrajectoryState, gray: Array, flow: DenseFlow | None, shape: tuple[int, int], config: TrajectoriesConfig
+    state: TrajectoryState,
+    gray: Array,
+    flow: DenseFlow | None,
+    shape: tuple[int, int],
+    config: TrajectoriesConfig,
 ) -> TrajectoryState:
     """Start trajectories on a grid wherever the image has structure and no live trajectory is near.
 
@@ -195,4 +205,6 @@ def with_residuals(state: TrajectoryState, predicted: Array, difference: Array) 
     """
     residuals = state.residuals.copy()
     residuals[:, 0] = np.where(state.ages[:, None] > 0, state.motions - predicted, 0.0)
-    return replace(state, residuals=residuals, unexplained=np.maximum(UNEXPLAINED_KEPT * state.unexplained, difference))
+    return replace(
+        state, residuals=residuals, unexplained=np.maximum(UNEXPLAINED_KEPT * state.unexplained, difference)
+    )
