@@ -86,6 +86,8 @@ def split_labels(
         parts = recursive_cut(
             sp.csr_array(affinity[nodes][:, nodes]), config.cut_threshold, config.cut_side_tracks
         )
+        if parts.max(initial=-1) < 0:
+            continue  # too small to be split
         result[nodes[parts < 0]] = UNLABELLED
         for part in range(parts.max() + 1):
             if part == 0 and label != UNLABELLED:
@@ -188,8 +190,9 @@ def merge_by_motion(
 
     A young label that does not move against the camera goes to the background, wherever it lies. One
     whose motion distance to a neighbour is within the noise at a low quantile of their common border goes
-    to that neighbour; to another object only if a good part of it touches that object, since two objects
-    that pass each other touch with little.
+    to that neighbour. Parts of one object bend and turn against each other, so between objects more is
+    allowed, but only where a good part of the younger touches the older: two objects that pass each other
+    touch with little.
 
     Parameters
     ----------
@@ -216,8 +219,12 @@ def merge_by_motion(
         candidates = []
         for (low, high), (distance, edges) in border_motion(graph, labels, config.merge_quantile).items():
             older, younger = sorted((low, high), key=lambda label: (-ages.get(label, 0), label))
-            touching = older == BACKGROUND or edges >= config.merge_reach * int((labels == younger).sum())
-            if touching and ages.get(younger, 0) < config.young_frames and distance < config.merge_distance:
+            if older == BACKGROUND:
+                alike = distance < config.merge_distance
+            else:
+                alike = distance < config.object_merge_distance
+                alike &= edges >= config.merge_reach * int((labels == younger).sum())
+            if alike and ages.get(younger, 0) < config.young_frames:
                 candidates.append((distance, younger, older))
         if not candidates:
             return labels

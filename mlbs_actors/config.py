@@ -43,7 +43,12 @@ class FlowConfig(_Section):
     """Dense optical flow (METHOD: DIS instead of the authors' LDOF)."""
 
     preset: Literal["ultrafast", "fast", "medium"] = Field("medium", description="OpenCV DIS preset.")
-    scale: float = Field(0.5, gt=0, le=1, description="Flow is computed on the frame shrunk by this factor.")
+    scale: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Flow is computed on the frame shrunk to this share of 640×480 (never enlarged).",
+    )
 
 
 class TrajectoriesConfig(_Section):
@@ -104,8 +109,9 @@ class LayersConfig(_Section):
         0.3, ge=0, le=1, description="Quantile of motion distances across a border."
     )
     merge_distance: float = Field(1.2, ge=0, description="Labels below it at that quantile are one.")
+    object_merge_distance: float = Field(6.0, ge=0, description="The same between two objects.")
     merge_reach: float = Field(
-        0.5, ge=0, description="Border edges per trajectory of the younger of two objects to merge."
+        1.0, ge=0, description="Border edges per trajectory of the younger of two objects to merge."
     )
     camera_px: float = Field(
         0.6, ge=0, description="A young label moves at least this much against the camera, px/frame."

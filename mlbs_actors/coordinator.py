@@ -269,7 +269,8 @@ class Coordinator:
             least = least_object_speed(state.trajectories, labels == BACKGROUND, config.layers, scale)
             ages = registry.ages(frame_index)
             labels = merge_by_motion(graph, labels, ages, speeds, least, config.layers)
-            labels = registry.admit(labels, frame_index)
+            # What the first clustering finds has been there since the first frame.
+            labels = registry.admit(labels, frame_index if state.clustered else 0)
             at = np.clip(
                 np.rint(state.trajectories.positions).astype(np.intp), 0, np.array(state.shape)[::-1] - 1
             )

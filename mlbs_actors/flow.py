@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from mlbs_actors.config import FlowConfig, TrajectoriesConfig
+from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
 from mlbs_actors.messages import Array
 
 __all__ = ["DenseFlow", "dense_flow", "flow_gray", "sample_flow"]
@@ -65,7 +65,8 @@ def flow_gray(frame: Array, config: FlowConfig) -> Array:
     """
     gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
     height, width = gray.shape
-    size = (max(16, round(width * config.scale)), max(16, round(height * config.scale)))
+    scale = min(1.0, config.scale / length_scale(height, width))
+    size = (max(16, round(width * scale)), max(16, round(height * scale)))
     return gray if size == (width, height) else cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
 
 

@@ -1,0 +1,196 @@
+"""The parameters written out for people: ``configs/default.yaml`` and ``docs/configuration.md``.
+
+Both are made from the models of :mod:`mlbs_actors.config`, so a default, a meaning or a range is stated once.
+``scripts/configuration`` writes them; a test fails while they are out of step with the models.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args, get_origin
+
+import yaml
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from mlbs_actors.config import Config
+
+__all__ = [
+    "Parameter",
+    "Section",
+    "as_markdown",
+    "as_yaml",
+    "configuration_texts",
+    "describe",
+    "main",
+]
+
+_YAML_HEAD = """\
+# Every parameter with its default value. To change some, copy this file or write a shorter one with
+# only the lines that differ, and give it with --config FILE; or give --set section.key=value.
+# One set of values serves all videos. Lengths in px are those of a 640×480 frame and scale with the
+# square root of the frame's area, where nothing else is said.
+# Written by scripts/configuration from mlbs_actors/config.py: change the defaults there.
+"""
+
+_MARKDOWN_HEAD = """\
+# Parameters
+
+One set of values serves all videos. Lengths in px are those of a 640×480 frame and scale with the square
+root of the frame's area, where nothing else is said. § is a section of the paper.
+
+Change a value with `--set section.key=value`, or give a YAML file with `--config FILE`. The file may hold
+any subset; [`configs/default.yaml`](../configs/default.yaml) holds all. In Python:
+`load_config("file.yaml", ["layers.lookahead=4"])`.
+
+This page and that file are written by `scripts/configuration` from
+[`mlbs_actors/config.py`](../mlbs_actors/config.py). Do not edit them by hand.
+"""
+
+# A meaning ends with its unit where the name does not hold it: "..., nats." or "..., px (not scaled ...)."
+_UNIT_IN_MEANING = re.compile(r", (px/frame|px × nats|px²|px|nats|grey levels)(?: \([^)]*\))?\.$")
+_UNIT_OF_SUFFIX = {
+    "px": "px",
+    "px2": "px²",
+    "frames": "frames",
+    "levels": "grey levels",
+    "tracks": "trajectories",
+}
+
+_BOUNDS: tuple[tuple[type, str, str], ...] = (
+    (Gt, "gt", ">"),
+    (Ge, "ge", "≥"),
+    (Lt, "lt", "<"),
+    (Le, "le", "≤"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter as a reader sees it.
+
+    Attributes
+    ----------
+    key : str
+        Name within its section.
+    default : str
+        As it is written in YAML.
+    meaning : str
+        A sentence.
+    unit : str
+        Empty for a pure number or a word.
+    allowed : str
+        What values there are, for example ``"> 0, ≤ 1"``; empty if all of its type.
+    """
+
+    key: str
+    default: str
+    meaning: str
+    unit: str
+    allowed: str
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One section of the configuration: its key, what it is about, its parameters in their order."""
+
+    key: str
+    title: str
+    parameters: tuple[Parameter, ...]
+
+
+def describe(model: type[BaseModel]) -> tuple[Section, ...]:
+    """List what a configuration consists of.
+
+    Parameters
+    ----------
+    model : subclass of pydantic.BaseModel
+        Every field is a section: a model again, with a default, whose docstring's first line is its title.
+
+    Returns
+    -------
+    tuple of Section
+        In the order of the fields.
+    """
+    defaults = model()
+    sections = []
+    for key in model.model_fields:
+        section: BaseModel = getattr(defaults, key)
+        title = (type(section).__doc__ or "").strip().partition("\n")[0]
+        sections.append(Section(key, title, tuple(_parameters(section))))
+    return tuple(sections)
+
+
+def as_yaml(sections: tuple[Section, ...]) -> str:
+    """Write a configuration file: every parameter with its default, its meaning in a comment above it."""
+    lines = [_YAML_HEAD]
+    for section in sections:
+        lines += [f"# {section.title}", f"{section.key}:"]
+        for parameter in section.parameters:
+            notes = [f"Unit: {parameter.unit}."] if _adds_to(parameter.meaning, parameter.unit) else []
+            notes += [f"Allowed: {parameter.allowed}."] if parameter.allowed else []
+            lines.append(f"  # {' '.join([parameter.meaning, *notes])}")
+            lines.append(f"  {parameter.key}: {parameter.default}")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def as_markdown(sections: tuple[Section, ...]) -> str:
+    """Write the page: a table a section."""
+    lines = [_MARKDOWN_HEAD]
+    for section in sections:
+        lines += [f"## `{section.key}`", "", section.title, ""]
+        lines += ["| parameter | default | unit | allowed | meaning |", "|---|---|---|---|---|"]
+        for one in section.parameters:
+            cells = (f"`{one.key}`", one.default, one.unit, one.allowed, one.meaning)
+            lines.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def configuration_texts() -> dict[str, str]:
+    """Content of the written files by their path in the repository."""
+    sections = describe(Config)
+    return {"configs/default.yaml": as_yaml(sections), "docs/configuration.md": as_markdown(sections)}
+
+
+def main() -> int:
+    """Write the files into the repository that this module is part of; return the exit status."""
+    root = Path(__file__).resolve().parents[1]
+    for name, text in configuration_texts().items():
+        (root / name).write_text(text, encoding="utf-8")
+        print(f"Written: {name}")
+    return 0
+
+
+def _parameters(section: BaseModel) -> Iterator[Parameter]:
+    for key, field in type(section).model_fields.items():
+        meaning = field.description or ""
+        # Through PyYAML, because not every number as Python writes it is one in YAML (1e-05 is a text there).
+        written = yaml.safe_dump({key: getattr(section, key)}, allow_unicode=True)
+        default = written.removeprefix(f"{key}:").strip()
+        yield Parameter(key, default, meaning, _unit(key, meaning), _allowed(field))
+
+
+def _unit(key: str, meaning: str) -> str:
+    stated = _UNIT_IN_MEANING.search(meaning)
+    return stated[1] if stated else _UNIT_OF_SUFFIX.get(key.rpartition("_")[2], "")
+
+
+def _adds_to(meaning: str, unit: str) -> bool:
+    return bool(unit) and unit.lower() not in meaning.lower()
+
+
+def _allowed(field: FieldInfo) -> str:
+    if get_origin(field.annotation) is Literal:
+        return ", ".join(str(choice) for choice in get_args(field.annotation))
+    return ", ".join(
+        f"{sign} {getattr(bound, attribute):g}"
+        for bound in field.metadata
+        for kind, attribute, sign in _BOUNDS
+        if isinstance(bound, kind)
+    )

@@ -1,0 +1,161 @@
+"""Dense flow: known translations, the size of its grid, and its checks against plain loops."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from mlbs_actors.config import FlowConfig, TrajectoriesConfig
+from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray, sample_flow
+from mlbs_actors.messages import Array
+
+CONFIG = FlowConfig()
+CHECKS = TrajectoriesConfig()
+
+
+def texture(height: int, width: int, seed: int = 0) -> Array:
+    """Smooth random grey texture, uint8."""
+    noise = np.random.default_rng(seed).normal(size=(height, width)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 1.5)
+    return np.asarray(cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX), np.uint8)
+
+
+def covered_scene() -> tuple[Array, Array, Array]:
+    """Two grey frames in which a square moves 8 px to the right, and the square's place in the first."""
+    background, thing = texture(96, 128, 1), texture(32, 32, 2)
+    square = np.zeros((96, 128), bool)
+    square[32:64, 40:72] = True
+    first, second = background.copy(), background.copy()
+    first[32:64, 40:72] = thing
+    second[32:64, 48:80] = thing
+    return first, second, square
+
+
+def test_a_pan_is_found_in_both_directions() -> None:
+    canvas = texture(120, 160)
+    first, second = canvas[10:106, 10:138], canvas[12:108, 7:135]  # things move by (+3, −2)
+    flow = dense_flow(first, second, first.shape, CONFIG, CHECKS)
+    inner = np.s_[12:-12, 12:-12]
+    np.testing.assert_allclose(np.median(flow.forward[inner], axis=(0, 1)), [3, -2], atol=0.05)
+    np.testing.assert_allclose(np.median(flow.backward[inner], axis=(0, 1)), [-3, 2], atol=0.05)
+    assert flow.forward_reliable[inner].mean() > 0.99
+    assert flow.backward_reliable[inner].mean() > 0.99
+
+
+def test_flow_on_a_shrunk_frame_is_stated_in_full_size_px() -> None:
+    canvas = cv2.resize(texture(120, 160), (480, 240), interpolation=cv2.INTER_CUBIC)  # ×3 and ×2
+    first, second = canvas[20:212, 30:414], canvas[16:208, 36:420]  # things move by (−6, +4)
+    shrunk = [cv2.resize(one, (128, 96), interpolation=cv2.INTER_AREA) for one in (first, second)]
+    flow = dense_flow(shrunk[0], shrunk[1], first.shape, CONFIG, CHECKS)
+    assert flow.step == (3.0, 2.0)
+    inner = np.s_[12:-12, 12:-12]
+    np.testing.assert_allclose(np.median(flow.forward[inner], axis=(0, 1)), [-6, 4], atol=0.2)
+
+
+def test_equal_frames_give_equal_bytes() -> None:
+    first, second, _ = covered_scene()
+    one = dense_flow(first, second, first.shape, CONFIG, CHECKS)
+    other = dense_flow(first.copy(), second.copy(), first.shape, CONFIG, CHECKS)
+    assert one.forward.tobytes() == other.forward.tobytes()
+    assert one.backward.tobytes() == other.backward.tobytes()
+
+
+def test_what_is_covered_or_uncovered_is_not_reliable() -> None:
+    first, second, square = covered_scene()
+    flow = dense_flow(first, second, first.shape, CONFIG, CHECKS)
+    covered = np.zeros_like(square)
+    covered[32:64, 72:80] = True  # background in the first frame, behind the square in the second
+    uncovered = np.zeros_like(square)
+    uncovered[32:64, 40:48] = True
+    assert flow.forward_reliable[covered].mean() < 0.1
+    assert flow.backward_reliable[uncovered].mean() < 0.1
+    far = cv2.dilate((square | covered).astype(np.uint8), np.ones((25, 25), np.uint8)) == 0
+    assert flow.forward_reliable[far][: far.sum()].mean() > 0.9
+    assert flow.forward_reliable[40:56, 48:64].mean() > 0.9  # the inside of the square
+
+
+def reference_checks(flow: DenseFlow) -> tuple[Array, Array]:
+    """Forward reliability by loops, and where it is not decided by the last digits."""
+    height, width = flow.forward.shape[:2]
+    reliable, clear = np.zeros((height, width), bool), np.zeros((height, width), bool)
+    padded = np.pad(flow.forward.astype(np.float64), ((1, 1), (1, 1), (0, 0)), mode="reflect")
+    for y in range(height):
+        for x in range(width):
+            w = flow.forward[y, x].astype(np.float64)
+            there_x, there_y = x + w[0] / flow.step[0], y + w[1] / flow.step[1]
+            if not (0 <= there_x <= width - 1 and 0 <= there_y <= height - 1):
+                clear[y, x] = True
+                continue
+            left, top = min(int(there_x), width - 2), min(int(there_y), height - 2)
+            right, down = there_x - left, there_y - top
+            corners = flow.backward[top : top + 2, left : left + 2].astype(np.float64)
+            back = (1 - down) * ((1 - right) * corners[0, 0] + right * corners[0, 1]) + down * (
+                (1 - right) * corners[1, 0] + right * corners[1, 1]
+            )
+            error = np.sum((w + back) ** 2)
+            allowed = CHECKS.consistency_relative * (np.sum(w**2) + np.sum(back**2)) + CHECKS.consistency_px2
+            window = padded[y : y + 3, x : x + 3]
+            weights = np.array([3.0, 10.0, 3.0]) / 32
+            horizontal = np.tensordot(weights, window[:, 2] - window[:, 0], 1) / flow.step[0]
+            vertical = np.tensordot(weights, window[2] - window[0], 1) / flow.step[1]
+            gradient = np.sum(horizontal**2) + np.sum(vertical**2)
+            bound = CHECKS.boundary_relative * np.sum(w**2) + CHECKS.boundary_absolute
+            reliable[y, x] = error < allowed and gradient <= bound
+            # OpenCV interpolates at 1/32 px.
+            rounding = np.abs(np.diff(corners, axis=0)).sum() + np.abs(np.diff(corners, axis=1)).sum()
+            doubt = 2 * np.sqrt(error + allowed) * rounding / 32 + 1e-5
+            clear[y, x] = abs(error - allowed) > doubt and abs(gradient - bound) > 1e-5
+    return reliable, clear
+
+
+@pytest.mark.parametrize("step", [(1.0, 1.0), (2.5, 2.0)])
+def test_the_checks_are_those_of_plain_loops(step: tuple[float, float]) -> None:
+    first, second, _ = covered_scene()
+    shape = (round(96 * step[1]), round(128 * step[0]))
+    flow = dense_flow(first, second, shape, CONFIG, CHECKS)
+    assert flow.step == step
+    reliable, clear = reference_checks(flow)
+    assert clear.mean() > 0.9
+    assert reliable[clear].any()
+    assert not reliable[clear].all()
+    np.testing.assert_array_equal(flow.forward_reliable[clear], reliable[clear])
+
+
+def test_flow_is_sampled_bilinearly_between_the_centres_of_its_cells() -> None:
+    field = np.random.default_rng(0).normal(size=(6, 9, 2)).astype(np.float32)
+    step = (2.0, 4.0)
+    points = np.random.default_rng(1).uniform((1, 2), (15, 20), (50, 2)).astype(np.float32)
+    sampled = sample_flow(field, points, step)
+    for (px, py), value in zip(points, sampled, strict=True):
+        x, y = (px + 0.5) / step[0] - 0.5, (py + 0.5) / step[1] - 0.5  # pixel centres are at whole numbers
+        left, top = int(np.floor(x)), int(np.floor(y))
+        right, down = x - left, y - top
+        expected = (1 - down) * ((1 - right) * field[top, left] + right * field[top, left + 1]) + down * (
+            (1 - right) * field[top + 1, left] + right * field[top + 1, left + 1]
+        )
+        np.testing.assert_allclose(value, expected, atol=0.15)  # OpenCV's 1/32 px of a rough field
+    centres = np.array([[0.5, 1.5], [16.5, 21.5]], np.float32)  # of the first and the last cell
+    np.testing.assert_allclose(sample_flow(field, centres, step), [field[0, 0], field[5, 8]], atol=1e-6)
+
+
+def test_flow_at_no_points_is_empty() -> None:
+    assert sample_flow(np.zeros((4, 4, 3), np.float32), np.zeros((0, 2), np.float32), (1, 1)).shape == (0, 3)
+
+
+def test_the_grey_image_is_shrunk_but_never_below_16_px_and_never_enlarged() -> None:
+    def size(height: int, width: int) -> tuple[int, ...]:
+        return flow_gray(np.zeros((height, width, 3), np.uint8), CONFIG).shape
+
+    height, width = size(480, 640)
+    assert (height, width) == (round(480 * CONFIG.scale), round(640 * CONFIG.scale))
+    assert size(16, 16) == (16, 16)
+    assert size(1, 40)[0] == 16
+    assert min(size(20, 2000)) >= 16
+    for shape in ((960, 1280), (240, 320), (120, 160), (100, 50)):
+        assert all(small <= full for small, full in zip(size(*shape), shape, strict=True))
+
+
+def test_a_grey_value_is_that_of_the_colour() -> None:
+    frame = np.full((32, 48, 3), (10, 200, 90), np.uint8)
+    assert set(np.unique(flow_gray(frame, CONFIG))) == {round(0.114 * 10 + 0.587 * 200 + 0.299 * 90)}
