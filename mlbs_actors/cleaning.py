@@ -35,7 +35,7 @@ def clean_labels(labels: Array, speck_px: float, hole_px: float) -> Array:
     cleaned = labels.copy()
     for label in np.unique(labels):
         limit = hole_px if label == 0 else speck_px
-        count, component, stats, _ = cv2.connectedComponentsWithStats(
+        _count, component, stats, _ = cv2.connectedComponentsWithStats(
             (labels == label).astype(np.uint8), connectivity=4
         )
         areas = stats[1:, cv2.CC_STAT_AREA]

@@ -175,7 +175,7 @@ def least_object_speed(
 def _residual_speed(trajectories: TrajectoryState) -> Array:
     known = np.minimum(np.maximum(trajectories.ages, 1), SPEED_FRAMES)
     mean = trajectories.residuals[:, :SPEED_FRAMES].sum(axis=1) / known[:, None]
-    return np.hypot(mean[:, 0], mean[:, 1])
+    return np.asarray(np.hypot(mean[:, 0], mean[:, 1]))
 
 
 def merge_by_motion(

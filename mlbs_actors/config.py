@@ -6,6 +6,7 @@ the frame's area (:func:`length_scale`), so that the same object is treated alik
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -32,7 +33,7 @@ __all__ = [
 
 def length_scale(height: int, width: int) -> float:
     """How many px of an ``height`` × ``width`` frame make one px of the 640×480 reference frame."""
-    return float(height * width / (640 * 480)) ** 0.5
+    return math.sqrt(height * width / (640 * 480))
 
 
 class _Section(BaseModel):
@@ -119,13 +120,16 @@ class LayersConfig(_Section):
     camera_relative: float = Field(
         0.06, ge=0, description="... and at least this share of the camera's own motion."
     )
-    unexplained_levels: float = Field(
-        14.0,
+    unexplained_noise: float = Field(
+        4.0,
         ge=0,
-        description="An object's trajectory counts only where the camera's motion is this wrong, grey levels.",
+        description="An object's trajectory counts only where the camera's motion errs by this, × noise.",
     )
     probation_frames: int = Field(2, ge=0, description="Frames a split must last before it becomes a layer.")
     min_tracks: int = Field(5, ge=1, description="Fewer trajectories retire a layer.")
+    coast_frames: int = Field(
+        10, ge=0, description="Frames a layer without trajectories stays awake while it owns pixels."
+    )
     wake_similarity: float = Field(
         0.75, ge=0, le=1, description="Bhattacharyya coefficient of colours that wakes a sleeping layer."
     )

@@ -10,12 +10,11 @@ map; with ``lookahead`` every frame waits for later ones in the same way.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from time import perf_counter
 
-import cv2
 import numpy as np
 
 from mlbs_actors.affinity import TrajectoryGraph, displacement_spread, trajectory_graph
@@ -32,7 +31,15 @@ from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray, sample_flow
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
-from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, LayerKind, Segmentation
+from mlbs_actors.messages import (
+    BACKGROUND,
+    UNEXPLAINED_STEP,
+    Array,
+    FrameEvidence,
+    LayerEvidence,
+    LayerKind,
+    Segmentation,
+)
 from mlbs_actors.normalized_cut import recursive_cut
 from mlbs_actors.trajectories import (
     TrajectoryState,
@@ -211,7 +218,8 @@ class Coordinator:
         state.next_frame, state.shape, state.gray = frame_index + 1, shape, gray
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
         if state.clustered or frame_index + 1 >= config.layers.init_frames:
-            self._cluster(frame, frame_index, stage_ms)
+            published = [] if feedback is None else [one.layer for one in feedback.layers]
+            self._cluster(frame, frame_index, published, stage_ms)
         state.held = (*state.held, self._hold(frame_index, camera, flow, unexplained, stage_ms))
         return self._emit(frame_index - config.layers.lookahead) if state.clustered else []
 
@@ -221,7 +229,7 @@ class Coordinator:
         if state.held and not state.clustered:
             # Fewer frames than the first clustering wants: it is done with what there is.
             colourless = np.zeros((*(state.shape or (0, 0)), 3), np.uint8)
-            self._cluster(colourless, state.next_frame - 1, {})
+            self._cluster(colourless, state.next_frame - 1, [], {})
             self._relabel_held()
         return self._emit(state.next_frame - 1)
 
@@ -232,12 +240,13 @@ class Coordinator:
             )
         if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3 or 0 in frame.shape:
             raise FrameError(
-                f"A frame must be a (height, width, 3) uint8 BGR image, not {frame.shape} {frame.dtype}; convert it first."
+                f"A frame must be a (height, width, 3) uint8 BGR image, not {frame.shape} {frame.dtype}; "
+                "convert it first."
             )
         if self.state.shape not in (None, frame.shape[:2]):
             raise FrameError(
                 f"Frame {frame_index} is {frame.shape[1]}×{frame.shape[0]} px but the stream is "
-                f"{self.state.shape[1]}×{self.state.shape[0]}; start a new subtractor for another size."  # type: ignore[index]
+                f"{self.state.shape[1]}×{self.state.shape[0]}; start a new subtractor for another size."
             )
 
     def _graph(self) -> TrajectoryGraph:
@@ -246,12 +255,14 @@ class Coordinator:
         assert state.shape is not None
         return trajectory_graph(state.trajectories, spreads, state.shape, self.config.affinity)
 
-    def _cluster(self, frame: Array, frame_index: int, stage_ms: dict[str, float]) -> None:
+    def _cluster(
+        self, frame: Array, frame_index: int, published: Collection[int], stage_ms: dict[str, float]
+    ) -> None:
         """Decide the label of every live trajectory, and with it which layers live."""
         state, config = self.state, self.config
         assert state.shape is not None
         scale = length_scale(*state.shape)
-        registry = LayerRegistry(config.layers, state.registry)
+        registry = LayerRegistry(config.layers, scale, state.registry)
         with _timed(stage_ms, "affinity"):
             graph = self._graph()
             affinity = graph.matrix()
@@ -281,6 +292,7 @@ class Coordinator:
                 frame[at[:, 1], at[:, 0]],
                 frame_index,
                 config.layers.probation_frames if state.clustered else 0,
+                published,
             )
         state.registry = registry.state
         state.clustered = True
@@ -320,7 +332,7 @@ class Coordinator:
             camera,
             np.zeros((*size, 2), np.float16) if flow is None else flow.backward.astype(np.float16),
             np.zeros(size, bool) if flow is None else flow.backward_reliable,
-            np.clip(np.rint(difference), 0, 255).astype(np.uint8),
+            np.clip(np.rint(difference / UNEXPLAINED_STEP), 0, 255).astype(np.uint8),
             stage_ms,
         )
 
@@ -334,17 +346,18 @@ class Coordinator:
     def _evidence(self, held: HeldFrame) -> FrameEvidence:
         state = self.state
         assert state.shape is not None
-        registry = LayerRegistry(self.config.layers, state.registry)
+        registry = LayerRegistry(self.config.layers, length_scale(*state.shape), state.registry)
         layer = np.array(
             [registry.layer_of(int(label)) if label >= 0 else UNLABELLED for label in np.unique(held.labels)]
         )
         layer = (
             layer[np.searchsorted(np.unique(held.labels), held.labels)] if len(held.labels) else held.labels
         )
-        live = sorted({BACKGROUND, *(int(one) for one in np.unique(layer) if one > BACKGROUND)})
+        with_tracks = (int(one) for one in np.unique(layer) if one > BACKGROUND)
+        live = sorted({BACKGROUND, *with_tracks, *registry.live_layers(held.frame_index)})
         # Where the camera's motion explains the image as well, a trajectory says nothing for an object: flow
         # bleeds from an object over the smooth road beside it.
-        telling = held.unexplained >= self.config.layers.unexplained_levels
+        telling = held.unexplained >= self.config.layers.unexplained_noise
         layers = []
         for one in live:
             kind: LayerKind = (

@@ -3,14 +3,14 @@
 A library that splits a sum over its threads gives other last bits with another number of threads (a
 matrix product by OpenBLAS does), and a threshold downstream makes them visible. Everything of this
 package therefore computes in one thread, in the caller's process (:func:`single_threaded`) and in each
-actor's (:func:`limit_process`). The parallelism is between the processes.
+actor's (:func:`limit_process`). The parallelism is between the processes. Numba needs no limit: no kernel here
+asks for its threads, and changing their number after its import makes its next compilation fail.
 """
 
 from __future__ import annotations
 
 import functools
 import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -26,40 +26,31 @@ _THREAD_VARIABLES = (
     "MKL_NUM_THREADS",
     "BLIS_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
-    "NUMBA_NUM_THREADS",
 )
 
 
 @functools.cache
 def _thread_pools() -> ThreadpoolController:
     """BLAS and OpenMP libraries of this process; looking for them takes 5 ms, so it is done once."""
-    # Both bring libraries along, which must be there before the search.
-    import numba
-    import scipy.linalg  # noqa: F401
+    import scipy.linalg  # noqa: F401  (brings a BLAS along, which must be there before the search)
 
-    numba.get_num_threads()
     return ThreadpoolController()
 
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Compute in one BLAS, OpenMP, OpenCV and Numba thread until the end of the ``with`` block.
+    """Compute in one BLAS, OpenMP and OpenCV thread until the end of the ``with`` block.
 
     The numbers of threads found on entry are restored on exit, also after an exception. Blocks may be
-    nested. Entering takes about 0.05 ms. The numbers belong to the process (those of OpenMP and Numba to
-    the calling thread): do not use it in two threads at once.
+    nested. Entering takes about 0.05 ms. The numbers belong to the process (that of OpenMP to the
+    calling thread): do not use it in two threads at once.
     """
-    import numba
-
     opencv_threads = cv2.getNumThreads()
-    numba_threads = numba.get_num_threads()
     with _thread_pools().limit(limits=1):
         cv2.setNumThreads(1)
-        numba.set_num_threads(1)
         try:
             yield
         finally:
-            numba.set_num_threads(numba_threads)
             cv2.setNumThreads(opencv_threads)
 
 
@@ -68,13 +59,9 @@ def limit_process() -> None:
 
     Call it first in an actor, in the thread that will compute. Libraries that are loaded later follow
     the environment variables it sets; none is loaded for its sake, since a process that only reads or
-    writes files can do without Numba's and SciPy's 27 MB.
+    writes files can do without them.
     """
     for variable in _THREAD_VARIABLES:
         os.environ[variable] = "1"
-    if "numba" in sys.modules:
-        import numba
-
-        numba.set_num_threads(1)  # may load an OpenMP, so it comes before the search
     ThreadpoolController().limit(limits=1)
     cv2.setNumThreads(1)

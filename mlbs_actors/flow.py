@@ -113,7 +113,7 @@ def dense_flow(
     DenseFlow
     """
     step = (shape[1] / current.shape[1], shape[0] / current.shape[0])
-    solver = cv2.DISOpticalFlow_create(_PRESETS[config.preset])
+    solver = cv2.DISOpticalFlow.create(_PRESETS[config.preset])
     factor = np.array(step, np.float32)
     forward = solver.calc(previous, current, None) * factor
     backward = solver.calc(current, previous, None) * factor

@@ -12,8 +12,6 @@ successive difference, with a floor. (A median |a − b| of two Gaussian values 
 independent channels has its median at 1.1 σ, over three equal ones at 0.95 σ: it is taken as σ.)
 
 **Unknown is not unlikely.** A pixel without samples has no likelihood: NaN, with confidence 0.
-:func:`borrowed_log_likelihood` gives it that of the nearest stack that is known, with a confidence that
-decays with the distance.
 
 Differs from the paper: the sum is divided by the number of samples (the published MATLAB's is not, an
 accidental prior); colours are plain BGR (there: normalised red, green and intensity); the exponential is
@@ -25,7 +23,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numba import njit
 
@@ -35,7 +32,6 @@ from mlbs_actors.messages import Array, Region
 __all__ = [
     "AppearanceModel",
     "AppearanceParameters",
-    "borrowed_log_likelihood",
     "confidence",
     "empty_model",
     "log_likelihood",
@@ -62,19 +58,12 @@ class AppearanceParameters:
         Standard deviation of the window's Gaussian weights, px.
     half_confidence_samples : float
         Number of samples at which a stack's confidence is one half.
-    borrow_bandwidth_floor : float
-        The same as ``bandwidth_floor`` for borrowed stacks, grey levels: colours vary more from place to
-        place than in time.
-    borrow_scale : float
-        Distance at which the confidence of a borrowed stack has fallen to 1/e, px.
     """
 
     bandwidth_floor: float = 5.0
     window_radius: int = 0
     window_std: float = 0.7
     half_confidence_samples: float = 2.0
-    borrow_bandwidth_floor: float = 12.0
-    borrow_scale: float = 8.0
 
 
 def confidence(count: Array, parameters: AppearanceParameters) -> Array:
@@ -140,54 +129,6 @@ def warp_and_evaluate(
     """
     moved = warp_model(model, new_region, motion)
     return moved, log_likelihood(moved, image, parameters)
-
-
-def borrowed_log_likelihood(
-    model: AppearanceModel, image: Array, parameters: AppearanceParameters, needed: Array
-) -> tuple[Array, Array]:
-    """Log density under the nearest known stack, for the pixels that have none of their own.
-
-    Parameters
-    ----------
-    model : AppearanceModel
-        At the frame's time.
-    image : (h, w, 3) uint8
-        The frame cut to the model's region, BGR.
-    parameters : AppearanceParameters
-    needed : (h, w) bool
-        Where an answer is wanted; only unknown pixels among them get one.
-
-    Returns
-    -------
-    log_likelihood : (h, w) float32
-        Nats per unit RGB volume; NaN at known or unneeded pixels and for a model that knows nothing.
-    confidence : (h, w) float32
-        That of the stack times exp(−distance / ``borrow_scale``); 0 where the likelihood is NaN. The
-        distance is the 5×5 chamfer one, within 2 % of the Euclidean.
-    """
-    result = np.full(model.count.shape, np.nan, np.float32)
-    trust = np.zeros(model.count.shape, np.float32)
-    unknown = model.count == 0
-    wanted = unknown & needed
-    if unknown.all() or not wanted.any():
-        return result, trust
-    distance, label = cv2.distanceTransformWithLabels(
-        unknown.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    lender = np.zeros(int(label.max()) + 1, np.int64)
-    lender[label[~unknown]] = np.flatnonzero(~unknown)
-    rows, columns = np.nonzero(wanted)
-    lenders = lender[label[rows, columns]]
-    inverse, norm, weights = _tables(parameters, parameters.borrow_bandwidth_floor)
-    values = np.empty(rows.size, np.float32)
-    _log_densities(
-        model.samples, model.count, model.spread, lenders // unknown.shape[1], lenders % unknown.shape[1],
-        image[rows, columns].astype(np.float32), inverse, norm, weights, values,
-    )  # fmt: skip
-    result[rows, columns] = values
-    decay = np.exp(-distance[rows, columns] / np.float32(parameters.borrow_scale))
-    trust[rows, columns] = confidence(model.count.ravel()[lenders], parameters) * decay
-    return result, trust
 
 
 def _tables(parameters: AppearanceParameters, floor: float) -> tuple[Array, Array, Array]:

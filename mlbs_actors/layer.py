@@ -10,8 +10,8 @@ that none can overrule the trajectories alone (nats; weights in :class:`~mlbs_ac
   colours, κ the confidence of the pixel's samples. Unknown (κ = 0) costs 0: *unknown is not unlikely*.
 * motion, −w log(ε + (1 − ε) exp(−½ d²)): d² the squared distance of the dense flow from the layer's
   motion field in units of the field's marginal variance plus the flow's own; 0 where the flow is unreliable.
-* prior, −w log(max(posterior of t−1 warped by the layer's own motion, floor)); where the source is outside the
-  layer's old region, and in a new-born layer, the prior is neutral (its value is a parameter too).
+* prior, −w log(max(posterior of t−1 warped by the layer's own motion, floor)); where the source is outside
+  the layer's old region, and in a new-born layer, the prior is neutral (its value is a parameter too).
 
 Differs from the paper: the motion likelihood is not in it; the prior has a floor, so that it can be
 overruled, and a layer is weighed by its own confidence, pixel by pixel (the authors' program makes
@@ -41,6 +41,7 @@ from mlbs_actors.kde import (
 from mlbs_actors.messages import (
     BACKGROUND,
     COST_STEP,
+    UNEXPLAINED_STEP,
     Array,
     FrameEvidence,
     LayerEvidence,
@@ -158,8 +159,9 @@ class Layer:
         state = self.state
         if evidence.layer != self.layer or evidence.last_frame != state.last_frame:
             raise LayerError(
-                f"Layer {self.layer} stands at frame {state.last_frame} but was given evidence of layer {evidence.layer} "
-                f"that goes on from frame {evidence.last_frame}; restart the stream from its last snapshot."
+                f"Layer {self.layer} stands at frame {state.last_frame} but was given evidence of layer "
+                f"{evidence.layer} that goes on from frame {evidence.last_frame}; "
+                "restart the stream from its last snapshot."
             )
         start = perf_counter()
         posterior, support = self._finish(previous)
@@ -184,15 +186,15 @@ class Layer:
         others = _track_distance(
             objects if self.kind == "background" else list(frame_evidence.layers[:1]) + objects, region
         )
-        unexplained = _to_region(frame_evidence.unexplained, region, frame_evidence.shape)
+        unexplained = UNEXPLAINED_STEP * _to_region(frame_evidence.unexplained, region, frame_evidence.shape)
         if self.kind == "background":
             trusted = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
             if frame_evidence.frame_index > 0:
-                still = unexplained < 0.5 * self.config.layers.unexplained_levels
+                still = unexplained < 0.5 * self.config.layers.unexplained_noise
                 trusted |= (others > weights.learn_px * scale) & still
         else:
             trusted = (own <= weights.learn_px * scale) & (own < others)
-            trusted &= unexplained >= self.config.layers.unexplained_levels
+            trusted &= unexplained >= self.config.layers.unexplained_noise
             body = _closed(own, weights.close_px * scale)
             cost += weights.distance * np.clip(
                 (body - weights.near_px * scale) / ((weights.far_px - weights.near_px) * scale), 0.0, 1.0
@@ -263,7 +265,8 @@ class Layer:
             velocity = -np.median(evidence.motions, axis=0)
         if support is not None:
             corner = np.array([support.x, support.y]) + velocity
-            boxes.append(np.concatenate([corner, corner + (support.width, support.height)]))
+            size = np.array([support.width, support.height])
+            boxes.append(np.concatenate([corner, corner + size]))
         if not boxes:
             return Region(0, 0, 0, 0)
         margin = self.config.posterior.region_margin_px * length_scale(height, width)
@@ -279,7 +282,7 @@ class Layer:
         """GaBP on the region; where nothing is known the camera's motion, or an object's own median."""
         shape = (region.height, region.width)
         corner = np.array([region.x, region.y], np.float32)
-        prior = np.zeros(2)
+        prior: Array = np.zeros(2)
         if self.kind == "background" and region.area:
             nodes = node_positions(shape, self._motion.spacing_px)
             prior = homography_motion(frame_evidence.camera, nodes.reshape(-1, 2)).reshape(nodes.shape)
@@ -313,17 +316,13 @@ class Layer:
         floor = self.config.posterior.motion_floor
         cost = -np.log(floor + (1.0 - floor) * np.exp(-0.5 * distance))
         # Where the camera's motion explains the image as well, the flow may have bled there: it is not heard.
-        levels = np.float32(self.config.layers.unexplained_levels)
-        heard = np.clip(
-            2.0 * _to_region(frame_evidence.unexplained, region, frame_evidence.shape) / levels - 1.0,
-            0.0,
-            1.0,
-        )
+        unexplained = UNEXPLAINED_STEP * _to_region(frame_evidence.unexplained, region, frame_evidence.shape)
+        heard = np.clip(2.0 * unexplained / self.config.layers.unexplained_noise - 1.0, 0.0, 1.0)
         return np.asarray(cost * flow[..., 2] * heard, np.float32)
 
 
 def _track_distance(layers: list[LayerEvidence], region: Region) -> Array:
-    """Distance of every pixel of a region to the nearest trajectory of some layers in it, (h, w) float32, px."""
+    """Distance of a region's pixels to the nearest trajectory of some layers in it, (h, w) float32, px."""
     free = np.full((region.height, region.width), 255, np.uint8)
     for evidence in layers:
         x = np.rint(evidence.positions[:, 0]).astype(np.intp) - region.x

@@ -13,6 +13,7 @@ bounded.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +39,9 @@ class RegistryState:
     born : (k,) int64
         Frame of birth.
     seen : (k,) int64
-        Last frame with enough trajectories; older than the newest frame = asleep.
+        Last frame awake; older than the newest frame = asleep.
+    tracked : (k,) int64
+        Last frame with enough trajectories; a layer can stay awake a little longer on its published pixels.
     centroids, velocities : (k, 2) float64
         Mean position (px) and forward motion (px/frame) when last seen.
     signatures : (k, SIGNATURE_BINS³) float32
@@ -56,6 +59,7 @@ class RegistryState:
     labels: Array
     born: Array
     seen: Array
+    tracked: Array
     centroids: Array
     velocities: Array
     signatures: Array
@@ -68,6 +72,7 @@ class RegistryState:
     def empty() -> RegistryState:
         """No object yet."""
         return RegistryState(
+            np.zeros(0, np.int64),
             np.zeros(0, np.int64),
             np.zeros(0, np.int64),
             np.zeros(0, np.int64),
@@ -105,12 +110,15 @@ class LayerRegistry:
     Parameters
     ----------
     config : LayersConfig
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
     state : RegistryState, optional
         To go on from; a new registry by default.
     """
 
-    def __init__(self, config: LayersConfig, state: RegistryState | None = None) -> None:
+    def __init__(self, config: LayersConfig, scale: float, state: RegistryState | None = None) -> None:
         self.config = config
+        self.scale = scale
         self.state = state or RegistryState.empty()
 
     def ages(self, frame_index: int) -> dict[int, int]:
@@ -122,8 +130,9 @@ class LayerRegistry:
         return {**ages, BACKGROUND: np.iinfo(np.int64).max}
 
     def live_layers(self, frame_index: int) -> tuple[int, ...]:
-        """Layer ids, without the background, that are awake at a frame; ascending."""
-        awake = (self.state.labels > 0) & (self.state.seen == frame_index)
+        """Layer ids, without the background, awake at the newest frame or one held before it; ascending."""
+        state = self.state
+        awake = (state.labels > 0) & (state.born <= frame_index) & (state.seen >= frame_index)
         ids = {self.layer_of(int(label)) for label in self.state.labels[awake]}
         return tuple(sorted(ids))
 
@@ -162,6 +171,7 @@ class LayerRegistry:
                     labels=np.concatenate([[candidate], state.labels]),
                     born=np.concatenate([[frame_index], state.born]),
                     seen=np.concatenate([[frame_index], state.seen]),
+                    tracked=np.concatenate([[frame_index], state.tracked]),
                     centroids=np.concatenate([np.zeros((1, 2)), state.centroids]),
                     velocities=np.concatenate([np.zeros((1, 2)), state.velocities]),
                     signatures=np.concatenate(
@@ -180,6 +190,7 @@ class LayerRegistry:
         colours: Array,
         frame_index: int,
         probation: int,
+        published: Collection[int],
     ) -> Array:
         """Take note of a frame's clusters: promote, put to sleep, forget, and keep the cap.
 
@@ -194,6 +205,9 @@ class LayerRegistry:
         frame_index : int
         probation : int
             Frames that a candidate must have lasted to become a layer.
+        published : collection of int
+            Layers that own pixels in the newest label map that may be read. A layer with too few
+            trajectories stays awake on them for ``coast_frames``.
 
         Returns
         -------
@@ -206,14 +220,18 @@ class LayerRegistry:
         enough = np.array([counts[int(label)] >= self.config.min_tracks for label in state.labels], bool)
         for row in np.flatnonzero(enough):
             members = labels == state.labels[row]
-            state.seen[row] = frame_index
+            state.seen[row] = state.tracked[row] = frame_index
             state.centroids[row] = positions[members].mean(axis=0)
             state.velocities[row] = -motions[members].mean(axis=0)
             fresh = colour_signature(colours[members])
             state.signatures[row] = (
                 fresh if state.signatures[row].sum() == 0 else 0.9 * state.signatures[row] + 0.1 * fresh
             )
-        for label in state.labels[~enough]:
+        coasting = ~enough & (state.labels > 0) & (state.seen == frame_index - 1)
+        coasting &= frame_index - state.tracked <= self.config.coast_frames
+        coasting &= np.array([self.layer_of(int(label)) in published for label in state.labels], bool)
+        state.seen[coasting] = frame_index
+        for label in state.labels[~enough & ~coasting]:
             labels[labels == label] = UNLABELLED
         asleep = frame_index - state.seen
         keep = np.where(state.labels > 0, asleep <= self.config.dormant_frames, asleep == 0)
@@ -232,6 +250,7 @@ class LayerRegistry:
             labels=state.labels[rows],
             born=state.born[rows],
             seen=state.seen[rows],
+            tracked=state.tracked[rows],
             centroids=state.centroids[rows],
             velocities=state.velocities[rows],
             signatures=state.signatures[rows],
@@ -264,7 +283,7 @@ class LayerRegistry:
                 float(np.hypot(*(state.centroids[row] - expected))),
                 float(np.hypot(*(state.centroids[row] - state.centroids[sleeper]))),
             )
-            if nearest > self.config.wake_px:
+            if nearest > self.config.wake_px * self.scale:
                 continue
             likeness = float(np.sqrt(state.signatures[row] * state.signatures[sleeper]).sum())
             if likeness > best:
@@ -282,4 +301,4 @@ class LayerRegistry:
             if state.other < 0:
                 self.state = state = replace(state, other=state.next_layer, next_layer=state.next_layer + 1)
             sizes = [int((labels == state.labels[row]).sum()) for row in single]
-            state.pooled[single[int(np.lexsort((-state.labels[single], sizes))[0])]] = True
+            state.pooled[single[int(np.lexsort((-state.labels[single], np.array(sizes)))[0])]] = True

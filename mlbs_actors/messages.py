@@ -18,7 +18,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-import numpy as np
 import numpy.typing as npt
 
 __all__ = [
@@ -103,7 +102,8 @@ class FrameEvidence:
     flow_reliable : (h, w) bool
         Where forward and backward flow agree.
     unexplained : (h, w) uint8
-        How badly the camera's own motion explains the image, grey levels; 0 for frame 0.
+        How badly the camera's own motion explains the image, in units of ``UNEXPLAINED_STEP`` times the
+        frame's noise; 0 for frame 0.
     layers : tuple of LayerEvidence
         The live layers in ascending id; the background (id 0) is always first.
     retired : tuple of int
@@ -159,6 +159,9 @@ class LayerPosterior:
     velocity: Array
     stage_ms: Mapping[str, float] = field(default_factory=dict)
 
+
+#: Quantum of ``FrameEvidence.unexplained``, × the frame's noise.
+UNEXPLAINED_STEP = 1.0 / 8.0
 
 #: Quantum of ``LayerPosterior.cost`` and ``Segmentation.normaliser``, nats.
 COST_STEP = 1.0 / 16.0

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import eigh
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import ArpackError, eigsh
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
 from mlbs_actors.messages import Array
 
@@ -116,7 +116,6 @@ def _eigenvectors(normalised: sp.csr_array, degree: Array) -> Array:
     trivial = trivial / np.linalg.norm(trivial)
     start = np.cos(np.arange(n) * 2.399963)  # fixed, spread over all frequencies
     start -= trivial * (trivial @ start)
-    from scipy.sparse.linalg import LinearOperator
 
     def deflated(vector: Array) -> Array:
         flat = vector.ravel()
@@ -125,7 +124,7 @@ def _eigenvectors(normalised: sp.csr_array, degree: Array) -> Array:
     operator = LinearOperator((n, n), matvec=deflated, dtype=np.float64)
     try:
         values, vectors = eigsh(operator, k=wanted, which="LA", v0=start, tol=1e-4, maxiter=60, ncv=24)
-    except ArpackError as error:
+    except ArpackNoConvergence as error:
         values, vectors = error.eigenvalues, error.eigenvectors  # those that converged
         if len(values) == 0:
             return np.zeros((n, 0))

@@ -2,8 +2,8 @@
 
 E(L) = Σ_i −log P_post(l_i) + Σ_i tracks(l_i) + Σ_(i,j) w_ij [l_i ≠ l_j] + Σ_k h_k δ_k(L)
 
-Differs from the paper: the trajectories' own data cost (its eq. for new layers) is always there, not only where
-samples are missing: trajectory labels decide, contrast draws the outline, appearance repairs. The
+Differs from the paper: the trajectories' own data cost (there for new layers) is always there, not only
+where samples are missing: trajectory labels decide, contrast draws the outline, appearance repairs. The
 published map is the cleaned one (specks and pinholes removed), and it is the one the layers learn from.
 """
 
@@ -84,8 +84,9 @@ class Segmenter:
         ids = [one.layer for one in evidence.layers]
         if evidence.frame_index != self.state.next_frame or [one.layer for one in posteriors] != ids:
             raise FrameError(
-                f"The segmenter is due for frame {self.state.next_frame}; it was given frame {evidence.frame_index} with the "
-                f"layers {[one.layer for one in posteriors]} of {ids}; restart the stream from its last snapshot."
+                f"The segmenter is due for frame {self.state.next_frame}; it was given frame "
+                f"{evidence.frame_index} with the layers {[one.layer for one in posteriors]} of {ids}; "
+                "restart the stream from its last snapshot."
             )
         config = self.config.segmentation
         start = perf_counter()

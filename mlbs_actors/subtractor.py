@@ -72,8 +72,8 @@ class MultilayerSubtractor:
     def _label(self, evidence: FrameEvidence) -> Segmentation:
         index = evidence.frame_index
         frame = self._waiting.pop(index)
-        for layer in evidence.retired:
-            del self._layers[layer]
+        for retired in evidence.retired:
+            del self._layers[retired]
         posteriors = []
         for one in evidence.layers:
             if one.layer not in self._layers:

@@ -48,7 +48,7 @@ class TrajectoryState:
         How many of those motions are known, 0 … T.
     unexplained : (n,) float32
         How badly the camera's motion has explained the image around the trajectory, at its worst and slowly
-        forgotten, grey levels.
+        forgotten, × the frame's noise.
     next_id : int
     """
 
@@ -201,7 +201,7 @@ def with_residuals(state: TrajectoryState, predicted: Array, difference: Array) 
     predicted : (n, 2) float32
         Backward motion of a background point at each trajectory, px.
     difference : (n,) float32
-        :func:`~mlbs_actors.camera.camera_difference` at each trajectory, grey levels.
+        :func:`~mlbs_actors.camera.camera_difference` at each trajectory, × the frame's noise.
     """
     residuals = state.residuals.copy()
     residuals[:, 0] = np.where(state.ages[:, None] > 0, state.motions - predicted, 0.0)

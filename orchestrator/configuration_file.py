@@ -7,13 +7,13 @@ Both are made from the models of :mod:`mlbs_actors.config`, so a default, a mean
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args, get_origin
 
 import yaml
-from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
@@ -30,18 +30,19 @@ __all__ = [
 ]
 
 _YAML_HEAD = """\
-# Every parameter with its default value. To change some, copy this file or write a shorter one with
-# only the lines that differ, and give it with --config FILE; or give --set section.key=value.
-# One set of values serves all videos. Lengths in px are those of a 640×480 frame and scale with the
-# square root of the frame's area, where nothing else is said.
+# Every parameter with its default value. To change some, write a file with only the lines that differ
+# and give it with --config FILE, or give --set section.key=value.
+# One set of values serves all videos. Most lengths are px of a 640×480 frame and scale with the square
+# root of the frame's area; taken as they are: consistency_px2, and motion but for flow_std_px.
 # Written by scripts/configuration from mlbs_actors/config.py: change the defaults there.
 """
 
 _MARKDOWN_HEAD = """\
 # Parameters
 
-One set of values serves all videos. Lengths in px are those of a 640×480 frame and scale with the square
-root of the frame's area, where nothing else is said. § is a section of the paper.
+One set of values serves all videos. § is a section of the paper. Most lengths are px of a 640×480 frame and
+scale with the square root of the frame's area. These are taken as they are: `consistency_px2`, and the
+section `motion` but for `flow_std_px`.
 
 Change a value with `--set section.key=value`, or give a YAML file with `--config FILE`. The file may hold
 any subset; [`configs/default.yaml`](../configs/default.yaml) holds all. In Python:
@@ -52,7 +53,7 @@ This page and that file are written by `scripts/configuration` from
 """
 
 # A meaning ends with its unit where the name does not hold it: "..., nats." or "..., px (not scaled ...)."
-_UNIT_IN_MEANING = re.compile(r", (px/frame|px × nats|px²|px|nats|grey levels)(?: \([^)]*\))?\.$")
+_UNIT_IN_MEANING = re.compile(r", (px/frame|px × nats|px²|px|nats|grey levels|× noise)(?: \([^)]*\))?\.$")
 _UNIT_OF_SUFFIX = {
     "px": "px",
     "px2": "px²",
@@ -61,12 +62,7 @@ _UNIT_OF_SUFFIX = {
     "tracks": "trajectories",
 }
 
-_BOUNDS: tuple[tuple[type, str, str], ...] = (
-    (Gt, "gt", ">"),
-    (Ge, "ge", "≥"),
-    (Lt, "lt", "<"),
-    (Le, "le", "≤"),
-)
+_SIGN_OF_BOUND = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,8 +185,12 @@ def _allowed(field: FieldInfo) -> str:
     if get_origin(field.annotation) is Literal:
         return ", ".join(str(choice) for choice in get_args(field.annotation))
     return ", ".join(
-        f"{sign} {getattr(bound, attribute):g}"
+        f"{sign} {getattr(bound, name):g}"
         for bound in field.metadata
-        for kind, attribute, sign in _BOUNDS
-        if isinstance(bound, kind)
+        for name, sign in _SIGN_OF_BOUND.items()
+        if hasattr(bound, name)
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

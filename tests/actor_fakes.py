@@ -115,6 +115,7 @@ class _Coordinator:
             camera=np.eye(3),
             flow=np.zeros((2, 2, 2), np.float16),
             flow_reliable=np.ones((2, 2), bool),
+            unexplained=np.zeros((1, 1), np.uint8),
             layers=layers,
             retired=retired,
             latency_frames=0,

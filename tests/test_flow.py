@@ -18,7 +18,7 @@ def texture(height: int, width: int, seed: int = 0) -> Array:
     """Smooth random grey texture, uint8."""
     noise = np.random.default_rng(seed).normal(size=(height, width)).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), 1.5)
-    return np.asarray(cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX), np.uint8)
+    return np.asarray(255 * (smooth - smooth.min()) / np.ptp(smooth), np.uint8)
 
 
 def covered_scene() -> tuple[Array, Array, Array]:
@@ -34,7 +34,8 @@ def covered_scene() -> tuple[Array, Array, Array]:
 
 def test_a_pan_is_found_in_both_directions() -> None:
     canvas = texture(120, 160)
-    first, second = canvas[10:106, 10:138], canvas[12:108, 7:135]  # things move by (+3, −2)
+    first = np.ascontiguousarray(canvas[10:106, 10:138])
+    second = np.ascontiguousarray(canvas[12:108, 7:135])  # things move by (+3, −2)
     flow = dense_flow(first, second, first.shape, CONFIG, CHECKS)
     inner = np.s_[12:-12, 12:-12]
     np.testing.assert_allclose(np.median(flow.forward[inner], axis=(0, 1)), [3, -2], atol=0.05)
@@ -71,7 +72,7 @@ def test_what_is_covered_or_uncovered_is_not_reliable() -> None:
     assert flow.forward_reliable[covered].mean() < 0.1
     assert flow.backward_reliable[uncovered].mean() < 0.1
     far = cv2.dilate((square | covered).astype(np.uint8), np.ones((25, 25), np.uint8)) == 0
-    assert flow.forward_reliable[far][: far.sum()].mean() > 0.9
+    assert flow.forward_reliable[far].mean() > 0.9
     assert flow.forward_reliable[40:56, 48:64].mean() > 0.9  # the inside of the square
 
 
@@ -84,8 +85,9 @@ def reference_checks(flow: DenseFlow) -> tuple[Array, Array]:
         for x in range(width):
             w = flow.forward[y, x].astype(np.float64)
             there_x, there_y = x + w[0] / flow.step[0], y + w[1] / flow.step[1]
-            if not (0 <= there_x <= width - 1 and 0 <= there_y <= height - 1):
-                clear[y, x] = True
+            inside = min(there_x, there_y, width - 1 - there_x, height - 1 - there_y)
+            if inside < 1e-4:
+                clear[y, x] = inside < -1e-4
                 continue
             left, top = min(int(there_x), width - 2), min(int(there_y), height - 2)
             right, down = there_x - left, there_y - top

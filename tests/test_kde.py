@@ -10,7 +10,6 @@ import pytest
 from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel
 from mlbs_actors.kde import (
     AppearanceParameters,
-    borrowed_log_likelihood,
     confidence,
     empty_model,
     log_likelihood,
@@ -152,45 +151,6 @@ def test_confidence_grows_with_the_samples_and_is_nothing_without() -> None:
     assert trust[2] == 0.5
     assert (np.diff(trust) > 0).all()
     assert trust[-1] < 1
-
-
-def half_known(seed: int) -> tuple[AppearanceModel, Array]:
-    model = model_with_gaps(seed, Region(0, 0, 30, 20))
-    model.count[:] = 7
-    model.count[:, 15:] = 0
-    return model, smooth_image(seed + 1, Region(0, 0, 30, 20))
-
-
-def test_unknown_pixels_borrow_from_the_nearest_known_one() -> None:
-    model, image = half_known(9)
-    everywhere = np.ones((20, 30), bool)
-    result, trust = borrowed_log_likelihood(model, image, PARAMETERS, everywhere)
-    assert np.isnan(result[:, :15]).all()
-    assert (trust[:, :15] == 0).all()
-    for y in range(20):
-        for x in range(15, 30):
-            colour = image[y, x].astype(np.float64)
-            expected = np.log(plain_density(model, y, 14, colour, PARAMETERS.borrow_bandwidth_floor))
-            assert abs(result[y, x] - expected) < 0.02
-            decay = np.exp(-(x - 14) / PARAMETERS.borrow_scale)
-            assert np.isclose(trust[y, x], 7 / 9 * decay, rtol=0.05)
-
-
-def test_only_wanted_pixels_borrow() -> None:
-    model, image = half_known(10)
-    wanted = np.random.default_rng(11).random((20, 30)) < 0.5
-    result, trust = borrowed_log_likelihood(model, image, PARAMETERS, wanted)
-    borrower = wanted & (model.count == 0)
-    np.testing.assert_array_equal(~np.isnan(result), borrower)
-    np.testing.assert_array_equal(trust > 0, borrower)
-
-
-def test_a_model_that_knows_nothing_has_nothing_to_lend() -> None:
-    result, trust = borrowed_log_likelihood(
-        empty_model(REGION), smooth_image(12), PARAMETERS, np.ones((9, 12), bool)
-    )
-    assert np.isnan(result).all()
-    assert not trust.any()
 
 
 def test_equal_input_gives_equal_bytes() -> None:

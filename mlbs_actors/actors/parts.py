@@ -123,6 +123,7 @@ class EngineParts:
                     camera=_read_only(np.eye(3)),
                     flow=_read_only(np.zeros((height // 2, width // 2, 2), np.float16)),
                     flow_reliable=_read_only(np.ones((height // 2, width // 2), bool)),
+                    unexplained=_read_only(np.full((height // 2, width // 2), 255, np.uint8)),
                     layers=(own,),
                     retired=(),
                     latency_frames=0,

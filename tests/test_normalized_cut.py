@@ -1,0 +1,216 @@
+"""Normalised cuts against dense loops, exhaustive enumeration and graphs whose clusters are known."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse as sp
+
+from mlbs_actors.messages import Array
+from mlbs_actors.normalized_cut import DENSE_NODES, NO_EDGE, best_cut, ncut_value, recursive_cut
+
+
+def random_graph(nodes: int, seed: int, density: float = 0.6) -> Array:
+    """Dense symmetric affinities of a connected graph."""
+    rng = np.random.default_rng(seed)
+    upper = np.triu(rng.uniform(0.05, 1.0, (nodes, nodes)) * (rng.random((nodes, nodes)) < density), 1)
+    upper[np.arange(nodes - 1), np.arange(1, nodes)] = rng.uniform(0.05, 1.0, nodes - 1)
+    return np.asarray(upper + upper.T)
+
+
+def block_graph(sizes: list[int], between: float, seed: int = 0) -> tuple[Array, Array]:
+    """Strong affinities inside blocks, weak ones between successive blocks; nodes in random order.
+
+    Returns the affinities and the block of each node.
+    """
+    rng = np.random.default_rng(seed)
+    block = np.repeat(np.arange(len(sizes)), sizes)
+    affinity = np.where(block[:, None] == block[None, :], rng.uniform(0.5, 1.0, (len(block),) * 2), 0.0)
+    affinity[np.abs(block[:, None] - block[None, :]) == 1] = between
+    affinity = np.triu(affinity, 1)
+    order = rng.permutation(len(block))
+    return (affinity + affinity.T)[order][:, order], block[order]
+
+
+def neighbour_graph(points: Array, reach: float) -> Array:
+    """Affinities of points that are near each other, as trajectories have them."""
+    gaps = np.linalg.norm(points[:, None] - points[None, :], axis=2)
+    affinity = np.where(gaps < reach, np.exp(-((gaps / reach) ** 2)), 0.0)
+    np.fill_diagonal(affinity, 0.0)
+    return affinity
+
+
+def two_clouds(nodes: int, seed: int = 0) -> Array:
+    """Two clouds of points that touch."""
+    rng = np.random.default_rng(seed)
+    half = nodes // 2
+    return np.concatenate([rng.normal((-2.2, 0), 1, (half, 2)), rng.normal((2.2, 0), 1, (nodes - half, 2))])
+
+
+def dense_ncut(affinity: Array, side: Array) -> float:
+    across = inside = outside = 0.0
+    for i in range(len(affinity)):
+        for j in range(len(affinity)):
+            across += affinity[i, j] if side[i] and not side[j] else 0.0
+            inside += affinity[i, j] if side[i] else 0.0
+            outside += affinity[i, j] if not side[i] else 0.0
+    return across / inside + across / outside if inside > 0 and outside > 0 else float("inf")
+
+
+def exhaustive_ncut(affinity: Array, min_side: int) -> float:
+    nodes = len(affinity)
+    values = []
+    for bits in product((False, True), repeat=nodes - 1):
+        side = np.array((False, *bits))
+        if min_side <= side.sum() <= nodes - min_side:
+            values.append(dense_ncut(affinity, side))
+    return min(values)
+
+
+def thresholded_ncut(affinity: Array, min_side: int, vectors: int = 3) -> float:
+    """The best N-cut over every threshold of the generalised eigenvectors of (D − A) v = λ D v."""
+    nodes = len(affinity)
+    degree = np.diag(affinity.sum(axis=1))
+    _, eigenvectors = scipy.linalg.eigh(degree - affinity, degree)
+    values = []
+    for vector in eigenvectors.T[1 : 1 + vectors]:
+        order = np.argsort(vector)
+        for count in range(min_side, nodes - min_side + 1):
+            side = np.zeros(nodes, bool)
+            side[order[:count]] = True
+            values.append(ncut_value(sp.csr_array(affinity), side))
+    return min(values)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_cut_value_is_that_of_dense_loops(seed: int) -> None:
+    affinity = random_graph(12, seed)
+    side = np.random.default_rng(seed).random(12) < 0.4
+    assert ncut_value(sp.csr_array(affinity), side) == pytest.approx(dense_ncut(affinity, side))
+
+
+def test_a_side_without_volume_has_no_finite_cut_value() -> None:
+    affinity = random_graph(6, 0)
+    assert ncut_value(sp.csr_array(affinity), np.zeros(6, bool)) == float("inf")
+    assert ncut_value(sp.csr_array(affinity), np.ones(6, bool)) == float("inf")
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("min_side", [2, 3])
+def test_the_best_cut_is_never_better_than_the_true_optimum_and_is_what_it_says(
+    seed: int, min_side: int
+) -> None:
+    affinity = random_graph(9, seed)
+    cut = best_cut(sp.csr_array(affinity), min_side)
+    assert cut.value == pytest.approx(dense_ncut(affinity, cut.side))
+    assert min_side <= cut.side.sum() <= 9 - min_side
+    assert cut.value >= exhaustive_ncut(affinity, min_side) - 1e-9
+    assert cut.value <= thresholded_ncut(affinity, min_side) + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_best_cut_of_two_blocks_is_the_true_optimum(seed: int) -> None:
+    affinity, block = block_graph([6, 5], between=0.02, seed=seed)
+    cut = best_cut(sp.csr_array(affinity), 2)
+    assert cut.value == pytest.approx(exhaustive_ncut(affinity, 2))
+    assert set(cut.side[block == 0].tolist()) | set(cut.side[block == 1].tolist()) == {True, False}
+    assert len(set(cut.side[block == 0].tolist())) == len(set(cut.side[block == 1].tolist())) == 1
+
+
+@pytest.mark.parametrize("nodes", [DENSE_NODES - 8, DENSE_NODES + 200])
+def test_small_and_large_clusters_are_cut_as_the_dense_eigenvectors_say(nodes: int) -> None:
+    points = two_clouds(nodes)
+    affinity = neighbour_graph(points, 1.5)
+    cut = best_cut(sp.csr_array(affinity), 5)
+    assert cut.value == pytest.approx(ncut_value(sp.csr_array(affinity), cut.side))
+    assert cut.value <= 1.02 * thresholded_ncut(affinity, 5)
+    left = points[:, 0] < 0
+    assert max((cut.side == left).mean(), (cut.side != left).mean()) > 0.95
+
+
+def test_the_cut_keeps_the_least_size_of_a_side() -> None:
+    affinity, _ = block_graph([20, 3], between=1e-3)
+    free = best_cut(sp.csr_array(affinity), 2)
+    bound = best_cut(sp.csr_array(affinity), 8)
+    assert min(free.side.sum(), (~free.side).sum()) == 3
+    assert min(bound.side.sum(), (~bound.side).sum()) >= 8
+    assert free.value < bound.value
+
+
+@pytest.mark.parametrize("nodes", [1, 2, 3, 5])
+def test_a_cluster_too_small_for_two_sides_is_not_cut(nodes: int) -> None:
+    assert best_cut(sp.csr_array(random_graph(nodes, 0)), 3).value == float("inf")
+
+
+@pytest.mark.parametrize("nodes", [2, 3])
+def test_the_smallest_clusters_can_be_cut_into_single_nodes(nodes: int) -> None:
+    affinity = random_graph(nodes, 1)
+    cut = best_cut(sp.csr_array(affinity), 1)
+    assert cut.value == pytest.approx(exhaustive_ncut(affinity, 1))
+
+
+@pytest.mark.parametrize("sizes", [[40], [30, 20], [50, 40, 30, 25], [90, 80, 70]])
+@pytest.mark.parametrize("between", [0.0, 1e-5])
+def test_blocks_are_told_apart_and_numbered_by_falling_size(sizes: list[int], between: float) -> None:
+    affinity, block = block_graph(sizes, between)
+    labels = recursive_cut(sp.csr_array(affinity), threshold=1e-2, min_side=5)
+    np.testing.assert_array_equal(labels, block)
+
+
+def test_blocks_that_hold_together_stay_one_cluster() -> None:
+    affinity, _ = block_graph([30, 30], between=0.3)
+    assert set(recursive_cut(sp.csr_array(affinity), threshold=1e-2, min_side=5).tolist()) == {0}
+
+
+def test_a_higher_threshold_splits_more() -> None:
+    affinity, block = block_graph([30, 25], between=0.01)
+    coarse = recursive_cut(sp.csr_array(affinity), threshold=1e-3, min_side=5)
+    fine = recursive_cut(sp.csr_array(affinity), threshold=0.1, min_side=5)
+    assert set(coarse.tolist()) == {0}
+    np.testing.assert_array_equal(fine, block)
+
+
+def test_every_cluster_that_is_left_cannot_be_split_below_the_threshold() -> None:
+    affinity = neighbour_graph(np.random.default_rng(5).uniform(0, 12, (300, 2)), 1.2)
+    labels = recursive_cut(sp.csr_array(affinity), threshold=0.08, min_side=6)
+    assert labels.max() >= 2
+    for label in range(labels.max() + 1):
+        nodes = np.flatnonzero(labels == label)
+        assert len(nodes) >= 6
+        assert best_cut(sp.csr_array(affinity[nodes][:, nodes]), 6).value >= 0.08
+
+
+def test_parts_that_are_too_small_get_no_cluster() -> None:
+    affinity, block = block_graph([20, 4, 2], between=0.0)
+    labels = recursive_cut(sp.csr_array(affinity), threshold=1e-2, min_side=5)
+    assert set(labels[block == 0].tolist()) == {0}
+    assert set(labels[block > 0].tolist()) == {-1}
+
+
+def test_an_edge_as_good_as_none_joins_nothing() -> None:
+    affinity, block = block_graph([20, 15], between=0.1 * NO_EDGE)
+    np.testing.assert_array_equal(recursive_cut(sp.csr_array(affinity), 1e-30, 5), block)
+
+
+def test_a_graph_without_edges_or_nodes_has_no_cluster() -> None:
+    assert recursive_cut(sp.csr_array((0, 0)), 1e-2, 5).shape == (0,)
+    assert recursive_cut(sp.csr_array((7, 7)), 1e-2, 5).tolist() == [-1] * 7
+
+
+def test_the_graph_that_is_cut_is_left_as_it_was() -> None:
+    affinity = sp.csr_array(block_graph([20, 15], between=0.1 * NO_EDGE)[0])
+    before = affinity.copy()
+    recursive_cut(affinity, 1e-2, 5)
+    assert affinity.nnz == before.nnz
+    np.testing.assert_array_equal(affinity.data, before.data)
+
+
+def test_equal_graphs_give_equal_clusters() -> None:
+    affinity = sp.csr_array(neighbour_graph(two_clouds(400, seed=2), 1.5))
+    first = recursive_cut(affinity, 0.05, 8)
+    second = recursive_cut(affinity.copy(), 0.05, 8)
+    assert first.max() >= 1
+    assert first.tobytes() == second.tobytes()

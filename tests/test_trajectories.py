@@ -1,0 +1,231 @@
+"""Trajectories: followed to sub-pixel, dropped where they cannot be trusted, seeded where there is room."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+
+from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
+from mlbs_actors.flow import DenseFlow, dense_flow
+from mlbs_actors.messages import Array
+from mlbs_actors.trajectories import (
+    TrajectoryState,
+    advance_trajectories,
+    empty_trajectories,
+    seed_trajectories,
+    with_residuals,
+)
+
+CONFIG = TrajectoriesConfig(history_frames=4)
+SHAPE = (120, 160)
+SPACING = CONFIG.seed_spacing_px * length_scale(*SHAPE)
+
+
+def texture(height: int = 200, width: int = 240, seed: int = 0) -> Array:
+    """Smooth random grey texture, float32."""
+    noise = np.random.default_rng(seed).normal(size=(height, width)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 2.0)
+    return np.asarray(255 * (smooth - smooth.min()) / np.ptp(smooth), np.float32)
+
+
+def shifted(canvas: Array, shift: tuple[float, float]) -> Array:
+    """The canvas seen through a frame of SHAPE; its contents move by (x, y) px."""
+    mapping = np.array([[1, 0, shift[0] - 40], [0, 1, shift[1] - 40]], np.float64)
+    seen = cv2.warpAffine(canvas, mapping, (SHAPE[1], SHAPE[0]), flags=cv2.INTER_CUBIC)
+    return np.asarray(np.clip(np.rint(seen), 0, 255), np.uint8)
+
+
+def flow_between(first: Array, second: Array) -> DenseFlow:
+    return dense_flow(first, second, SHAPE, FlowConfig(), CONFIG)
+
+
+def constant_flow(motion: tuple[float, float]) -> DenseFlow:
+    """The same motion everywhere, confirmed everywhere."""
+    forward = np.full((*SHAPE, 2), motion, np.float32)
+    sure = np.ones(forward.shape[:2], bool)
+    return DenseFlow(forward, -forward, sure, sure, (1.0, 1.0))
+
+
+def seeded(gray: Array) -> TrajectoryState:
+    return seed_trajectories(empty_trajectories(CONFIG), gray, None, SHAPE, CONFIG)
+
+
+def test_a_point_is_followed_to_a_fraction_of_a_pixel() -> None:
+    canvas, velocity = texture(), np.array([1.3, -0.7])
+    frames = [shifted(canvas, (t * velocity[0], t * velocity[1])) for t in range(11)]
+    state = seeded(frames[0])
+    start = state
+    for before, after in pairwise(frames):
+        state = advance_trajectories(state, flow_between(before, after), SHAPE)
+    assert len(state) > 0.6 * len(start)
+    moved = state.positions - start.positions[np.searchsorted(start.ids, state.ids)]
+    error = np.hypot(*(moved - 10 * velocity).T)
+    assert (
+        np.median(error) < 0.5
+    )  # after ten frames: DIS is off by up to 0.03 px a frame, always the same way
+    assert np.quantile(error, 0.9) < 0.75
+    np.testing.assert_allclose(np.median(state.motions, axis=0), -velocity, atol=0.05)
+
+
+def test_a_point_that_becomes_hidden_is_dropped_and_one_that_stays_in_view_is_kept() -> None:
+    background, thing = texture(seed=1), texture(seed=2)
+    frames = []
+    for t in range(2):
+        frame = shifted(background, (0, 0))
+        frame[40:80, 50 + 8 * t : 90 + 8 * t] = thing[:40, :40]
+        frames.append(frame)
+    state = seeded(frames[0])
+    followed = advance_trajectories(state, flow_between(*frames), SHAPE)
+    lives = np.isin(state.ids, followed.ids)
+    x, y = state.positions.T
+    hidden = (x > 91) & (x < 97) & (y > 42) & (y < 78)
+    on_thing = (x > 56) & (x < 84) & (y > 46) & (y < 74)
+    far = (x < 40) | (x > 115) | (y < 25) | (y > 95)
+    assert hidden.sum() >= 5
+    assert lives[hidden].mean() < 0.1
+    assert lives[on_thing].mean() > 0.9
+    assert lives[far].mean() > 0.9
+
+
+def test_a_point_that_leaves_the_frame_is_dropped() -> None:
+    state = seeded(shifted(texture(), (0, 0)))
+    followed = advance_trajectories(state, constant_flow((6.0, 0.0)), SHAPE)
+    stays = state.positions[:, 0] + 6.0 <= SHAPE[1] - 1
+    assert 0 < stays.sum() < len(state)
+    np.testing.assert_array_equal(followed.ids, state.ids[stays])
+    np.testing.assert_allclose(followed.positions, state.positions[stays] + (6.0, 0.0), atol=1e-4)
+
+
+def test_a_point_whose_flow_is_not_confirmed_is_dropped() -> None:
+    state = seeded(shifted(texture(), (0, 0)))
+    flow = constant_flow((0.0, 0.0))
+    confirmed = flow.forward_reliable.copy()
+    confirmed[:, :80] = False
+    followed = advance_trajectories(state, replace(flow, forward_reliable=confirmed), SHAPE)
+    np.testing.assert_array_equal(followed.ids, state.ids[state.positions[:, 0] >= 80])
+
+
+def test_seeds_keep_their_distance_and_leave_no_gap_in_a_textured_frame() -> None:
+    state = seeded(shifted(texture(), (0, 0)))
+    assert pdist(state.positions).min() >= 0.75 * SPACING
+    inner = (slice(20, -20), slice(20, -20))
+    free = np.full(SHAPE, 255, np.uint8)
+    x, y = np.rint(state.positions).astype(int).T
+    free[y, x] = 0
+    gap = cv2.distanceTransform(free, cv2.DIST_L2, 5)[inner]
+    assert np.quantile(gap, 0.95) <= 1.5 * SPACING
+
+
+def test_nothing_is_seeded_where_the_image_has_no_structure() -> None:
+    gray = shifted(texture(), (0, 0))
+    gray[:, 80:] = 128
+    state = seeded(gray)
+    assert len(state) > 0
+    assert state.positions[:, 0].max() < 86
+    assert len(seeded(np.full(SHAPE, 77, np.uint8))) == 0
+
+
+def test_only_the_places_that_trajectories_left_are_seeded_again() -> None:
+    gray = shifted(texture(), (0, 0))
+    state = seeded(gray)
+    still = constant_flow((0.0, 0.0))
+    again = seed_trajectories(state, gray, still, SHAPE, CONFIG)
+    assert len(again) == len(state)
+    kept = np.flatnonzero(state.positions[:, 0] < 80)
+    confirmed = still.forward_reliable.copy()
+    confirmed[:, 80:] = False
+    half = advance_trajectories(state, replace(still, forward_reliable=confirmed), SHAPE)
+    np.testing.assert_array_equal(half.ids, state.ids[kept])
+    refilled = seed_trajectories(half, gray, still, SHAPE, CONFIG)
+    fresh = refilled.positions[len(half) :]
+    assert len(fresh) > 0.8 * (len(state) - len(half))
+    assert fresh[:, 0].min() >= 80 - SPACING
+    nearest = np.linalg.norm(fresh[:, None] - half.positions[None], axis=2).min()
+    assert nearest >= 0.75 * SPACING - 1.5  # distances are taken between whole pixels
+
+
+def test_an_id_is_never_given_twice_and_ids_ascend() -> None:
+    canvas = texture()
+    frames = [shifted(canvas, (5.0 * t, 0.0)) for t in range(5)]
+    state = seeded(frames[0])
+    ever = state.ids.tolist()
+    for before, after in pairwise(frames):
+        flow = flow_between(before, after)
+        state = advance_trajectories(state, flow, SHAPE)
+        survivors = len(state)
+        state = seed_trajectories(state, after, flow, SHAPE, CONFIG)
+        assert (np.diff(state.ids) > 0).all()
+        ever += state.ids[survivors:].tolist()
+        assert state.next_id == len(ever)
+    assert len(ever) > len(seeded(frames[0]))
+    assert len(set(ever)) == len(ever)
+
+
+def test_a_seed_brings_the_motion_that_led_to_it_but_has_none_in_the_first_frame() -> None:
+    gray = shifted(texture(), (0, 0))
+    first = seeded(gray)
+    assert set(first.ages.tolist()) == {0}
+    later = seed_trajectories(empty_trajectories(CONFIG), gray, constant_flow((2.0, 1.0)), SHAPE, CONFIG)
+    assert set(later.ages.tolist()) == {1}
+    np.testing.assert_allclose(later.motions, np.tile((-2.0, -1.0), (len(later), 1)), atol=1e-6)
+
+
+def test_no_seed_is_set_where_the_flow_that_led_there_is_not_confirmed() -> None:
+    gray = shifted(texture(), (0, 0))
+    flow = constant_flow((0.0, 0.0))
+    confirmed = flow.backward_reliable.copy()
+    confirmed[:60] = False
+    state = seed_trajectories(
+        empty_trajectories(CONFIG), gray, replace(flow, backward_reliable=confirmed), SHAPE, CONFIG
+    )
+    assert len(state) > 0
+    assert state.positions[:, 1].min() >= 60
+
+
+def test_the_newest_residuals_come_first_and_the_oldest_are_forgotten() -> None:
+    state = seeded(shifted(texture(), (0, 0)))
+    centre = np.argmin(np.linalg.norm(state.positions - (80, 60), axis=1))
+    followed_id = state.ids[centre]
+    motions = [(1.0, 0.0), (0.0, 2.0), (-1.0, 0.0), (0.5, 0.5), (0.0, -1.0), (0.25, 0.0)]
+    expected = np.zeros((4, 2))
+    for steps, motion in enumerate(motions, start=1):
+        state = advance_trajectories(state, constant_flow(motion), SHAPE)
+        predicted = np.full((len(state), 2), 0.5, np.float32)
+        state = with_residuals(state, predicted, np.zeros(len(state), np.float32))
+        expected = np.concatenate([[-np.array(motion) - 0.5], expected[:-1]])
+        row = int(np.flatnonzero(state.ids == followed_id)[0])
+        assert state.ages[row] == min(steps, 4)
+        np.testing.assert_allclose(state.residuals[row], expected, atol=1e-5)
+
+
+def test_a_trajectory_without_a_motion_has_no_residual() -> None:
+    state = seeded(shifted(texture(), (0, 0)))
+    state = with_residuals(state, np.ones((len(state), 2), np.float32), np.zeros(len(state), np.float32))
+    assert not state.residuals.any()
+
+
+def test_the_worst_unexplained_difference_is_remembered_and_slowly_forgotten() -> None:
+    state = seeded(shifted(texture(), (0, 0)))
+    still = np.zeros((len(state), 2), np.float32)
+    remembered = []
+    for difference in (3.0, 20.0, 5.0, 0.0, 0.0):
+        state = with_residuals(state, still, np.full(len(state), difference, np.float32))
+        remembered.append(float(state.unexplained[0]))
+    assert remembered[0] == pytest.approx(3.0)
+    assert remembered[1] == pytest.approx(20.0)
+    assert 15.0 < remembered[4] < remembered[3] < remembered[2] < 20.0
+
+
+def test_nothing_to_follow_stays_nothing() -> None:
+    state = advance_trajectories(empty_trajectories(CONFIG), constant_flow((1.0, 1.0)), SHAPE)
+    assert len(state) == 0
+    assert with_residuals(state, np.zeros((0, 2), np.float32), np.zeros(0, np.float32)).residuals.shape == (
+        0,
+        4,
+        2,
+    )
