@@ -41,7 +41,7 @@ class _Section(BaseModel):
 
 
 class FlowConfig(_Section):
-    """Dense optical flow (METHOD: DIS instead of the authors' LDOF)."""
+    """Dense optical flow (§3): OpenCV DIS where the authors use LDOF."""
 
     preset: Literal["ultrafast", "fast", "medium"] = Field("medium", description="OpenCV DIS preset.")
     scale: float = Field(

@@ -22,6 +22,8 @@ from mlbs_actors.messages import Array
 
 __all__ = ["propagate_absorbing", "propagate_soft"]
 
+#: Affinity below which an edge leads nowhere.
+NO_EDGE = 1e-12
 #: Largest change of a soft label at which the iteration ends.
 TOLERANCE = 1e-5
 
@@ -78,6 +80,9 @@ def propagate_absorbing(affinity: sp.csr_array, labels: Array, classes: int) -> 
     Y = np.zeros((len(labels), classes))
     known = labels >= 0
     Y[np.flatnonzero(known), labels[known]] = 1.0
+    affinity = affinity.copy()
+    affinity.data[affinity.data < NO_EDGE] = 0.0
+    affinity.eliminate_zeros()  # an edge without weight would count as a connection and make the system singular
     _, component = connected_components(affinity, directed=False)
     reached = np.isin(component, component[known]) & ~known
     unknown = np.flatnonzero(reached)

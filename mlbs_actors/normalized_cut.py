@@ -107,7 +107,7 @@ def best_cut(affinity: sp.csr_array, min_side: int) -> TwoWayCut:
 def _eigenvectors(normalised: sp.csr_array, degree: Array) -> Array:
     """Eigenvectors of D^-½ A D^-½ for its largest eigenvalues after the trivial one, (n, k)."""
     n = normalised.shape[0]
-    wanted = min(EIGENVECTORS, n - 2)
+    wanted = min(EIGENVECTORS, n - 1)
     if n <= DENSE_NODES:
         _, vectors = eigh(normalised.toarray(), subset_by_index=[n - 1 - wanted, n - 2])
         return np.asarray(vectors)[:, ::-1]

@@ -7,6 +7,7 @@ a token that only this user can read, and has no dashboard. A cluster is joined 
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import secrets
@@ -15,7 +16,7 @@ import socket
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError, MlbsError
@@ -112,7 +113,9 @@ def ray_session(address: str | None, scratch: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        ray.shutdown()
+        # At its end Ray prints the repeats of warnings it has held back; standard output is the progress's.
+        with redirect_stdout(io.StringIO()):
+            ray.shutdown()
 
 
 def _refuse_unreachable(address: str) -> None:

@@ -1,0 +1,354 @@
+"""The life of layers: probation, sleep, waking, forgetting, and the cap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+
+from mlbs_actors.clustering import UNLABELLED
+from mlbs_actors.config import LayersConfig
+from mlbs_actors.layer_registry import LayerRegistry, RegistryState, colour_signature
+from mlbs_actors.messages import BACKGROUND, Array
+
+CONFIG = LayersConfig(
+    probation_frames=3,
+    min_tracks=4,
+    coast_frames=2,
+    dormant_frames=6,
+    wake_px=50.0,
+    wake_similarity=0.7,
+    max_layers=12,
+)
+RED, GREEN, BLUE = (20, 20, 220), (20, 220, 20), (220, 20, 20)
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A cluster of trajectories as it stands in one frame."""
+
+    tracks: int = 10
+    place: tuple[float, float] = (100.0, 100.0)
+    velocity: tuple[float, float] = (0.0, 0.0)
+    colour: tuple[int, int, int] = RED
+
+
+@dataclass
+class Stream:
+    """Feeds the registry the clusters of one frame after the other, as the coordinator does."""
+
+    config: LayersConfig = CONFIG
+    state: RegistryState | None = None
+    frame_index: int = -1
+    labels: dict[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.registry = LayerRegistry(self.config, 1.0, self.state)
+
+    def see(
+        self,
+        things: Mapping[str, Thing] = MappingProxyType({}),
+        *,
+        published: tuple[int, ...] = (),
+        at_once: bool = False,
+    ) -> set[int]:
+        """One frame; returns the layers that are live in it."""
+        self.frame_index += 1
+        fresh = max([self.registry.state.next_layer, *self.labels.values()]) + 1
+        given, names = [], list(things)
+        for name in names:
+            label = self.labels.get(name, UNLABELLED)
+            if label == UNLABELLED:
+                label, fresh = fresh, fresh + 1
+            given.append(label)
+        counts = [things[name].tracks for name in names]
+
+        def spread(values: list[tuple[float, float]]) -> Array:
+            return np.repeat(np.array(values, np.float32).reshape(-1, 2), counts, axis=0)
+
+        colours = np.array([things[name].colour for name in names], np.uint8).reshape(-1, 3)
+        labels = self.registry.observe(
+            self.registry.admit(np.repeat(np.array(given, np.int64), counts), self.frame_index),
+            spread([things[name].place for name in names]),
+            -spread([things[name].velocity for name in names]),
+            np.repeat(colours, counts, axis=0),
+            self.frame_index,
+            0 if at_once else self.config.probation_frames,
+            published,
+        )
+        starts = np.cumsum([0, *counts])
+        self.labels = {name: int(labels[start]) for name, start in zip(names, starts, strict=False)}
+        for name, start, count in zip(names, starts, counts, strict=False):
+            assert set(labels[start : start + count].tolist()) == {self.labels[name]}
+        return set(self.registry.live_layers(self.frame_index))
+
+    def layer_of(self, name: str) -> int | None:
+        """The layer of a thing seen in the newest frame, None before its birth."""
+        label = self.labels[name]
+        return self.registry.layer_of(label) if label > BACKGROUND else None
+
+    def skip(self, frames: int) -> None:
+        for _ in range(frames):
+            self.see()
+
+
+# Births
+
+
+def test_a_cluster_becomes_a_layer_only_after_its_probation() -> None:
+    stream = Stream()
+    for _ in range(CONFIG.probation_frames):
+        assert stream.see({"car": Thing()}) == set()
+        assert stream.layer_of("car") is None
+    assert stream.see({"car": Thing()}) == {1}
+    assert stream.layer_of("car") == 1
+
+
+def test_a_cluster_that_breaks_its_probation_begins_again() -> None:
+    stream = Stream()
+    for _ in range(CONFIG.probation_frames):
+        stream.see({"car": Thing()})
+    stream.see({"car": Thing(tracks=CONFIG.min_tracks - 1)})
+    for _ in range(CONFIG.probation_frames):
+        assert stream.see({"car": Thing()}) == set()
+    assert stream.see({"car": Thing()}) == {1}
+
+
+def test_without_probation_a_cluster_is_a_layer_at_once() -> None:
+    stream = Stream()
+    assert stream.see({"car": Thing(), "dog": Thing(colour=BLUE)}, at_once=True) == {1, 2}
+
+
+def test_too_few_trajectories_never_become_a_layer() -> None:
+    stream = Stream()
+    for _ in range(3 * CONFIG.probation_frames):
+        assert stream.see({"fleck": Thing(tracks=CONFIG.min_tracks - 1)}) == set()
+        assert stream.labels["fleck"] == UNLABELLED
+    assert stream.registry.remembered_layers() == frozenset()
+
+
+def test_the_older_of_two_candidates_gets_the_lower_id() -> None:
+    stream = Stream()
+    stream.see({"car": Thing()})
+    for _ in range(CONFIG.probation_frames + 1):
+        stream.see({"dog": Thing(colour=BLUE), "car": Thing()})
+    assert (stream.layer_of("car"), stream.layer_of("dog")) == (1, 2)
+
+
+def test_the_background_is_older_than_all() -> None:
+    stream = Stream()
+    stream.see({"car": Thing()}, at_once=True)
+    stream.see({"car": Thing()})
+    ages = stream.registry.ages(stream.frame_index)
+    assert ages[1] == 1
+    assert ages[BACKGROUND] > 10**6
+
+
+# Sleep and waking
+
+
+def test_a_layer_without_enough_trajectories_sleeps_and_is_remembered() -> None:
+    stream = Stream()
+    assert stream.see({"car": Thing()}, at_once=True) == {1}
+    assert stream.see({"car": Thing(tracks=CONFIG.min_tracks - 1)}) == set()
+    assert stream.labels["car"] == UNLABELLED
+    assert stream.registry.remembered_layers() == {1}
+
+
+def test_a_layer_that_still_owns_pixels_coasts_for_a_while() -> None:
+    stream = Stream()
+    stream.see({"car": Thing()}, at_once=True)
+    for _ in range(CONFIG.coast_frames):
+        assert stream.see(published=(1,)) == {1}
+    assert stream.see(published=(1,)) == set()
+
+
+def test_a_layer_that_slept_does_not_wake_by_pixels_alone() -> None:
+    stream = Stream()
+    stream.see({"car": Thing()}, at_once=True)
+    assert stream.see() == set()
+    assert stream.see(published=(1,)) == set()
+
+
+@pytest.mark.parametrize("gap", [1, 3, 5])
+def test_what_comes_back_with_like_colours_is_the_same_layer(gap: int) -> None:
+    stream = Stream()
+    stream.see({"car": Thing()}, at_once=True)
+    stream.skip(gap)
+    born = stream.see({"again": Thing(place=(110.0, 95.0))}, at_once=True)
+    assert born == {1}
+    assert stream.layer_of("again") == 1
+
+
+def test_it_is_looked_for_where_it_should_have_gone() -> None:
+    stream = Stream()
+    stream.see({"car": Thing(velocity=(20.0, 0.0))}, at_once=True)
+    stream.skip(4)
+    stream.see({"again": Thing(place=(205.0, 100.0))}, at_once=True)
+    assert stream.layer_of("again") == 1
+
+
+@pytest.mark.parametrize("other", [Thing(colour=GREEN), Thing(place=(300.0, 100.0))])
+def test_other_colours_or_a_far_place_make_another_layer(other: Thing) -> None:
+    stream = Stream()
+    stream.see({"car": Thing()}, at_once=True)
+    stream.skip(2)
+    stream.see({"another": other}, at_once=True)
+    assert stream.layer_of("another") == 2
+    assert stream.registry.remembered_layers() == {1, 2}
+
+
+def test_the_better_match_of_two_sleepers_wakes() -> None:
+    stream = Stream()
+    stream.see({"car": Thing(colour=RED), "dog": Thing(colour=BLUE)}, at_once=True)
+    stream.skip(1)
+    stream.see({"again": Thing(colour=BLUE)}, at_once=True)
+    assert stream.layer_of("again") == 2
+
+
+def test_one_sleeper_wakes_once() -> None:
+    stream = Stream()
+    stream.see({"car": Thing()}, at_once=True)
+    stream.skip(1)
+    assert stream.see({"one": Thing(), "other": Thing()}, at_once=True) == {1, 2}
+
+
+def test_a_layer_that_is_awake_is_not_taken_for_a_new_cluster() -> None:
+    stream = Stream()
+    stream.see({"car": Thing()}, at_once=True)
+    stream.see({"car": Thing(), "twin": Thing()}, at_once=True)
+    assert (stream.layer_of("car"), stream.layer_of("twin")) == (1, 2)
+
+
+def test_a_layer_that_sleeps_too_long_is_forgotten_and_its_id_is_not_given_again() -> None:
+    stream = Stream()
+    stream.see({"car": Thing()}, at_once=True)
+    stream.skip(CONFIG.dormant_frames)
+    assert stream.registry.remembered_layers() == {1}
+    stream.skip(1)
+    assert stream.registry.remembered_layers() == frozenset()
+    stream.see({"car": Thing()}, at_once=True)
+    assert stream.layer_of("car") == 2
+
+
+# The cap
+
+
+def crowd(count: int) -> dict[str, Thing]:
+    """Things of growing size, far from one another."""
+    return {f"thing{i}": Thing(tracks=5 + i, place=(1000.0 * i, 0.0)) for i in range(count)}
+
+
+def test_up_to_the_cap_every_object_has_its_own_layer() -> None:
+    stream = Stream()
+    live = stream.see(crowd(CONFIG.max_layers - 1), at_once=True)
+    assert live == set(range(1, CONFIG.max_layers))
+    assert stream.registry.state.other == -1
+
+
+@pytest.mark.parametrize("count", [12, 13, 40])
+def test_past_the_cap_the_smallest_share_one_layer(count: int) -> None:
+    stream = Stream()
+    live = stream.see(crowd(count), at_once=True)
+    other = stream.registry.state.other
+    assert len(live) == CONFIG.max_layers - 1
+    assert other in live
+    shared = [name for name in crowd(count) if stream.layer_of(name) == other]
+    assert shared == [f"thing{i}" for i in range(count - (CONFIG.max_layers - 2))]
+    own = [stream.layer_of(name) for name in crowd(count) if name not in shared]
+    assert len(set(own)) == CONFIG.max_layers - 2
+
+
+def test_the_smallest_cap_holds_too() -> None:
+    stream = Stream(CONFIG.model_copy(update={"max_layers": 2}))
+    assert len(stream.see({"one": Thing()}, at_once=True)) == 1
+    live = stream.see({"one": Thing(), "two": Thing(place=(900.0, 0.0))}, at_once=True)
+    assert live == {stream.registry.state.other}
+
+
+def test_who_shares_the_layer_other_does_so_for_life() -> None:
+    stream = Stream()
+    everyone = crowd(14)
+    stream.see(everyone, at_once=True)
+    other = stream.registry.state.other
+    for count in (10, 6, 3):
+        few = {name: everyone[name] for name in list(everyone)[:count]}
+        stream.see(few)
+        assert stream.layer_of("thing0") == other
+
+
+# Over a long time
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_in_a_long_stream_no_id_is_given_twice_and_the_cap_holds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    stream = Stream(CONFIG.model_copy(update={"max_layers": 5}))
+    present: dict[str, Thing] = {}
+    first_owner: dict[int, str] = {}
+    forgotten: set[int] = set()
+    remembered: set[int] = set()
+    names = 0
+    for _ in range(150):
+        for name in [name for name in present if rng.random() < 0.15]:
+            del present[name]
+        while rng.random() < 0.5:
+            blue, green, red = rng.integers(0, 256, 3).tolist()
+            place = (float(rng.uniform(0, 5000)), 0.0)
+            present[f"thing{names}"] = Thing(int(rng.integers(2, 30)), place, colour=(blue, green, red))
+            names += 1
+        live = stream.see(present)
+        assert len(live) <= 4
+        for name, label in stream.labels.items():
+            if label > BACKGROUND:
+                assert first_owner.setdefault(label, name) == name
+        now = set(stream.registry.remembered_layers())
+        forgotten |= remembered - now
+        remembered = now
+        assert not (now - {stream.registry.state.other}) & forgotten
+        labels = stream.registry.state.labels
+        assert (np.diff(labels) > 0).all()
+    assert len(first_owner) > 20
+    assert len(forgotten) > 10
+    assert stream.registry.state.other > 0
+
+
+def test_a_registry_goes_on_from_its_state() -> None:
+    one = Stream()
+    one.see({"car": Thing()}, at_once=True)
+    one.see({"car": Thing(), "dog": Thing(colour=BLUE, place=(400.0, 0.0))})
+    state = one.registry.state
+    copy = replace(
+        state,
+        **{
+            name: getattr(state, name).copy()
+            for name in state.__slots__
+            if isinstance(getattr(state, name), np.ndarray)
+        },
+    )
+    other = Stream(state=copy, frame_index=one.frame_index, labels=dict(one.labels))
+    for things in ({"dog": Thing(colour=BLUE)}, {}, {"car": Thing(), "dog": Thing()}, {"car": Thing()}):
+        for at_once in (False, True):
+            assert one.see(things, at_once=at_once) == other.see(things, at_once=at_once)
+    assert one.labels == other.labels
+
+
+# Colours
+
+
+def test_a_signature_is_the_share_of_each_colour_bin() -> None:
+    colours = np.random.default_rng(0).integers(0, 256, (500, 3)).astype(np.uint8)
+    signature = colour_signature(colours)
+    bins = round(len(signature) ** (1 / 3))
+    expected = np.zeros((bins, bins, bins))
+    for blue, green, red in colours.astype(int):
+        expected[blue * bins // 256, green * bins // 256, red * bins // 256] += 1 / 500
+    np.testing.assert_allclose(signature, expected.ravel(), atol=1e-6)
+    assert signature.sum() == pytest.approx(1.0)
+
+
+def test_no_pixels_have_an_empty_signature() -> None:
+    assert colour_signature(np.zeros((0, 3), np.uint8)).sum() == 0.0

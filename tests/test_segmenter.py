@@ -1,0 +1,278 @@
+"""The segmenter: normaliser, pull of the trajectories, label map and summaries, against plain loops."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import exp, log
+
+import numpy as np
+import pytest
+
+from mlbs_actors.config import Config
+from mlbs_actors.errors import FrameError
+from mlbs_actors.messages import (
+    BACKGROUND,
+    COST_STEP,
+    Array,
+    FrameEvidence,
+    LayerEvidence,
+    LayerKind,
+    LayerPosterior,
+    Region,
+    Segmentation,
+)
+from mlbs_actors.segmenter import Segmenter
+
+SHAPE = (24, 32)
+WHOLE = Region(0, 0, SHAPE[1], SHAPE[0])
+#: Neither contrast nor label costs nor cleaning: every pixel decides for itself.
+PLAIN: dict[str, float] = {"contrast_strength": 0.0, "label_cost": 0.0, "speck_px": 0.0, "hole_px": 0.0}
+
+
+def configured(**segmentation: float) -> Config:
+    return Config.model_validate({"segmentation": {**PLAIN, **segmentation}})
+
+
+def kind_of(layer: int) -> LayerKind:
+    return "background" if layer == BACKGROUND else "object"
+
+
+def evidence_of(
+    posteriors: list[LayerPosterior], frame_index: int = 0, tracks: dict[int, Array] | None = None
+) -> FrameEvidence:
+    layers = []
+    for one in posteriors:
+        at = np.asarray((tracks or {}).get(one.layer, np.zeros((0, 2))), np.float32)
+        layers.append(LayerEvidence(one.layer, one.kind, frame_index - 1, at, np.zeros_like(at)))
+    return FrameEvidence(
+        frame_index=frame_index,
+        shape=SHAPE,
+        camera=np.eye(3),
+        flow=np.zeros((*SHAPE, 2), np.float16),
+        flow_reliable=np.zeros(SHAPE, bool),
+        unexplained=np.zeros(SHAPE, np.uint8),
+        layers=tuple(layers),
+        retired=(),
+        latency_frames=3,
+        stage_ms={"flow": 1.5},
+    )
+
+
+def posterior(
+    layer: int, cost: Array | int, region: Region = WHOLE, frame_index: int = 0, outside: int = 255
+) -> LayerPosterior:
+    full = np.full((region.height, region.width), cost, np.uint8) if isinstance(cost, int) else cost
+    return LayerPosterior(
+        layer=layer,
+        frame_index=frame_index,
+        kind=kind_of(layer),
+        region=region,
+        cost=full,
+        outside_cost=outside,
+        confidence=0.5,
+        velocity=np.array([layer, -layer], np.float32),
+        stage_ms={"gabp": float(layer + 1), "posterior": 10.0 - layer},
+    )
+
+
+def random_posteriors(seed: int = 0) -> list[LayerPosterior]:
+    rng = np.random.default_rng(seed)
+    regions = [(0, WHOLE), (4, Region(3, 2, 20, 15)), (9, Region(10, 8, 22, 16))]
+    return [
+        posterior(layer, rng.integers(0, 200, (region.height, region.width)).astype(np.uint8), region)
+        for layer, region in regions
+    ]
+
+
+def frame(seed: int = 1) -> Array:
+    return np.random.default_rng(seed).integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
+
+
+def segmented(
+    posteriors: list[LayerPosterior], config: Config, tracks: dict[int, Array] | None = None
+) -> Segmentation:
+    return Segmenter(config).step(evidence_of(posteriors, tracks=tracks), frame(), posteriors)
+
+
+def cost_at(one: LayerPosterior, y: int, x: int) -> int:
+    region = one.region
+    if region.y <= y < region.y + region.height and region.x <= x < region.x + region.width:
+        return int(one.cost[y - region.y, x - region.x])
+    return one.outside_cost
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_normaliser_is_that_of_plain_loops(seed: int) -> None:
+    posteriors = random_posteriors(seed)
+    result = segmented(posteriors, configured())
+    for y in range(SHAPE[0]):
+        for x in range(SHAPE[1]):
+            total = sum(exp(-COST_STEP * cost_at(one, y, x)) for one in posteriors)
+            expected = min(max(-log(total) / COST_STEP, 0.0), 255.0)
+            assert abs(float(result.normaliser[y, x]) - expected) <= 0.5 + 1e-3
+    assert result.normaliser.dtype == np.uint8
+
+
+def test_every_pixel_gets_the_id_of_the_layer_that_costs_least() -> None:
+    posteriors = random_posteriors()
+    result = segmented(posteriors, configured())
+    for y in range(SHAPE[0]):
+        for x in range(SHAPE[1]):
+            costs = {one.layer: cost_at(one, y, x) for one in posteriors}
+            assert costs[int(result.labels[y, x])] == min(costs.values())
+    assert set(np.unique(result.labels).tolist()) == {0, 4, 9}
+    assert result.labels.dtype == np.uint16
+
+
+def test_where_the_layers_cost_the_same_the_trajectories_decide() -> None:
+    posteriors = [posterior(0, 40), posterior(3, 40)]
+    background = np.array([[5.2, 6.1], [20.0, 20.0]])
+    car = np.array([[9.6, 4.4], [31.4, 23.4], [-0.3, 0.2]])
+    result = segmented(posteriors, configured(track_cost=1.0), {0: background, 3: car})
+    assert result.labels[6, 5] == result.labels[20, 20] == 0
+    assert result.labels[4, 10] == result.labels[23, 31] == result.labels[0, 0] == 3
+
+
+def test_trajectories_overrule_a_posterior_that_says_less_and_not_one_that_says_more() -> None:
+    track = np.array([[10.0, 10.0]])
+    pull = 1.0  # for its own label and against the others: 2 nats, 32 quanta
+    for quanta, label in ((30, 3), (34, 0)):
+        posteriors = [posterior(0, 40), posterior(3, 40 + quanta)]
+        assert segmented(posteriors, configured(track_cost=pull), {3: track}).labels[10, 10] == label
+    posteriors = [posterior(0, 40), posterior(3, 40 + 60)]
+    twice = np.array([[10.0, 10.0], [10.3, 9.8]])
+    assert segmented(posteriors, configured(track_cost=pull), {3: twice}).labels[10, 10] == 3
+
+
+def test_a_layer_owns_nothing_outside_its_region() -> None:
+    region = Region(8, 6, 10, 9)
+    result = segmented([posterior(0, 100), posterior(2, 0, region)], configured())
+    expected = np.zeros(SHAPE, int)
+    expected[region.slices] = 2
+    np.testing.assert_array_equal(result.labels, expected)
+
+
+def test_a_label_whose_cost_outweighs_its_evidence_disappears() -> None:
+    posteriors = [posterior(0, 16), posterior(5, 0, Region(4, 4, 3, 3))]  # 9 pixels, 1 nat each
+    area = SHAPE[0] * SHAPE[1] / (640 * 480)  # label costs are stated for 640×480
+    assert 5 in segmented(posteriors, configured(label_cost=8.0 / area)).labels
+    gone = segmented(posteriors, configured(label_cost=10.0 / area))
+    assert not gone.labels.any()
+    assert gone.layers == ()
+
+
+def test_the_published_map_is_cleaned() -> None:
+    cost = np.full(SHAPE, 200, np.uint8)
+    cost[5:15, 5:15] = 0
+    cost[8, 8] = 200  # a pinhole
+    cost[20, 25] = 0  # a speck
+    posteriors = [posterior(0, 100), posterior(1, cost)]
+    area = SHAPE[0] * SHAPE[1] / (640 * 480)
+    raw = segmented(posteriors, configured()).labels
+    cleaned = segmented(posteriors, configured(speck_px=2.5 / area, hole_px=2.5 / area)).labels
+    assert (raw[8, 8], raw[20, 25]) == (0, 1)
+    assert (cleaned[8, 8], cleaned[20, 25]) == (1, 0)
+
+
+def test_outlines_follow_the_contrast() -> None:
+    image = np.full((*SHAPE, 3), 40, np.uint8)
+    image[:, 17:] = 200
+    cost = np.full(SHAPE, 100, np.uint8)
+    cost[:, 14:] = 96  # the posterior's own border lies three px off the edge of the image
+    posteriors = [posterior(0, 98), posterior(1, cost)]
+    config = configured(contrast_strength=3.0, contrast_scale=300.0)
+    tracks = {0: np.array([[2.0, y] for y in range(24)]), 1: np.array([[30.0, y] for y in range(24)])}
+    result = Segmenter(config).step(evidence_of(posteriors, tracks=tracks), image, posteriors)
+    np.testing.assert_array_equal(result.labels, np.repeat([[0, 1]], 24, axis=0).repeat([17, 15], axis=1))
+
+
+def test_the_summaries_are_those_of_plain_loops() -> None:
+    posteriors = random_posteriors(2)
+    result = segmented(posteriors, configured())
+    assert [one.layer for one in result.layers] == [4, 9]
+    for summary in result.layers:
+        own = [
+            (y, x) for y in range(SHAPE[0]) for x in range(SHAPE[1]) if result.labels[y, x] == summary.layer
+        ]
+        ys, xs = zip(*own, strict=True)
+        one = next(one for one in posteriors if one.layer == summary.layer)
+        certain = [
+            min(exp(COST_STEP * (float(result.normaliser[y, x]) - cost_at(one, y, x))), 1.0) for y, x in own
+        ]
+        assert summary.area == len(own)
+        assert summary.region == Region(min(xs), min(ys), max(xs) - min(xs) + 1, max(ys) - min(ys) + 1)
+        assert summary.centroid == pytest.approx((np.mean(xs), np.mean(ys)))
+        assert summary.confidence == pytest.approx(np.mean(certain))
+        assert summary.velocity == (summary.layer, -summary.layer)
+        assert summary.kind == "object"
+
+
+def test_the_layer_other_keeps_its_kind() -> None:
+    shared = replace(posterior(7, 0), kind="other")
+    result = segmented([posterior(0, 50), shared], configured())
+    assert [(one.layer, one.kind) for one in result.layers] == [(7, "other")]
+
+
+def test_a_layer_without_pixels_has_no_summary() -> None:
+    result = segmented([posterior(0, 0), posterior(1, 200)], configured())
+    assert result.layers == ()
+    empty = segmented([posterior(0, 0), posterior(1, 0, Region(0, 0, 0, 0))], configured())
+    assert not empty.labels.any()
+
+
+def test_the_background_alone_labels_everything() -> None:
+    result = segmented([posterior(0, 130)], configured(contrast_strength=1.0, label_cost=20.0, speck_px=50.0))
+    assert not result.labels.any()
+    np.testing.assert_array_equal(result.normaliser, 130)
+
+
+def test_what_the_evidence_knows_is_passed_on() -> None:
+    result = segmented([replace(posterior(0, 0), velocity=np.array([1.5, -2.0]))], configured())
+    assert result.frame_index == 0
+    assert result.latency_frames == 3
+    assert result.camera_motion == (1.5, -2.0)
+
+
+def test_of_layers_side_by_side_the_slowest_counts() -> None:
+    stages = segmented(random_posteriors(), configured()).stage_ms
+    assert (stages["flow"], stages["gabp"], stages["posterior"]) == (1.5, 10.0, 10.0)
+
+
+def test_a_frame_out_of_order_is_refused_and_changes_nothing() -> None:
+    segmenter = Segmenter(configured())
+    posteriors = random_posteriors()
+    with pytest.raises(FrameError, match=r"due for frame 0; it was given frame 1 .* last snapshot\."):
+        segmenter.step(evidence_of(posteriors, 1), frame(), posteriors)
+    first = segmenter.step(evidence_of(posteriors, 0), frame(), posteriors)
+    with pytest.raises(FrameError, match="due for frame 1; it was given frame 0"):
+        segmenter.step(evidence_of(posteriors, 0), frame(), posteriors)
+    second = segmenter.step(evidence_of(posteriors, 1), frame(), posteriors)
+    np.testing.assert_array_equal(first.labels, second.labels)
+
+
+@pytest.mark.parametrize("given", [[0, 4], [0, 9, 4], [0, 4, 9, 9], []])
+def test_posteriors_that_are_not_those_of_the_live_layers_are_refused(given: list[int]) -> None:
+    posteriors = random_posteriors()
+    by_id = {one.layer: one for one in posteriors}
+    with pytest.raises(FrameError, match="restart the stream from its last snapshot"):
+        Segmenter(configured()).step(evidence_of(posteriors), frame(), [by_id[layer] for layer in given])
+
+
+def test_what_is_given_is_only_read_and_equal_input_gives_equal_bytes() -> None:
+    config = configured(contrast_strength=1.0, label_cost=20.0, speck_px=50.0, hole_px=200.0)
+    posteriors, image = random_posteriors(), frame()
+    for one in posteriors:
+        one.cost.flags.writeable = False
+    image.flags.writeable = False
+    first = Segmenter(config).step(evidence_of(posteriors), image, posteriors)
+    second = Segmenter(config).step(evidence_of(posteriors), image.copy(), posteriors)
+    assert first.labels.tobytes() == second.labels.tobytes()
+    assert first.normaliser.tobytes() == second.normaliser.tobytes()
+    assert first.layers == second.layers
+
+
+def test_the_published_map_is_the_one_kept_for_the_next_frame() -> None:
+    segmenter = Segmenter(configured())
+    result = segmenter.step(evidence_of(random_posteriors()), frame(), random_posteriors())
+    np.testing.assert_array_equal(segmenter.state.labels, result.labels)
+    assert segmenter.state.next_frame == 1

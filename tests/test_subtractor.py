@@ -1,0 +1,245 @@
+"""One stream in one process: what a user of the class can rely on, on small synthetic scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import cv2
+import numba
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
+
+from mlbs_actors import Config, FrameError, MultilayerSubtractor, Segmentation
+from mlbs_actors.messages import Array
+from orchestrator.sources.synthetic import SyntheticScene, scene
+
+
+def run(pictures: Iterable[Array], config: Config | None = None) -> list[Segmentation]:
+    subtractor = MultilayerSubtractor(config)
+    return [one for picture in pictures for one in subtractor.apply(picture)] + subtractor.flush()
+
+
+def pictures_of(video: SyntheticScene, frames: int) -> list[Array]:
+    return [video.frame(t) for t in range(frames)]
+
+
+def overlap(labels: Array, truth: Array) -> float:
+    """Intersection over union of everything that is not background."""
+    return float(((labels > 0) & (truth > 0)).sum() / ((labels > 0) | (truth > 0)).sum())
+
+
+def as_bytes(results: list[Segmentation]) -> list[tuple[object, ...]]:
+    """All that is published, without the times."""
+    return [
+        (one.frame_index, one.labels.tobytes(), one.normaliser.tobytes(), one.layers, one.camera_motion)
+        for one in results
+    ]
+
+
+@pytest.fixture(scope="module")
+def pan() -> tuple[SyntheticScene, list[Array], list[Segmentation]]:
+    """A panning camera and two objects, twelve frames of it, and what was found."""
+    video = scene("pan", frames=60)
+    pictures = pictures_of(video, 12)
+    return video, pictures, run(pictures)
+
+
+def test_every_frame_gets_one_label_map_in_order(
+    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+) -> None:
+    _, pictures, results = pan
+    assert [one.frame_index for one in results] == list(range(len(pictures)))
+    for one in results:
+        assert one.labels.shape == pictures[0].shape[:2]
+        assert one.labels.dtype == np.uint16
+        assert one.layers == tuple(sorted(one.layers, key=lambda layer: layer.layer))
+        assert {layer.layer for layer in one.layers} == set(np.unique(one.labels).tolist()) - {0}
+
+
+def test_moving_objects_are_found_each_with_a_label_of_its_own_that_lasts(
+    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+) -> None:
+    video, _, results = pan
+    owners: dict[int, set[int]] = {1: set(), 2: set()}
+    for one in results[1:]:
+        truth = video.labels(one.frame_index)
+        assert overlap(one.labels, truth) > 0.75
+        for thing, labels in owners.items():
+            labels.add(int(np.bincount(one.labels[truth == thing]).argmax()))
+    assert all(len(labels) == 1 for labels in owners.values())
+    assert len(owners[1] | owners[2]) == 2
+    assert 0 not in owners[1] | owners[2]
+
+
+def test_the_motions_of_camera_and_objects_are_told(
+    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+) -> None:
+    video, _, results = pan
+    for one in results[1:]:
+        truth, flow = video.labels(one.frame_index), -video.flow(one.frame_index)
+        assert one.camera_motion == pytest.approx(np.median(flow[truth == 0], axis=0).tolist(), abs=0.5)
+        for layer in one.layers:
+            if layer.area > 200:
+                expected = np.median(flow[(one.labels == layer.layer) & (truth > 0)], axis=0)
+                assert layer.velocity == pytest.approx(expected.tolist(), abs=0.5)
+
+
+def test_two_runs_give_the_same_bytes(
+    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+) -> None:
+    _, pictures, results = pan
+    assert as_bytes(run(pictures)) == as_bytes(results)
+
+
+def test_the_caller_may_use_its_frame_buffer_again(
+    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+) -> None:
+    _, pictures, results = pan
+    buffer = np.empty_like(pictures[0])
+    subtractor = MultilayerSubtractor()
+    got = []
+    for picture in pictures:
+        buffer[:] = picture
+        got += subtractor.apply(buffer)
+        buffer[:] = 77
+    assert as_bytes(got + subtractor.flush()) == as_bytes(results)
+
+
+def test_a_frame_may_be_a_view_and_is_left_as_it_was(
+    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+) -> None:
+    _, pictures, results = pan
+    views = [np.ascontiguousarray(picture[:, ::-1])[:, ::-1] for picture in pictures]
+    for view in views:
+        view.flags.writeable = False
+        assert not view.flags.c_contiguous
+    assert as_bytes(run(views)) == as_bytes(results)
+
+
+@pytest.mark.parametrize("name", ["no-mover", "static-empty"])
+def test_without_a_mover_every_label_is_background(name: str) -> None:
+    results = run(pictures_of(scene(name, frames=60), 16))
+    assert len(results) == 16
+    for one in results:
+        assert not one.labels.any()
+        assert one.layers == ()
+
+
+def test_a_walker_before_a_still_camera_is_found() -> None:
+    video = scene("static-walker", frames=60)
+    results = run(pictures_of(video, 20))
+    found = [overlap(one.labels, video.labels(one.frame_index)) for one in results[10:]]
+    assert np.mean(found) > 0.4
+
+
+def test_a_look_ahead_delays_every_result_and_says_so() -> None:
+    config = Config.model_validate({"layers": {"lookahead": 3, "init_frames": 2}})
+    video = scene("pan", frames=60)
+    subtractor = MultilayerSubtractor(config)
+    for t in range(9):
+        results = subtractor.apply(video.frame(t))
+        assert [one.frame_index for one in results] == ([t - 3] if t >= 3 else [])
+        assert all(one.latency_frames == 3 for one in results)
+    rest = subtractor.flush()
+    assert [(one.frame_index, one.latency_frames) for one in rest] == [(6, 2), (7, 1), (8, 0)]
+    assert overlap(rest[-1].labels, video.labels(8)) > 0.75
+
+
+@pytest.mark.parametrize("frames", [0, 1, 2, 3])
+def test_a_short_video_gives_one_result_a_frame(frames: int) -> None:
+    results = run(pictures_of(scene("pan", frames=60, width=160, height=120), frames))
+    assert [one.frame_index for one in results] == list(range(frames))
+    assert all(one.labels.shape == (120, 160) for one in results)
+
+
+def test_flushing_again_gives_nothing_more() -> None:
+    subtractor = MultilayerSubtractor()
+    assert subtractor.flush() == []
+    assert subtractor.apply(scene("pan", width=64, height=48).frame(0)) == []
+    assert len(subtractor.flush()) == 1
+    assert subtractor.flush() == []
+
+
+def noise(height: int, width: int, frames: int) -> list[Array]:
+    rng = np.random.default_rng(0)
+    return [rng.integers(0, 256, (height, width, 3)).astype(np.uint8) for _ in range(frames)]
+
+
+def flat(level: int, frames: int = 8) -> list[Array]:
+    return [np.full((60, 80, 3), level, np.uint8)] * frames
+
+
+@pytest.mark.parametrize(
+    "pictures",
+    [
+        flat(0),
+        flat(255),
+        flat(128),
+        flat(0, 4) + flat(255, 4),
+        [np.dstack([np.tile(np.arange(80, dtype=np.uint8), (60, 1))] * 3)] * 8,
+    ],
+    ids=["black", "white", "grey", "black, then white", "a gradient"],
+)
+def test_frames_without_texture_are_background(pictures: list[Array]) -> None:
+    results = run(pictures)
+    assert len(results) == len(pictures)
+    assert not any(one.labels.any() for one in results)
+
+
+@pytest.mark.parametrize(("height", "width"), [(16, 16), (1, 40), (40, 1), (1, 1), (33, 47), (8, 300)])
+def test_frames_of_any_size_are_taken(height: int, width: int) -> None:
+    results = run(noise(height, width, 8))
+    assert [one.labels.shape for one in results] == [(height, width)] * 8
+
+
+def test_a_scene_cut_and_a_frozen_video_are_survived() -> None:
+    one = pictures_of(scene("pan", frames=60, width=160, height=120), 7)
+    other = pictures_of(scene("demo", frames=60, width=160, height=120), 4)
+    results = run([*one, *other, *[other[-1]] * 4])
+    assert [result.frame_index for result in results] == list(range(15))
+
+
+def test_a_refused_frame_is_told_in_a_sentence_and_the_stream_goes_on() -> None:
+    video = scene("pan", frames=60, width=160, height=120)
+    subtractor = MultilayerSubtractor()
+    results = []
+    for t in range(7):
+        with pytest.raises(FrameError, match="uint8 BGR image"):
+            subtractor.apply(video.frame(t)[..., 0])
+        results += subtractor.apply(video.frame(t))
+        with pytest.raises(FrameError, match="start a new subtractor for another size"):
+            subtractor.apply(np.zeros((48, 64, 3), np.uint8))
+    assert as_bytes(results + subtractor.flush()) == as_bytes(run(pictures_of(video, 7)))
+
+
+def test_the_numbers_of_threads_are_as_before() -> None:
+    def thread_counts() -> list[int]:
+        pools = [int(pool["num_threads"]) for pool in threadpool_info()]
+        return [numba.get_num_threads(), cv2.getNumThreads(), *pools]
+
+    run(noise(32, 48, 1))  # loads what is loaded late
+    opencv_threads = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    try:
+        before = thread_counts()
+        subtractor = MultilayerSubtractor()
+        for picture in noise(32, 48, 6):
+            subtractor.apply(picture)
+            assert thread_counts() == before
+        with pytest.raises(FrameError):
+            subtractor.apply(np.zeros((32, 48), np.uint8))
+        assert thread_counts() == before
+        subtractor.flush()
+        assert thread_counts() == before
+    finally:
+        cv2.setNumThreads(opencv_threads)
+
+
+def test_memory_of_past_frames_is_bounded() -> None:
+    subtractor = MultilayerSubtractor()
+    video = scene("pan", frames=60, width=96, height=72)
+    for t in range(25):
+        subtractor.apply(video.frame(t))
+    assert len(subtractor._published) <= 3
+    assert len(subtractor._waiting) == 0
