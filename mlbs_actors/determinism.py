@@ -3,8 +3,8 @@
 A library that splits a sum over its threads gives other last bits with another number of threads (a
 matrix product by OpenBLAS does), and a threshold downstream makes them visible. Everything of this
 package therefore computes in one thread, in the caller's process (:func:`single_threaded`) and in each
-actor's (:func:`limit_process`). The parallelism is between the processes. Numba needs no limit: no kernel here
-asks for its threads, and changing their number after its import makes its next compilation fail.
+actor's (:func:`limit_process`). The parallelism is between the processes. Numba needs no limit: no kernel
+here asks for its threads, and changing their number after its import makes its next compilation fail.
 """
 
 from __future__ import annotations

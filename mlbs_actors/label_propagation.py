@@ -82,7 +82,7 @@ def propagate_absorbing(affinity: sp.csr_array, labels: Array, classes: int) -> 
     Y[np.flatnonzero(known), labels[known]] = 1.0
     affinity = affinity.copy()
     affinity.data[affinity.data < NO_EDGE] = 0.0
-    affinity.eliminate_zeros()  # an edge without weight would count as a connection and make the system singular
+    affinity.eliminate_zeros()  # it would count as a connection and make the system singular
     _, component = connected_components(affinity, directed=False)
     reached = np.isin(component, component[known]) & ~known
     unknown = np.flatnonzero(reached)

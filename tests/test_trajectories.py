@@ -121,6 +121,19 @@ def test_seeds_keep_their_distance_and_leave_no_gap_in_a_textured_frame() -> Non
     assert np.quantile(gap, 0.95) <= 1.5 * SPACING
 
 
+@pytest.mark.parametrize("shape", [(16, 16), (40, 56), (72, 96)])
+def test_a_tiny_frame_has_no_more_trajectories_than_its_pixels_can_tell_apart(shape: tuple[int, int]) -> None:
+    gray = np.ascontiguousarray(shifted(texture(), (0, 0))[: shape[0], : shape[1]])
+    motion = np.full((*shape, 2), (0.4, 0.3), np.float32)
+    sure = np.ones(shape, bool)
+    flow = DenseFlow(motion, -motion, sure, sure, (1.0, 1.0))
+    state = empty_trajectories(CONFIG)
+    for _ in range(12):
+        state = advance_trajectories(state, flow, shape)
+        state = seed_trajectories(state, gray, flow, shape, CONFIG)
+        assert 0 < len(state) <= shape[0] * shape[1] / 4
+
+
 def test_nothing_is_seeded_where_the_image_has_no_structure() -> None:
     gray = shifted(texture(), (0, 0))
     gray[:, 80:] = 128
