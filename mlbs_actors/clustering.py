@@ -26,6 +26,7 @@ from mlbs_actors.trajectories import TrajectoryState
 
 __all__ = [
     "UNLABELLED",
+    "background_first",
     "border_motion",
     "label_speeds",
     "least_object_speed",
@@ -230,3 +231,32 @@ def merge_by_motion(
             return labels
         _, younger, older = min(candidates)
         labels[labels == younger] = older
+
+
+def background_first(labels: Array, trajectories: TrajectoryState, scale: float) -> Array:
+    """Renumber the first clusters so that 0 is the one that best obeys the camera's motion.
+
+    Parameters
+    ----------
+    labels : (n,) int64
+        Clusters 0 … C−1, −1 = none.
+    trajectories : TrajectoryState
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+
+    Returns
+    -------
+    (n,) int64
+        All background if there is no cluster.
+    """
+    clusters = np.unique(labels[labels != UNLABELLED])
+    if len(clusters) == 0:
+        return np.full(len(labels), BACKGROUND, np.int64)
+    residual = np.hypot(trajectories.residuals[:, 0, 0], trajectories.residuals[:, 0, 1])
+    obeying = [int(((labels == cluster) & (residual < scale)).sum()) for cluster in clusters]
+    background = int(clusters[int(np.argmax(obeying))])
+    order = [background, *(int(cluster) for cluster in clusters if cluster != background)]
+    renumbered = np.full(len(labels), UNLABELLED, np.int64)
+    for position, cluster in enumerate(order):
+        renumbered[labels == cluster] = position
+    return renumbered

@@ -10,9 +10,9 @@ map; with ``lookahead`` every frame waits for later ones in the same way.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
@@ -21,6 +21,7 @@ from mlbs_actors.affinity import TrajectoryGraph, displacement_spread, trajector
 from mlbs_actors.camera import camera_difference, camera_homography, homography_motion
 from mlbs_actors.clustering import (
     UNLABELLED,
+    background_first,
     label_speeds,
     least_object_speed,
     merge_by_motion,
@@ -30,6 +31,7 @@ from mlbs_actors.clustering import (
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray, sample_flow
+from mlbs_actors.held_frames import HeldFrame, relabelled
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.messages import (
     BACKGROUND,
@@ -49,42 +51,7 @@ from mlbs_actors.trajectories import (
     with_residuals,
 )
 
-__all__ = ["Coordinator", "CoordinatorState", "HeldFrame"]
-
-
-@dataclass(frozen=True, slots=True)
-class HeldFrame:
-    """A frame that has been tracked and waits for its labels.
-
-    Attributes
-    ----------
-    frame_index : int
-    ids : (n,) int64
-        Trajectories in this frame, ascending.
-    positions, motions : (n, 2) float32
-    labels : (n,) int64
-        As known so far.
-    unexplained : (n,) float32
-        As in :class:`~mlbs_actors.trajectories.TrajectoryState`.
-    camera : (3, 3) float64
-    flow : (h, w, 2) float16
-    flow_reliable : (h, w) bool
-    difference : (h, w) uint8
-        :func:`~mlbs_actors.camera.camera_difference`.
-    stage_ms : mapping of str to float
-    """
-
-    frame_index: int
-    ids: Array
-    positions: Array
-    motions: Array
-    labels: Array
-    unexplained: Array
-    camera: Array
-    flow: Array
-    flow_reliable: Array
-    difference: Array
-    stage_ms: Mapping[str, float]
+__all__ = ["Coordinator", "CoordinatorState"]
 
 
 @dataclass(slots=True)
@@ -230,13 +197,17 @@ class Coordinator:
             # Fewer frames than the first clustering wants: it is done with what there is.
             colourless = np.zeros((*(state.shape or (0, 0)), 3), np.uint8)
             self._cluster(colourless, state.next_frame - 1, [], {})
-            self._relabel_held()
+            state.held = relabelled(state.held, state.trajectories, state.labels)
         return self._emit(state.next_frame - 1)
 
     def _check(self, frame_index: int, frame: Array) -> None:
         if frame_index != self.state.next_frame:
             raise FrameError(
                 f"Frame {frame_index} came where frame {self.state.next_frame} is due; give frames in order."
+            )
+        if not isinstance(frame, np.ndarray):
+            raise FrameError(
+                f"A frame must be a NumPy array, not {type(frame).__name__}; was the video read at all?"
             )
         if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3 or 0 in frame.shape:
             raise FrameError(
@@ -275,7 +246,7 @@ class Coordinator:
                 labels = recursive_cut(
                     affinity, config.affinity.cut_threshold, config.affinity.cut_side_tracks
                 )
-                labels = _background_first(labels, state.trajectories, scale)
+                labels = background_first(labels, state.trajectories, scale)
             speeds = label_speeds(state.trajectories, labels)
             least = least_object_speed(state.trajectories, labels == BACKGROUND, config.layers, scale)
             ages = registry.ages(frame_index)
@@ -296,22 +267,7 @@ class Coordinator:
             )
         state.registry = registry.state
         state.clustered = True
-        self._relabel_held()
-
-    def _relabel_held(self) -> None:
-        """Give the held frames the newest labels, backwards along the trajectories that still live."""
-        state = self.state
-        ids, labels, unexplained = state.trajectories.ids, state.labels, state.trajectories.unexplained
-        relabelled = []
-        for held in state.held:
-            place = np.minimum(np.searchsorted(ids, held.ids), max(len(ids) - 1, 0))
-            alive = ids[place] == held.ids if len(ids) else np.zeros(len(held.ids), bool)
-            newest = held.labels.copy()
-            newest[alive] = labels[place[alive]]
-            worst = held.unexplained.copy()
-            worst[alive] = np.maximum(worst[alive], unexplained[place[alive]])
-            relabelled.append(replace(held, labels=newest, unexplained=worst))
-        state.held = tuple(relabelled)
+        state.held = relabelled(state.held, state.trajectories, state.labels)
 
     def _hold(
         self,
@@ -384,21 +340,6 @@ class Coordinator:
             latency_frames=state.next_frame - 1 - held.frame_index,
             stage_ms=held.stage_ms,
         )
-
-
-def _background_first(labels: Array, trajectories: TrajectoryState, scale: float) -> Array:
-    """Renumber the first clusters so that 0 is the one that best obeys the camera's motion."""
-    clusters = np.unique(labels[labels != UNLABELLED])
-    if len(clusters) == 0:
-        return np.full(len(labels), BACKGROUND, np.int64)
-    residual = np.hypot(trajectories.residuals[:, 0, 0], trajectories.residuals[:, 0, 1])
-    obeying = [int(((labels == cluster) & (residual < scale)).sum()) for cluster in clusters]
-    background = int(clusters[int(np.argmax(obeying))])
-    order = [background, *(int(cluster) for cluster in clusters if cluster != background)]
-    renumbered = np.full(len(labels), UNLABELLED, np.int64)
-    for position, cluster in enumerate(order):
-        renumbered[labels == cluster] = position
-    return renumbered
 
 
 @contextmanager

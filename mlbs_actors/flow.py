@@ -115,8 +115,9 @@ def dense_flow(
     step = (shape[1] / current.shape[1], shape[0] / current.shape[0])
     solver = cv2.DISOpticalFlow.create(_PRESETS[config.preset])
     factor = np.array(step, np.float32)
-    forward = solver.calc(previous, current, None) * factor
-    backward = solver.calc(current, previous, None) * factor
+    # None, which the stubs do not know: no initial flow.
+    forward = solver.calc(previous, current, None) * factor  # type: ignore[call-overload]
+    backward = solver.calc(current, previous, None) * factor  # type: ignore[call-overload]
     return DenseFlow(
         forward,
         backward,

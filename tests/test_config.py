@@ -1,0 +1,139 @@
+"""Parameters: frozen, checked, read from a file and from the command line, and refused in a sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel, ValidationError
+
+from mlbs_actors.config import Config, length_scale, load_config
+from mlbs_actors.errors import ConfigError
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "parameters.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def sections() -> dict[str, BaseModel]:
+    return {name: getattr(Config(), name) for name in Config.model_fields}
+
+
+def test_without_a_file_the_defaults_hold() -> None:
+    assert load_config() == Config()
+
+
+def test_a_file_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:
+    path = written(tmp_path, "layers:\n  lookahead: 4\nflow: {preset: fast}\n")
+    config = load_config(path)
+    assert config.layers.lookahead == 4
+    assert config.flow.preset == "fast"
+    assert config == Config.model_validate({"layers": {"lookahead": 4}, "flow": {"preset": "fast"}})
+    assert config.layers.max_layers == Config().layers.max_layers
+
+
+@pytest.mark.parametrize("text", ["", "# only a remark\n"])
+def test_an_empty_file_changes_nothing(tmp_path: Path, text: str) -> None:
+    assert load_config(written(tmp_path, text)) == Config()
+
+
+def test_an_override_comes_after_the_file_and_the_last_one_wins(tmp_path: Path) -> None:
+    path = written(tmp_path, "layers:\n  lookahead: 4\n  max_layers: 9\n")
+    config = load_config(path, ["layers.lookahead=2", "flow.scale = 0.25", "layers.lookahead=3"])
+    assert (config.layers.lookahead, config.layers.max_layers, config.flow.scale) == (3, 9, 0.25)
+
+
+@pytest.mark.parametrize(
+    ("override", "complaint"),
+    [
+        ("layers.lookahead", "write section.key=value"),
+        ("lookahead=4", "write section.key=value"),
+        (".lookahead=4", "write section.key=value"),
+        ("layers.=4", "write section.key=value"),
+        ("=", "write section.key=value"),
+        ("layers.lookahead=[1", "cannot be read"),
+        ("layers.lookahead=-1", "layers.lookahead: Input should be greater than or equal to 0"),
+        ("layers.lookahead=soon", "layers.lookahead: Input should be a valid integer"),
+        ("layers.lookahead=", "layers.lookahead: Input should be a valid integer"),
+        ("layers.look=1", "layers.look: Extra inputs are not permitted"),
+        ("layer.lookahead=1", "layer: Extra inputs are not permitted"),
+        ("layers.init_frames=6", "layers.init_frames: Input should be less than or equal to 5"),
+        ("flow.preset=best", "flow.preset: Input should be 'ultrafast', 'fast' or 'medium'"),
+        ("flow.scale=.nan", "flow.scale"),
+        ("segmentation.label_cost=.inf", "segmentation.label_cost"),
+    ],
+)
+def test_a_wrong_override_is_refused_in_a_sentence(override: str, complaint: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        load_config(None, [override])
+    assert complaint in str(refused.value)
+    assert str(refused.value).endswith(".")
+    assert len(refused.value.args) == 1
+
+
+def test_all_wrong_values_are_named_at_once() -> None:
+    with pytest.raises(ConfigError, match=r"flow\.scale: .*; layers\.lookahead: "):
+        load_config(None, ["layers.lookahead=-1", "flow.scale=7"])
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("- a\n- b\n", "must hold sections of key: value pairs"),
+        ("just text", "must hold sections of key: value pairs"),
+        ("layers: [", "cannot be read"),
+        ("layers: 3\n", "layers: Input should be"),
+        ("layers: !!python/object/apply:os.system ['true']\n", "cannot be read"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_a_sentence(tmp_path: Path, text: str, complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        load_config(written(tmp_path, text))
+
+
+def test_a_file_that_is_missing_or_no_text_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"missing\.yaml cannot be read"):
+        load_config(tmp_path / "missing.yaml")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_config(tmp_path)
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_config(binary)
+
+
+def test_an_override_of_a_section_that_is_no_section_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="must hold key: value pairs"):
+        load_config(written(tmp_path, "layers: 3\n"), ["layers.lookahead=1"])
+
+
+def test_parameters_cannot_be_changed_afterwards() -> None:
+    config = Config()
+    with pytest.raises(ValidationError):
+        config.layers = config.layers  # type: ignore[misc]
+    with pytest.raises(ValidationError):
+        config.layers.lookahead = 3  # type: ignore[misc]
+
+
+def test_a_configuration_survives_being_written_down() -> None:
+    config = load_config(None, ["layers.lookahead=2", "affinity.propagation=absorbing"])
+    assert Config.model_validate_json(config.model_dump_json()) == config
+
+
+@pytest.mark.parametrize("section", sorted(Config.model_fields))
+def test_every_parameter_says_what_it_means(section: str) -> None:
+    model = type(sections()[section])
+    assert model.__doc__
+    for name, parameter in model.model_fields.items():
+        assert parameter.description, name
+        assert parameter.description.endswith("."), name
+
+
+def test_lengths_scale_with_the_square_root_of_the_area() -> None:
+    assert length_scale(480, 640) == 1.0
+    assert length_scale(240, 320) == 0.5
+    assert length_scale(960, 1280) == 2.0
+    assert length_scale(640, 480) == 1.0
+    assert length_scale(480, 4 * 640) == 2.0

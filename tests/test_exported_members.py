@@ -1,0 +1,110 @@
+"""Every public name has one home, and the package gives out what a user needs and no more."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import mlbs_actors
+
+PACKAGE = Path(mlbs_actors.__file__).parent
+MODULES = sorted(found.name for found in pkgutil.walk_packages(mlbs_actors.__path__, "mlbs_actors."))
+PLAIN_MODULES = [name for name in MODULES if name != "mlbs_actors.actors"]
+
+
+def public_definitions(module: ModuleType) -> set[str]:
+    """Classes and functions that a module defines itself."""
+    return {
+        name
+        for name, member in vars(module).items()
+        if not name.startswith("_")
+        and (inspect.isclass(member) or inspect.isfunction(member))
+        and member.__module__ == module.__name__
+    }
+
+
+def imported_modules(path: Path) -> set[str]:
+    """Every module that a file imports, wherever in it."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.add(node.module)
+    return names
+
+
+def test_the_package_gives_out_these_names() -> None:
+    assert set(mlbs_actors.__all__) == {
+        "Config",
+        "ConfigError",
+        "FrameError",
+        "LayerError",
+        "LayerSummary",
+        "MlbsError",
+        "MultilayerSubtractor",
+        "Region",
+        "Segmentation",
+        "SinkError",
+        "SolverError",
+        "SourceError",
+        "load_config",
+    }
+    given = {
+        name
+        for name, member in vars(mlbs_actors).items()
+        if not name.startswith("_") and not isinstance(member, ModuleType)
+    }
+    assert given == set(mlbs_actors.__all__)
+
+
+@pytest.mark.parametrize("name", PLAIN_MODULES)
+def test_a_module_lists_the_names_it_defines(name: str) -> None:
+    module = importlib.import_module(name)
+    listed = module.__all__
+    assert len(set(listed)) == len(listed)
+    assert public_definitions(module) <= set(listed)
+    assert all(hasattr(module, member) for member in listed)
+
+
+def test_no_name_is_exported_by_two_modules() -> None:
+    homes: dict[str, list[str]] = {}
+    for name in PLAIN_MODULES:
+        for member in importlib.import_module(name).__all__:
+            homes.setdefault(member, []).append(name)
+    assert {member: names for member, names in homes.items() if len(names) > 1} == {}
+
+
+@pytest.mark.parametrize("package", ["mlbs_actors", "mlbs_actors.actors"])
+def test_what_a_package_gives_out_is_exported_by_the_module_that_defines_it(package: str) -> None:
+    module = importlib.import_module(package)
+    for member in module.__all__:
+        home = importlib.import_module(getattr(module, member).__module__)
+        assert member in home.__all__
+        assert getattr(home, member) is getattr(module, member)
+
+
+def test_only_the_actors_import_ray_and_nothing_here_imports_the_orchestrator() -> None:
+    paths = sorted(PACKAGE.rglob("*.py"))
+    assert len(paths) > 20
+    for path in paths:
+        tops = {name.split(".")[0] for name in imported_modules(path)}
+        assert "orchestrator" not in tops, path.name
+        if path.parent.name != "actors":
+            assert "ray" not in tops, path.name
+            assert not any(name.startswith("mlbs_actors.actors") for name in imported_modules(path)), (
+                path.name
+            )
+
+
+def test_the_engine_runs_without_ray() -> None:
+    code = "import sys, mlbs_actors; sys.exit(any(name.split('.')[0] == 'ray' for name in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=120).returncode == 0
