@@ -16,8 +16,9 @@ __all__ = ["camera_difference", "camera_homography", "homography_motion"]
 
 #: Reprojection error of an inlier, px.
 INLIER_PX = 1.0
-#: Least noise between two frames, grey levels.
-LEAST_NOISE = 2.0
+#: Bounds of what is taken for noise between two frames, grey levels. Where the median difference is larger,
+#: the camera model fails or the scene is full of fine texture; a smooth object differs by less than that.
+LEAST_NOISE, MOST_NOISE = 2.0, 3.5
 #: Fewer points than this do not determine a homography that can be trusted; a translation is used.
 LEAST_POINTS = 12
 
@@ -90,8 +91,8 @@ def camera_difference(previous: Array, current: Array, matrix: Array, step: tupl
     -------
     (h, w) float32
         Mean absolute difference over a 5×5 window between frame t and frame t−1 moved by the camera's
-        motion, in units of its median over the frame (of at least ``LEAST_NOISE`` grey levels); 0 where
-        frame t−1 did not reach.
+        motion, in units of the frame's noise, its median over the frame between ``LEAST_NOISE`` and
+        ``MOST_NOISE`` grey levels; 0 where frame t−1 did not reach.
     """
     # Full-size pixel centres lie at (shrunk + ½)·step − ½.
     shrink = np.array(
@@ -105,4 +106,5 @@ def camera_difference(previous: Array, current: Array, matrix: Array, step: tupl
     difference = cv2.absdiff(current, moved)
     difference[reached < 255] = 0
     windowed = cv2.blur(difference.astype(np.float32), (5, 5))
-    return np.asarray(windowed / np.float32(max(float(np.median(windowed)), LEAST_NOISE)))
+    noise = np.clip(np.median(windowed), LEAST_NOISE, MOST_NOISE)
+    return np.asarray(windowed / np.float32(noise))

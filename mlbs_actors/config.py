@@ -37,7 +37,7 @@ def length_scale(height: int, width: int) -> float:
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class FlowConfig(_Section):
@@ -190,7 +190,9 @@ class PosteriorConfig(_Section):
     near_px: float = Field(
         10.0, ge=0, description="Distance from its trajectories up to which it costs nothing, px."
     )
-    far_px: float = Field(30.0, gt=0, description="Distance from which it costs all, px.")
+    fade_px: float = Field(
+        20.0, gt=0, description="Further distance over which the cost rises to all of it, px."
+    )
     close_px: float = Field(
         20.0,
         ge=0,

@@ -197,7 +197,6 @@ class Coordinator:
             # Fewer frames than the first clustering wants: it is done with what there is.
             colourless = np.zeros((*(state.shape or (0, 0)), 3), np.uint8)
             self._cluster(colourless, state.next_frame - 1, [], {})
-            state.held = relabelled(state.held, state.trajectories, state.labels)
         return self._emit(state.next_frame - 1)
 
     def _check(self, frame_index: int, frame: Array) -> None:
@@ -207,7 +206,8 @@ class Coordinator:
             )
         if not isinstance(frame, np.ndarray):
             raise FrameError(
-                f"A frame must be a NumPy array, not {type(frame).__name__}; was the video read at all?"
+                f"A frame must be a (height, width, 3) uint8 BGR image, not {type(frame).__name__}; "
+                "was it read at all?"
             )
         if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3 or 0 in frame.shape:
             raise FrameError(

@@ -26,18 +26,14 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, empty_model, read_image, update, warp_model
+from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, read_image, warp_model
 from mlbs_actors.messages import Array, Region
 
 __all__ = [
-    "AppearanceModel",
     "AppearanceParameters",
     "confidence",
-    "empty_model",
     "log_likelihood",
-    "update",
     "warp_and_evaluate",
-    "warp_model",
 ]
 
 #: Larger exponents q are cut off here: the kernel is never below e⁻⁴⁰.

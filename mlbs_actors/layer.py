@@ -26,20 +26,13 @@ from time import perf_counter
 import cv2
 import numpy as np
 
+from mlbs_actors.appearance import AppearanceModel, empty_model, update
 from mlbs_actors.camera import homography_motion
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import LayerError
 from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_positions
-from mlbs_actors.kde import (
-    AppearanceModel,
-    AppearanceParameters,
-    confidence,
-    empty_model,
-    update,
-    warp_and_evaluate,
-)
+from mlbs_actors.kde import AppearanceParameters, confidence, warp_and_evaluate
 from mlbs_actors.messages import (
-    BACKGROUND,
     COST_STEP,
     UNEXPLAINED_STEP,
     Array,
@@ -75,7 +68,9 @@ class LayerState:
     image : (h, w, 3) uint8
         That frame's colours, to learn from once its labels are known.
     velocity : (2,) float32
-        Mean forward motion of the layer, px/frame.
+        Median forward motion of the layer's trajectories, px/frame.
+    trusted : (h, w) bool
+        Where the layer may learn that frame.
     """
 
     last_frame: int
@@ -177,36 +172,14 @@ class Layer:
         model, log_density = warp_and_evaluate(state.model, region, motion, image, self._appearance)
         appearance, trust = self._appearance_cost(model, log_density)
         weights = self.config.posterior
-        cost = weights.appearance * appearance + weights.motion * self._motion_cost(
-            frame_evidence, region, field, motion
+        trusted, away = self._near_trajectories(evidence, frame_evidence, region)
+        cost = (
+            weights.appearance * appearance
+            + weights.motion * self._motion_cost(frame_evidence, region, field, motion)
+            + weights.distance * away
+            + weights.prior
+            * self._prior_cost(np.zeros((0, 0), np.float32) if woken else posterior, region, motion)
         )
-        scale = length_scale(*frame_evidence.shape)
-        own = _track_distance([evidence], region)
-        objects = [one for one in frame_evidence.layers if one.layer not in (self.layer, BACKGROUND)]
-        others = _track_distance(
-            objects if self.kind == "background" else list(frame_evidence.layers[:1]) + objects, region
-        )
-        unexplained = UNEXPLAINED_STEP * _to_region(frame_evidence.unexplained, region, frame_evidence.shape)
-        if self.kind == "background":
-            trusted = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
-            if frame_evidence.frame_index > 0:
-                still = unexplained < 0.5 * self.config.layers.unexplained_noise
-                trusted |= (others > weights.learn_px * scale) & still
-        else:
-            trusted = (own <= weights.learn_px * scale) & (own < others)
-            trusted &= unexplained >= self.config.layers.unexplained_noise
-            body = _closed(own, weights.close_px * scale)
-            cost += weights.distance * np.clip(
-                (body - weights.near_px * scale) / ((weights.far_px - weights.near_px) * scale), 0.0, 1.0
-            )
-        if weights.prior > 0:
-            neutral = weights.neutral_prior
-            prior = np.full(cost.shape, neutral, np.float32)
-            if posterior.size and not woken:
-                prior = warp_map(posterior, state.region, region, motion, neutral)
-            # Background that was hidden has been there all the same: for it the floor is the neutral value.
-            floor = neutral if self.kind == "background" else weights.prior_floor
-            cost -= weights.prior * np.log(np.maximum(prior, floor))
         quantised = np.clip(np.rint((cost + weights.offset) / COST_STEP), 0, 255).astype(np.uint8)
         evaluated = perf_counter()
 
@@ -299,6 +272,40 @@ class Layer:
         ratio = np.exp(np.minimum(advantage, self.config.posterior.appearance_cap))
         return -np.log((1.0 - trust) + trust * ratio), trust
 
+    def _near_trajectories(
+        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region
+    ) -> tuple[Array, Array]:
+        """Where the layer may learn, (h, w) bool, and an object's cost in [0, 1] away from its trajectories.
+
+        What is labelled wrongly near an outline must not be learnt. An object learns close to its own
+        trajectories, where the camera's motion fails to explain the image; near an object the background
+        learns beside its own ones, or where nothing moves against the camera.
+        """
+        weights, scale = self.config.posterior, length_scale(*frame_evidence.shape)
+        noise = self.config.layers.unexplained_noise
+        own = _track_distance([evidence], region)
+        others = _track_distance([one for one in frame_evidence.layers if one.layer != self.layer], region)
+        unexplained = UNEXPLAINED_STEP * _to_region(frame_evidence.unexplained, region, frame_evidence.shape)
+        if self.kind == "background":
+            trusted = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
+            if frame_evidence.frame_index > 0:
+                trusted |= (others > weights.learn_px * scale) & (unexplained < 0.5 * noise)
+            return trusted, np.zeros(own.shape, np.float32)
+        trusted = (own <= weights.learn_px * scale) & (own < others) & (unexplained >= noise)
+        body = _closed(own, weights.close_px * scale)
+        away = np.clip((body - weights.near_px * scale) / (weights.fade_px * scale), 0.0, 1.0)
+        return trusted, away
+
+    def _prior_cost(self, posterior: Array, region: Region, motion: Array) -> Array:
+        """−log of the last posterior warped by the layer's own motion, (h, w) float32."""
+        weights = self.config.posterior
+        prior = np.full(motion.shape[:2], weights.neutral_prior, np.float32)
+        if posterior.size:
+            prior = warp_map(posterior, self.state.region, region, motion, weights.neutral_prior)
+        # Background that was hidden has been there all the same: for it the floor is the neutral value.
+        floor = weights.neutral_prior if self.kind == "background" else weights.prior_floor
+        return np.asarray(-np.log(np.maximum(prior, floor)))
+
     def _motion_cost(
         self, frame_evidence: FrameEvidence, region: Region, field: MotionField, motion: Array
     ) -> Array:
@@ -343,7 +350,7 @@ def _closed(distance: Array, radius: float) -> Array:
         return distance
     # Past the region's border the set is taken to go on: an object that leaves the frame stays whole.
     outside = cv2.distanceTransform((distance <= radius).astype(np.uint8), cv2.DIST_L2, 5)
-    closed = outside >= radius
+    closed = outside > radius
     to_closed = cv2.distanceTransform((~closed).astype(np.uint8), cv2.DIST_L2, 5)
     return np.asarray(np.minimum(distance, to_closed), np.float32)
 

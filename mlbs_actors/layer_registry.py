@@ -236,6 +236,10 @@ class LayerRegistry:
         asleep = frame_index - state.seen
         keep = np.where(state.labels > 0, asleep <= self.config.dormant_frames, asleep == 0)
         self._select(keep)
+        if not self.state.pooled.any():
+            self.state = replace(
+                self.state, other=-1
+            )  # the next "other" is another layer: ids do not come back
         for label in self.state.labels[
             (self.state.labels < UNLABELLED) & (frame_index - self.state.born >= probation)
         ][::-1]:

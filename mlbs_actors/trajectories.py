@@ -27,6 +27,8 @@ __all__ = [
 
 #: Share of a trajectory's unexplained difference that lasts to the next frame.
 UNEXPLAINED_KEPT = np.float32(0.95)
+#: Least spacing of seeds, steps of the flow's grid.
+LEAST_SPACING = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,14 +153,15 @@ def seed_trajectories(
     border in px.
     """
     height, width = shape
-    spacing = config.seed_spacing_px * length_scale(height, width)
+    step_x, step_y = width / gray.shape[1], height / gray.shape[0]
+    # Nearer than this the flow cannot tell two points apart.
+    spacing = max(config.seed_spacing_px * length_scale(height, width), LEAST_SPACING * max(step_x, step_y))
     columns, rows = max(1, int(width / spacing)), max(1, int(height / spacing))
     xs = ((np.arange(columns) + 0.5) * width / columns).astype(np.float32)
     ys = ((np.arange(rows) + 0.5) * height / rows).astype(np.float32)
     grid_x, grid_y = (axis.ravel() for axis in np.meshgrid(xs, ys))
 
     # A live trajectory covers a disc of the seed spacing around it.
-    step_x, step_y = width / gray.shape[1], height / gray.shape[0]
     free = np.full(gray.shape, 255, np.uint8)
     px = np.clip((state.positions[:, 0] / step_x).astype(np.intp), 0, gray.shape[1] - 1)
     py = np.clip((state.positions[:, 1] / step_y).astype(np.intp), 0, gray.shape[0] - 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from mlbs_actors.config import Config, length_scale, load_config
 from mlbs_actors.errors import ConfigError
@@ -15,10 +15,6 @@ def written(folder: Path, text: str) -> Path:
     path = folder / "parameters.yaml"
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def sections() -> dict[str, BaseModel]:
-    return {name: getattr(Config(), name) for name in Config.model_fields}
 
 
 def test_without_a_file_the_defaults_hold() -> None:
@@ -120,15 +116,6 @@ def test_parameters_cannot_be_changed_afterwards() -> None:
 def test_a_configuration_survives_being_written_down() -> None:
     config = load_config(None, ["layers.lookahead=2", "affinity.propagation=absorbing"])
     assert Config.model_validate_json(config.model_dump_json()) == config
-
-
-@pytest.mark.parametrize("section", sorted(Config.model_fields))
-def test_every_parameter_says_what_it_means(section: str) -> None:
-    model = type(sections()[section])
-    assert model.__doc__
-    for name, parameter in model.model_fields.items():
-        assert parameter.description, name
-        assert parameter.description.endswith("."), name
 
 
 def test_lengths_scale_with_the_square_root_of_the_area() -> None:

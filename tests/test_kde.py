@@ -7,16 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel
-from mlbs_actors.kde import (
-    AppearanceParameters,
-    confidence,
-    empty_model,
-    log_likelihood,
-    update,
-    warp_and_evaluate,
-    warp_model,
-)
+from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, empty_model, update, warp_model
+from mlbs_actors.kde import AppearanceParameters, confidence, log_likelihood, warp_and_evaluate
 from mlbs_actors.messages import Array, Region
 
 REGION = Region(0, 0, 12, 9)

@@ -289,7 +289,7 @@ def test_a_flow_is_not_heard_where_the_cameras_motion_explains_the_image() -> No
 
 
 def test_a_pixel_costs_more_the_farther_it_is_from_the_trajectories() -> None:
-    config = configured(distance=2.0, near_px=20.0, far_px=60.0, close_px=0.0, region_margin_px=100.0)
+    config = configured(distance=2.0, near_px=20.0, fade_px=40.0, close_px=0.0, region_margin_px=100.0)
     positions = np.array([[80.0, 60.0]], np.float32)
     result = step(Layer(config, 1, "object"), 0, picture(), positions)
     for y in range(result.region.height):
@@ -305,7 +305,7 @@ def test_a_gap_between_the_trajectories_belongs_to_the_object() -> None:
     ring = ring[~inside.all(axis=1)]  # a hole of 18 px
     costs = {}
     for close in (0.0, 48.0):
-        config = configured(distance=2.0, near_px=4.0, far_px=24.0, close_px=close)
+        config = configured(distance=2.0, near_px=4.0, fade_px=20.0, close_px=close)
         result = step(Layer(config, 1, "object"), 0, picture(), ring)
         costs[close] = nats(result)[55 - result.region.y, 80 - result.region.x] - 4.0
     assert costs[0.0] > 1.0
