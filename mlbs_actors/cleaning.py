@@ -33,7 +33,7 @@ def clean_labels(labels: Array, speck_px: float, hole_px: float) -> Array:
         A new array.
     """
     cleaned = labels.copy()
-    for label in np.unique(labels):
+    for label in np.unique(labels)[::-1]:  # specks first: they must not become holes of what is filled
         limit = hole_px if label == 0 else speck_px
         _count, component, stats, _ = cv2.connectedComponentsWithStats(
             (labels == label).astype(np.uint8), connectivity=4
@@ -48,7 +48,7 @@ def clean_labels(labels: Array, speck_px: float, hole_px: float) -> Array:
             box = np.s_[max(y - 1, 0) : y + height + 1, max(x - 1, 0) : x + width + 1]
             inside = component[box] == index
             ring = cv2.dilate(inside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & ~inside
-            neighbours = labels[box][ring]
+            neighbours = cleaned[box][ring]
             if len(neighbours):
                 cleaned[box][inside] = np.bincount(neighbours).argmax()
     return cleaned

@@ -122,11 +122,11 @@ class LayersConfig(_Section):
     )
     unexplained_noise: float = Field(
         4.0,
-        ge=0,
+        gt=0,
         description="An object's trajectory counts only where the camera's motion errs by this, × noise.",
     )
     probation_frames: int = Field(2, ge=0, description="Frames a split must last before it becomes a layer.")
-    min_tracks: int = Field(5, ge=1, description="Fewer trajectories retire a layer.")
+    min_tracks: int = Field(5, ge=1, description="A layer with fewer trajectories falls asleep.")
     coast_frames: int = Field(
         10, ge=0, description="Frames a layer without trajectories stays awake while it owns pixels."
     )

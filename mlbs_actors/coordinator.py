@@ -250,7 +250,9 @@ class Coordinator:
             speeds = label_speeds(state.trajectories, labels)
             least = least_object_speed(state.trajectories, labels == BACKGROUND, config.layers, scale)
             ages = registry.ages(frame_index)
+            split = set(np.unique(labels).tolist())
             labels = merge_by_motion(graph, labels, ages, speeds, least, config.layers)
+            registry.forget(split - set(np.unique(labels).tolist()))
             # What the first clustering finds has been there since the first frame.
             labels = registry.admit(labels, frame_index if state.clustered else 0)
             at = np.clip(
@@ -325,7 +327,7 @@ class Coordinator:
                 LayerEvidence(one, kind, last_frame, held.positions[members], held.motions[members])
             )
             state.evaluated[one] = held.frame_index
-        gone = sorted(set(state.evaluated) - registry.remembered_layers() - {BACKGROUND, *live})
+        gone = sorted(set(state.evaluated) - set(live))
         for one in gone:
             del state.evaluated[one]
         return FrameEvidence(

@@ -3,19 +3,26 @@
 :meth:`Layer.step` is called once a frame: it finishes frame t−1 with the published labels, then predicts and
 evaluates frame t. The layer works on the region of its object; the background's region is the frame.
 
-The negative logarithm of the unnormalised posterior of a pixel is the sum of three terms, each bounded so
-that none can overrule the trajectories alone (nats; weights in :class:`~mlbs_actors.config.PosteriorConfig`):
+The negative logarithm of a pixel's unnormalised posterior is a weighted sum of four terms (weights in
+:class:`~mlbs_actors.config.PosteriorConfig`, nats), cut to 0 … 15.9:
 
-* appearance, −w log((1 − κ) + κ min(p(I)/u, e^cap)): p the kernel density, u the uniform density over
+* appearance, −log((1 − κ) + κ min(p(I)/u, e^cap)): p the kernel density, u the uniform density over
   colours, κ the confidence of the pixel's samples. Unknown (κ = 0) costs 0: *unknown is not unlikely*.
-* motion, −w log(ε + (1 − ε) exp(−½ d²)): d² the squared distance of the dense flow from the layer's
-  motion field in units of the field's marginal variance plus the flow's own; 0 where the flow is unreliable.
-* prior, −w log(max(posterior of t−1 warped by the layer's own motion, floor)); where the source is outside
-  the layer's old region, and in a new-born layer, the prior is neutral (its value is a parameter too).
+* motion, −log(ε + (1 − ε) exp(−½ d²)): d² the squared distance of the dense flow from the layer's motion
+  field in units of the field's marginal variance plus the flow's own; 0 where the flow is unreliable or
+  where the camera's motion explains the image too.
+* away, for an object: 0 near its own trajectories and in the gaps between them, rising to 1 further off.
+* prior, −log of the last posterior warped by the layer's own motion, of which the published map is half:
+  neutral (0.5 by default) in a new-born layer and where the source is outside the layer's old region, at
+  least 0.1 for an object and 0.5 for the background.
 
-Differs from the paper: the motion likelihood is not in it; the prior has a floor, so that it can be
-overruled, and a layer is weighed by its own confidence, pixel by pixel (the authors' program makes
-*all* layers uniform where one has few samples, and never uses its prior).
+Outside its region an object costs 15.9 nats. It learns only where its label is sure
+(:meth:`Layer._near_trajectories`).
+
+Differs from the paper: the motion and away terms are not in it; the prior has a floor, so that it can be
+overruled, and a layer is weighed by its own confidence, pixel by pixel (the authors' program makes *all*
+layers uniform where one has few samples, and never uses its prior). A layer that wakes after a sleep keeps
+its id, not its samples: only its place is known, not the path of its pixels.
 """
 
 from __future__ import annotations
@@ -166,9 +173,6 @@ class Layer:
         motion = field.dense()
         moved = perf_counter()
         image = np.ascontiguousarray(frame[region.slices])
-        woken = state.last_frame >= 0 and state.last_frame + 1 != frame_evidence.frame_index
-        if woken:  # after a sleep only the place is known, not the path: neither model nor prior fit
-            state.model = empty_model(Region(0, 0, 0, 0), self.config.appearance.samples)
         model, log_density = warp_and_evaluate(state.model, region, motion, image, self._appearance)
         appearance, trust = self._appearance_cost(model, log_density)
         weights = self.config.posterior
@@ -177,8 +181,7 @@ class Layer:
             weights.appearance * appearance
             + weights.motion * self._motion_cost(frame_evidence, region, field, motion)
             + weights.distance * away
-            + weights.prior
-            * self._prior_cost(np.zeros((0, 0), np.float32) if woken else posterior, region, motion)
+            + weights.prior * self._prior_cost(posterior, region, motion)
         )
         quantised = np.clip(np.rint((cost + weights.offset) / COST_STEP), 0, 255).astype(np.uint8)
         evaluated = perf_counter()

@@ -147,6 +147,10 @@ class LayerRegistry:
             return self.state.other
         return label
 
+    def forget(self, merged: Collection[int]) -> None:
+        """Drop labels that were merged into others: nothing is left that could wake."""
+        self._select(~np.isin(self.state.labels, list(merged)))
+
     def admit(self, labels: Array, frame_index: int) -> Array:
         """Give the labels that are new since the last frame their candidate labels.
 

@@ -107,7 +107,8 @@ class FrameEvidence:
     layers : tuple of LayerEvidence
         The live layers in ascending id; the background (id 0) is always first.
     retired : tuple of int
-        Layers that ended with the frame before this one; their processes may be given back.
+        Layers without a part in this frame that had one in the last: asleep or ended. Their processes may
+        be given back; a layer that wakes starts with a new model under its old id.
     latency_frames : int
         How many frames later than its own decoding this frame's evidence was complete.
     stage_ms : mapping of str to float

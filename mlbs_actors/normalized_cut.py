@@ -9,6 +9,8 @@ keeps the eigenproblem well posed. The eigensolver starts from a fixed vector: e
 from __future__ import annotations
 
 from dataclasses import dataclass
+from inspect import signature
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,6 +19,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
 from mlbs_actors.messages import Array
+
+#: Newer versions of SciPy draw restart vectors from a generator of the caller's.
+_SEED: dict[str, Any] = {"rng": 0} if "rng" in signature(eigsh).parameters else {}
 
 __all__ = ["TwoWayCut", "best_cut", "ncut_value", "recursive_cut"]
 
@@ -123,7 +128,9 @@ def _eigenvectors(normalised: sp.csr_array, degree: Array) -> Array:
 
     operator = LinearOperator((n, n), matvec=deflated, dtype=np.float64)
     try:
-        values, vectors = eigsh(operator, k=wanted, which="LA", v0=start, tol=1e-4, maxiter=60, ncv=24)
+        values, vectors = eigsh(
+            operator, k=wanted, which="LA", v0=start, tol=1e-4, maxiter=60, ncv=24, **_SEED
+        )
     except ArpackNoConvergence as error:
         values, vectors = error.eigenvalues, error.eigenvectors  # those that converged
         if len(values) == 0:

@@ -82,7 +82,9 @@ class Segmenter:
             If the frame is not the next one, or the posteriors are not those of its live layers.
         """
         ids = [one.layer for one in evidence.layers]
-        if evidence.frame_index != self.state.next_frame or [one.layer for one in posteriors] != ids:
+        given = [(one.layer, one.frame_index) for one in posteriors]
+        expected = [(layer, self.state.next_frame) for layer in ids]
+        if evidence.frame_index != self.state.next_frame or given != expected:
             raise FrameError(
                 f"The segmenter is due for frame {self.state.next_frame}; it was given frame "
                 f"{evidence.frame_index} with the layers {[one.layer for one in posteriors]} of {ids}; "
@@ -106,6 +108,8 @@ class Segmenter:
         summaries = _summaries(positions, cost, normaliser, posteriors)
         done = perf_counter()
         self.state = SegmenterState(evidence.frame_index + 1, labels)
+        for shared in (labels, normaliser):  # the layers read them back at the next frame
+            shared.setflags(write=False)
         camera = posteriors[0].velocity
         return Segmentation(
             frame_index=evidence.frame_index,

@@ -114,6 +114,7 @@ class Driver:
     def _await_next(self) -> None:
         pending: list[Future[Any]] = [*self._bursts, *self._endings]
         ready, _ = wait(pending, timeout=_WAKE_SECONDS, return_when=FIRST_COMPLETED)
+        self._show()  # who stores the states may have been too busy for the last change
         # In the order they were asked for, not in that of a set.
         for burst in [future for future in self._bursts if future in ready]:
             self._take_burst(burst)

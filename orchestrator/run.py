@@ -21,10 +21,10 @@ from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
 from orchestrator.report import render_report
 from orchestrator.run_folder import RunFolder, StatusFile, describe_run
-from orchestrator.sinks.record import StreamRecord
+from orchestrator.sinks.record import StreamRecord, recorded_frames
 from orchestrator.sources.opening import open_reader
 from orchestrator.stream_list import ListedStream
-from orchestrator.stream_state import StreamState
+from orchestrator.stream_state import StreamState, with_record
 
 __all__ = ["run"]
 
@@ -68,6 +68,7 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
         folder.claim(description)
         status = StatusFile(folder.path / "status.json")
         states, exit_status = _drive(specs, limit, status, folder.path / "ray.log")
+    states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
     try:
         status.finish(states, exit_status)
         report = render_report(description, states, exit_status)

@@ -23,7 +23,7 @@ MAX_BYTES = 8 * 2**20
 MAX_STREAMS = 10_000
 
 _MAX_NAME_BYTES = 100
-_RESERVED_NAMES = frozenset({"run.json", "status.json", "report.html"})
+_RESERVED_NAMES = frozenset({"run.json", "status.json", "report.html", "ray.log"})
 _LINES_SHOWN = 20
 
 

@@ -18,6 +18,7 @@ __all__ = [
     "after_interruption",
     "after_progress",
     "exit_code",
+    "with_record",
 ]
 
 StateName = Literal["waiting", "starting", "running", "stalled", "reconnecting", "done", "partial", "failed"]
@@ -85,6 +86,21 @@ def after_end(state: StreamState, progress: StreamProgress) -> StreamState:
 def after_failure(state: StreamState, error: str) -> StreamState:
     """State after an error that ended the stream; its counts stay."""
     return replace(state, state="failed", layers=0, frames_per_second=0.0, error=mask(error))
+
+
+def with_record(state: StreamState, recorded: int) -> StreamState:
+    """State of a failed stream with what its record holds: its last burst ended without telling.
+
+    Parameters
+    ----------
+    state : StreamState
+    recorded : int
+        Frames in the stream's commit log, those without a label map included.
+    """
+    if state.state != "failed":
+        return state
+    committed = max(state.committed, recorded - state.quarantined - state.dropped)
+    return replace(state, committed=committed, read=max(state.read, recorded))
 
 
 def after_interruption(state: StreamState, progress: StreamProgress | None) -> StreamState:

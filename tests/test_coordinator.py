@@ -14,7 +14,7 @@ from mlbs_actors.config import Config
 from mlbs_actors.coordinator import Coordinator
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import FrameError
-from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence
+from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerSummary, Region, Segmentation
 
 SHAPE = (96, 128)
 SIDE = 26
@@ -284,17 +284,37 @@ def test_the_maps_of_a_frame_share_one_grid_and_the_first_frame_has_no_flow() ->
 # Lives and deaths
 
 
-def test_a_layer_that_vanishes_is_retired_once_and_its_id_is_not_given_again() -> None:
+def test_a_layer_that_vanishes_gives_its_process_back_at_once_and_its_id_is_not_given_again() -> None:
     config = configured(dormant_frames=3, coast_frames=0, probation_frames=1)
     emitted = run(movie(28, Square(20, 30, 4, end=8), Square(-50, 55, 3, first=19)), config)
     live = [[one.layer for one in evidence.layers] for evidence in emitted]
     last = max(t for t in range(28) if 1 in live[t])
     assert 7 <= last <= 8  # gone from frame 8 on; the flow may take one frame to see it
     retired = {layer: t for t in range(28) for layer in emitted[t].retired}
-    assert retired[1] == last + config.layers.dormant_frames + 1
+    assert retired[1] == last + 1
     assert len(retired) == sum(len(evidence.retired) for evidence in emitted)
     assert all(layer not in live[later] for layer, t in retired.items() for later in range(t, 28))
     assert {layer for t in range(19, 28) for layer in live[t]} - {BACKGROUND}  # the second square
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_a_layer_that_lost_its_trajectories_stays_while_the_map_of_two_frames_ago_shows_it(
+    shown: bool,
+) -> None:
+    config = configured(dormant_frames=3, coast_frames=3, probation_frames=1)
+    coordinator, live = Coordinator(config), {}
+    summary = LayerSummary(1, "object", Region(20, 30, 5, 5), 25, (22.0, 32.0), (0.0, 0.0), 1.0)
+    nothing = np.zeros((1, 1), np.uint8)
+    for t, picture in enumerate(movie(16, Square(20, 30, 4, end=8))):
+        wanted = coordinator.feedback_index(t)
+        feedback = None
+        if wanted is not None:
+            layers = (summary,) if shown else ()
+            feedback = Segmentation(wanted, nothing, nothing, layers, (0.0, 0.0), 0)
+        for one in coordinator.step(t, picture, feedback):
+            live[one.frame_index] = 1 in {own.layer for own in one.layers}
+    last = max(t for t in live if live[t])
+    assert last in ({10, 11} if shown else {7, 8})
 
 
 def test_past_the_cap_objects_share_a_layer_of_their_own_kind() -> None:

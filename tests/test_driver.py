@@ -27,6 +27,7 @@ from orchestrator.stream_state import (
     after_interruption,
     after_progress,
     exit_code,
+    with_record,
 )
 
 BURST = 4
@@ -369,3 +370,11 @@ def test_memory_is_the_least_of_what_machine_and_container_leave(tmp_path: Path)
 def test_this_machine_has_memory_and_cores() -> None:
     assert available_memory() > 2**20
     assert cores() >= 1
+
+
+def test_a_failed_stream_is_shown_with_what_its_record_holds() -> None:
+    failed = StreamState("a", state="failed", read=3, committed=0, quarantined=1)
+    assert (with_record(failed, 7).read, with_record(failed, 7).committed) == (7, 6)
+    assert with_record(failed, 0) == failed
+    done = StreamState("b", state="done", read=7, committed=7)
+    assert with_record(done, 3) == done

@@ -31,7 +31,6 @@ from orchestrator.evaluation.datasets import (
 from orchestrator.evaluation.scoring import EngineLabelling, score_sequence
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
-SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "evaluate"
 TINY_CROSSING = "synthetic:crossing?frames=8&width=96&height=72"
 
 
@@ -231,7 +230,15 @@ def test_an_engine_that_fails_on_one_sequence_leaves_the_others_their_figures(
 def test_the_script_runs_the_engine_in_several_processes(tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     names = [f"synthetic:static-empty?frames=6&width=96&height=72&seed={seed}" for seed in (1, 2)]
-    command = [sys.executable, str(SCRIPT), "--sequences", ",".join(names), "--json", str(figures)]
+    command = [
+        sys.executable,
+        "-m",
+        "orchestrator.evaluation",
+        "--sequences",
+        ",".join(names),
+        "--json",
+        str(figures),
+    ]
     done = subprocess.run([*command, "--jobs", "2"], capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 0, done.stderr
     record = json.loads(figures.read_text())["sequences"]

@@ -367,17 +367,6 @@ def test_its_velocity_is_the_median_motion_forwards_and_lasts_without_trajectori
     np.testing.assert_array_equal(after.velocity, [2.0, -1.0])
 
 
-def test_a_layer_that_slept_knows_its_place_but_not_what_it_looked_like() -> None:
-    layer = Layer(configured(appearance=1.0, prior=1.0, learn_px=1000.0), 1, "object")
-    for t in range(4):
-        step(layer, t, picture(), grid(CAR), published(t - 1, owned(CAR)) if t else None)
-    assert layer.state.model.count.any()
-    woken = step(layer, 9, picture(), grid(CAR), published(8, owned(WHOLE, 0)))
-    assert not layer.state.model.count.any()
-    assert woken.confidence == 0.0
-    assert np.ptp(woken.cost) == 0
-
-
 def life(layer: Layer, first: int, last: int) -> list[bytes]:
     costs = []
     for t in range(first, last):

@@ -246,7 +246,10 @@ def test_a_frame_out_of_order_is_refused_and_changes_nothing() -> None:
     first = segmenter.step(evidence_of(posteriors, 0), frame(), posteriors)
     with pytest.raises(FrameError, match="due for frame 1; it was given frame 0"):
         segmenter.step(evidence_of(posteriors, 0), frame(), posteriors)
-    second = segmenter.step(evidence_of(posteriors, 1), frame(), posteriors)
+    with pytest.raises(FrameError, match="due for frame 1"):  # the right layers of the wrong frame
+        segmenter.step(evidence_of(posteriors, 1), frame(), posteriors)
+    later = [replace(one, frame_index=1) for one in posteriors]
+    second = segmenter.step(evidence_of(posteriors, 1), frame(), later)
     np.testing.assert_array_equal(first.labels, second.labels)
 
 
@@ -276,3 +279,10 @@ def test_the_published_map_is_the_one_kept_for_the_next_frame() -> None:
     result = segmenter.step(evidence_of(random_posteriors()), frame(), random_posteriors())
     np.testing.assert_array_equal(segmenter.state.labels, result.labels)
     assert segmenter.state.next_frame == 1
+
+
+def test_a_published_result_cannot_be_written_to_since_the_layers_read_it_back() -> None:
+    posteriors = random_posteriors()
+    published = Segmenter(configured()).step(evidence_of(posteriors, 0), frame(), posteriors)
+    assert not published.labels.flags.writeable
+    assert not published.normaliser.flags.writeable

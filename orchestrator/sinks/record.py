@@ -18,7 +18,7 @@ from orchestrator.sinks.label_image import encode_label_image
 from orchestrator.sinks.overlay import OverlayVideo
 from orchestrator.sinks.tables import FrameRow, ResultRow, write_frames, write_layers
 
-__all__ = ["COMMIT_LOG", "GROUP_FRAMES", "StreamRecord"]
+__all__ = ["COMMIT_LOG", "GROUP_FRAMES", "StreamRecord", "recorded_frames"]
 
 COMMIT_LOG = "commits.jsonl"
 
@@ -126,3 +126,12 @@ class StreamRecord:
             f"The record of {self._name!r} cannot be written to {self._folder}: {reason}. "
             "Check the folder and the free space, then run again into a new folder."
         )
+
+
+def recorded_frames(folder: Path) -> int:
+    """Number of the source's frames that a stream's commit log holds, those without a label map included."""
+    log = folder / COMMIT_LOG
+    if not log.exists():
+        return 0
+    lines = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    return sum(line["last"] - line["first"] + 1 for line in lines)
