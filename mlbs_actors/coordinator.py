@@ -217,7 +217,7 @@ class Coordinator:
         if self.state.shape not in (None, frame.shape[:2]):
             raise FrameError(
                 f"Frame {frame_index} is {frame.shape[1]}×{frame.shape[0]} px but the stream is "
-                f"{self.state.shape[1]}×{self.state.shape[0]}; start a new subtractor for another size."
+                f"{self.state.shape[1]}×{self.state.shape[0]}; frames of another size are another stream."
             )
 
     def _graph(self) -> TrajectoryGraph:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from types import FrameType, TracebackType
 from typing import Any
@@ -54,3 +55,5 @@ class Interruption:
         if self.signal_number is not None:
             raise StopAtOnce(self.signal_number)
         self.signal_number = number
+        # os.write, because a signal may come in the middle of a print.
+        os.write(2, b"Finishing what was read; a second signal ends the run at once.\n")

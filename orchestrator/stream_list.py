@@ -25,6 +25,8 @@ MAX_STREAMS = 10_000
 _MAX_NAME_BYTES = 100
 _RESERVED_NAMES = frozenset({"run.json", "status.json", "report.html", "ray.log"})
 _LINES_SHOWN = 20
+#: How JPEG, PNG, AVI and WebP, Matroska and MPEG files begin: somebody gave the video instead of a list.
+_MEDIA_BEGINNINGS = (b"\xff\xd8\xff", b"\x89PNG", b"RIFF", b"\x1aE\xdf\xa3", b"\x00\x00\x01")
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +104,10 @@ def _lines(path: Path) -> list[bytes]:
         raise ConfigError(f"The list {path} cannot be read: {error}.") from error
     if len(content) > MAX_BYTES:
         raise ConfigError(f"The list {path} is larger than {MAX_BYTES // 2**20} MiB; split it.")
+    if content.startswith(_MEDIA_BEGINNINGS) or content[4:8] == b"ftyp":
+        raise ConfigError(
+            f"{path} is a video or picture; write a list with the line NAME {path} and give that."
+        )
     return content.removeprefix(b"\xef\xbb\xbf").split(b"\n")
 
 

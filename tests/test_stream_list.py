@@ -181,3 +181,15 @@ def test_any_bytes_are_either_a_list_or_refused_in_a_sentence(
         return
     for stream in streams:
         assert Path(folder / stream.name).parent == folder
+
+
+@pytest.mark.parametrize(
+    "content", [b"\xff\xd8\xff\xe0rest", b"\x89PNG\r\n", b"\x00\x00\x00\x18ftypmp42", b"RIFF\x00\x00"]
+)
+def test_a_video_or_picture_given_for_the_list_is_told_in_one_sentence(
+    content: bytes, tmp_path: Path
+) -> None:
+    given = tmp_path / "street.mp4"
+    given.write_bytes(content)
+    with pytest.raises(ConfigError, match="is a video or picture; write a list"):
+        read_stream_list(given)
