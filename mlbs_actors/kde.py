@@ -95,7 +95,7 @@ def log_likelihood(
     """
     result = np.empty(model.count.shape, np.float32)
     needed = np.ones(model.count.shape, np.bool_) if needed is None else needed
-    tables = _tables(parameters, parameters.bandwidth_floor)
+    tables = _tables(parameters)
     _evaluate(model.samples, model.count, model.spread, model.residual, image, needed, *tables, result)
     return result
 
@@ -127,9 +127,9 @@ def warp_and_evaluate(
     return moved, log_likelihood(moved, image, parameters)
 
 
-def _tables(parameters: AppearanceParameters, floor: float) -> tuple[Array, Array, Array]:
+def _tables(parameters: AppearanceParameters) -> tuple[Array, Array, Array]:
     """1/(2σ²)/256 and (σ√2π)⁻³ for each of the 256 values of ``spread``, and the window's weights."""
-    bandwidth = np.maximum(np.arange(256) * SPREAD_STEP, floor)
+    bandwidth = np.maximum(np.arange(256) * SPREAD_STEP, parameters.bandwidth_floor)
     inverse = (1.0 / (2.0 * bandwidth**2) / 256.0).astype(np.float32)
     norm = ((bandwidth * np.sqrt(2.0 * np.pi)) ** -3).astype(np.float32)
     offset = np.arange(-parameters.window_radius, parameters.window_radius + 1)
