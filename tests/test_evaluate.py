@@ -18,7 +18,7 @@ from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, FrameError, SourceError
 from mlbs_actors.messages import Array, Region, Segmentation
 from orchestrator.evaluation import scoring
-from orchestrator.evaluation.command import format_table, main, mean_of_sequences
+from orchestrator.evaluation.command import main
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, label_colour, spread_evenly
 from orchestrator.evaluation.datasets import (
     FolderSequence,
@@ -28,6 +28,7 @@ from orchestrator.evaluation.datasets import (
     open_sequence,
     read_label_map,
 )
+from orchestrator.evaluation.figures import format_table, mean_of_sequences
 from orchestrator.evaluation.scoring import EngineLabelling, score_sequence
 from orchestrator.sources.synthetic import SyntheticScene, scene
 

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
-import statistics
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.evaluation import datasets
+from orchestrator.evaluation.figures import (
+    FIGURES,
+    RANGES,
+    format_number,
+    format_table,
+    mean_of_sequences,
+    results_as_json,
+)
 from orchestrator.evaluation.scoring import SequenceResult, engine_result, run_label_maps, score_sequence
-from orchestrator.evaluation.sequence_scorer import SequenceScore
 from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
 __all__ = ["main"]
@@ -35,31 +38,6 @@ Truth maps are PNG: 0 = background, 1 ... 254 = objects, 255 = not judged. Figur
 extra (layers off the truth per 100 frames), switches (of identity), delay (median frames from an object's
 entry until it is found; synthetic scenes only) and ms (wall time a frame).
 """
-
-#: Heading of a column, and how its value is found.
-Column = tuple[str, Callable[[SequenceResult, SequenceScore], float]]
-
-FIGURES: tuple[Column, ...] = (
-    ("two_label_f", lambda result, score: 100 * score.all_frames.two_label_f),
-    ("j", lambda result, score: 100 * score.all_frames.j),
-    ("object_f", lambda result, score: 100 * score.all_frames.object_f),
-    ("multi_f", lambda result, score: 100 * score.all_frames.multi_f),
-    ("multi_f_matlab", lambda result, score: 100 * score.all_frames.multi_f_matlab),
-    ("extra", lambda result, score: score.extra_layers),
-    ("switches", lambda result, score: float(score.id_switches)),
-    ("delay", lambda result, score: median_delay(score)),
-    ("frames", lambda result, score: float(score.frames)),
-    ("ms", lambda result, score: math.nan if result.ms_per_frame is None else result.ms_per_frame),
-)
-RANGES: tuple[Column, ...] = (
-    ("precision", lambda result, score: 100 * score.all_frames.precision),
-    ("recall", lambda result, score: 100 * score.all_frames.recall),
-    ("f first ten", lambda result, score: 100 * score.first_ten.two_label_f),
-    ("f after start", lambda result, score: 100 * score.after_start.two_label_f),
-    ("object_f first ten", lambda result, score: 100 * score.first_ten.object_f),
-    ("object_f after start", lambda result, score: 100 * score.after_start.object_f),
-    ("j davis", lambda result, score: 100 * score.davis.j),
-)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -84,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(str(error))
     _print(results)
     if options.json:
-        text = json.dumps(_as_json(results), indent=1, allow_nan=False)
+        text = json.dumps(results_as_json(results), indent=1, allow_nan=False)
         try:
             options.json.write_text(text + "\n", encoding="utf-8")
         except OSError as error:
@@ -194,28 +172,16 @@ def _told(result: SequenceResult) -> SequenceResult:
     return result
 
 
-def median_delay(score: SequenceScore) -> float:
-    """Median entry delay, frames; infinite if half of the objects are never found, NaN without entries."""
-    delays = [math.inf if delay is None else float(delay) for delay in score.entry_delay.values()]
-    return statistics.median(delays) if delays else math.nan
-
-
-def mean_of_sequences(values: Iterable[float]) -> float:
-    """Unweighted mean of the values that are known; NaN without one."""
-    known = [value for value in values if not math.isnan(value)]
-    return sum(known) / len(known) if known else math.nan
-
-
 def _print(results: Sequence[SequenceResult]) -> None:
     scored = [(result, result.score) for result in results if result.score is not None]
     for columns in (FIGURES, RANGES):
         rows = [
-            [result.name, *(_number(value(result, score)) for _, value in columns)]
+            [result.name, *(format_number(value(result, score)) for _, value in columns)]
             for result, score in scored
         ]
         means = [mean_of_sequences(value(result, score) for result, score in scored) for _, value in columns]
         if len(rows) > 1:
-            rows.append(["mean", *(_number(mean) for mean in means)])
+            rows.append(["mean", *(format_number(mean) for mean in means)])
         if rows:
             print(format_table(["sequence", *(heading for heading, _ in columns)], rows) + "\n")
     for result in results:
@@ -228,50 +194,3 @@ def _print(results: Sequence[SequenceResult]) -> None:
             )
         for path in result.sheets:
             print(f"{result.name}: see {path}")
-
-
-def format_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Plain text columns: the first to the left, the others to the right."""
-    widths = [max(len(row[column]) for row in [headings, *rows]) for column in range(len(headings))]
-    return "\n".join(
-        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
-        for row in [headings, *rows]
-    )
-
-
-def _number(value: float) -> str:
-    if math.isnan(value):
-        return "-"
-    return "never" if math.isinf(value) else f"{round(value, 1):g}"
-
-
-def _as_json(results: Sequence[SequenceResult]) -> dict[str, Any]:
-    sequences = {result.name: _result_as_json(result) for result in results}
-    scored = [(result, result.score) for result in results if result.score is not None]
-    means = {
-        heading: _null_if_unknown(mean_of_sequences(value(result, score) for result, score in scored))
-        for heading, value in (*FIGURES, *RANGES)
-    }
-    return {"sequences": sequences, "mean": means}
-
-
-def _result_as_json(result: SequenceResult) -> dict[str, Any]:
-    record = asdict(result)
-    if result.score is not None:
-        for extra in record["score"]["extras"]:
-            del extra["mask"]  # a picture, shown on the sheet
-        record["score"]["entry_delay"] = {str(k): v for k, v in result.score.entry_delay.items()}
-    cleaned = _null_if_unknown(record)
-    assert isinstance(cleaned, dict)
-    return cleaned
-
-
-def _null_if_unknown(value: Any) -> Any:
-    """JSON has no NaN and no infinity."""
-    if isinstance(value, dict):
-        return {key: _null_if_unknown(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_null_if_unknown(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

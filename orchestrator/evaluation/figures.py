@@ -1,0 +1,109 @@
+"""The figures of sequences by name: the columns of the tables, their means, the tables' text, and JSON."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from orchestrator.evaluation.scoring import SequenceResult
+from orchestrator.evaluation.sequence_scorer import SequenceScore
+
+__all__ = [
+    "FIGURES",
+    "RANGES",
+    "format_number",
+    "format_table",
+    "mean_of_sequences",
+    "median_delay",
+    "null_if_unknown",
+    "results_as_json",
+]
+
+#: Heading of a column, and how its value is found.
+Column = tuple[str, Callable[[SequenceResult, SequenceScore], float]]
+
+FIGURES: tuple[Column, ...] = (
+    ("two_label_f", lambda result, score: 100 * score.all_frames.two_label_f),
+    ("j", lambda result, score: 100 * score.all_frames.j),
+    ("object_f", lambda result, score: 100 * score.all_frames.object_f),
+    ("multi_f", lambda result, score: 100 * score.all_frames.multi_f),
+    ("multi_f_matlab", lambda result, score: 100 * score.all_frames.multi_f_matlab),
+    ("extra", lambda result, score: score.extra_layers),
+    ("switches", lambda result, score: float(score.id_switches)),
+    ("delay", lambda result, score: median_delay(score)),
+    ("frames", lambda result, score: float(score.frames)),
+    ("ms", lambda result, score: math.nan if result.ms_per_frame is None else result.ms_per_frame),
+)
+RANGES: tuple[Column, ...] = (
+    ("precision", lambda result, score: 100 * score.all_frames.precision),
+    ("recall", lambda result, score: 100 * score.all_frames.recall),
+    ("f first ten", lambda result, score: 100 * score.first_ten.two_label_f),
+    ("f after start", lambda result, score: 100 * score.after_start.two_label_f),
+    ("object_f first ten", lambda result, score: 100 * score.first_ten.object_f),
+    ("object_f after start", lambda result, score: 100 * score.after_start.object_f),
+    ("j davis", lambda result, score: 100 * score.davis.j),
+)
+
+
+def median_delay(score: SequenceScore) -> float:
+    """Median entry delay, frames; infinite if half of the objects are never found, NaN without entries."""
+    delays = [math.inf if delay is None else float(delay) for delay in score.entry_delay.values()]
+    return statistics.median(delays) if delays else math.nan
+
+
+def mean_of_sequences(values: Iterable[float]) -> float:
+    """Unweighted mean of the values that are known; NaN without one."""
+    known = [value for value in values if not math.isnan(value)]
+    return sum(known) / len(known) if known else math.nan
+
+
+def format_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Plain text columns: the first to the left, the others to the right."""
+    widths = [max(len(row[column]) for row in [headings, *rows]) for column in range(len(headings))]
+    return "\n".join(
+        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
+        for row in [headings, *rows]
+    )
+
+
+def format_number(value: float) -> str:
+    """One decimal at most; ``-`` for what is not known, ``never`` for infinity."""
+    if math.isnan(value):
+        return "-"
+    return "never" if math.isinf(value) else f"{round(value, 1):g}"
+
+
+def results_as_json(results: Sequence[SequenceResult]) -> dict[str, Any]:
+    """All figures of all sequences, and their means, as JSON can hold them."""
+    sequences = {result.name: _result_as_json(result) for result in results}
+    scored = [(result, result.score) for result in results if result.score is not None]
+    means = {
+        heading: null_if_unknown(mean_of_sequences(value(result, score) for result, score in scored))
+        for heading, value in (*FIGURES, *RANGES)
+    }
+    return {"sequences": sequences, "mean": means}
+
+
+def _result_as_json(result: SequenceResult) -> dict[str, Any]:
+    record = asdict(result)
+    if result.score is not None:
+        for extra in record["score"]["extras"]:
+            del extra["mask"]  # a picture, shown on the sheet
+        record["score"]["entry_delay"] = {str(k): v for k, v in result.score.entry_delay.items()}
+    cleaned = null_if_unknown(record)
+    assert isinstance(cleaned, dict)
+    return cleaned
+
+
+def null_if_unknown(value: Any) -> Any:
+    """JSON has no NaN and no infinity."""
+    if isinstance(value, dict):
+        return {key: null_if_unknown(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [null_if_unknown(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
