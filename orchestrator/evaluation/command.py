@@ -6,8 +6,6 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 
 from mlbs_actors.config import load_config
@@ -21,7 +19,8 @@ from orchestrator.evaluation.figures import (
     mean_of_sequences,
     results_as_json,
 )
-from orchestrator.evaluation.scoring import SequenceResult, engine_result, run_label_maps, score_sequence
+from orchestrator.evaluation.scoring import SequenceResult, run_label_maps, score_sequence
+from orchestrator.evaluation.variants import Variant, VariantResults, run_variants
 from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
 __all__ = ["main"]
@@ -57,17 +56,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     try:
-        results = _score_run(options) if options.run else _score_engine(options)
+        rows = _score_run(options) if options.run else _score_engine(options)
     except MlbsError as error:
         parser.error(str(error))
-    _print(results)
+    _print_figures(rows[0].results)
+    _print_failures(rows)
     if options.json:
-        text = json.dumps(results_as_json(results), indent=1, allow_nan=False)
+        text = json.dumps(results_as_json(rows[0].results), indent=1, allow_nan=False)
         try:
             options.json.write_text(text + "\n", encoding="utf-8")
         except OSError as error:
             parser.error(f"The figures cannot be written with --json: {error}.")
-    return int(any(result.error or result.missing for result in results))
+    return int(any(result.error or result.missing for row in rows for result in row.results))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -104,14 +104,14 @@ def _parser() -> argparse.ArgumentParser:
         type=int,
         default=2,
         metavar="N",
-        help="sequences at the same time (default 2)",
+        help="runs of the engine at the same time (default 2)",
     )
     add("--json", type=Path, metavar="FILE", help="write all figures there, also by range of frames")
     add("--sheets", type=Path, metavar="DIR", help="write contact sheets there: labels, truth, difference")
     return parser
 
 
-def _score_run(options: argparse.Namespace) -> list[SequenceResult]:
+def _score_run(options: argparse.Namespace) -> list[VariantResults]:
     if not options.truth:
         raise ConfigError("--run needs --truth NAME=GT_DIR for each stream to score.")
     if options.data or options.sequences or options.set or options.lookahead is not None:
@@ -120,7 +120,8 @@ def _score_run(options: argparse.Namespace) -> list[SequenceResult]:
     for text, (name, _, truth) in zip(options.truth, pairs, strict=True):
         if not name or not truth:
             raise ConfigError(f"Cannot use --truth {text!r}; write NAME=GT_DIR.")
-    return [_run_result(options.run, name, truth, options.sheets) for name, _, truth in pairs]
+    results = [_run_result(options.run, name, truth, options.sheets) for name, _, truth in pairs]
+    return [VariantResults(Variant(""), tuple(results))]
 
 
 def _run_result(run: Path, name: str, truth: str, sheets: Path | None) -> SequenceResult:
@@ -138,7 +139,7 @@ def _run_result(run: Path, name: str, truth: str, sheets: Path | None) -> Sequen
         return SequenceResult(name, error=str(error))
 
 
-def _score_engine(options: argparse.Namespace) -> list[SequenceResult]:
+def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
     if options.truth:
         raise ConfigError("--truth belongs to --run; with --data the truth is each sequence's gt/.")
     if options.jobs < 1:
@@ -146,33 +147,20 @@ def _score_engine(options: argparse.Namespace) -> list[SequenceResult]:
     overrides = list(options.set)
     if options.lookahead is not None:
         overrides.append(f"layers.lookahead={options.lookahead}")
-    load_config(None, overrides)  # a wrong override is told before anything runs
     names = options.sequences
     if not names:
         root = datasets.data_root(options.data)
         names = datasets.find_sequences(root)
         if not names:
             raise ConfigError(f"No folder below {root} holds frames/ and gt/.")
+    # What cannot be run, parameters or sequences, is told before anything runs.
+    load_config(None, overrides)
     for name in names:
         datasets.open_sequence(name, options.data)
-    tasks = [(name, options.data, overrides, options.sheets) for name in names]
-    if options.jobs == 1 or len(tasks) == 1:
-        return [_told(engine_result(*task)) for task in tasks]
-    # Fresh processes: an engine's threads and compiled functions do not survive a fork.
-    with ProcessPoolExecutor(min(options.jobs, len(tasks)), mp_context=get_context("spawn")) as pool:
-        futures: list[Future[SequenceResult]] = [pool.submit(engine_result, *task) for task in tasks]
-        for future in as_completed(futures):
-            _told(future.result())
-        return [future.result() for future in futures]
+    return run_variants([Variant("", tuple(overrides))], names, options.data, options.jobs, options.sheets)
 
 
-def _told(result: SequenceResult) -> SequenceResult:
-    """Say that a sequence is done, where it does not mix with the table."""
-    print(f"{result.name}: {'failed' if result.error else 'done'}", file=sys.stderr, flush=True)
-    return result
-
-
-def _print(results: Sequence[SequenceResult]) -> None:
+def _print_figures(results: Sequence[SequenceResult]) -> None:
     scored = [(result, result.score) for result in results if result.score is not None]
     for columns in (FIGURES, RANGES):
         rows = [
@@ -185,12 +173,15 @@ def _print(results: Sequence[SequenceResult]) -> None:
         if rows:
             print(format_table(["sequence", *(heading for heading, _ in columns)], rows) + "\n")
     for result in results:
-        if result.error:
-            print(f"{result.name}: {result.error}", file=sys.stderr)
-        if result.missing:
-            print(
-                f"{result.name}: {result.missing} frames with truth have no labels.",
-                file=sys.stderr,
-            )
         for path in result.sheets:
             print(f"{result.name}: see {path}")
+
+
+def _print_failures(rows: Sequence[VariantResults]) -> None:
+    for row in rows:
+        for result in row.results:
+            name = f"{row.variant.name}, {result.name}" if row.variant.name else result.name
+            if result.error:
+                print(f"{name}: {result.error}", file=sys.stderr)
+            if result.missing:
+                print(f"{name}: {result.missing} frames with truth have no labels.", file=sys.stderr)

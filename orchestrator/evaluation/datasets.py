@@ -7,6 +7,7 @@ their frames; frames without one are not scored). A *data root* is searched for 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -23,6 +24,7 @@ __all__ = [
     "FolderSequence",
     "SceneSequence",
     "Sequence",
+    "SequenceChange",
     "data_root",
     "find_sequences",
     "open_sequence",
@@ -55,6 +57,10 @@ class Sequence(Protocol):
 
     def motion(self, index: int) -> Array | None:
         """Exact backward motion of frame ``index``, (H, W, 2) float32 px, or None where it is not known."""
+
+
+#: Makes another sequence of a sequence; a function or class of a module, so that it reaches other processes.
+SequenceChange = Callable[[Sequence], Sequence]
 
 
 class FolderSequence:

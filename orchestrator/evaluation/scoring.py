@@ -171,11 +171,31 @@ def score_sequence(
 
 
 def engine_result(
-    name: str, root: Path | None, overrides: Sequence[str], sheet_folder: Path | None
+    name: str,
+    root: Path | None,
+    overrides: Sequence[str],
+    sheet_folder: Path | None,
+    change: datasets.SequenceChange | None = None,
 ) -> SequenceResult:
-    """Open a sequence, run the engine over it, score it. A failure is told in the result: others go on."""
+    """Open a sequence, run the engine over it, score it. A failure is told in the result: others go on.
+
+    Parameters
+    ----------
+    name : str
+        As for :func:`orchestrator.evaluation.datasets.open_sequence`.
+    root : Path or None
+        The data root.
+    overrides : sequence of str
+        ``section.key=value`` for the engine's parameters.
+    sheet_folder : Path or None
+        As for :func:`score_sequence`.
+    change : SequenceChange or None
+        What is done to the sequence first.
+    """
     try:
         sequence = datasets.open_sequence(name, root)
+        if change is not None:
+            sequence = change(sequence)
         labelling = EngineLabelling(sequence, MultilayerSubtractor(load_config(None, list(overrides))))
         result = score_sequence(sequence, labelling, sheet_folder)
     except MlbsError as error:

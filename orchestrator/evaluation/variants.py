@@ -1,0 +1,166 @@
+"""Variants of the engine or of its input, run over the same sequences and set side by side.
+
+All variants share one pool of processes, so a core that is done with one variant takes work of the next.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from orchestrator.evaluation.datasets import SequenceChange
+from orchestrator.evaluation.figures import (
+    FIGURES,
+    RANGES,
+    format_number,
+    format_table,
+    mean_of_sequences,
+    null_if_unknown,
+    results_as_json,
+)
+from orchestrator.evaluation.scoring import SequenceResult, engine_result
+
+__all__ = ["Variant", "VariantResults", "run_variants", "variants_as_json", "variants_table"]
+
+_VALUES = dict((*FIGURES, *RANGES))
+_Call = tuple[str, Path | None, tuple[str, ...], Path | None, SequenceChange | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """The engine with some parameters, on sequences that may be changed first.
+
+    Attributes
+    ----------
+    name : str
+        Names its row of the table; empty where there is one variant only.
+    overrides : tuple of str
+        ``section.key=value``, later ones win.
+    change : SequenceChange or None
+        What is done to every sequence first.
+    """
+
+    name: str
+    overrides: tuple[str, ...] = ()
+    change: SequenceChange | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class VariantResults:
+    """The outcome of one variant: a result for each sequence, in the order asked for."""
+
+    variant: Variant
+    results: tuple[SequenceResult, ...]
+
+    @property
+    def failed(self) -> bool:
+        """Whether some sequence could not be scored."""
+        return any(result.score is None for result in self.results)
+
+    def mean(self, heading: str) -> float:
+        """Mean of a column over the sequences; NaN if one failed: it would compare different sequences."""
+        return math.nan if self.failed else mean_of_sequences(_value(r, heading) for r in self.results)
+
+
+def run_variants(
+    variants: Sequence[Variant],
+    sequences: Sequence[str],
+    root: Path | None,
+    jobs: int,
+    sheet_folder: Path | None = None,
+) -> list[VariantResults]:
+    """Run and score every variant on every sequence; each that is done is told on stderr.
+
+    Parameters
+    ----------
+    variants : sequence of Variant
+    sequences : sequence of str
+        Names, as for :func:`orchestrator.evaluation.datasets.open_sequence`.
+    root : Path or None
+        The data root.
+    jobs : int
+        Processes at the same time; 1: all in this process.
+    sheet_folder : Path or None
+        Gets the contact sheets, which bear the names of the sequences only: for a single variant.
+
+    Returns
+    -------
+    list of VariantResults
+        In the order of the variants.
+    """
+    calls: list[_Call] = [
+        (name, root, variant.overrides, sheet_folder, variant.change)
+        for variant in variants
+        for name in sequences
+    ]
+    results: dict[int, SequenceResult] = {}
+    for place, result in _as_they_end(calls, jobs):
+        results[place] = result
+        variant = variants[place // len(sequences)]
+        what = f"{variant.name}, {result.name}" if variant.name else result.name
+        outcome = "failed" if result.error else "done"
+        print(f"{len(results)} of {len(calls)}: {what}: {outcome}", file=sys.stderr, flush=True)
+    in_order = iter([results[place] for place in range(len(calls))])
+    return [VariantResults(variant, tuple(next(in_order) for _ in sequences)) for variant in variants]
+
+
+def _as_they_end(calls: Sequence[_Call], jobs: int) -> Iterator[tuple[int, SequenceResult]]:
+    """Each call's place and result, whichever ends first."""
+    if jobs == 1 or len(calls) == 1:
+        for place, call in enumerate(calls):
+            yield place, engine_result(*call)
+        return
+    # Fresh processes: an engine's threads and compiled functions do not survive a fork.
+    with ProcessPoolExecutor(min(jobs, len(calls)), mp_context=get_context("spawn")) as pool:
+        places = {pool.submit(engine_result, *call): place for place, call in enumerate(calls)}
+        for future in as_completed(places):
+            yield places[future], future.result()
+
+
+def variants_table(rows: Sequence[VariantResults], heading: str, means: Sequence[str]) -> str:
+    """The variants one below the other: means of these columns, then two_label_f of each sequence.
+
+    Parameters
+    ----------
+    rows : sequence of VariantResults
+        All of the same sequences, at least one.
+    heading : str
+        Of the column of names.
+    means : sequence of str
+        Headings of :data:`orchestrator.evaluation.figures.FIGURES` or ``RANGES``.
+    """
+    names = [result.name for result in rows[0].results]
+    lines = [
+        [
+            row.variant.name,
+            *(format_number(row.mean(column)) for column in means),
+            *(format_number(_value(result, "two_label_f")) for result in row.results),
+        ]
+        for row in rows
+    ]
+    return format_table([heading, *means, *names], lines)
+
+
+def variants_as_json(rows: Sequence[VariantResults]) -> dict[str, Any]:
+    """All figures of all variants, as JSON can hold them."""
+    return {
+        "rows": [
+            {
+                "name": row.variant.name,
+                "overrides": list(row.variant.overrides),
+                **results_as_json(row.results),
+                "mean": {heading: null_if_unknown(row.mean(heading)) for heading in _VALUES},
+            }
+            for row in rows
+        ]
+    }
+
+
+def _value(result: SequenceResult, heading: str) -> float:
+    return math.nan if result.score is None else _VALUES[heading](result, result.score)
