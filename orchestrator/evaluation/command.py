@@ -7,10 +7,12 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.evaluation import datasets
+from orchestrator.evaluation.ablation import ablation_table, ablation_variants
 from orchestrator.evaluation.figures import (
     FIGURES,
     RANGES,
@@ -20,7 +22,7 @@ from orchestrator.evaluation.figures import (
     results_as_json,
 )
 from orchestrator.evaluation.scoring import SequenceResult, run_label_maps, score_sequence
-from orchestrator.evaluation.variants import Variant, VariantResults, run_variants
+from orchestrator.evaluation.variants import Variant, VariantResults, run_variants, variants_as_json
 from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
 __all__ = ["main"]
@@ -32,6 +34,7 @@ Score label maps against truth.
   scripts/evaluate --data data                              the engine, in process, on every folder below
                                                             data that holds frames/ and gt/
   scripts/evaluate --sequences 'synthetic:demo?frames=60'   the engine on a scene with exact truth
+  scripts/evaluate --data data --ablate                     what each stage of the method gives
 
 Truth maps are PNG: 0 = background, 1 ... 254 = objects, 255 = not judged. Figures are percent, except
 extra (layers off the truth per 100 frames), switches (of identity), delay (median frames from an object's
@@ -59,10 +62,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows = _score_run(options) if options.run else _score_engine(options)
     except MlbsError as error:
         parser.error(str(error))
-    _print_figures(rows[0].results)
+    if options.ablate:
+        print(ablation_table(rows))
+    else:
+        _print_figures(rows[0].results)
     _print_failures(rows)
     if options.json:
-        text = json.dumps(results_as_json(rows[0].results), indent=1, allow_nan=False)
+        text = json.dumps(_as_json(options, rows), indent=1, allow_nan=False)
         try:
             options.json.write_text(text + "\n", encoding="utf-8")
         except OSError as error:
@@ -75,7 +81,16 @@ def _parser() -> argparse.ArgumentParser:
         prog="scripts/evaluate", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--run", type=Path, metavar="OUT_DIR", help="score the masks of this finished run; needs --truth")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument(
+        "--run", type=Path, metavar="OUT_DIR", help="score the masks of this finished run; needs --truth"
+    )
+    what.add_argument(
+        "--ablate",
+        action="store_true",
+        help="run the engine once for each stage of the method: first with all stages off, then with one "
+        "more each time; prints means, and two_label_f of each sequence",
+    )
     add(
         "--truth",
         nargs="+",
@@ -140,6 +155,8 @@ def _run_result(run: Path, name: str, truth: str, sheets: Path | None) -> Sequen
 
 
 def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
+    if options.sheets and options.ablate:
+        raise ConfigError("--ablate gives a table only: leave --sheets out.")
     if options.truth:
         raise ConfigError("--truth belongs to --run; with --data the truth is each sequence's gt/.")
     if options.jobs < 1:
@@ -154,10 +171,18 @@ def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
         if not names:
             raise ConfigError(f"No folder below {root} holds frames/ and gt/.")
     # What cannot be run, parameters or sequences, is told before anything runs.
-    load_config(None, overrides)
+    variants = _variants(options, overrides)
+    for variant in variants:
+        load_config(None, variant.overrides)
     for name in names:
         datasets.open_sequence(name, options.data)
-    return run_variants([Variant("", tuple(overrides))], names, options.data, options.jobs, options.sheets)
+    return run_variants(variants, names, options.data, options.jobs, options.sheets)
+
+
+def _variants(options: argparse.Namespace, overrides: Sequence[str]) -> tuple[Variant, ...]:
+    if options.ablate:
+        return ablation_variants(overrides)
+    return (Variant("", tuple(overrides)),)
 
 
 def _print_figures(results: Sequence[SequenceResult]) -> None:
@@ -185,3 +210,9 @@ def _print_failures(rows: Sequence[VariantResults]) -> None:
                 print(f"{name}: {result.error}", file=sys.stderr)
             if result.missing:
                 print(f"{name}: {result.missing} frames with truth have no labels.", file=sys.stderr)
+
+
+def _as_json(options: argparse.Namespace, rows: Sequence[VariantResults]) -> dict[str, Any]:
+    if options.ablate:
+        return variants_as_json(rows)
+    return results_as_json(rows[0].results)
