@@ -123,7 +123,7 @@ def test_a_row_that_lost_a_sequence_has_no_mean(
     assert "planted" in printed.err
 
 
-@pytest.mark.parametrize("other", [["--run", "out"], ["--sheets", "sheets"]])
+@pytest.mark.parametrize("other", [["--disturb"], ["--run", "out"], ["--sheets", "sheets"]])
 def test_what_does_not_go_with_it_is_refused(other: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["--ablate", "--sequences", "synthetic:demo", *other])

@@ -13,6 +13,7 @@ from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.evaluation import datasets
 from orchestrator.evaluation.ablation import ablation_table, ablation_variants
+from orchestrator.evaluation.disturbance import disturbance_as_json, disturbance_table, disturbance_variants
 from orchestrator.evaluation.figures import (
     FIGURES,
     RANGES,
@@ -35,6 +36,7 @@ Score label maps against truth.
                                                             data that holds frames/ and gt/
   scripts/evaluate --sequences 'synthetic:demo?frames=60'   the engine on a scene with exact truth
   scripts/evaluate --data data --ablate                     what each stage of the method gives
+  scripts/evaluate --data data --disturb                    how much accidents of parameters and input cost
 
 Truth maps are PNG: 0 = background, 1 ... 254 = objects, 255 = not judged. Figures are percent, except
 extra (layers off the truth per 100 frames), switches (of identity), delay (median frames from an object's
@@ -64,6 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(str(error))
     if options.ablate:
         print(ablation_table(rows))
+    elif options.disturb:
+        print(disturbance_table(rows))
     else:
         _print_figures(rows[0].results)
     _print_failures(rows)
@@ -90,6 +94,13 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="run the engine once for each stage of the method: first with all stages off, then with one "
         "more each time; prints means, and two_label_f of each sequence",
+    )
+    what.add_argument(
+        "--disturb",
+        action="store_true",
+        help="run the engine as it is, then disturbed: parameters 20 %% off, frames left out, mirrored, and "
+        "cropped by 3 px, because there is no seed to change; prints the same and names the worst run. "
+        "Each run is judged on the frames it has",
     )
     add(
         "--truth",
@@ -155,8 +166,8 @@ def _run_result(run: Path, name: str, truth: str, sheets: Path | None) -> Sequen
 
 
 def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
-    if options.sheets and options.ablate:
-        raise ConfigError("--ablate gives a table only: leave --sheets out.")
+    if options.sheets and (options.ablate or options.disturb):
+        raise ConfigError("--ablate and --disturb give tables only: leave --sheets out.")
     if options.truth:
         raise ConfigError("--truth belongs to --run; with --data the truth is each sequence's gt/.")
     if options.jobs < 1:
@@ -174,14 +185,18 @@ def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
     variants = _variants(options, overrides)
     for variant in variants:
         load_config(None, variant.overrides)
-    for name in names:
-        datasets.open_sequence(name, options.data)
+    opened = [datasets.open_sequence(name, options.data) for name in names]
+    for change in (variant.change for variant in variants if variant.change is not None):
+        for sequence in opened:
+            change(sequence)
     return run_variants(variants, names, options.data, options.jobs, options.sheets)
 
 
 def _variants(options: argparse.Namespace, overrides: Sequence[str]) -> tuple[Variant, ...]:
     if options.ablate:
         return ablation_variants(overrides)
+    if options.disturb:
+        return disturbance_variants(overrides)
     return (Variant("", tuple(overrides)),)
 
 
@@ -215,4 +230,6 @@ def _print_failures(rows: Sequence[VariantResults]) -> None:
 def _as_json(options: argparse.Namespace, rows: Sequence[VariantResults]) -> dict[str, Any]:
     if options.ablate:
         return variants_as_json(rows)
+    if options.disturb:
+        return disturbance_as_json(rows)
     return results_as_json(rows[0].results)

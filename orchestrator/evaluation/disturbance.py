@@ -1,0 +1,168 @@
+"""How much the result depends on its parameters and on accidents of the input: disturbed runs.
+
+A run either scales parameters together or changes the input. Parameters are scaled from what they are, so the
+table stays true when a default changes.
+
+No part of the engine draws random numbers whose seed could be changed: the eigensolver's start is fixed, and
+OpenCV's RANSAC seeds itself anew in every call, whatever ``cv2.setRNGSeed`` says. In place of another seed
+the first three rows and columns are cropped: all grids (of flow, seeds and motion fields) meet the picture
+elsewhere, and whatever hangs on small differences comes out otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from mlbs_actors.config import Config, load_config
+from orchestrator.evaluation.datasets import SequenceChange
+from orchestrator.evaluation.disturbed_sequences import (
+    CroppedSequence,
+    MirroredSequence,
+    SelectedFrames,
+    every_second_frame,
+)
+from orchestrator.evaluation.figures import format_number
+from orchestrator.evaluation.variants import Variant, VariantResults, variants_as_json, variants_table
+
+__all__ = [
+    "DISTURBANCES",
+    "UNDISTURBED",
+    "Disturbance",
+    "disturbance_as_json",
+    "disturbance_table",
+    "disturbance_variants",
+    "worst_run",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """One disturbed run.
+
+    Attributes
+    ----------
+    name : str
+        Names its row.
+    parameters : tuple of str
+        ``section.key`` of what is scaled, all together.
+    factor : float
+        By what; whole numbers stay whole.
+    change : SequenceChange or None
+        What is done to every sequence first.
+    """
+
+    name: str
+    parameters: tuple[str, ...] = ()
+    factor: float = 1.0
+    change: SequenceChange | None = None
+
+
+THRESHOLDS = (
+    "affinity.cut_threshold",
+    "layers.merge_distance",
+    "layers.object_merge_distance",
+    "layers.unexplained_noise",
+)
+TRAJECTORIES = ("trajectories.seed_spacing_px", "trajectories.consistency_px2", "affinity.radius_px")
+WEIGHTS = (
+    "posterior.appearance",
+    "posterior.motion",
+    "posterior.prior",
+    "posterior.distance",
+    "segmentation.contrast_strength",
+)
+
+DISTURBANCES: tuple[Disturbance, ...] = (
+    Disturbance("thresholds × 0.8", THRESHOLDS, 0.8),
+    Disturbance("thresholds × 1.2", THRESHOLDS, 1.2),
+    Disturbance("trajectories × 0.8", TRAJECTORIES, 0.8),
+    Disturbance("trajectories × 1.2", TRAJECTORIES, 1.2),
+    Disturbance("weights, contrast × 0.8", WEIGHTS, 0.8),
+    Disturbance("weights, contrast × 1.2", WEIGHTS, 1.2),
+    Disturbance("every second frame", change=every_second_frame),
+    Disturbance("first 3 frames left out", change=partial(SelectedFrames, first=3)),
+    Disturbance("mirrored", change=MirroredSequence),
+    Disturbance("cropped by 3 px (as another seed)", change=partial(CroppedSequence, pixels=3)),
+)
+
+#: The row that the others are held against.
+UNDISTURBED = "undisturbed"
+
+_FIGURES = ("two_label_f", "object_f")
+
+
+def disturbance_variants(
+    overrides: Sequence[str], disturbances: Sequence[Disturbance] = DISTURBANCES
+) -> tuple[Variant, ...]:
+    """The rows: the undisturbed run, then the disturbed ones.
+
+    Parameters
+    ----------
+    overrides : sequence of str
+        Parameters of every row; what is scaled is scaled from them.
+    disturbances : sequence of Disturbance
+
+    Raises
+    ------
+    ConfigError
+        If a key or value of the overrides is wrong.
+    """
+    config = load_config(None, overrides)
+    return (
+        Variant(UNDISTURBED, tuple(overrides)),
+        *(
+            Variant(
+                disturbance.name,
+                (*overrides, *(_scaled(config, name, disturbance.factor) for name in disturbance.parameters)),
+                disturbance.change,
+            )
+            for disturbance in disturbances
+        ),
+    )
+
+
+def _scaled(config: Config, parameter: str, factor: float) -> str:
+    section, _, key = parameter.partition(".")
+    value = getattr(getattr(config, section), key)
+    return f"{parameter}={round(factor * value) if isinstance(value, int) else factor * value}"
+
+
+def worst_run(runs: Sequence[VariantResults], figure: str) -> VariantResults | None:
+    """The run with the lowest mean of a figure, the first of equals; None if no mean is known.
+
+    A run that lost a sequence is worse than all that did not.
+    """
+    for run in runs:
+        if run.failed:
+            return run
+    known = [run for run in runs if not math.isnan(run.mean(figure))]
+    return min(known, key=lambda run: run.mean(figure), default=None)
+
+
+def disturbance_table(rows: Sequence[VariantResults]) -> str:
+    """The rows as text, and the worst of the disturbed runs for each figure.
+
+    Parameters
+    ----------
+    rows : sequence of VariantResults
+        The undisturbed run first, as :func:`disturbance_variants` has them.
+    """
+    lines = [variants_table(rows, "run", _FIGURES), ""]
+    for figure in _FIGURES:
+        worst = worst_run(rows[1:], figure)
+        if worst is not None:
+            mean = "failed" if worst.failed else format_number(worst.mean(figure))
+            reference = format_number(rows[0].mean(figure))
+            lines.append(f"worst {figure}: {worst.variant.name}, {mean} ({UNDISTURBED} {reference})")
+    return "\n".join(lines)
+
+
+def disturbance_as_json(rows: Sequence[VariantResults]) -> dict[str, Any]:
+    """All figures of all rows, and the name of the worst run for each figure."""
+    worst = {figure: worst_run(rows[1:], figure) for figure in _FIGURES}
+    names = {figure: None if run is None else run.variant.name for figure, run in worst.items()}
+    return {**variants_as_json(rows), "worst": names}
