@@ -7,12 +7,14 @@ A homography does not explain parallax; that stays in the residuals and is the c
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
 from mlbs_actors.messages import Array
 
-__all__ = ["camera_difference", "camera_homography", "homography_motion"]
+__all__ = ["CameraEvidence", "camera_evidence", "camera_homography", "homography_motion"]
 
 #: Reprojection error of an inlier, px.
 INLIER_PX = 1.0
@@ -75,8 +77,27 @@ def homography_motion(matrix: Array, positions: Array) -> Array:
     return np.asarray(mapped[:, :2] / mapped[:, 2:] - positions, np.float32)
 
 
-def camera_difference(previous: Array, current: Array, matrix: Array, step: tuple[float, float]) -> Array:
-    """How badly the camera's own motion explains the new frame, place by place.
+@dataclass(frozen=True, slots=True)
+class CameraEvidence:
+    """How well the camera's own motion explains a new frame, place by place, in units of the frame's noise.
+
+    Attributes
+    ----------
+    unexplained : (h, w) float32
+        Mean absolute difference over a 5×5 window between frame t and frame t−1 moved by the camera's motion.
+    advantage : (h, w) float32
+        By how much the dense flow explains frame t better than the camera's motion does. Near 0 where the
+        image is smooth, whatever moves there: flow that has bled over smooth ground explains it no better.
+    """
+
+    unexplained: Array
+    advantage: Array
+
+
+def camera_evidence(
+    previous: Array, current: Array, matrix: Array, flow: Array, step: tuple[float, float]
+) -> CameraEvidence:
+    """Compare the frame before, moved by the camera's motion and by the dense flow, with the new frame.
 
     Parameters
     ----------
@@ -84,27 +105,32 @@ def camera_difference(previous: Array, current: Array, matrix: Array, step: tupl
         Grey frames t−1 and t, shrunk alike.
     matrix : (3, 3) float64
         :func:`camera_homography`, in full-size px.
+    flow : (h, w, 2) float32
+        Backward flow t → t−1, full-size px.
     step : (float, float)
         Full-size px per shrunk px in x and y.
 
     Returns
     -------
-    (h, w) float32
-        Mean absolute difference over a 5×5 window between frame t and frame t−1 moved by the camera's
-        motion, in units of the frame's noise, its median over the frame between ``LEAST_NOISE`` and
-        ``MOST_NOISE`` grey levels; 0 where frame t−1 did not reach.
+    CameraEvidence
+        The noise is the median difference to the camera's motion, between ``LEAST_NOISE`` and ``MOST_NOISE``
+        grey levels. Both are 0 where the camera's motion leads out of frame t−1.
     """
     # Full-size pixel centres lie at (shrunk + ½)·step − ½.
     shrink = np.array(
         [[1 / step[0], 0, 0.5 / step[0] - 0.5], [0, 1 / step[1], 0.5 / step[1] - 0.5], [0, 0, 1]]
     )
     mapping = shrink @ matrix @ np.linalg.inv(shrink)
-    size = (current.shape[1], current.shape[0])
+    height, width = current.shape
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    moved = cv2.warpPerspective(previous, mapping, size, flags=flags, borderMode=cv2.BORDER_CONSTANT)
-    reached = cv2.warpPerspective(np.full_like(previous, 255), mapping, size, flags=flags)
-    difference = cv2.absdiff(current, moved)
-    difference[reached < 255] = 0
-    windowed = cv2.blur(difference.astype(np.float32), (5, 5))
-    noise = np.clip(np.median(windowed), LEAST_NOISE, MOST_NOISE)
-    return np.asarray(windowed / np.float32(noise))
+    by_camera = cv2.warpPerspective(previous, mapping, (width, height), flags=flags)
+    reached = cv2.warpPerspective(np.full_like(previous, 255), mapping, (width, height), flags=flags)
+    source_x = np.arange(width, dtype=np.float32)[None, :] + flow[..., 0] / np.float32(step[0])
+    source_y = np.arange(height, dtype=np.float32)[:, None] + flow[..., 1] / np.float32(step[1])
+    by_flow = cv2.remap(previous, source_x, source_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    camera_error, flow_error = (
+        cv2.blur(np.where(reached == 255, cv2.absdiff(current, moved), 0).astype(np.float32), (5, 5))
+        for moved in (by_camera, by_flow)
+    )
+    noise = np.float32(np.clip(np.median(camera_error), LEAST_NOISE, MOST_NOISE))
+    return CameraEvidence(camera_error / noise, (camera_error - flow_error) / noise)

@@ -37,6 +37,8 @@ __all__ = [
 
 #: Label of a trajectory that belongs to no layer.
 UNLABELLED = -1
+#: Fewer edges across a border say nothing of it.
+LEAST_BORDER = 5
 #: Frames over which a trajectory's speed against the camera is averaged.
 SPEED_FRAMES = 3
 
@@ -187,13 +189,14 @@ def merge_by_motion(
     least_speed: float,
     config: LayersConfig,
 ) -> Array:
-    """Merge young labels into the neighbour that moves with them.
+    """Merge labels into the neighbour that moves with them.
 
     A young label that does not move against the camera goes to the background, wherever it lies. One
     whose motion distance to a neighbour is within the noise at a low quantile of their common border goes
     to that neighbour. Parts of one object bend and turn against each other, so between objects more is
     allowed, but only where a good part of the younger touches the older: two objects that pass each other
-    touch with little.
+    touch with little. Objects of any age whose motions have been the same, within the noise, all their common
+    life are one.
 
     Parameters
     ----------
@@ -220,12 +223,18 @@ def merge_by_motion(
         candidates = []
         for (low, high), (distance, edges) in border_motion(graph, labels, config.merge_quantile).items():
             older, younger = sorted((low, high), key=lambda label: (-ages.get(label, 0), label))
+            young = ages.get(younger, 0) < config.young_frames
+            touch = edges / int((labels == younger).sum())
             if older == BACKGROUND:
-                alike = distance < config.merge_distance
+                alike = young and distance < config.merge_distance
             else:
-                alike = distance < config.object_merge_distance
-                alike &= edges >= config.merge_reach * int((labels == younger).sum())
-            if alike and ages.get(younger, 0) < config.young_frames:
+                alike = young and distance < config.object_merge_distance and touch >= config.merge_reach
+                alike |= (
+                    distance < config.same_motion_distance
+                    and touch >= config.same_motion_reach
+                    and edges >= LEAST_BORDER
+                )
+            if alike:
                 candidates.append((distance, younger, older))
         if not candidates:
             return labels

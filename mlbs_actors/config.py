@@ -43,13 +43,17 @@ class _Section(BaseModel):
 class FlowConfig(_Section):
     """Dense optical flow (§3): OpenCV DIS where the authors use LDOF."""
 
-    preset: Literal["ultrafast", "fast", "medium"] = Field("medium", description="OpenCV DIS preset.")
     scale: float = Field(
         0.5,
         gt=0,
         le=1,
         description="Flow is computed on the frame shrunk to this share of 640×480 (never enlarged).",
     )
+    finest_scale: int = Field(
+        0, ge=0, le=3, description="DIS: last level of the pyramid, 0 = the shrunk frame itself."
+    )
+    search_iterations: int = Field(6, ge=1, description="DIS: gradient descent iterations of a patch.")
+    refinement_iterations: int = Field(2, ge=0, description="DIS: iterations of variational refinement.")
 
 
 class TrajectoriesConfig(_Section):
@@ -57,6 +61,12 @@ class TrajectoriesConfig(_Section):
 
     seed_spacing_px: float = Field(
         8.0, gt=1, description="Grid on which points without a live track near are seeded."
+    )
+    dense_spacing_px: float = Field(
+        4.0, gt=1, description="The same where the camera's motion fails to explain the image."
+    )
+    dense_advantage: float = Field(
+        3.0, description="It fails where the flow explains the image better by this, × noise."
     )
     consistency_relative: float = Field(
         0.01, ge=0, description="Forward–backward error allowed, × (|w|²+|w'|²)."
@@ -120,10 +130,17 @@ class LayersConfig(_Section):
     camera_relative: float = Field(
         0.06, ge=0, description="... and at least this share of the camera's own motion."
     )
+    same_motion_distance: float = Field(
+        2.5, ge=0, description="Objects of any age below it at that quantile are one."
+    )
+    same_motion_reach: float = Field(
+        0.1, ge=0, description="Border edges per trajectory of the younger of two such objects."
+    )
     unexplained_noise: float = Field(
-        4.0,
-        gt=0,
-        description="An object's trajectory counts only where the camera's motion errs by this, × noise.",
+        4.0, gt=0, description="The camera's motion fails to explain a place where it errs by this, × noise."
+    )
+    least_evidence: float = Field(
+        2.0, description="An object's trajectory counts from this much evidence against the camera, × noise."
     )
     probation_frames: int = Field(2, ge=0, description="Frames a split must last before it becomes a layer.")
     min_tracks: int = Field(5, ge=1, description="A layer with fewer trajectories falls asleep.")
@@ -162,6 +179,12 @@ class AppearanceConfig(_Section):
 
     samples: int = Field(20, ge=1, le=255, description="N: samples kept a pixel.")
     bandwidth_floor: float = Field(5.0, gt=0, description="Least kernel bandwidth, grey levels.")
+    registration_px: float = Field(
+        1.0,
+        ge=0,
+        description="An object's registration error: bandwidths grow by it × the gradient, px.",
+    )
+    background_registration_px: float = Field(0.6, ge=0, description="The same for the background, px.")
     window_radius: int = Field(
         0, ge=0, le=2, description="Radius of the window of samples a colour is compared with, px."
     )
@@ -178,11 +201,21 @@ class PosteriorConfig(_Section):
         3.0, gt=0, description="Most that a matching colour counts against the uniform one, nats."
     )
     motion: float = Field(
-        0.03, ge=0, description="Weight of the flow's agreement with the layer's motion field."
+        0.06, ge=0, description="Weight of the flow's agreement with the layer's motion field."
     )
     motion_floor: float = Field(
-        0.05, gt=0, lt=1, description="Likelihood of a flow that contradicts the field altogether."
+        0.05,
+        gt=0,
+        lt=1,
+        description="Likelihood of a flow that contradicts the background's field.",
     )
+    object_motion_floor: float = Field(
+        0.4, gt=0, lt=1, description="The same for an object: its limbs move in ways of their own."
+    )
+    photometric: float = Field(
+        0.25, ge=0, description="Weight of how much better an object's motion explains the image."
+    )
+    photometric_cap: float = Field(3.0, gt=0, description="Most that it counts, × noise.")
     prior: float = Field(0.02, ge=0, description="Weight of the warped posterior of the last frame.")
     prior_floor: float = Field(0.1, gt=0, lt=1, description="Least prior.")
     neutral_prior: float = Field(0.5, gt=0, le=1, description="Prior where the layer was not before.")
@@ -206,7 +239,7 @@ class PosteriorConfig(_Section):
     learn_px: float = Field(6.0, ge=0, description="An object learns only this near to its trajectories, px.")
     offset: float = Field(4.0, ge=0, description="Added to every cost so that it is not negative, nats.")
     region_margin_px: float = Field(
-        24.0, ge=0, description="Margin of an object's region around its trajectories, px."
+        40.0, ge=0, description="Margin of an object's region around its trajectories, px."
     )
 
 
@@ -217,7 +250,10 @@ class SegmentationConfig(_Section):
     contrast_scale: float = Field(
         300.0, gt=0, description="Squared colour difference at which it falls to 1/e."
     )
-    track_cost: float = Field(2.0, ge=0, description="|c|: pull of a labelled trajectory at its pixel, nats.")
+    track_cost: float = Field(1.0, ge=0, description="|c|: pull of a labelled trajectory at its pixel, nats.")
+    shadow: float = Field(
+        0.15, ge=0, description="Cost of an object in a likely shadow; 0 = shadows are not looked for, nats."
+    )
     label_cost: float = Field(20.0, ge=0, description="h_k: cost of using a label at all, px × nats.")
     speck_px: float = Field(50.0, ge=0, description="Smaller components of an object are cleaned away, px².")
     hole_px: float = Field(200.0, ge=0, description="Smaller holes of the background are filled, px².")

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
 from mlbs_actors.affinity import TrajectoryGraph, displacement_spread, trajectory_graph
-from mlbs_actors.camera import camera_difference, camera_homography, homography_motion
+from mlbs_actors.camera import CameraEvidence, camera_evidence, camera_homography, homography_motion
 from mlbs_actors.clustering import (
     UNLABELLED,
     background_first,
@@ -44,6 +44,7 @@ from mlbs_actors.messages import (
 )
 from mlbs_actors.normalized_cut import recursive_cut
 from mlbs_actors.trajectories import (
+    EVIDENCE_BOUNDS,
     TrajectoryState,
     advance_trajectories,
     empty_trajectories,
@@ -168,26 +169,33 @@ class Coordinator:
                 trajectories = advance_trajectories(trajectories, flow, shape)
                 labels = labels[np.searchsorted(before, trajectories.ids)]
             survivors = len(trajectories)
-            trajectories = seed_trajectories(trajectories, gray, flow, shape, config.trajectories)
-            labels = np.concatenate([labels, np.full(len(trajectories) - survivors, UNLABELLED, np.int64)])
             known = (trajectories.ages > 0) & ((labels == BACKGROUND) if state.clustered else True)
             camera = camera_homography(trajectories.positions[known], trajectories.motions[known], scale)
-            difference = np.zeros(len(trajectories), np.float32)
-            unexplained = np.zeros(gray.shape, np.float32)
+            trajectories = seed_trajectories(trajectories, gray, flow, shape, config.trajectories)
+            against_camera = CameraEvidence(
+                np.zeros(gray.shape, np.float32), np.zeros(gray.shape, np.float32)
+            )
             if flow is not None:
-                unexplained = camera_difference(state.gray, gray, camera, flow.step)
-                difference = sample_flow(unexplained[..., None], trajectories.positions, flow.step)[:, 0]
+                against_camera = camera_evidence(state.gray, gray, camera, flow.backward, flow.step)
+                # Small movers need more points than the grid gives them.
+                dense = against_camera.advantage > config.trajectories.dense_advantage
+                trajectories = seed_trajectories(trajectories, gray, flow, shape, config.trajectories, dense)
+            labels = np.concatenate([labels, np.full(len(trajectories) - survivors, UNLABELLED, np.int64)])
+            step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
+            advantage = sample_flow(against_camera.advantage[..., None], trajectories.positions, step)[:, 0]
             predicted = homography_motion(camera, trajectories.positions)
-            trajectories = with_residuals(trajectories, predicted, difference)
+            trajectories = with_residuals(trajectories, predicted, advantage)
             spread = displacement_spread(trajectories, config.affinity, scale)
             spreads = np.concatenate([[spread], state.spreads])[: config.trajectories.history_frames]
 
+        if flow is not None and state.held and state.held[0].frame_index == 0 and frame_index == 1:
+            state.held = (self._first_frame(state.held[0], flow, gray, camera),)
         state.next_frame, state.shape, state.gray = frame_index + 1, shape, gray
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
         if state.clustered or frame_index + 1 >= config.layers.init_frames:
             published = [] if feedback is None else [one.layer for one in feedback.layers]
             self._cluster(frame, frame_index, published, stage_ms)
-        state.held = (*state.held, self._hold(frame_index, camera, flow, unexplained, stage_ms))
+        state.held = (*state.held, self._hold(frame_index, camera, flow, against_camera, stage_ms))
         return self._emit(frame_index - config.layers.lookahead) if state.clustered else []
 
     def flush(self) -> list[FrameEvidence]:
@@ -271,26 +279,41 @@ class Coordinator:
         state.clustered = True
         state.held = relabelled(state.held, state.trajectories, state.labels)
 
+    def _first_frame(self, held: HeldFrame, flow: DenseFlow, following: Array, camera: Array) -> HeldFrame:
+        """Before the first frame there was none: it takes its motion from the second, backwards in time."""
+        onward = np.linalg.inv(camera)
+        evidence = camera_evidence(following, self.state.gray, onward, flow.forward, flow.step)
+        advantage = sample_flow(evidence.advantage[..., None], held.positions, flow.step)[:, 0]
+        return replace(
+            held,
+            motions=-sample_flow(flow.forward, held.positions, flow.step),
+            evidence=np.clip(advantage, *EVIDENCE_BOUNDS),
+            camera=camera,
+            flow=(-flow.forward).astype(np.float16),
+            flow_reliable=flow.forward_reliable,
+            unexplained=_quantised(evidence.unexplained),
+        )
+
     def _hold(
         self,
         frame_index: int,
         camera: Array,
         flow: DenseFlow | None,
-        difference: Array,
+        against_camera: CameraEvidence,
         stage_ms: dict[str, float],
     ) -> HeldFrame:
-        state, size = self.state, difference.shape
+        state, size = self.state, against_camera.unexplained.shape
         return HeldFrame(
             frame_index,
             state.trajectories.ids,
             state.trajectories.positions,
             state.trajectories.motions,
             state.labels,
-            state.trajectories.unexplained,
+            state.trajectories.evidence,
             camera,
             np.zeros((*size, 2), np.float16) if flow is None else flow.backward.astype(np.float16),
             np.zeros(size, bool) if flow is None else flow.backward_reliable,
-            np.clip(np.rint(difference / UNEXPLAINED_STEP), 0, 255).astype(np.uint8),
+            _quantised(against_camera.unexplained),
             stage_ms,
         )
 
@@ -315,7 +338,7 @@ class Coordinator:
         live = sorted({BACKGROUND, *with_tracks, *registry.live_layers(held.frame_index)})
         # Where the camera's motion explains the image as well, a trajectory says nothing for an object: flow
         # bleeds from an object over the smooth road beside it.
-        telling = held.unexplained >= self.config.layers.unexplained_noise
+        telling = held.evidence >= self.config.layers.least_evidence
         layers = []
         for one in live:
             kind: LayerKind = (
@@ -336,12 +359,16 @@ class Coordinator:
             camera=held.camera,
             flow=held.flow,
             flow_reliable=held.flow_reliable,
-            unexplained=held.difference,
+            unexplained=held.unexplained,
             layers=tuple(layers),
             retired=tuple(gone),
             latency_frames=state.next_frame - 1 - held.frame_index,
             stage_ms=held.stage_ms,
         )
+
+
+def _quantised(unexplained: Array) -> Array:
+    return np.asarray(np.clip(np.rint(unexplained / UNEXPLAINED_STEP), 0, 255), np.uint8)
 
 
 @contextmanager

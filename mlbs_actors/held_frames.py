@@ -29,13 +29,13 @@ class HeldFrame:
     positions, motions : (n, 2) float32
     labels : (n,) int64
         As known so far.
-    unexplained : (n,) float32
+    evidence : (n,) float32
         As in :class:`~mlbs_actors.trajectories.TrajectoryState`.
     camera : (3, 3) float64
     flow : (h, w, 2) float16
     flow_reliable : (h, w) bool
-    difference : (h, w) uint8
-        :func:`~mlbs_actors.camera.camera_difference`.
+    unexplained : (h, w) uint8
+        As in :class:`~mlbs_actors.messages.FrameEvidence`.
     stage_ms : mapping of str to float
     """
 
@@ -44,11 +44,11 @@ class HeldFrame:
     positions: Array
     motions: Array
     labels: Array
-    unexplained: Array
+    evidence: Array
     camera: Array
     flow: Array
     flow_reliable: Array
-    difference: Array
+    unexplained: Array
     stage_ms: Mapping[str, float]
 
 
@@ -76,8 +76,8 @@ def relabelled(
         alive = np.zeros(len(held.ids), bool)
         if len(trajectories):
             alive = trajectories.ids[place] == held.ids
-        newest, worst = held.labels.copy(), held.unexplained.copy()
+        newest, most = held.labels.copy(), held.evidence.copy()
         newest[alive] = labels[place[alive]]
-        worst[alive] = np.maximum(worst[alive], trajectories.unexplained[place[alive]])
-        result.append(replace(held, labels=newest, unexplained=worst))
+        most[alive] = np.maximum(most[alive], trajectories.evidence[place[alive]])
+        result.append(replace(held, labels=newest, evidence=most))
     return tuple(result)

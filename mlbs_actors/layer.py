@@ -3,14 +3,16 @@
 :meth:`Layer.step` is called once a frame: it finishes frame t−1 with the published labels, then predicts and
 evaluates frame t. The layer works on the region of its object; the background's region is the frame.
 
-The negative logarithm of a pixel's unnormalised posterior is a weighted sum of four terms (weights in
+The negative logarithm of a pixel's unnormalised posterior is a weighted sum of five terms (weights in
 :class:`~mlbs_actors.config.PosteriorConfig`, nats), cut to 0 … 15.9:
 
-* appearance, −log((1 − κ) + κ min(p(I)/u, e^cap)): p the kernel density, u the uniform density over
-  colours, κ the confidence of the pixel's samples. Unknown (κ = 0) costs 0: *unknown is not unlikely*.
+* appearance: the kernel density of the pixel's colour, sent apart from the others, because what a layer does
+  not know is judged by what the others know (:mod:`mlbs_actors.fusion`).
 * motion, −log(ε + (1 − ε) exp(−½ d²)): d² the squared distance of the dense flow from the layer's motion
   field in units of the field's marginal variance plus the flow's own; 0 where the flow is unreliable or
   where the camera's motion explains the image too.
+* photometric, for an object: by how much its own motion explains the image better than the camera's
+  (:meth:`Layer._photometric_advantage`). It says nothing where the image is smooth.
 * away, for an object: 0 near its own trajectories and in the gaps between them, rising to 1 further off.
 * prior, −log of the last posterior warped by the layer's own motion, of which the published map is half:
   neutral (0.5 by default) in a new-born layer and where the source is outside the layer's old region, at
@@ -19,7 +21,7 @@ The negative logarithm of a pixel's unnormalised posterior is a weighted sum of 
 Outside its region an object costs 15.9 nats. It learns only where its label is sure
 (:meth:`Layer._near_trajectories`).
 
-Differs from the paper: the motion and away terms are not in it; the prior has a floor, so that it can be
+Differs from the paper: the motion, photometric and away terms are not in it; the prior has a floor, so that it can be
 overruled, and a layer is weighed by its own confidence, pixel by pixel (the authors' program makes *all*
 layers uniform where one has few samples, and never uses its prior). A layer that wakes after a sleep keeps
 its id, not its samples: only its place is known, not the path of its pixels.
@@ -34,9 +36,10 @@ import cv2
 import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, update
-from mlbs_actors.camera import homography_motion
+from mlbs_actors.camera import LEAST_NOISE, MOST_NOISE, homography_motion
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import LayerError
+from mlbs_actors.fusion import quantised_ratio, with_appearance
 from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_positions
 from mlbs_actors.kde import AppearanceParameters, confidence, warp_and_evaluate
 from mlbs_actors.messages import (
@@ -54,6 +57,10 @@ from mlbs_actors.warp import warp_map
 
 __all__ = ["Layer", "LayerState"]
 
+#: Side of the window over which a motion is judged by the image, px.
+PHOTOMETRIC_WINDOW = 5
+#: Error at which a motion is not believed any more, and from one less on altogether, × noise.
+OWN_BELIEVED, CAMERA_BELIEVED = 4.0, 2.5
 #: log of the uniform density over 8-bit colours, nats per unit RGB volume.
 LOG_UNIFORM = -3.0 * float(np.log(256.0))
 
@@ -71,7 +78,10 @@ class LayerState:
     model : AppearanceModel
         Samples at ``last_frame``, without that frame's own colours.
     cost : (h, w) uint8
-        Unnormalised posterior of ``last_frame``, as sent to the segmenter.
+        Unnormalised posterior of ``last_frame`` without the colours, as sent to the segmenter.
+    log_ratio : (h, w) int8
+    samples : (h, w) uint8
+        What the colours said, as sent to the segmenter.
     image : (h, w, 3) uint8
         That frame's colours, to learn from once its labels are known.
     velocity : (2,) float32
@@ -84,6 +94,8 @@ class LayerState:
     region: Region
     model: AppearanceModel
     cost: Array
+    log_ratio: Array
+    samples: Array
     image: Array
     velocity: Array
     trusted: Array
@@ -112,6 +124,8 @@ class Layer:
             region=nowhere,
             model=empty_model(nowhere, config.appearance.samples),
             cost=np.zeros((0, 0), np.uint8),
+            log_ratio=np.zeros((0, 0), np.int8),
+            samples=np.zeros((0, 0), np.uint8),
             image=np.zeros((0, 0, 3), np.uint8),
             velocity=np.zeros(2, np.float32),
             trusted=np.zeros((0, 0), bool),
@@ -126,6 +140,11 @@ class Layer:
         )
         self._appearance = AppearanceParameters(
             bandwidth_floor=config.appearance.bandwidth_floor,
+            registration_px=(
+                config.appearance.background_registration_px
+                if kind == "background"
+                else config.appearance.registration_px
+            ),
             window_radius=config.appearance.window_radius,
             half_confidence_samples=config.appearance.half_confidence_samples,
         )
@@ -174,14 +193,17 @@ class Layer:
         moved = perf_counter()
         image = np.ascontiguousarray(frame[region.slices])
         model, log_density = warp_and_evaluate(state.model, region, motion, image, self._appearance)
-        appearance, trust = self._appearance_cost(model, log_density)
+        advantage = np.nan_to_num(log_density, nan=LOG_UNIFORM) - LOG_UNIFORM
+        log_ratio = quantised_ratio(advantage, self.config.posterior.appearance_cap)
+        samples = model.count.copy()  # the model goes on learning
         weights = self.config.posterior
         trusted, away = self._near_trajectories(evidence, frame_evidence, region)
         cost = (
-            weights.appearance * appearance
-            + weights.motion * self._motion_cost(frame_evidence, region, field, motion)
+            weights.motion * self._motion_cost(frame_evidence, region, field, motion)
             + weights.distance * away
             + weights.prior * self._prior_cost(posterior, region, motion)
+            - weights.photometric
+            * self._photometric_advantage(frame_evidence, posterior, region, motion, image)
         )
         quantised = np.clip(np.rint((cost + weights.offset) / COST_STEP), 0, 255).astype(np.uint8)
         evaluated = perf_counter()
@@ -191,14 +213,25 @@ class Layer:
         else:
             velocity = state.velocity
         self.state = LayerState(
-            frame_evidence.frame_index, region, model, quantised, image, velocity, trusted
+            frame_evidence.frame_index,
+            region,
+            model,
+            quantised,
+            log_ratio,
+            samples,
+            image,
+            velocity,
+            trusted,
         )
+        trust = confidence(samples, self._appearance)
         return LayerPosterior(
             layer=self.layer,
             frame_index=frame_evidence.frame_index,
             kind=self.kind,
             region=region,
             cost=quantised,
+            log_ratio=log_ratio,
+            samples=samples,
             outside_cost=255,
             confidence=float(trust.mean()) if trust.size else 0.0,
             velocity=velocity,
@@ -218,7 +251,15 @@ class Layer:
         slices = state.region.slices
         mask = np.ascontiguousarray(previous.labels[slices] == self.layer)
         update(state.model, state.image, mask & state.trusted)
-        log_posterior = previous.normaliser[slices].astype(np.float32) - state.cost.astype(np.float32)
+        cost = with_appearance(
+            state.cost,
+            state.log_ratio,
+            state.samples,
+            np.ascontiguousarray(previous.fallback[slices]),
+            self.config.posterior.appearance,
+            self.config.appearance.half_confidence_samples,
+        )
+        log_posterior = previous.normaliser[slices].astype(np.float32) - cost.astype(np.float32)
         posterior = np.exp(np.minimum(log_posterior * np.float32(COST_STEP), 0.0))
         # The published map is the better half of the knowledge: it has seen the outlines.
         posterior = 0.5 * posterior + 0.5 * mask
@@ -268,13 +309,6 @@ class Layer:
             prior = -self.state.velocity
         return motion_field(evidence.positions - corner, evidence.motions, shape, prior, self._motion)
 
-    def _appearance_cost(self, model: AppearanceModel, log_density: Array) -> tuple[Array, Array]:
-        """−log((1−κ) + κ min(p/u, e^cap)) and κ, (h, w) float32 each; 0 where there are no samples."""
-        trust = confidence(model.count, self._appearance)
-        advantage = np.nan_to_num(log_density, nan=LOG_UNIFORM) - LOG_UNIFORM
-        ratio = np.exp(np.minimum(advantage, self.config.posterior.appearance_cap))
-        return -np.log((1.0 - trust) + trust * ratio), trust
-
     def _near_trajectories(
         self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region
     ) -> tuple[Array, Array]:
@@ -309,6 +343,44 @@ class Layer:
         floor = weights.neutral_prior if self.kind == "background" else weights.prior_floor
         return np.asarray(-np.log(np.maximum(prior, floor)))
 
+    def _photometric_advantage(
+        self, frame_evidence: FrameEvidence, posterior: Array, region: Region, motion: Array, image: Array
+    ) -> Array:
+        """By how much the layer's motion explains the image better than the camera's, (h, w) float32, × noise.
+
+        Either motion is believed only where it explains the image well in itself: a limb obeys neither. The
+        layer's own also only where it comes from the layer's own pixels: ground that an object has just left
+        is explained by nothing, but over smooth ground any motion seems to explain it.
+        """
+        state = self.state
+        if self.kind == "background" or state.image.size == 0 or region.area == 0:
+            return np.zeros(motion.shape[:2], np.float32)
+        weights = self.config.posterior
+        before, now = (cv2.cvtColor(one, cv2.COLOR_BGR2GRAY) for one in (state.image, image))
+        x = np.arange(region.x, region.x + region.width, dtype=np.float32)
+        y = np.arange(region.y, region.y + region.height, dtype=np.float32)
+        pixels = np.stack(np.meshgrid(x, y), axis=2)
+        camera = homography_motion(frame_evidence.camera, pixels.reshape(-1, 2)).reshape(motion.shape)
+        known = np.ones(motion.shape[:2], bool)
+        errors = []
+        for candidate in (motion, camera):
+            source = pixels + candidate - np.array([state.region.x, state.region.y], np.float32)
+            known &= (source >= 0).all(axis=2)
+            known &= (source <= np.array([before.shape[1] - 1, before.shape[0] - 1])).all(axis=2)
+            moved = cv2.remap(before, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
+            window = (PHOTOMETRIC_WINDOW, PHOTOMETRIC_WINDOW)
+            errors.append(cv2.blur(cv2.absdiff(now, moved).astype(np.float32), window))
+        noise = np.float32(np.clip(np.median(errors[1]), LEAST_NOISE, MOST_NOISE))
+        own, camera_error = errors[0] / noise, errors[1] / noise
+        advantage = np.clip(camera_error - own, -weights.photometric_cap, weights.photometric_cap)
+        was = warp_map(posterior, state.region, region, motion, 0.0)
+        believed = np.where(
+            advantage > 0,
+            (was >= 0.5) * np.clip(OWN_BELIEVED - own, 0.0, 1.0),
+            np.clip(CAMERA_BELIEVED - camera_error, 0.0, 1.0),
+        )
+        return np.asarray(advantage * believed * known, np.float32)
+
     def _motion_cost(
         self, frame_evidence: FrameEvidence, region: Region, field: MotionField, motion: Array
     ) -> Array:
@@ -323,7 +395,8 @@ class Layer:
         scale = length_scale(height, width)
         variance = field.dense_variance() + (self.config.motion.flow_std_px * scale) ** 2
         distance = np.square(flow[..., :2] - motion).sum(axis=2) / variance
-        floor = self.config.posterior.motion_floor
+        weights = self.config.posterior
+        floor = weights.motion_floor if self.kind == "background" else weights.object_motion_floor
         cost = -np.log(floor + (1.0 - floor) * np.exp(-0.5 * distance))
         # Where the camera's motion explains the image as well, the flow may have bled there: it is not heard.
         unexplained = UNEXPLAINED_STEP * _to_region(frame_evidence.unexplained, region, frame_evidence.shape)

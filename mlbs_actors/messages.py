@@ -139,9 +139,14 @@ class LayerPosterior:
         Where the layer was evaluated; outside it the cost is ``outside_cost`` (a layer lives on its own
         support).
     cost : (region.height, region.width) uint8
-        −log(likelihood × prior) in units of ``COST_STEP`` nats.
+        −log(likelihood × prior) without the colours, in units of ``COST_STEP`` nats.
+    log_ratio : (region.height, region.width) int8
+        log of the colours' density over the uniform one, in units of ``fusion.RATIO_STEP`` nats; 0 where nothing
+        is known.
+    samples : (region.height, region.width) uint8
+        Colour samples behind it.
     outside_cost : int
-        The same unit.
+        The unit of ``cost``.
     confidence : float
         Mean certainty of the layer's own model over its region, in [0, 1].
     velocity : (2,) float32
@@ -155,6 +160,8 @@ class LayerPosterior:
     kind: LayerKind
     region: Region
     cost: Array
+    log_ratio: Array
+    samples: Array
     outside_cost: int
     confidence: float
     velocity: Array
@@ -208,6 +215,9 @@ class Segmentation:
         Layer id of every pixel, 0 = background, cleaned.
     normaliser : (H, W) uint8
         −log Z in units of ``COST_STEP`` nats, Z the sum of the unnormalised posteriors over the layers.
+    fallback : (H, W) int8
+        What a layer without samples is taken to know of a pixel's colour, in units of ``fusion.RATIO_STEP``
+        nats (:mod:`mlbs_actors.fusion`).
     layers : tuple of LayerSummary
         The object layers that own at least one pixel, in ascending id.
     camera_motion : (float, float)
@@ -221,6 +231,7 @@ class Segmentation:
     frame_index: int
     labels: Array
     normaliser: Array
+    fallback: Array
     layers: tuple[LayerSummary, ...]
     camera_motion: tuple[float, float]
     latency_frames: int

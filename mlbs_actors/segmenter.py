@@ -1,9 +1,10 @@
 """Fuses the layers' posteriors into one label map by a label-cost graph cut (§7).
 
-E(L) = Σ_i −log P_post(l_i) + Σ_i tracks(l_i) + Σ_(i,j) w_ij [l_i ≠ l_j] + Σ_k h_k δ_k(L)
+E(L) = Σ_i −log P_post(l_i) + Σ_i tracks(l_i) + Σ_i shadow(l_i) + Σ_(i,j) w_ij [l_i ≠ l_j] + Σ_k h_k δ_k(L)
 
 Differs from the paper: the trajectories' own data cost (there for new layers) is always there, not only
-where samples are missing: trajectory labels decide, contrast draws the outline, appearance repairs. The
+where samples are missing: trajectory labels decide, contrast draws the outline, appearance repairs. Cast
+shadows, which move with an object, are told from it (:mod:`mlbs_actors.shadows`). The
 published map is the cleaned one (specks and pinholes removed), and it is the one the layers learn from.
 """
 
@@ -17,6 +18,7 @@ import numpy as np
 from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
+from mlbs_actors.fusion import fused_costs
 from mlbs_actors.graph_cut import contrast_weights, minimise
 from mlbs_actors.messages import (
     BACKGROUND,
@@ -28,6 +30,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
+from mlbs_actors.shadows import shadow_likelihood
 
 __all__ = ["Segmenter", "SegmenterState"]
 
@@ -92,10 +95,19 @@ class Segmenter:
             )
         config = self.config.segmentation
         start = perf_counter()
-        cost = _stacked_costs(posteriors, evidence.shape)
+        cost, fallback = fused_costs(
+            posteriors,
+            evidence.shape,
+            self.config.posterior.appearance,
+            self.config.appearance.half_confidence_samples,
+        )
         normaliser = _normaliser(cost)
         unary = cost.astype(np.float32) * np.float32(COST_STEP)
         _pull_tracks(unary, evidence, config.track_cost)
+        if config.shadow > 0:
+            shadow = shadow_likelihood(frame, evidence, self.state.labels, length_scale(*evidence.shape))
+            if shadow is not None:
+                _discount_shadows(unary, posteriors, shadow, config.shadow)
         fused = perf_counter()
         label_costs = np.full(len(ids), config.label_cost * length_scale(*evidence.shape) ** 2)
         label_costs[0] = 0.0  # the background is always there
@@ -108,13 +120,14 @@ class Segmenter:
         summaries = _summaries(positions, cost, normaliser, posteriors)
         done = perf_counter()
         self.state = SegmenterState(evidence.frame_index + 1, labels)
-        for shared in (labels, normaliser):  # the layers read them back at the next frame
+        for shared in (labels, normaliser, fallback):  # the layers read them back at the next frame
             shared.setflags(write=False)
         camera = posteriors[0].velocity
         return Segmentation(
             frame_index=evidence.frame_index,
             labels=labels,
             normaliser=normaliser,
+            fallback=fallback,
             layers=summaries,
             camera_motion=(float(camera[0]), float(camera[1])),
             latency_frames=evidence.latency_frames,
@@ -126,15 +139,6 @@ class Segmenter:
                 "cleaning": 1e3 * (done - solved),
             },
         )
-
-
-def _stacked_costs(posteriors: list[LayerPosterior], shape: tuple[int, int]) -> Array:
-    """(K, H, W) uint8: every layer's cost on the whole frame."""
-    cost = np.empty((len(posteriors), *shape), np.uint8)
-    for position, one in enumerate(posteriors):
-        cost[position] = one.outside_cost
-        cost[position][one.region.slices] = one.cost
-    return cost
 
 
 def _normaliser(cost: Array) -> Array:
@@ -156,6 +160,15 @@ def _pull_tracks(unary: Array, evidence: FrameEvidence, strength: float) -> None
         np.add.at(pull, (y, x), np.float32(strength))
         unary += pull
         unary[position] -= 2.0 * pull
+
+
+def _discount_shadows(unary: Array, posteriors: list[LayerPosterior], shadow: Array, strength: float) -> None:
+    """Take away, as far as a pixel is a shadow, what an object has over the background, and a little more."""
+    for position, one in enumerate(posteriors):
+        if one.layer != BACKGROUND:
+            own, darkened = unary[position][one.region.slices], shadow[one.region.slices]
+            lead = np.maximum(unary[0][one.region.slices] - own, 0.0)
+            own += darkened * (lead + np.float32(strength))
 
 
 def _summaries(

@@ -25,10 +25,12 @@ __all__ = [
 ]
 
 
-#: Share of a trajectory's unexplained difference that lasts to the next frame.
-UNEXPLAINED_KEPT = np.float32(0.95)
-#: Least spacing of seeds, steps of the flow's grid.
-LEAST_SPACING = 3.0
+#: Share of a trajectory's evidence against the camera that lasts to the next frame.
+EVIDENCE_KEPT = np.float32(0.95)
+#: Bounds of what one frame adds to it, × the frame's noise: one bad match must not decide for long.
+EVIDENCE_BOUNDS = (-2.0, 8.0)
+#: Least spacing of seeds, steps of the flow's grid, and where they are dense.
+LEAST_SPACING, LEAST_DENSE_SPACING = 3.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +50,9 @@ class TrajectoryState:
         trajectory's age.
     ages : (n,) int32
         How many of those motions are known, 0 … T.
-    unexplained : (n,) float32
-        How badly the camera's motion has explained the image around the trajectory, at its worst and slowly
-        forgotten, × the frame's noise.
+    evidence : (n,) float32
+        Evidence against the camera: by how much the flow has explained the image around the trajectory better
+        than the camera's motion did, summed over its life and slowly forgotten, × the frame's noise.
     next_id : int
     """
 
@@ -59,7 +61,7 @@ class TrajectoryState:
     motions: Array
     residuals: Array
     ages: Array
-    unexplained: Array
+    evidence: Array
     next_id: int
 
     def __len__(self) -> int:
@@ -116,7 +118,7 @@ def advance_trajectories(state: TrajectoryState, flow: DenseFlow, shape: tuple[i
         -motion[alive],
         residuals,
         np.minimum(state.ages[alive] + 1, state.residuals.shape[1]).astype(np.int32),
-        state.unexplained[alive],
+        state.evidence[alive],
         state.next_id,
     )
 
@@ -127,6 +129,7 @@ def seed_trajectories(
     flow: DenseFlow | None,
     shape: tuple[int, int],
     config: TrajectoriesConfig,
+    dense: Array | None = None,
 ) -> TrajectoryState:
     """Start trajectories on a grid wherever the image has structure and no live trajectory is near.
 
@@ -141,6 +144,8 @@ def seed_trajectories(
     shape : (int, int)
         (H, W) of the full frame.
     config : TrajectoriesConfig
+    dense : (h, w) bool, optional
+        Where to seed on the dense grid; elsewhere nothing is seeded then.
 
     Returns
     -------
@@ -155,7 +160,12 @@ def seed_trajectories(
     height, width = shape
     step_x, step_y = width / gray.shape[1], height / gray.shape[0]
     # Nearer than this the flow cannot tell two points apart.
-    spacing = max(config.seed_spacing_px * length_scale(height, width), LEAST_SPACING * max(step_x, step_y))
+    wanted_px, least = (
+        (config.seed_spacing_px, LEAST_SPACING)
+        if dense is None
+        else (config.dense_spacing_px, LEAST_DENSE_SPACING)
+    )
+    spacing = max(wanted_px * length_scale(height, width), least * max(step_x, step_y))
     columns, rows = max(1, int(width / spacing)), max(1, int(height / spacing))
     xs = ((np.arange(columns) + 0.5) * width / columns).astype(np.float32)
     ys = ((np.arange(rows) + 0.5) * height / rows).astype(np.float32)
@@ -176,6 +186,8 @@ def seed_trajectories(
     border = np.minimum.reduce([grid_x, grid_y, width - 1 - grid_x, height - 1 - grid_y])
     wanted = distance[cell_y, cell_x] >= 0.75 * spacing
     wanted &= structure[cell_y, cell_x] > structure.mean() * (0.1 + np.exp(-0.1 * border))
+    if dense is not None:
+        wanted &= dense[cell_y, cell_x]
     points = np.stack([grid_x, grid_y], axis=1)
     back = np.zeros_like(points)
     age = 0
@@ -190,12 +202,12 @@ def seed_trajectories(
         np.concatenate([state.motions, back]),
         np.concatenate([state.residuals, np.zeros((len(points), *state.residuals.shape[1:]), np.float32)]),
         np.concatenate([state.ages, np.full(len(points), age, np.int32)]),
-        np.concatenate([state.unexplained, np.zeros(len(points), np.float32)]),
+        np.concatenate([state.evidence, np.zeros(len(points), np.float32)]),
         state.next_id + len(points),
     )
 
 
-def with_residuals(state: TrajectoryState, predicted: Array, difference: Array) -> TrajectoryState:
+def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -> TrajectoryState:
     """Fill in what the camera's own motion leaves of the newest motions and images.
 
     Parameters
@@ -203,11 +215,10 @@ def with_residuals(state: TrajectoryState, predicted: Array, difference: Array) 
     state : TrajectoryState
     predicted : (n, 2) float32
         Backward motion of a background point at each trajectory, px.
-    difference : (n,) float32
-        :func:`~mlbs_actors.camera.camera_difference` at each trajectory, × the frame's noise.
+    advantage : (n,) float32
+        :class:`~mlbs_actors.camera.CameraEvidence` at each trajectory, × the frame's noise.
     """
     residuals = state.residuals.copy()
     residuals[:, 0] = np.where(state.ages[:, None] > 0, state.motions - predicted, 0.0)
-    return replace(
-        state, residuals=residuals, unexplained=np.maximum(UNEXPLAINED_KEPT * state.unexplained, difference)
-    )
+    evidence = EVIDENCE_KEPT * state.evidence + np.clip(advantage, *EVIDENCE_BOUNDS).astype(np.float32)
+    return replace(state, residuals=residuals, evidence=evidence)

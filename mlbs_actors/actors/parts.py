@@ -133,6 +133,7 @@ class EngineParts:
                     frame_index=t,
                     labels=_read_only(np.full((height, width), layer, np.uint16)),
                     normaliser=_read_only(np.zeros((height, width), np.uint8)),
+                    fallback=_read_only(np.zeros((height, width), np.int8)),
                     layers=(),
                     camera_motion=(0.0, 0.0),
                     latency_frames=0,
