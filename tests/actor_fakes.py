@@ -144,7 +144,17 @@ class _Layer:
         cost = np.random.default_rng(self._memory).integers(0, 256, SHAPE, dtype=np.uint8)
         region = Region(0, 0, SHAPE[1], SHAPE[0])
         return LayerPosterior(
-            self._layer, t, self._kind, region, cost, 255, 1.0, np.zeros(2, np.float32), {"layer": 1.0}
+            layer=self._layer,
+            frame_index=t,
+            kind=self._kind,
+            region=region,
+            cost=cost,
+            log_ratio=np.zeros(SHAPE, np.int8),
+            samples=np.zeros(SHAPE, np.uint8),
+            outside_cost=255,
+            confidence=1.0,
+            velocity=np.zeros(2, np.float32),
+            stage_ms={"layer": 1.0},
         )
 
 
@@ -164,6 +174,7 @@ class _Segmenter:
             evidence.frame_index,
             labels,
             costs.min(axis=0),
+            np.zeros(SHAPE, np.int8),
             (),
             (0.0, 0.0),
             0,

@@ -23,7 +23,7 @@ class BrightSubtractor:
             labels[frame[:, :, 0] > 128] = 1
         self.given += 1
         nothing = np.zeros(labels.shape, np.uint8)
-        return [Segmentation(self.given - 1, labels, nothing, (), (0.0, 0.0), 0, {})]
+        return [Segmentation(self.given - 1, labels, nothing, nothing.astype(np.int8), (), (0.0, 0.0), 0, {})]
 
     def flush(self) -> list[Segmentation]:
         return []

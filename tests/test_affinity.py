@@ -37,7 +37,7 @@ def trajectories(positions: Array, residuals: Array, ages: Array) -> TrajectoryS
         motions=residuals[:, 0],
         residuals=residuals,
         ages=np.asarray(ages, np.int32),
-        unexplained=np.zeros(count, np.float32),
+        evidence=np.zeros(count, np.float32),
         next_id=count,
     )
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mlbs_actors.camera import camera_difference, camera_homography, homography_motion
+from mlbs_actors.camera import CameraEvidence, camera_evidence, camera_homography, homography_motion
 from mlbs_actors.messages import Array
 
 #: A roll of 2°, a zoom of 3 %, a shift and a little perspective.
@@ -22,6 +22,14 @@ def texture(height: int, width: int) -> Array:
     noise = np.random.default_rng(3).normal(size=(height, width)).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), 1.5)
     return np.asarray(255 * (smooth - smooth.min()) / np.ptp(smooth), np.uint8)
+
+
+def unmoving(shape: tuple[int, ...]) -> Array:
+    return np.zeros((*shape, 2), np.float32)
+
+
+def unexplained(previous: Array, current: Array, matrix: Array, step: tuple[float, float]) -> Array:
+    return camera_evidence(previous, current, matrix, unmoving(current.shape), step).unexplained
 
 
 def translation(x: float, y: float) -> Array:
@@ -90,11 +98,11 @@ def test_a_pure_pan_is_explained_altogether(step: tuple[float, float]) -> None:
     canvas = texture(140, 180)
     previous, current = canvas[10:130, 10:170], canvas[13:133, 6:166]  # contents move by (+4, −3)
     camera = translation(-4 * step[0], 3 * step[1])  # back to the frame before, full-size px
-    difference = camera_difference(previous, current, camera, step)
+    difference = unexplained(previous, current, camera, step)
     assert difference.dtype == np.float32
     assert difference.shape == current.shape
     assert difference.max() == 0.0
-    assert (camera_difference(previous, current, np.eye(3), step) > 0).mean() > 0.95
+    assert (unexplained(previous, current, np.eye(3), step) > 0).mean() > 0.95
 
 
 def test_under_a_rolling_camera_only_what_moves_on_its_own_stands_out() -> None:
@@ -105,7 +113,7 @@ def test_under_a_rolling_camera_only_what_moves_on_its_own_stands_out() -> None:
     current[100:130, 140:180] = texture(300, 400)[260:290, 340:380]
 
     def contrast(camera: Array) -> float:
-        difference = camera_difference(previous, current, camera, (1.0, 1.0))
+        difference = unexplained(previous, current, camera, (1.0, 1.0))
         elsewhere = np.concatenate([difference[30:90, 30:-30], difference[140:-30, 30:-30]])
         return float(difference[102:128, 142:178].mean() / elsewhere.mean())
 
@@ -119,7 +127,7 @@ def test_what_moves_on_its_own_is_unexplained_and_nothing_else_is() -> None:
     thing = texture(200, 200)[150:180, 150:180]
     previous[40:70, 60:90] = thing
     current[50:80, 60:90] = thing
-    difference = camera_difference(previous, current, translation(-4, 0), (1.0, 1.0))
+    difference = unexplained(previous, current, translation(-4, 0), (1.0, 1.0))
     touched = np.zeros(difference.shape, bool)
     touched[38:82, 56:98] = True  # the thing now, the thing then as the camera moved it, and the window
     assert (difference[52:78, 62:88] > 0).all()
@@ -130,18 +138,18 @@ def test_the_difference_is_the_mean_over_a_window() -> None:
     previous = np.zeros((21, 21), np.uint8)
     current = previous.copy()
     current[10, 10] = 100
-    difference = camera_difference(previous, current, np.eye(3), (1.0, 1.0))
+    difference = unexplained(previous, current, np.eye(3), (1.0, 1.0))
     window = np.zeros((21, 21))
     window[8:13, 8:13] = 1
     assert difference.max() > 0
     np.testing.assert_allclose(difference, window * difference.max(), atol=1e-5)
     current[10, 10] = 50
-    halved = camera_difference(previous, current, np.eye(3), (1.0, 1.0))
+    halved = unexplained(previous, current, np.eye(3), (1.0, 1.0))
     np.testing.assert_allclose(halved, 0.5 * difference, atol=1e-5)
 
 
 def test_where_the_frame_before_did_not_reach_nothing_is_unexplained() -> None:
     previous, current = np.full((60, 80), 200, np.uint8), np.full((60, 80), 20, np.uint8)
-    difference = camera_difference(previous, current, translation(-30, 0), (1.0, 1.0))
+    difference = unexplained(previous, current, translation(-30, 0), (1.0, 1.0))
     assert difference[:, :27].max() == 0.0  # the 30 px that came into view, without the window's reach
     assert difference[:, 34:].min() > 0.0

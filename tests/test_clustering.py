@@ -50,7 +50,7 @@ def trajectories(motions: Array, residuals: Array, ages: Array | None = None) ->
         motions=np.asarray(motions, np.float32),
         residuals=np.asarray(residuals, np.float32),
         ages=np.full(count, history, np.int32) if ages is None else ages.astype(np.int32),
-        unexplained=np.zeros(count, np.float32),
+        evidence=np.zeros(count, np.float32),
         next_id=count,
     )
 

@@ -22,11 +22,11 @@ def test_without_a_file_the_defaults_hold() -> None:
 
 
 def test_a_file_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:
-    path = written(tmp_path, "layers:\n  lookahead: 4\nflow: {preset: fast}\n")
+    path = written(tmp_path, "layers:\n  lookahead: 4\nflow: {finest_scale: 1}\n")
     config = load_config(path)
     assert config.layers.lookahead == 4
-    assert config.flow.preset == "fast"
-    assert config == Config.model_validate({"layers": {"lookahead": 4}, "flow": {"preset": "fast"}})
+    assert config.flow.finest_scale == 1
+    assert config == Config.model_validate({"layers": {"lookahead": 4}, "flow": {"finest_scale": 1}})
     assert config.layers.max_layers == Config().layers.max_layers
 
 
@@ -56,7 +56,7 @@ def test_an_override_comes_after_the_file_and_the_last_one_wins(tmp_path: Path) 
         ("layers.look=1", "layers.look: Extra inputs are not permitted"),
         ("layer.lookahead=1", "layer: Extra inputs are not permitted"),
         ("layers.init_frames=6", "layers.init_frames: Input should be less than or equal to 5"),
-        ("flow.preset=best", "flow.preset: Input should be 'ultrafast', 'fast' or 'medium'"),
+        ("flow.finest_scale=4", "flow.finest_scale: Input should be less than or equal to 3"),
         ("flow.scale=.nan", "flow.scale"),
         ("segmentation.label_cost=.inf", "segmentation.label_cost"),
     ],

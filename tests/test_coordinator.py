@@ -29,7 +29,8 @@ def _one_thread() -> Iterator[None]:
 
 def configured(**layers: int) -> Config:
     """Fewer trajectories than usual, for speed."""
-    return Config.model_validate({"trajectories": {"seed_spacing_px": 18.0}, "layers": layers})
+    spacings = {"seed_spacing_px": 18.0, "dense_spacing_px": 18.0}
+    return Config.model_validate({"trajectories": spacings, "layers": layers})
 
 
 def texture(seed: int, height: int = 160, width: int = 240) -> Array:
@@ -310,7 +311,7 @@ def test_a_layer_that_lost_its_trajectories_stays_while_the_map_of_two_frames_ag
         feedback = None
         if wanted is not None:
             layers = (summary,) if shown else ()
-            feedback = Segmentation(wanted, nothing, nothing, layers, (0.0, 0.0), 0)
+            feedback = Segmentation(wanted, nothing, nothing, nothing.astype(np.int8), layers, (0.0, 0.0), 0)
         for one in coordinator.step(t, picture, feedback):
             live[one.frame_index] = 1 in {own.layer for own in one.layers}
     last = max(t for t in live if live[t])

@@ -169,7 +169,7 @@ class TruthfulSubtractor:
         labels = self.scene.labels(index).astype(np.uint16)
         labels[labels > 0] += 10
         nothing = np.zeros(labels.shape, np.uint8)
-        return Segmentation(index, labels, nothing, (), (0.0, 0.0), 0, {"cut": 2.0})
+        return Segmentation(index, labels, nothing, nothing.astype(np.int8), (), (0.0, 0.0), 0, {"cut": 2.0})
 
 
 def test_the_engine_is_fed_every_frame_and_all_it_gives_is_scored() -> None:

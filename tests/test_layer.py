@@ -10,6 +10,7 @@ import pytest
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
+from mlbs_actors.fusion import with_appearance
 from mlbs_actors.layer import Layer
 from mlbs_actors.messages import (
     BACKGROUND,
@@ -25,9 +26,10 @@ from mlbs_actors.messages import (
 SHAPE = (120, 160)
 WHOLE = Region(0, 0, SHAPE[1], SHAPE[0])
 #: Every term is off; each test switches on what it is about.
-SILENT: dict[str, float] = {"appearance": 0.0, "motion": 0.0, "prior": 0.0, "distance": 0.0, "offset": 4.0}
+SILENT = {"appearance": 0.0, "motion": 0.0, "photometric": 0.0, "prior": 0.0, "distance": 0.0, "offset": 4.0}
 #: Lengths are stated for 640×480.
 SCALE = 0.25
+HALF = Config().appearance.half_confidence_samples
 CAR = Region(60, 40, 40, 30)
 
 
@@ -81,6 +83,7 @@ def published(frame_index: int, labels: Array, normaliser: int = 64) -> Segmenta
         frame_index=frame_index,
         labels=labels.astype(np.uint16),
         normaliser=np.full(SHAPE, normaliser, np.uint8),
+        fallback=np.zeros(SHAPE, np.int8),
         layers=(),
         camera_motion=(0.0, 0.0),
         latency_frames=0,
@@ -111,8 +114,11 @@ def step(
     return layer.step(own, frame_of(everyone, frame_index), image, previous)
 
 
-def nats(one: LayerPosterior) -> Array:
-    return np.asarray(one.cost * COST_STEP, np.float64)
+def nats(one: LayerPosterior, appearance: float = 0.0) -> Array:
+    """The cost, with the colours judged by the layer alone."""
+    alone = np.zeros(one.cost.shape, np.int8)
+    cost = with_appearance(one.cost, one.log_ratio, one.samples, alone, appearance, HALF)
+    return np.asarray(cost * COST_STEP, np.float64)
 
 
 # What is refused
@@ -216,12 +222,14 @@ def test_with_every_term_off_only_the_offset_is_left() -> None:
 
 def test_a_new_born_layer_does_not_judge_colours() -> None:
     result = step(Layer(configured(appearance=1.0), 1, "object"), 0, picture(), grid(CAR))
-    np.testing.assert_array_equal(nats(result), 4.0)
+    np.testing.assert_array_equal(nats(result, 1.0), 4.0)
     assert result.confidence == 0.0
 
 
 def test_what_looks_as_before_is_cheap_and_what_looks_otherwise_is_dear() -> None:
-    layer = Layer(configured(appearance=1.0), 0, "background")
+    exact = {"background_registration_px": 0.0}  # noise is steep everywhere
+    config = Config.model_validate({"posterior": {**SILENT, "appearance": 1.0}, "appearance": exact})
+    layer = Layer(config, 0, "background")
     image = picture()
     for t in range(6):
         step(layer, t, image, grid(WHOLE), published(t - 1, owned(WHOLE, 0)) if t else None)
@@ -229,10 +237,10 @@ def test_what_looks_as_before_is_cheap_and_what_looks_otherwise_is_dear() -> Non
     changed[CAR.slices] = 255 - image[CAR.slices]
     result = step(layer, 6, changed, grid(WHOLE), published(5, owned(WHOLE, 0)))
     strange = np.abs(changed.astype(int) - image).max(axis=2) > 60
-    assert nats(result)[strange].min() > 4.5
+    assert nats(result, 1.0)[strange].min() > 4.5
     same = np.ones(SHAPE, bool)
     same[CAR.slices] = False
-    assert nats(result)[same].max() < 4.0 - 1.0
+    assert nats(result, 1.0)[same].max() < 4.0 - 1.0
     assert 0.5 < result.confidence <= 1.0
 
 
@@ -260,7 +268,7 @@ def motion_cost(
     flow: tuple[float, float], reliable: bool = True, explained: bool = False, weight: float = 1.0
 ) -> Array:
     """Cost, less the offset, of a car that moves by (4, 0) where the dense flow says ``flow``."""
-    config = configured(motion=weight, motion_floor=0.05)
+    config = configured(motion=weight, object_motion_floor=0.05)
     own = tracks(1, grid(CAR), motion=(-4.0, 0.0))
     evidence = frame_of([tracks(BACKGROUND, grid(Region(0, 0, 160, 20))), own], 0, flow, reliable)
     if explained:
@@ -373,7 +381,8 @@ def life(layer: Layer, first: int, last: int) -> list[bytes]:
         previous = published(t - 1, owned(Region(60 + t, 40, 40, 30))) if t else None
         positions = grid(CAR) + np.array([t, 0], np.float32)
         image = np.roll(picture(), t, axis=1)
-        costs.append(step(layer, t, image, positions, previous, (-1.0, 0.0)).cost.tobytes())
+        one = step(layer, t, image, positions, previous, (-1.0, 0.0))
+        costs.append(one.cost.tobytes() + one.log_ratio.tobytes() + one.samples.tobytes())
     return costs
 
 

@@ -25,8 +25,14 @@ from mlbs_actors.segmenter import Segmenter
 
 SHAPE = (24, 32)
 WHOLE = Region(0, 0, SHAPE[1], SHAPE[0])
-#: Neither contrast nor label costs nor cleaning: every pixel decides for itself.
-PLAIN: dict[str, float] = {"contrast_strength": 0.0, "label_cost": 0.0, "speck_px": 0.0, "hole_px": 0.0}
+#: Neither contrast nor label costs nor cleaning nor shadows: every pixel decides for itself.
+PLAIN: dict[str, float] = {
+    "contrast_strength": 0.0,
+    "label_cost": 0.0,
+    "speck_px": 0.0,
+    "hole_px": 0.0,
+    "shadow": 0.0,
+}
 
 
 def configured(**segmentation: float) -> Config:
@@ -68,6 +74,8 @@ def posterior(
         kind=kind_of(layer),
         region=region,
         cost=full,
+        log_ratio=np.zeros(full.shape, np.int8),
+        samples=np.zeros(full.shape, np.uint8),
         outside_cost=outside,
         confidence=0.5,
         velocity=np.array([layer, -layer], np.float32),
@@ -271,6 +279,7 @@ def test_what_is_given_is_only_read_and_equal_input_gives_equal_bytes() -> None:
     second = Segmenter(config).step(evidence_of(posteriors), image.copy(), posteriors)
     assert first.labels.tobytes() == second.labels.tobytes()
     assert first.normaliser.tobytes() == second.normaliser.tobytes()
+    assert first.fallback.tobytes() == second.fallback.tobytes()
     assert first.layers == second.layers
 
 
@@ -286,3 +295,4 @@ def test_a_published_result_cannot_be_written_to_since_the_layers_read_it_back()
     published = Segmenter(configured()).step(evidence_of(posteriors, 0), frame(), posteriors)
     assert not published.labels.flags.writeable
     assert not published.normaliser.flags.writeable
+    assert not published.fallback.flags.writeable

@@ -14,6 +14,8 @@ from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
 from mlbs_actors.flow import DenseFlow, dense_flow
 from mlbs_actors.messages import Array
 from mlbs_actors.trajectories import (
+    EVIDENCE_BOUNDS,
+    EVIDENCE_KEPT,
     TrajectoryState,
     advance_trajectories,
     empty_trajectories,
@@ -222,16 +224,72 @@ def test_a_trajectory_without_a_motion_has_no_residual() -> None:
     assert not state.residuals.any()
 
 
-def test_the_worst_unexplained_difference_is_remembered_and_slowly_forgotten() -> None:
+def test_evidence_against_the_camera_adds_up_and_is_slowly_forgotten() -> None:
     state = seeded(shifted(texture(), (0, 0)))
     still = np.zeros((len(state), 2), np.float32)
-    remembered = []
-    for difference in (3.0, 20.0, 5.0, 0.0, 0.0):
-        state = with_residuals(state, still, np.full(len(state), difference, np.float32))
-        remembered.append(float(state.unexplained[0]))
-    assert remembered[0] == pytest.approx(3.0)
-    assert remembered[1] == pytest.approx(20.0)
-    assert 15.0 < remembered[4] < remembered[3] < remembered[2] < 20.0
+    expected = np.zeros(len(state))
+    for t, advantage in enumerate((3.0, 5.0, -1.5, 0.0, 0.0)):
+        own = np.float32(advantage) + np.linspace(-0.4, 0.4, len(state), dtype=np.float32)
+        state = with_residuals(state, still, own)
+        expected = float(EVIDENCE_KEPT) * expected + own
+        np.testing.assert_allclose(state.evidence, expected, atol=1e-4)
+        assert t == 0 or np.ptp(state.evidence) > 0.4
+    assert state.evidence.dtype == np.float32
+    assert 0.9 < EVIDENCE_KEPT < 1.0
+
+
+def test_one_frame_adds_no_more_than_its_bounds_to_the_evidence() -> None:
+    state = seeded(shifted(texture(), (0, 0)))
+    still = np.zeros((len(state), 2), np.float32)
+    least, most = EVIDENCE_BOUNDS
+    assert least < 0 < most
+    for advantage, added in ((1000.0, most), (-1000.0, least)):
+        judged = with_residuals(state, still, np.full(len(state), advantage, np.float32))
+        np.testing.assert_allclose(judged.evidence, added)
+        twice = with_residuals(judged, still, np.full(len(state), advantage, np.float32))
+        np.testing.assert_allclose(twice.evidence, (1 + EVIDENCE_KEPT) * added, rtol=1e-5)
+
+
+def test_evidence_goes_on_with_its_trajectory_and_a_seed_has_none() -> None:
+    gray = shifted(texture(), (0, 0))
+    state = seeded(gray)
+    own = np.linspace(0.0, 5.0, len(state), dtype=np.float32)
+    state = with_residuals(state, np.zeros((len(state), 2), np.float32), own)
+    flow = constant_flow((6.0, 0.0))
+    followed = advance_trajectories(state, flow, SHAPE)
+    np.testing.assert_array_equal(followed.evidence, state.evidence[np.isin(state.ids, followed.ids)])
+    assert len(followed) < len(state)
+    refilled = seed_trajectories(followed, gray, flow, SHAPE, CONFIG)
+    assert len(refilled) > len(followed)
+    assert not refilled.evidence[len(followed) :].any()
+
+
+def test_where_it_is_dense_more_is_seeded_and_nothing_is_outside() -> None:
+    config = TrajectoriesConfig(history_frames=4, seed_spacing_px=32.0, dense_spacing_px=16.0)
+    gray = shifted(texture(), (0, 0))
+    flow = constant_flow((0.0, 0.0))
+    dense = np.zeros(SHAPE, bool)
+    dense[30:90, 40:110] = True
+    state = seed_trajectories(empty_trajectories(config), gray, flow, SHAPE, config)
+    more = seed_trajectories(state, gray, flow, SHAPE, config, dense)
+    np.testing.assert_array_equal(more.ids[: len(state)], state.ids)
+    fresh = more.positions[len(state) :]
+    x, y = np.rint(fresh).astype(int).T
+    assert dense[y, x].all()
+
+    def count(positions: Array) -> int:
+        columns, rows = np.rint(positions).astype(int).T
+        return int(dense[rows, columns].sum())
+
+    # A full grid of half the spacing has four times as many.
+    coarse = count(state.positions)
+    assert count(more.positions) > 2 * coarse
+    alone = seed_trajectories(empty_trajectories(config), gray, flow, SHAPE, config, dense)
+    assert 3 * coarse < len(alone) < 5 * coarse
+    spacing = config.dense_spacing_px * length_scale(*SHAPE)
+    assert pdist(more.positions).min() >= 0.75 * spacing - 1.5  # distances are taken between whole pixels
+    nowhere = seed_trajectories(state, gray, flow, SHAPE, config, np.zeros(SHAPE, bool))
+    assert len(nowhere) == len(state)
 
 
 def test_nothing_to_follow_stays_nothing() -> None:
