@@ -29,8 +29,7 @@ def _one_thread() -> Iterator[None]:
 
 def configured(**layers: int) -> Config:
     """Fewer trajectories than usual, for speed."""
-    spacings = {"seed_spacing_px": 18.0, "dense_spacing_px": 18.0}
-    return Config.model_validate({"trajectories": spacings, "layers": layers})
+    return Config.model_validate({"trajectories": {"seed_spacing_px": 18.0}, "layers": layers})
 
 
 def texture(seed: int, height: int = 160, width: int = 240) -> Array:
@@ -57,14 +56,14 @@ CAR = Square(20, 30, 4)
 
 def movie(frames: int, *squares: Square) -> list[Array]:
     """A panning camera (1 px a frame) and squares."""
-    canvas = texture(0)
+    canvas = texture(30)
     pictures = []
     for t in range(frames):
         picture = canvas[20 : 20 + SHAPE[0], 20 + t : 20 + t + SHAPE[1]].copy()
         for number, square in enumerate(squares):
             if square.first <= t < square.end:
                 left, top = square.x + square.vx * t, square.y + square.vy * t
-                picture[top : top + SIDE, left : left + SIDE] = texture(1 + number)[:SIDE, :SIDE]
+                picture[top : top + SIDE, left : left + SIDE] = texture(31 + number)[:SIDE, :SIDE]
         pictures.append(picture)
     return pictures
 
@@ -265,7 +264,7 @@ def test_each_layer_is_told_the_frame_it_was_evaluated_in_before(lookahead: int)
     assert len(last) == 3
 
 
-def test_the_maps_of_a_frame_share_one_grid_and_the_first_frame_has_no_flow() -> None:
+def test_the_maps_of_a_frame_share_one_grid() -> None:
     emitted = run(movie(7, CAR), configured())
     grid = emitted[0].flow.shape[:2]
     for evidence in emitted:
@@ -274,12 +273,32 @@ def test_the_maps_of_a_frame_share_one_grid_and_the_first_frame_has_no_flow() ->
         assert evidence.flow_reliable.shape == evidence.unexplained.shape == grid
         assert evidence.flow.dtype == np.float16
         assert evidence.unexplained.dtype == np.uint8
-    assert not emitted[0].flow.any()
-    assert not emitted[0].flow_reliable.any()
-    assert not emitted[0].unexplained.any()
-    square = np.s_[35:50, 20 + 24 + 5 : 20 + 24 + 20]
-    full = cv2.resize(emitted[6].unexplained, SHAPE[::-1]).astype(float)
-    assert full[square].mean() > 3 * full[:20].mean()
+    for t in (0, 6):
+        square = np.s_[35:50, 20 + 4 * t + 5 : 20 + 4 * t + 20]
+        full = cv2.resize(emitted[t].unexplained, SHAPE[::-1]).astype(float)
+        assert full[square].mean() > 3 * full[:20].mean()
+
+
+def test_the_first_frame_moves_as_the_second_one_does() -> None:
+    first, second = run(movie(7, CAR), configured())[:2]
+    for one in (first, second):
+        square = np.s_[35:50, 20 + 4 * one.frame_index + 5 : 20 + 4 * one.frame_index + 20]
+        flow = one.flow.astype(np.float32)
+        np.testing.assert_allclose(np.median(flow[square], axis=(0, 1)), (-4, 0), atol=0.1)
+        np.testing.assert_allclose(np.median(flow[70:], axis=(0, 1)), (1, 0), atol=0.1)
+        assert one.flow_reliable[square].mean() > 0.9
+        background, car = (np.median(own.motions, axis=0) for own in one.layers)
+        np.testing.assert_allclose(background, (1, 0), atol=0.1)
+        np.testing.assert_allclose(car, (-4, 0), atol=0.1)
+    np.testing.assert_array_equal(first.camera, second.camera)
+
+
+def test_a_lone_frame_has_no_motion() -> None:
+    (only,) = run(movie(1, CAR), configured())
+    assert not only.flow.any()
+    assert not only.flow_reliable.any()
+    assert not only.unexplained.any()
+    assert not only.layers[0].motions.any()
 
 
 # Lives and deaths
