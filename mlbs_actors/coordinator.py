@@ -172,9 +172,8 @@ class Coordinator:
             known = (trajectories.ages > 0) & ((labels == BACKGROUND) if state.clustered else True)
             camera = camera_homography(trajectories.positions[known], trajectories.motions[known], scale)
             trajectories = seed_trajectories(trajectories, gray, flow, shape, config.trajectories)
-            against_camera = CameraEvidence(
-                np.zeros(gray.shape, np.float32), np.zeros(gray.shape, np.float32)
-            )
+            nothing = np.zeros(gray.shape, np.float32)
+            against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
             if flow is not None:
                 against_camera = camera_evidence(state.gray, gray, camera, flow.backward, flow.step)
                 # Small movers need more points than the grid gives them.

@@ -108,7 +108,7 @@ def dense_flow(
     """
     step = (shape[1] / current.shape[1], shape[0] / current.shape[0])
     solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-    # The presets stop at half the size they are given, where an object's flow bleeds 10–20 px past its outline.
+    # The presets stop at half the size they are given: flow bleeds 10–20 px past an object's outline then.
     solver.setFinestScale(config.finest_scale)
     solver.setGradientDescentIterations(config.search_iterations)
     solver.setVariationalRefinementIterations(config.refinement_iterations)

@@ -10,8 +10,8 @@ of a registration error; stacks without samples take no part.
 **Bandwidth.** σ is one for the three channels of a pixel: the stack's running median of the mean absolute
 successive difference, with a floor. (A median |a − b| of two Gaussian values is 0.95 σ; the mean over three
 independent channels has its median at 1.1 σ, over three equal ones at 0.95 σ: it is taken as σ.) Where the
-image is steep a model that is a little out of place errs by much: there the floor is √(σ_min² + (e·|∇I|)²), e the
-registration error. Without it outlines and textures contradict the model of a turning object.
+image is steep a model that is a little out of place errs by much: there the floor is √(σ_min² + (e·|∇I|)²),
+e the registration error. Without it outlines and textures contradict the model of a turning object.
 
 **Unknown is not unlikely.** A pixel without samples has no likelihood: NaN, with confidence 0.
 

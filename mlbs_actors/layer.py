@@ -12,7 +12,7 @@ The negative logarithm of a pixel's unnormalised posterior is a weighted sum of 
   field in units of the field's marginal variance plus the flow's own; 0 where the flow is unreliable or
   where the camera's motion explains the image too.
 * photometric, for an object: by how much its own motion explains the image better than the camera's
-  (:meth:`Layer._photometric_advantage`). It says nothing where the image is smooth.
+  (:mod:`mlbs_actors.photometric`). It says nothing where the image is smooth.
 * away, for an object: 0 near its own trajectories and in the gaps between them, rising to 1 further off.
 * prior, −log of the last posterior warped by the layer's own motion, of which the published map is half:
   neutral (0.5 by default) in a new-born layer and where the source is outside the layer's old region, at
@@ -21,9 +21,9 @@ The negative logarithm of a pixel's unnormalised posterior is a weighted sum of 
 Outside its region an object costs 15.9 nats. It learns only where its label is sure
 (:meth:`Layer._near_trajectories`).
 
-Differs from the paper: the motion, photometric and away terms are not in it; the prior has a floor, so that it can be
-overruled, and a layer is weighed by its own confidence, pixel by pixel (the authors' program makes *all*
-layers uniform where one has few samples, and never uses its prior). A layer that wakes after a sleep keeps
+Differs from the paper: the motion, photometric and away terms are not in it; the prior has a floor, so that
+it can be overruled, and a layer is weighed by its own confidence, pixel by pixel (the authors' program makes
+*all* layers uniform where one has few samples, and never uses its prior). A layer that wakes after a sleep keeps
 its id, not its samples: only its place is known, not the path of its pixels.
 """
 
@@ -36,7 +36,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, update
-from mlbs_actors.camera import LEAST_NOISE, MOST_NOISE, homography_motion
+from mlbs_actors.camera import homography_motion
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import LayerError
 from mlbs_actors.fusion import quantised_ratio, with_appearance
@@ -53,14 +53,12 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
+from mlbs_actors.photometric import FramePart, photometric_advantage
+from mlbs_actors.trajectory_distance import closed_distance, trajectory_distance
 from mlbs_actors.warp import warp_map
 
 __all__ = ["Layer", "LayerState"]
 
-#: Side of the window over which a motion is judged by the image, px.
-PHOTOMETRIC_WINDOW = 5
-#: Error at which a motion is not believed any more, and from one less on altogether, × noise.
-OWN_BELIEVED, CAMERA_BELIEVED = 4.0, 2.5
 #: log of the uniform density over 8-bit colours, nats per unit RGB volume.
 LOG_UNIFORM = -3.0 * float(np.log(256.0))
 
@@ -193,8 +191,8 @@ class Layer:
         moved = perf_counter()
         image = np.ascontiguousarray(frame[region.slices])
         model, log_density = warp_and_evaluate(state.model, region, motion, image, self._appearance)
-        advantage = np.nan_to_num(log_density, nan=LOG_UNIFORM) - LOG_UNIFORM
-        log_ratio = quantised_ratio(advantage, self.config.posterior.appearance_cap)
+        log_ratio = np.nan_to_num(log_density, nan=LOG_UNIFORM) - LOG_UNIFORM
+        log_ratio = quantised_ratio(log_ratio, self.config.posterior.appearance_cap)
         samples = model.count.copy()  # the model goes on learning
         weights = self.config.posterior
         trusted, away = self._near_trajectories(evidence, frame_evidence, region)
@@ -202,9 +200,14 @@ class Layer:
             weights.motion * self._motion_cost(frame_evidence, region, field, motion)
             + weights.distance * away
             + weights.prior * self._prior_cost(posterior, region, motion)
-            - weights.photometric
-            * self._photometric_advantage(frame_evidence, posterior, region, motion, image)
         )
+        if self.kind != "background":
+            camera = _camera_motion(frame_evidence.camera, region)
+            own = warp_map(posterior, state.region, region, motion, 0.0) >= 0.5
+            before, now = FramePart(state.region, state.image), FramePart(region, image)
+            cost -= weights.photometric * photometric_advantage(
+                before, now, motion, camera, own, weights.photometric_cap
+            )
         quantised = np.clip(np.rint((cost + weights.offset) / COST_STEP), 0, 255).astype(np.uint8)
         evaluated = perf_counter()
 
@@ -320,8 +323,10 @@ class Layer:
         """
         weights, scale = self.config.posterior, length_scale(*frame_evidence.shape)
         noise = self.config.layers.unexplained_noise
-        own = _track_distance([evidence], region)
-        others = _track_distance([one for one in frame_evidence.layers if one.layer != self.layer], region)
+        own = trajectory_distance([evidence], region)
+        others = trajectory_distance(
+            [one for one in frame_evidence.layers if one.layer != self.layer], region
+        )
         unexplained = UNEXPLAINED_STEP * _to_region(frame_evidence.unexplained, region, frame_evidence.shape)
         if self.kind == "background":
             trusted = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
@@ -329,7 +334,7 @@ class Layer:
                 trusted |= (others > weights.learn_px * scale) & (unexplained < 0.5 * noise)
             return trusted, np.zeros(own.shape, np.float32)
         trusted = (own <= weights.learn_px * scale) & (own < others) & (unexplained >= noise)
-        body = _closed(own, weights.close_px * scale)
+        body = closed_distance(own, weights.close_px * scale)
         away = np.clip((body - weights.near_px * scale) / (weights.fade_px * scale), 0.0, 1.0)
         return trusted, away
 
@@ -342,44 +347,6 @@ class Layer:
         # Background that was hidden has been there all the same: for it the floor is the neutral value.
         floor = weights.neutral_prior if self.kind == "background" else weights.prior_floor
         return np.asarray(-np.log(np.maximum(prior, floor)))
-
-    def _photometric_advantage(
-        self, frame_evidence: FrameEvidence, posterior: Array, region: Region, motion: Array, image: Array
-    ) -> Array:
-        """By how much the layer's motion explains the image better than the camera's, (h, w) float32, × noise.
-
-        Either motion is believed only where it explains the image well in itself: a limb obeys neither. The
-        layer's own also only where it comes from the layer's own pixels: ground that an object has just left
-        is explained by nothing, but over smooth ground any motion seems to explain it.
-        """
-        state = self.state
-        if self.kind == "background" or state.image.size == 0 or region.area == 0:
-            return np.zeros(motion.shape[:2], np.float32)
-        weights = self.config.posterior
-        before, now = (cv2.cvtColor(one, cv2.COLOR_BGR2GRAY) for one in (state.image, image))
-        x = np.arange(region.x, region.x + region.width, dtype=np.float32)
-        y = np.arange(region.y, region.y + region.height, dtype=np.float32)
-        pixels = np.stack(np.meshgrid(x, y), axis=2)
-        camera = homography_motion(frame_evidence.camera, pixels.reshape(-1, 2)).reshape(motion.shape)
-        known = np.ones(motion.shape[:2], bool)
-        errors = []
-        for candidate in (motion, camera):
-            source = pixels + candidate - np.array([state.region.x, state.region.y], np.float32)
-            known &= (source >= 0).all(axis=2)
-            known &= (source <= np.array([before.shape[1] - 1, before.shape[0] - 1])).all(axis=2)
-            moved = cv2.remap(before, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
-            window = (PHOTOMETRIC_WINDOW, PHOTOMETRIC_WINDOW)
-            errors.append(cv2.blur(cv2.absdiff(now, moved).astype(np.float32), window))
-        noise = np.float32(np.clip(np.median(errors[1]), LEAST_NOISE, MOST_NOISE))
-        own, camera_error = errors[0] / noise, errors[1] / noise
-        advantage = np.clip(camera_error - own, -weights.photometric_cap, weights.photometric_cap)
-        was = warp_map(posterior, state.region, region, motion, 0.0)
-        believed = np.where(
-            advantage > 0,
-            (was >= 0.5) * np.clip(OWN_BELIEVED - own, 0.0, 1.0),
-            np.clip(CAMERA_BELIEVED - camera_error, 0.0, 1.0),
-        )
-        return np.asarray(advantage * believed * known, np.float32)
 
     def _motion_cost(
         self, frame_evidence: FrameEvidence, region: Region, field: MotionField, motion: Array
@@ -404,31 +371,11 @@ class Layer:
         return np.asarray(cost * flow[..., 2] * heard, np.float32)
 
 
-def _track_distance(layers: list[LayerEvidence], region: Region) -> Array:
-    """Distance of a region's pixels to the nearest trajectory of some layers in it, (h, w) float32, px."""
-    free = np.full((region.height, region.width), 255, np.uint8)
-    for evidence in layers:
-        x = np.rint(evidence.positions[:, 0]).astype(np.intp) - region.x
-        y = np.rint(evidence.positions[:, 1]).astype(np.intp) - region.y
-        inside = (x >= 0) & (x < region.width) & (y >= 0) & (y < region.height)
-        free[y[inside], x[inside]] = 0
-    if free.size == 0 or free.all():
-        return np.full(free.shape, np.inf, np.float32)
-    return np.asarray(cv2.distanceTransform(free, cv2.DIST_L2, 5), np.float32)
-
-
-def _closed(distance: Array, radius: float) -> Array:
-    """Distance to the morphological closing of a set, from the distance to the set itself, px.
-
-    Gaps of up to twice the radius that are enclosed by the set belong to it.
-    """
-    if distance.size == 0 or not np.isfinite(distance).all():
-        return distance
-    # Past the region's border the set is taken to go on: an object that leaves the frame stays whole.
-    outside = cv2.distanceTransform((distance <= radius).astype(np.uint8), cv2.DIST_L2, 5)
-    closed = outside > radius
-    to_closed = cv2.distanceTransform((~closed).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.asarray(np.minimum(distance, to_closed), np.float32)
+def _camera_motion(matrix: Array, region: Region) -> Array:
+    """The camera's backward motion at a region's pixels, (h, w, 2) float32, px."""
+    rows, columns = np.mgrid[region.slices]
+    pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
+    return homography_motion(matrix, pixels).reshape(region.height, region.width, 2)
 
 
 def _to_region(coarse: Array, region: Region, shape: tuple[int, int]) -> Array:

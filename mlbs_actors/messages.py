@@ -141,8 +141,8 @@ class LayerPosterior:
     cost : (region.height, region.width) uint8
         −log(likelihood × prior) without the colours, in units of ``COST_STEP`` nats.
     log_ratio : (region.height, region.width) int8
-        log of the colours' density over the uniform one, in units of ``fusion.RATIO_STEP`` nats; 0 where nothing
-        is known.
+        log of the colours' density over the uniform one, in units of ``fusion.RATIO_STEP`` nats; 0 where
+        nothing is known.
     samples : (region.height, region.width) uint8
         Colour samples behind it.
     outside_cost : int

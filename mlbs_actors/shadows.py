@@ -7,12 +7,11 @@ needs no memory: near a moving object the ground has often never been seen witho
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 
-from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence
+from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
+from mlbs_actors.trajectory_distance import trajectory_distance
 
 __all__ = ["shadow_likelihood"]
 
@@ -56,7 +55,7 @@ def shadow_likelihood(frame: Array, evidence: FrameEvidence, previous: Array, sc
     objects = [one for one in evidence.layers if one.layer != BACKGROUND and len(one.positions)]
     if not objects:
         return None
-    occupied = _near_trajectories(objects, (height, width), NEAR_PX * scale)
+    occupied = trajectory_distance(objects, Region(0, 0, width, height)) < NEAR_PX * scale
     if previous.size:
         grown = cv2.dilate((previous > BACKGROUND).astype(np.uint8), np.ones((GROWN_PX, GROWN_PX), np.uint8))
         occupied |= grown.astype(bool)
@@ -71,15 +70,6 @@ def shadow_likelihood(frame: Array, evidence: FrameEvidence, previous: Array, sc
     likelihood *= np.clip(2.0 - 2.0 * spread / tolerance, 0.0, 1.0)
     likelihood *= np.clip(2.0 - variance / GROUND_VARIANCE, 0.0, 1.0)
     return np.asarray(likelihood, np.float32)
-
-
-def _near_trajectories(objects: Sequence[LayerEvidence], shape: tuple[int, int], distance: float) -> Array:
-    free = np.full(shape, 255, np.uint8)
-    for one in objects:
-        x = np.clip(np.rint(one.positions[:, 0]).astype(np.intp), 0, shape[1] - 1)
-        y = np.clip(np.rint(one.positions[:, 1]).astype(np.intp), 0, shape[0] - 1)
-        free[y, x] = 0
-    return np.asarray(cv2.distanceTransform(free, cv2.DIST_L2, 5) < distance)
 
 
 def _ground(frame: Array, occupied: Array) -> tuple[Array, Array]:

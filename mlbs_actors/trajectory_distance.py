@@ -1,0 +1,60 @@
+"""How far pixels lie from the trajectories of some layers: an object is where its trajectories are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from mlbs_actors.messages import Array, LayerEvidence, Region
+
+__all__ = ["closed_distance", "trajectory_distance"]
+
+
+def trajectory_distance(layers: Sequence[LayerEvidence], region: Region) -> Array:
+    """Distance of a region's pixels to the nearest trajectory of some layers in it.
+
+    Parameters
+    ----------
+    layers : sequence of LayerEvidence
+    region : Region
+
+    Returns
+    -------
+    (h, w) float32
+        px; infinite everywhere if no trajectory lies in the region.
+    """
+    free = np.full((region.height, region.width), 255, np.uint8)
+    for evidence in layers:
+        x = np.rint(evidence.positions[:, 0]).astype(np.intp) - region.x
+        y = np.rint(evidence.positions[:, 1]).astype(np.intp) - region.y
+        inside = (x >= 0) & (x < region.width) & (y >= 0) & (y < region.height)
+        free[y[inside], x[inside]] = 0
+    if free.size == 0 or free.all():
+        return np.full(free.shape, np.inf, np.float32)
+    return np.asarray(cv2.distanceTransform(free, cv2.DIST_L2, 5), np.float32)
+
+
+def closed_distance(distance: Array, radius: float) -> Array:
+    """Distance to the morphological closing of a set, from the distance to the set itself.
+
+    Parameters
+    ----------
+    distance : (h, w) float32
+        px.
+    radius : float
+        Gaps of up to twice this that are enclosed by the set belong to it, px.
+
+    Returns
+    -------
+    (h, w) float32
+        px.
+    """
+    if distance.size == 0 or not np.isfinite(distance).all():
+        return distance
+    # Past the region's border the set is taken to go on: an object that leaves the frame stays whole.
+    outside = cv2.distanceTransform((distance <= radius).astype(np.uint8), cv2.DIST_L2, 5)
+    closed = outside > radius
+    to_closed = cv2.distanceTransform((~closed).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.asarray(np.minimum(distance, to_closed), np.float32)
