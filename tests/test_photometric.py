@@ -1,0 +1,135 @@
+"""Which motion explains the image: an object's texture, its surroundings, and what says nothing."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from mlbs_actors.messages import Array, Region
+from mlbs_actors.photometric import FramePart, photometric_advantage
+
+SHAPE = (90, 120)
+WHOLE = Region(0, 0, SHAPE[1], SHAPE[0])
+#: The car at frame t−1, and its motion forwards.
+CAR, MOVE = Region(40, 30, 36, 30), (6, 2)
+#: Well inside the car at frame t, and ground well away from it before and now.
+ON_CAR, GROUND = np.s_[38:56, 52:76], np.s_[5:24, 8:112]
+LARGEST = 3.0
+
+
+def texture(seed: int, height: int = 200, width: int = 200) -> Array:
+    noise = np.random.default_rng(seed).normal(size=(height, width, 3)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 1.5)
+    return np.asarray(255 * (smooth - smooth.min()) / np.ptp(smooth), np.uint8)
+
+
+def frames(ground: Array, car: Array) -> tuple[Array, Array]:
+    pictures = []
+    for t in range(2):
+        picture = ground[: SHAPE[0], : SHAPE[1]].copy()
+        top, left = CAR.y + MOVE[1] * t, CAR.x + MOVE[0] * t
+        picture[top : top + CAR.height, left : left + CAR.width] = car[: CAR.height, : CAR.width]
+        pictures.append(picture)
+    return pictures[0], pictures[1]
+
+
+def backward(motion: tuple[float, float], region: Region = WHOLE) -> Array:
+    return np.full((region.height, region.width, 2), (-motion[0], -motion[1]), np.float32)
+
+
+def advantage(before: Array, now: Array, own: Array | None = None, largest: float = LARGEST) -> Array:
+    """Of the car's motion over a camera that stands."""
+    everywhere = np.ones(SHAPE, bool)
+    found = photometric_advantage(
+        FramePart(WHOLE, before),
+        FramePart(WHOLE, now),
+        backward(MOVE),
+        backward((0, 0)),
+        everywhere if own is None else own,
+        largest,
+    )
+    assert found.shape == SHAPE
+    assert found.dtype == np.float32
+    return found
+
+
+def test_an_objects_own_texture_speaks_for_it() -> None:
+    found = advantage(*frames(texture(0), texture(1)))
+    assert (found[ON_CAR] > 0).all()
+    assert found[ON_CAR].mean() > 0.8 * LARGEST
+
+
+def test_static_textured_ground_in_the_objects_region_speaks_against_it() -> None:
+    found = advantage(*frames(texture(0), texture(1)))
+    assert (found[GROUND] < 0).mean() > 0.95
+    assert found[GROUND].mean() < -0.8 * LARGEST
+
+
+def test_smooth_ground_says_nothing() -> None:
+    found = advantage(*frames(np.full((200, 200, 3), 110, np.uint8), texture(1)))
+    np.testing.assert_array_equal(found[GROUND], 0.0)
+
+
+def test_a_smooth_object_says_nothing_of_its_inside() -> None:
+    found = advantage(*frames(texture(0), np.full((200, 200, 3), 110, np.uint8)))
+    np.testing.assert_array_equal(found[ON_CAR], 0.0)
+
+
+def test_where_its_motion_does_not_lead_back_to_itself_nothing_speaks_for_an_object() -> None:
+    before, now = frames(texture(0), texture(1))
+    found = advantage(before, now, np.zeros(SHAPE, bool))
+    assert found.max() == 0.0
+    np.testing.assert_array_equal(found[GROUND], advantage(before, now)[GROUND])
+
+
+def test_what_neither_motion_explains_says_nothing() -> None:
+    before, now = frames(texture(0), texture(1))
+    now[ON_CAR] = 255 - texture(2)[ON_CAR]
+    inner = np.s_[42:52, 56:72]
+    assert np.abs(advantage(before, now)[inner]).mean() < 0.1 * LARGEST
+
+
+@pytest.mark.parametrize("largest", [1.0, 3.0])
+def test_it_counts_no_more_than_its_bound(largest: float) -> None:
+    found = advantage(*frames(texture(0), texture(1)), largest=largest)
+    assert found.max() == pytest.approx(largest)
+    assert found.min() == pytest.approx(-largest)
+
+
+def test_out_of_the_frame_before_nothing_is_said() -> None:
+    found = advantage(*frames(texture(0), texture(1)))
+    np.testing.assert_array_equal(found[:, : MOVE[0]], 0.0)
+    np.testing.assert_array_equal(found[: MOVE[1]], 0.0)
+
+
+def test_regions_of_the_frames_give_what_the_whole_frames_give() -> None:
+    before, now = frames(texture(0), texture(1))
+    then, region = Region(20, 10, 80, 70), Region(34, 22, 60, 50)
+    found = photometric_advantage(
+        FramePart(then, before[then.slices]),
+        FramePart(region, np.ascontiguousarray(now[region.slices])),
+        backward(MOVE, region),
+        backward((0, 0), region),
+        np.ones((region.height, region.width), bool),
+        LARGEST,
+    )
+    whole = advantage(before, now)[region.slices]
+    inner = np.s_[3:-3, 3:-3]  # the window is cut off at the region's border
+    np.testing.assert_array_equal(np.sign(found[inner]), np.sign(whole[inner]))
+
+
+def test_a_new_born_layer_and_an_empty_region_say_nothing() -> None:
+    nowhere, image = Region(0, 0, 0, 0), texture(0)[: SHAPE[0], : SHAPE[1]]
+    nothing = FramePart(nowhere, np.zeros((0, 0, 3), np.uint8))
+    everywhere = np.ones(SHAPE, bool)
+    born = photometric_advantage(
+        nothing, FramePart(WHOLE, image), backward(MOVE), backward((0, 0)), everywhere, LARGEST
+    )
+    assert born.shape == SHAPE
+    assert not born.any()
+    none = np.zeros((0, 0, 2), np.float32)
+    gone = photometric_advantage(
+        FramePart(WHOLE, image), nothing, none, none, np.zeros((0, 0), bool), LARGEST
+    )
+    assert gone.shape == (0, 0)
