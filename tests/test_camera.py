@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mlbs_actors.camera import CameraEvidence, camera_evidence, camera_homography, homography_motion
+from mlbs_actors.camera import camera_evidence, camera_homography, homography_motion
 from mlbs_actors.messages import Array
 
 #: A roll of 2°, a zoom of 3 %, a shift and a little perspective.
@@ -153,3 +153,64 @@ def test_where_the_frame_before_did_not_reach_nothing_is_unexplained() -> None:
     difference = unexplained(previous, current, translation(-30, 0), (1.0, 1.0))
     assert difference[:, :27].max() == 0.0  # the 30 px that came into view, without the window's reach
     assert difference[:, 34:].min() > 0.0
+
+
+# What the flow explains better
+
+
+def moving_thing(ground: Array, thing: Array) -> tuple[Array, Array, Array]:
+    """A thing of 40×40 px on a ground that stands moves by (6, 0): two frames and its flow, bled far past it."""
+    previous, current = ground.copy(), ground.copy()
+    previous[40:80, 50:90], current[40:80, 56:96] = thing[:40, :40], thing[:40, :40]
+    flow = np.zeros((*ground.shape, 2), np.float32)
+    flow[20:100, 30:130] = (-6.0, 0.0)
+    return previous, current, flow
+
+
+def test_the_flow_of_a_textured_thing_explains_it_better_than_the_camera() -> None:
+    previous, current, flow = moving_thing(texture(120, 160), texture(200, 300)[150:, 150:])
+    found = camera_evidence(previous, current, np.eye(3), flow, (1.0, 1.0))
+    assert found.advantage.dtype == np.float32
+    inner = np.s_[43:77, 59:93]
+    assert (found.advantage[inner] > 0).all()
+    np.testing.assert_allclose(found.advantage[inner], found.unexplained[inner], atol=1e-5)
+    assert np.abs(found.advantage[:17]).max() == 0.0
+
+
+def test_flow_that_bled_over_smooth_ground_explains_it_no_better() -> None:
+    smooth = np.full((120, 160), 90, np.uint8)
+    previous, current, flow = moving_thing(smooth, texture(200, 300)[150:, 150:])
+    advantage = camera_evidence(previous, current, np.eye(3), flow, (1.0, 1.0)).advantage
+    around = np.zeros(smooth.shape, bool)
+    around[20:100, 30:130] = True
+    around[37:83, 42:106] = False  # the thing then and now, and the window
+    assert np.abs(advantage[around]).max() == 0.0
+    assert advantage[43:77, 59:93].min() > 0.0
+    drawn = np.random.default_rng(0).normal(0, 5, flow.shape).astype(np.float32)
+    flat = camera_evidence(smooth, smooth, np.eye(3), drawn, (1.0, 1.0)).advantage
+    assert np.abs(flat).max() == 0.0
+
+
+def test_flow_that_bled_over_textured_ground_speaks_for_the_camera() -> None:
+    previous, current, flow = moving_thing(texture(120, 160), texture(200, 300)[150:, 150:])
+    advantage = camera_evidence(previous, current, np.eye(3), flow, (1.0, 1.0)).advantage
+    assert advantage[22:36, 32:128].mean() < -1.0
+
+
+@pytest.mark.parametrize("step", [(1.0, 1.0), (2.0, 2.0), (4.0, 2.0)])
+def test_the_flow_is_stated_in_full_size_px(step: tuple[float, float]) -> None:
+    canvas = texture(140, 180)
+    previous, current = canvas[10:130, 10:170], canvas[13:133, 6:166]  # contents move by (+4, −3)
+    flow = np.full((*current.shape, 2), (-4 * step[0], 3 * step[1]), np.float32)
+    found = camera_evidence(previous, current, np.eye(3), flow, step)
+    inner = np.s_[6:-6, 6:-6]
+    np.testing.assert_allclose(found.advantage[inner], found.unexplained[inner], atol=1e-5)
+    assert found.advantage[inner].mean() > 1.0
+
+
+def test_where_the_frame_before_did_not_reach_nothing_is_better_explained() -> None:
+    previous, current = np.full((60, 80), 200, np.uint8), np.full((60, 80), 20, np.uint8)
+    advantage = camera_evidence(
+        previous, current, translation(-30, 0), unmoving(current.shape), (1.0, 1.0)
+    ).advantage
+    assert np.abs(advantage[:, :27]).max() == 0.0

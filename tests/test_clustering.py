@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 from mlbs_actors.affinity import TrajectoryGraph
 from mlbs_actors.clustering import (
+    LEAST_BORDER,
     UNLABELLED,
     border_motion,
     label_speeds,
@@ -227,6 +228,34 @@ def test_two_objects_that_only_touch_stay_apart() -> None:
     graph, labels = border(2, 5, [0.1] * 4)
     merged = merge_by_motion(graph, labels, {2: 3, 5: 1}, {2: FAST, 5: FAST}, 1.0, MERGES)
     np.testing.assert_array_equal(merged, labels)
+
+
+def test_objects_of_any_age_whose_motions_are_the_same_are_one() -> None:
+    same = MERGES.same_motion_distance
+    graph, labels = border(2, 5, [0.9 * same] * 6)
+    merged = merge_by_motion(graph, labels, {2: OLD, 5: 2 * OLD}, {2: FAST, 5: FAST}, 1.0, MERGES)
+    assert set(merged.tolist()) == {5}
+
+
+def test_old_objects_whose_motions_differ_stay_apart() -> None:
+    # Of young ones much more is forgiven.
+    assert MERGES.object_merge_distance > MERGES.same_motion_distance
+    graph, labels = border(2, 5, [1.1 * MERGES.same_motion_distance] * 18)
+    ages, speeds = {2: OLD, 5: OLD}, {2: FAST, 5: FAST}
+    np.testing.assert_array_equal(merge_by_motion(graph, labels, ages, speeds, 1.0, MERGES), labels)
+    young = merge_by_motion(graph, labels, {2: OLD, 5: 1}, speeds, 1.0, MERGES)
+    assert set(young.tolist()) == {2}
+
+
+def test_old_objects_that_touch_with_little_stay_apart_however_alike_they_move() -> None:
+    ages, speeds = {2: OLD, 5: OLD}, {2: FAST, 5: FAST}
+    few, labels = border(2, 5, [0.0] * (LEAST_BORDER - 1))
+    np.testing.assert_array_equal(merge_by_motion(few, labels, ages, speeds, 1.0, MERGES), labels)
+    config = MERGES.model_copy(update={"same_motion_reach": 0.5})
+    little, labels = border(2, 5, [0.0] * 9)  # 9 edges for 20 trajectories
+    np.testing.assert_array_equal(merge_by_motion(little, labels, ages, speeds, 1.0, config), labels)
+    enough, labels = border(2, 5, [0.0] * 10)
+    assert set(merge_by_motion(enough, labels, ages, speeds, 1.0, config).tolist()) == {2}
 
 
 def test_merges_go_on_until_nothing_is_left_to_merge() -> None:

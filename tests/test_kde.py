@@ -137,6 +137,58 @@ def test_a_static_texture_keeps_its_likelihood_under_fifty_frames_of_slow_pan() 
     assert np.mean(typical[40:]) > np.mean(typical[:10]) - 0.1
 
 
+def plain_slope(image: Array, y: int, x: int) -> float:
+    """Squared steepest slope of any channel, per direction, of the mirrored image, grey levels²/px²."""
+    padded = np.pad(image.astype(np.float64), ((1, 1), (1, 1), (0, 0)), mode="reflect")
+    window = padded[y : y + 3, x : x + 3]
+    weights = np.array([1.0, 2.0, 1.0]) / 8
+    across = np.tensordot(weights, window[:, 2] - window[:, 0], 1)
+    down = np.tensordot(weights, window[2] - window[0], 1)
+    return float(np.abs(across).max() ** 2 + np.abs(down).max() ** 2)
+
+
+@pytest.mark.parametrize("registration", [0.6, 1.0])
+def test_where_the_image_is_steep_a_registration_error_widens_the_bandwidth(registration: float) -> None:
+    parameters = replace(PARAMETERS, registration_px=registration)
+    model, image = model_with_gaps(6), smooth_image(7)
+    image[:, 6:] //= 2  # an edge
+    still = np.zeros((9, 12, 2), np.float32)
+    moved, result = warp_and_evaluate(model, REGION, still, image, parameters)
+    expected = warp_model(model, REGION, still)
+    np.testing.assert_array_equal(moved.spread, expected.spread)  # the model itself keeps its own
+    floors = np.zeros((9, 12))
+    for y in range(9):
+        for x in range(12):
+            floor = np.sqrt(parameters.bandwidth_floor**2 + registration**2 * plain_slope(image, y, x))
+            floors[y, x] = round(floor / SPREAD_STEP)
+    assert floors.max() > 1.5 * floors.min()
+    spread = np.maximum(expected.spread, np.clip(floors, 0, 255).astype(np.uint8))
+    np.testing.assert_array_equal(result, log_likelihood(replace(expected, spread=spread), image, PARAMETERS))
+
+
+def test_on_smooth_ground_a_registration_error_changes_nothing() -> None:
+    model, image = model_with_gaps(6), np.full((9, 12, 3), 120, np.uint8)
+    still = np.zeros((9, 12, 2), np.float32)
+    _, exact = warp_and_evaluate(model, REGION, still, image, PARAMETERS)
+    _, inexact = warp_and_evaluate(model, REGION, still, image, replace(PARAMETERS, registration_px=1.0))
+    np.testing.assert_array_equal(exact, inexact)
+
+
+def test_an_outline_that_is_a_pixel_out_of_place_contradicts_less_where_that_is_expected() -> None:
+    y, x = np.mgrid[:24, :80].astype(np.float64)
+    region, everywhere = Region(0, 0, 80, 24), np.ones((24, 80), bool)
+    model = empty_model(region)
+    for _ in range(5):
+        update(model, texture(x, y), everywhere)
+    still = np.zeros((24, 80, 2), np.float32)
+    medians = []
+    for registration in (0.0, 0.5, 1.0):
+        parameters = replace(PARAMETERS, registration_px=registration)
+        _, result = warp_and_evaluate(model, region, still, texture(x + 1.0, y), parameters)
+        medians.append(float(np.median(result)))
+    assert medians == sorted(set(medians))
+
+
 def test_confidence_grows_with_the_samples_and_is_nothing_without() -> None:
     trust = confidence(np.arange(21, dtype=np.uint8), PARAMETERS)
     assert trust[0] == 0

@@ -10,6 +10,7 @@ import pytest
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import FrameError
+from mlbs_actors.fusion import fused_costs
 from mlbs_actors.messages import (
     BACKGROUND,
     COST_STEP,
@@ -21,7 +22,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
-from mlbs_actors.segmenter import Segmenter
+from mlbs_actors.segmenter import Segmenter, SegmenterState
 
 SHAPE = (24, 32)
 WHOLE = Region(0, 0, SHAPE[1], SHAPE[0])
@@ -130,6 +131,45 @@ def test_every_pixel_gets_the_id_of_the_layer_that_costs_least() -> None:
             assert costs[int(result.labels[y, x])] == min(costs.values())
     assert set(np.unique(result.labels).tolist()) == {0, 4, 9}
     assert result.labels.dtype == np.uint16
+
+
+def test_colours_that_only_one_layer_knows_decide_only_where_they_are_contradicted() -> None:
+    config = configured()
+    known = np.full(SHAPE, 20, np.uint8)
+    ratio = np.full(SHAPE, 40, np.int8)
+    ratio[:, 16:] = -100
+    other = replace(posterior(3, 40), log_ratio=ratio, samples=known)
+    posteriors = [posterior(0, 41), other]  # a little dearer
+    result = segmented(posteriors, config)
+    expected, fallback = fused_costs(
+        posteriors, SHAPE, config.posterior.appearance, config.appearance.half_confidence_samples
+    )
+    np.testing.assert_array_equal(result.fallback, fallback)
+    assert (result.labels[:, :16] == 3).all()
+    assert not result.labels[:, 16:].any()
+    np.testing.assert_array_equal(result.labels, np.array([0, 3])[expected.argmin(axis=0)])
+
+
+def test_in_a_shadow_an_object_is_dearer_than_the_background_and_elsewhere_it_is_not() -> None:
+    shape = (240, 320)
+    image = np.full((*shape, 3), (120, 125, 130), np.uint8)
+    image[80:120, 120:180] = (30, 30, 190)
+    image[122:150, 115:185] //= 2
+    region = Region(100, 60, 100, 110)
+    x, y = np.meshgrid(np.arange(124, 178, 6), np.arange(84, 118, 6))
+    at = np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
+    background = posterior(0, 80, Region(0, 0, 320, 240))
+    posteriors = [background, posterior(1, 60, region)]
+    before = np.zeros(shape, np.uint16)
+    before[region.slices] = 1
+    maps = {}
+    for strength in (0.0, 0.5):
+        segmenter = Segmenter(configured(shadow=strength, track_cost=0.0), SegmenterState(0, before))
+        given = replace(evidence_of(posteriors, tracks={1: at}), shape=shape)
+        maps[strength] = segmenter.step(given, image, posteriors).labels
+    assert (maps[0.0][region.slices] == 1).all()
+    assert not maps[0.5][127:145, 122:178].any()
+    assert (maps[0.5][82:118, 122:178] == 1).all()
 
 
 def test_where_the_layers_cost_the_same_the_trajectories_decide() -> None:
