@@ -159,7 +159,7 @@ def test_where_the_frame_before_did_not_reach_nothing_is_unexplained() -> None:
 
 
 def moving_thing(ground: Array, thing: Array) -> tuple[Array, Array, Array]:
-    """A thing of 40×40 px on a ground that stands moves by (6, 0): two frames and its flow, bled far past it."""
+    """A thing moves by (6, 0) on a ground that stands: two frames, and its flow, bled far past it."""
     previous, current = ground.copy(), ground.copy()
     previous[40:80, 50:90], current[40:80, 56:96] = thing[:40, :40], thing[:40, :40]
     flow = np.zeros((*ground.shape, 2), np.float32)

@@ -186,7 +186,7 @@ def test_an_outline_that_is_a_pixel_out_of_place_contradicts_less_where_that_is_
         parameters = replace(PARAMETERS, registration_px=registration)
         _, result = warp_and_evaluate(model, region, still, texture(x + 1.0, y), parameters)
         medians.append(float(np.median(result)))
-    assert medians == sorted(set(medians))
+    assert min(medians[1:]) > medians[0] + 3.0
 
 
 def test_confidence_grows_with_the_samples_and_is_nothing_without() -> None:

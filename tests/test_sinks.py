@@ -203,7 +203,14 @@ def test_a_stage_that_appears_late_is_counted_in_the_same_columns(tmp_path: Path
     record = fill(tmp_path / "yard", GROUP_FRAMES, frozenset({"parquet"}))
     late = segmentation(GROUP_FRAMES)
     late = Segmentation(
-        late.frame_index, late.labels, late.normaliser, late.fallback, (), (0.0, 0.0), 0, {"track": 1.0, "merge": 4.0}
+        late.frame_index,
+        late.labels,
+        late.normaliser,
+        late.fallback,
+        (),
+        (0.0, 0.0),
+        0,
+        {"track": 1.0, "merge": 4.0},
     )
     record.write(late, frame(GROUP_FRAMES))
     record.close()

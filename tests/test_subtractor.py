@@ -31,7 +31,14 @@ def overlap(labels: Array, truth: Array) -> float:
 def as_bytes(results: list[Segmentation]) -> list[tuple[object, ...]]:
     """All that is published, without the times."""
     return [
-        (one.frame_index, one.labels.tobytes(), one.normaliser.tobytes(), one.fallback.tobytes(), one.layers, one.camera_motion)
+        (
+            one.frame_index,
+            one.labels.tobytes(),
+            one.normaliser.tobytes(),
+            one.fallback.tobytes(),
+            one.layers,
+            one.camera_motion,
+        )
         for one in results
     ]
 
