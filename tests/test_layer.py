@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from layer_fakes import CAR, SHAPE, WHOLE, frame_of, grid, owned, picture, published, tracks
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
@@ -16,84 +17,21 @@ from mlbs_actors.messages import (
     BACKGROUND,
     COST_STEP,
     Array,
-    FrameEvidence,
     LayerEvidence,
     LayerPosterior,
     Region,
     Segmentation,
 )
 
-SHAPE = (120, 160)
-WHOLE = Region(0, 0, SHAPE[1], SHAPE[0])
 #: Every term is off; each test switches on what it is about.
 SILENT = {"appearance": 0.0, "motion": 0.0, "photometric": 0.0, "prior": 0.0, "distance": 0.0, "offset": 4.0}
 #: Lengths are stated for 640×480.
 SCALE = 0.25
 HALF = Config().appearance.half_confidence_samples
-CAR = Region(60, 40, 40, 30)
 
 
 def configured(**posterior: float) -> Config:
     return Config.model_validate({"posterior": {**SILENT, **posterior}})
-
-
-def picture(seed: int = 0) -> Array:
-    return np.random.default_rng(seed).integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
-
-
-def grid(region: Region, spacing: int = 6) -> Array:
-    """Trajectories all over a region."""
-    x, y = np.meshgrid(
-        np.arange(region.x + 2, region.x + region.width - 1, spacing),
-        np.arange(region.y + 2, region.y + region.height - 1, spacing),
-    )
-    return np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
-
-
-def tracks(
-    layer: int, positions: Array, last_frame: int = -1, motion: tuple[float, float] = (0.0, 0.0)
-) -> LayerEvidence:
-    motions = np.tile(np.array(motion, np.float32), (len(positions), 1))
-    return LayerEvidence(layer, "object" if layer else "background", last_frame, positions, motions)
-
-
-def frame_of(
-    layers: list[LayerEvidence],
-    frame_index: int = 0,
-    flow: tuple[float, float] = (0.0, 0.0),
-    reliable: bool = False,
-) -> FrameEvidence:
-    """Half-size maps; nothing is explained by the camera's motion, unless a test says otherwise."""
-    half = (SHAPE[0] // 2, SHAPE[1] // 2)
-    return FrameEvidence(
-        frame_index=frame_index,
-        shape=SHAPE,
-        camera=np.eye(3),
-        flow=np.full((*half, 2), flow, np.float16),
-        flow_reliable=np.full(half, reliable),
-        unexplained=np.full(half, 255, np.uint8),
-        layers=tuple(layers),
-        retired=(),
-        latency_frames=0,
-    )
-
-
-def published(frame_index: int, labels: Array, normaliser: int = 64) -> Segmentation:
-    return Segmentation(
-        frame_index=frame_index,
-        labels=labels.astype(np.uint16),
-        normaliser=np.full(SHAPE, normaliser, np.uint8),
-        fallback=np.zeros(SHAPE, np.int8),
-        layers=(),
-        camera_motion=(0.0, 0.0),
-        latency_frames=0,
-    )
-
-
-def owned(region: Region, layer: int = 1) -> Array:
-    labels = np.zeros(SHAPE, int)
-    labels[region.slices] = layer
-    return labels
 
 
 def step(
@@ -358,6 +296,30 @@ def test_background_that_was_hidden_is_not_unlikely() -> None:
     step(layer, 0, picture(), grid(WHOLE))
     result = step(layer, 1, picture(), grid(WHOLE), published(0, owned(CAR), normaliser=0))
     assert nats(result)[CAR.slices].max() <= 4.0 - np.log(0.5) + COST_STEP
+
+
+def test_an_object_is_cheap_where_its_motion_explains_the_image_and_dear_on_ground_that_stands() -> None:
+    config = configured(photometric=1.0, photometric_cap=2.0, region_margin_px=40.0)
+    layer = Layer(config, 1, "object")
+    before, after = picture(), picture()
+    after[40:70, 66:106] = before[CAR.slices]  # by (6, 0)
+    step(layer, 0, before, grid(CAR), motion=(-6.0, 0.0))
+    moved = grid(CAR) + np.array([6.0, 0.0], np.float32)
+    result = step(layer, 1, after, moved, published(0, owned(CAR)), motion=(-6.0, 0.0))
+    whole = np.full(SHAPE, np.nan)
+    whole[result.region.slices] = nats(result)
+    np.testing.assert_allclose(whole[44:66, 72:100], 4.0 - 2.0, atol=COST_STEP)
+    np.testing.assert_allclose(np.nanmedian(whole[32:37, 60:100]), 4.0 + 2.0, atol=COST_STEP)
+
+
+def test_a_flow_that_contradicts_costs_each_kind_of_layer_its_own_floor() -> None:
+    config = configured(motion=1.0, motion_floor=0.05, object_motion_floor=0.4)
+    for layer, kind, floor in ((0, "background", 0.05), (1, "object", 0.4)):
+        own = tracks(layer, grid(WHOLE))
+        evidence = frame_of([own], 0, (30.0, 0.0), True)
+        made = Layer(config, 0, "background") if kind == "background" else Layer(config, 1, "object")
+        found = nats(made.step(own, evidence, picture(), None)) - 4.0
+        np.testing.assert_allclose(found[20:100, 20:140], -np.log(floor), atol=COST_STEP)
 
 
 # Its life

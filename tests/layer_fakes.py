@@ -1,0 +1,70 @@
+"""What a layer is given: frames, trajectories, evidence and published maps, made by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mlbs_actors.messages import Array, FrameEvidence, LayerEvidence, Region, Segmentation
+
+SHAPE = (120, 160)
+WHOLE = Region(0, 0, SHAPE[1], SHAPE[0])
+CAR = Region(60, 40, 40, 30)
+
+
+def picture(seed: int = 0) -> Array:
+    return np.random.default_rng(seed).integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
+
+
+def grid(region: Region, spacing: int = 6) -> Array:
+    """Trajectories all over a region."""
+    x, y = np.meshgrid(
+        np.arange(region.x + 2, region.x + region.width - 1, spacing),
+        np.arange(region.y + 2, region.y + region.height - 1, spacing),
+    )
+    return np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
+
+
+def tracks(
+    layer: int, positions: Array, last_frame: int = -1, motion: tuple[float, float] = (0.0, 0.0)
+) -> LayerEvidence:
+    motions = np.tile(np.array(motion, np.float32), (len(positions), 1))
+    return LayerEvidence(layer, "object" if layer else "background", last_frame, positions, motions)
+
+
+def frame_of(
+    layers: list[LayerEvidence],
+    frame_index: int = 0,
+    flow: tuple[float, float] = (0.0, 0.0),
+    reliable: bool = False,
+) -> FrameEvidence:
+    """Half-size maps; nothing is explained by the camera's motion, unless a test says otherwise."""
+    half = (SHAPE[0] // 2, SHAPE[1] // 2)
+    return FrameEvidence(
+        frame_index=frame_index,
+        shape=SHAPE,
+        camera=np.eye(3),
+        flow=np.full((*half, 2), flow, np.float16),
+        flow_reliable=np.full(half, reliable),
+        unexplained=np.full(half, 255, np.uint8),
+        layers=tuple(layers),
+        retired=(),
+        latency_frames=0,
+    )
+
+
+def published(frame_index: int, labels: Array, normaliser: int = 64) -> Segmentation:
+    return Segmentation(
+        frame_index=frame_index,
+        labels=labels.astype(np.uint16),
+        normaliser=np.full(SHAPE, normaliser, np.uint8),
+        fallback=np.zeros(SHAPE, np.int8),
+        layers=(),
+        camera_motion=(0.0, 0.0),
+        latency_frames=0,
+    )
+
+
+def owned(region: Region, layer: int = 1) -> Array:
+    labels = np.zeros(SHAPE, int)
+    labels[region.slices] = layer
+    return labels
