@@ -23,8 +23,8 @@ Outside its region an object costs 15.9 nats. It learns only where its label is 
 
 Differs from the paper: the motion, photometric and away terms are not in it; the prior has a floor, so that
 it can be overruled, and a layer is weighed by its own confidence, pixel by pixel (the authors' program makes
-*all* layers uniform where one has few samples, and never uses its prior). A layer that wakes after a sleep keeps
-its id, not its samples: only its place is known, not the path of its pixels.
+*all* layers uniform where one has few samples, and never uses its prior). A layer that wakes after a sleep
+keeps its id, not its samples: only its place is known, not the path of its pixels.
 """
 
 from __future__ import annotations
