@@ -33,10 +33,13 @@ class Stage:
 STAGES: tuple[Stage, ...] = (
     Stage("trajectories + contrast cut alone"),
     Stage("+ appearance", ("posterior.appearance=0",)),
+    Stage("+ registration errors", ("appearance.registration_px=0", "appearance.background_registration_px=0")),
     Stage("+ motion likelihood", ("posterior.motion=0",)),
+    Stage("+ photometric advantage", ("posterior.photometric=0",)),
     Stage("+ distance from trajectories", ("posterior.distance=0",)),
     Stage("+ prior", ("posterior.prior=0",)),
     Stage("+ label cost", ("segmentation.label_cost=0",)),
+    Stage("+ shadows", ("segmentation.shadow=0",)),
     Stage("+ cleaning", ("segmentation.speck_px=0", "segmentation.hole_px=0")),
 )
 

@@ -65,15 +65,20 @@ THRESHOLDS = (
     "affinity.cut_threshold",
     "layers.merge_distance",
     "layers.object_merge_distance",
+    "layers.same_motion_distance",
     "layers.unexplained_noise",
+    "layers.least_evidence",
+    "trajectories.dense_advantage",
 )
 TRAJECTORIES = ("trajectories.seed_spacing_px", "trajectories.consistency_px2", "affinity.radius_px")
 WEIGHTS = (
     "posterior.appearance",
     "posterior.motion",
+    "posterior.photometric",
     "posterior.prior",
     "posterior.distance",
     "segmentation.contrast_strength",
+    "segmentation.shadow",
 )
 
 DISTURBANCES: tuple[Disturbance, ...] = (
