@@ -22,7 +22,7 @@ from mlbs_actors.config import AffinityConfig, LayersConfig
 from mlbs_actors.label_propagation import propagate_absorbing, propagate_soft
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.normalized_cut import recursive_cut
-from mlbs_actors.trajectories import TrajectoryState
+from mlbs_actors.trajectories import TrajectoryState, evenly_spread
 
 __all__ = [
     "UNLABELLED",
@@ -242,7 +242,7 @@ def merge_by_motion(
         labels[labels == younger] = older
 
 
-def background_first(labels: Array, trajectories: TrajectoryState, scale: float) -> Array:
+def background_first(labels: Array, trajectories: TrajectoryState, scale: float, spacing: float) -> Array:
     """Renumber the first clusters so that 0 is the one that best obeys the camera's motion.
 
     Parameters
@@ -252,6 +252,8 @@ def background_first(labels: Array, trajectories: TrajectoryState, scale: float)
     trajectories : TrajectoryState
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
+    spacing : float
+        Trajectories count once a square of this side: it is the area that decides, px.
 
     Returns
     -------
@@ -262,7 +264,10 @@ def background_first(labels: Array, trajectories: TrajectoryState, scale: float)
     if len(clusters) == 0:
         return np.full(len(labels), BACKGROUND, np.int64)
     residual = np.hypot(trajectories.residuals[:, 0, 0], trajectories.residuals[:, 0, 1])
-    obeying = [int(((labels == cluster) & (residual < scale)).sum()) for cluster in clusters]
+    obeying = [
+        len(evenly_spread(trajectories.positions[(labels == cluster) & (residual < scale)], spacing))
+        for cluster in clusters
+    ]
     background = int(clusters[int(np.argmax(obeying))])
     order = [background, *(int(cluster) for cluster in clusters if cluster != background)]
     renumbered = np.full(len(labels), UNLABELLED, np.int64)

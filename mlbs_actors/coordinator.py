@@ -48,6 +48,7 @@ from mlbs_actors.trajectories import (
     TrajectoryState,
     advance_trajectories,
     empty_trajectories,
+    evenly_spread,
     seed_trajectories,
     with_residuals,
 )
@@ -170,7 +171,9 @@ class Coordinator:
                 labels = labels[np.searchsorted(before, trajectories.ids)]
             survivors = len(trajectories)
             known = (trajectories.ages > 0) & ((labels == BACKGROUND) if state.clustered else True)
-            camera = camera_homography(trajectories.positions[known], trajectories.motions[known], scale)
+            spacing = config.trajectories.seed_spacing_px * scale
+            voters = np.flatnonzero(known)[evenly_spread(trajectories.positions[known], spacing)]
+            camera = camera_homography(trajectories.positions[voters], trajectories.motions[voters], scale)
             trajectories = seed_trajectories(trajectories, gray, flow, shape, config.trajectories)
             nothing = np.zeros(gray.shape, np.float32)
             against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
@@ -253,7 +256,8 @@ class Coordinator:
                 labels = recursive_cut(
                     affinity, config.affinity.cut_threshold, config.affinity.cut_side_tracks
                 )
-                labels = background_first(labels, state.trajectories, scale)
+                spacing = config.trajectories.seed_spacing_px * scale
+                labels = background_first(labels, state.trajectories, scale, spacing)
             speeds = label_speeds(state.trajectories, labels)
             least = least_object_speed(state.trajectories, labels == BACKGROUND, config.layers, scale)
             ages = registry.ages(frame_index)

@@ -20,6 +20,7 @@ __all__ = [
     "TrajectoryState",
     "advance_trajectories",
     "empty_trajectories",
+    "evenly_spread",
     "seed_trajectories",
     "with_residuals",
 ]
@@ -205,6 +206,28 @@ def seed_trajectories(
         np.concatenate([state.evidence, np.zeros(len(points), np.float32)]),
         state.next_id + len(points),
     )
+
+
+def evenly_spread(positions: Array, spacing: float) -> Array:
+    """Pick at most one point a square, so that every part of the frame has the same say.
+
+    Where trajectories are dense, on objects, they would outvote the background.
+
+    Parameters
+    ----------
+    positions : (n, 2) float32
+        px.
+    spacing : float
+        Side of a square, px.
+
+    Returns
+    -------
+    (m,) intp
+        Ascending positions in the array; of each square the first.
+    """
+    squares = np.floor(positions / np.float32(spacing)).astype(np.int64)
+    _, first = np.unique(squares, axis=0, return_index=True)
+    return np.sort(first)
 
 
 def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -> TrajectoryState:

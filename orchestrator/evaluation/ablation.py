@@ -33,7 +33,9 @@ class Stage:
 STAGES: tuple[Stage, ...] = (
     Stage("trajectories + contrast cut alone"),
     Stage("+ appearance", ("posterior.appearance=0",)),
-    Stage("+ registration errors", ("appearance.registration_px=0", "appearance.background_registration_px=0")),
+    Stage(
+        "+ registration errors", ("appearance.registration_px=0", "appearance.background_registration_px=0")
+    ),
     Stage("+ motion likelihood", ("posterior.motion=0",)),
     Stage("+ photometric advantage", ("posterior.photometric=0",)),
     Stage("+ distance from trajectories", ("posterior.distance=0",)),
