@@ -19,6 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mlbs_actors.kde import AppearanceParameters, confidence
 from mlbs_actors.messages import COST_STEP, Array, LayerPosterior
 
 __all__ = ["RATIO_STEP", "fused_costs", "quantised_ratio", "with_appearance"]
@@ -63,8 +64,7 @@ def with_appearance(
     -------
     (h, w) uint8
     """
-    count = samples.astype(np.float32)
-    trust = count / (count + np.float32(half_confidence))
+    trust = confidence(samples, AppearanceParameters(half_confidence_samples=half_confidence))
     ratio = trust * _EXP[log_ratio.view(np.uint8)] + (1.0 - trust) * _EXP[fallback.view(np.uint8)]
     return np.asarray(
         np.clip(np.rint(cost - np.float32(weight / COST_STEP) * np.log(ratio)), 0, 255), np.uint8
@@ -91,10 +91,10 @@ def fused_costs(
     fallback : (H, W) int8
         log f, units of ``RATIO_STEP``.
     """
+    appearance = AppearanceParameters(half_confidence_samples=half_confidence)
     known, matched = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     for one in posteriors:
-        count = one.samples.astype(np.float32)
-        trust = count / (count + np.float32(half_confidence))
+        trust = confidence(one.samples, appearance)
         known[one.region.slices] += trust
         matched[one.region.slices] += trust * _EXP[one.log_ratio.view(np.uint8)]
     mean = np.divide(matched, known, out=np.ones(shape, np.float32), where=known > 0)
