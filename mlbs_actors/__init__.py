@@ -1,5 +1,7 @@
 """Online, training-free segmentation of every independently moving object in moving-camera video."""
 
+from typing import TYPE_CHECKING
+
 from mlbs_actors.config import Config, load_config
 from mlbs_actors.errors import (
     ConfigError,
@@ -11,7 +13,9 @@ from mlbs_actors.errors import (
     SourceError,
 )
 from mlbs_actors.messages import LayerSummary, Region, Segmentation
-from mlbs_actors.subtractor import MultilayerSubtractor
+
+if TYPE_CHECKING:
+    from mlbs_actors.subtractor import MultilayerSubtractor
 
 __all__ = [
     "Config",
@@ -28,3 +32,12 @@ __all__ = [
     "SourceError",
     "load_config",
 ]
+
+
+def __getattr__(name: str) -> object:
+    """Import the whole engine when it is asked for: most processes of a stream need a part of it or none."""
+    if name == "MultilayerSubtractor":
+        from mlbs_actors.subtractor import MultilayerSubtractor
+
+        return MultilayerSubtractor
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

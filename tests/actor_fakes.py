@@ -248,7 +248,7 @@ class FakeReader:
             return None
         image, t = self.pictures[self.index], self.index
         if image is not None:
-            image = image.repeat(self.enlarged, 0).repeat(self.enlarged, 1)
+            image = np.tile(image, (self.enlarged, 1, 1))  # the orders stay where they are
         self.index += 1
         with (self.folder / "reads").open("a") as reads:
             reads.write(f"{t}\n")

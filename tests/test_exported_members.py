@@ -58,12 +58,19 @@ def test_the_package_gives_out_these_names() -> None:
         "SourceError",
         "load_config",
     }
-    given = {
+    imported = {
         name
         for name, member in vars(mlbs_actors).items()
         if not name.startswith("_") and not isinstance(member, ModuleType)
     }
-    assert given == set(mlbs_actors.__all__)
+    assert imported - {"TYPE_CHECKING"} <= set(mlbs_actors.__all__)
+    assert all(hasattr(mlbs_actors, name) for name in mlbs_actors.__all__)
+    assert not hasattr(mlbs_actors, "nothing")
+
+
+def test_a_process_that_runs_no_part_of_the_engine_does_not_load_it() -> None:
+    code = "import sys, mlbs_actors.actors; sys.exit('numba' in sys.modules or 'scipy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=120).returncode == 0
 
 
 @pytest.mark.parametrize("name", PLAIN_MODULES)
