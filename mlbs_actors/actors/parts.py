@@ -5,9 +5,13 @@ The actors know the engine through :class:`PartFactory` only. :class:`EnginePart
 
 from __future__ import annotations
 
+import getpass
+import tempfile
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from filelock import FileLock
 
 from mlbs_actors.config import Config
 from mlbs_actors.messages import (
@@ -96,8 +100,15 @@ class EngineParts:
         """Run two layers over two small frames, so that their kernels are compiled or loaded.
 
         The arrays are read-only, as those of real frames are when they arrive: for Numba that is another
-        type, with kernels of its own.
+        type, with kernels of its own. Processes of one machine do it one after the other: the first ever
+        compiles for 20 s and leaves its kernels on disk, where the others would all compile the same.
         """
+        import mlbs_actors.layer  # noqa: F401  (needs no turn)
+
+        with FileLock(Path(tempfile.gettempdir()) / f"mlbs-kernels-{getpass.getuser()}.lock"):
+            self._run_two_layers()
+
+    def _run_two_layers(self) -> None:
         config = Config()
         height, width = 240, 320
         random = np.random.default_rng(0)
