@@ -27,6 +27,7 @@ from mlbs_actors.trajectories import TrajectoryState, evenly_spread
 __all__ = [
     "UNLABELLED",
     "background_first",
+    "bled_trajectories",
     "border_motion",
     "label_speeds",
     "least_object_speed",
@@ -70,34 +71,69 @@ def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConf
     return np.where(share.max(axis=1) > 0, decided, UNLABELLED)
 
 
-def split_labels(
-    affinity: sp.csr_array, labels: Array, config: AffinityConfig, next_label: int
-) -> tuple[Array, int]:
-    """Put every cluster to the N-cut test; parts that fall off get fresh labels.
+def bled_trajectories(trajectories: TrajectoryState, config: LayersConfig, scale: float) -> Array:
+    """Which trajectories move against the camera though the image gives no evidence of it.
 
-    The part with most trajectories keeps the label. Trajectories without a label are clustered too.
+    Flow bleeds from an object over the smooth ground beside it. Such trajectories move in ways between
+    those of two things, and so tie together what does not belong together.
+
+    Parameters
+    ----------
+    trajectories : TrajectoryState
+    config : LayersConfig
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
 
     Returns
     -------
+    (n,) bool
+    """
+    moving = _residual_speed(trajectories) > config.camera_px * scale
+    return np.asarray(moving & (trajectories.evidence < config.least_evidence))
+
+
+def split_labels(
+    affinity: sp.csr_array, labels: Array, config: AffinityConfig, next_label: int, bled: Array
+) -> Array:
+    """Put every cluster to the N-cut test; parts that fall off get fresh labels.
+
+    The part with most trajectories keeps the label. Trajectories without a label are clustered too. Those
+    that have bled tie nothing together; they go where the random walk takes them.
+
+    Parameters
+    ----------
+    affinity : (n, n) sparse
     labels : (n,) int64
+    config : AffinityConfig
     next_label : int
-        The next unused label.
+        From here on labels are unused.
+    bled : (n,) bool
+        From :func:`bled_trajectories`.
+
+    Returns
+    -------
+    (n,) int64
     """
     result = labels.copy()
     for label in np.unique(labels):
-        nodes = np.flatnonzero(labels == label)
+        nodes = np.flatnonzero((labels == label) & ~bled)
         parts = recursive_cut(
             sp.csr_array(affinity[nodes][:, nodes]), config.cut_threshold, config.cut_side_tracks
         )
         if parts.max(initial=-1) < 0:
             continue  # too small to be split
         result[nodes[parts < 0]] = UNLABELLED
+        if parts.max() > 0:
+            result[(labels == label) & bled] = UNLABELLED
         for part in range(parts.max() + 1):
             if part == 0 and label != UNLABELLED:
                 continue
             result[nodes[parts == part]] = next_label
             next_label += 1
-    return result, next_label
+    lost = bled & (result == UNLABELLED)
+    if lost.any():
+        result[lost] = propagate_labels(affinity, result, config)[lost]
+    return result
 
 
 def border_motion(
@@ -224,14 +260,15 @@ def merge_by_motion(
         for (low, high), (distance, edges) in border_motion(graph, labels, config.merge_quantile).items():
             older, younger = sorted((low, high), key=lambda label: (-ages.get(label, 0), label))
             young = ages.get(younger, 0) < config.young_frames
-            touch = edges / int((labels == younger).sum())
+            count = int((labels == younger).sum())
+            touch = edges / count
             if older == BACKGROUND:
                 alike = young and distance < config.merge_distance
             else:
                 alike = young and distance < config.object_merge_distance and touch >= config.merge_reach
                 alike |= (
                     distance < config.same_motion_distance
-                    and touch >= config.same_motion_reach
+                    and edges >= config.same_motion_reach * np.sqrt(count)
                     and edges >= LEAST_BORDER
                 )
             if alike:

@@ -134,7 +134,7 @@ class LayersConfig(_Section):
         2.5, ge=0, description="Objects of any age below it at that quantile are one."
     )
     same_motion_reach: float = Field(
-        0.1, ge=0, description="Border edges per trajectory of the younger of two such objects."
+        1.0, ge=0, description="Border edges of two such objects, × √(trajectories of the younger)."
     )
     unexplained_noise: float = Field(
         4.0, gt=0, description="The camera's motion fails to explain a place where it errs by this, × noise."
@@ -253,6 +253,12 @@ class SegmentationConfig(_Section):
     track_cost: float = Field(1.0, ge=0, description="|c|: pull of a labelled trajectory at its pixel, nats.")
     shadow: float = Field(
         0.15, ge=0, description="Cost of an object in a likely shadow; 0 = shadows are not looked for, nats."
+    )
+    contact_shadow: float = Field(
+        0.12,
+        ge=0,
+        le=1,
+        description="Most height of a dark strip under an object, in the object's; 0 = none.",
     )
     label_cost: float = Field(20.0, ge=0, description="h_k: cost of using a label at all, px × nats.")
     speck_px: float = Field(50.0, ge=0, description="Smaller components of an object are cleaned away, px².")

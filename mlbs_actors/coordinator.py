@@ -22,6 +22,7 @@ from mlbs_actors.camera import CameraEvidence, camera_evidence, camera_homograph
 from mlbs_actors.clustering import (
     UNLABELLED,
     background_first,
+    bled_trajectories,
     label_speeds,
     least_object_speed,
     merge_by_motion,
@@ -42,7 +43,6 @@ from mlbs_actors.messages import (
     LayerKind,
     Segmentation,
 )
-from mlbs_actors.normalized_cut import recursive_cut
 from mlbs_actors.trajectories import (
     EVIDENCE_BOUNDS,
     TrajectoryState,
@@ -248,14 +248,13 @@ class Coordinator:
             graph = self._graph()
             affinity = graph.matrix()
         with _timed(stage_ms, "clustering"):
+            bled = bled_trajectories(state.trajectories, config.layers, scale)
             if state.clustered:
                 labels = propagate_labels(affinity, state.labels, config.affinity)
                 fresh = max(registry.state.next_layer, int(labels.max(initial=0)) + 1)
-                labels, _ = split_labels(affinity, labels, config.affinity, fresh)
+                labels = split_labels(affinity, labels, config.affinity, fresh, bled)
             else:
-                labels = recursive_cut(
-                    affinity, config.affinity.cut_threshold, config.affinity.cut_side_tracks
-                )
+                labels = split_labels(affinity, np.full(len(bled), UNLABELLED), config.affinity, 0, bled)
                 spacing = config.trajectories.seed_spacing_px * scale
                 labels = background_first(labels, state.trajectories, scale, spacing)
             speeds = label_speeds(state.trajectories, labels)

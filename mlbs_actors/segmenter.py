@@ -30,7 +30,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
-from mlbs_actors.shadows import shadow_likelihood
+from mlbs_actors.shadows import contact_shadow, darkening, shadow_likelihood
 
 __all__ = ["Segmenter", "SegmenterState"]
 
@@ -104,18 +104,24 @@ class Segmenter:
         normaliser = _normaliser(cost)
         unary = cost.astype(np.float32) * np.float32(COST_STEP)
         _pull_tracks(unary, evidence, config.track_cost)
-        if config.shadow > 0:
-            shadow = shadow_likelihood(frame, evidence, self.state.labels, length_scale(*evidence.shape))
-            if shadow is not None:
-                _discount_shadows(unary, posteriors, shadow, config.shadow)
+        scale = length_scale(*evidence.shape)
+        dark = None
+        if config.shadow > 0 or config.contact_shadow > 0:
+            dark = darkening(frame, evidence, self.state.labels, scale)
+        if dark is not None and config.shadow > 0:
+            _discount_shadows(unary, posteriors, shadow_likelihood(dark), config.shadow)
         fused = perf_counter()
-        label_costs = np.full(len(ids), config.label_cost * length_scale(*evidence.shape) ** 2)
+        label_costs = np.full(len(ids), config.label_cost * scale**2)
         label_costs[0] = 0.0  # the background is always there
         weights = contrast_weights(frame, config.contrast_strength, config.contrast_scale)
         cut = minimise(unary, weights, label_costs)
         solved = perf_counter()
-        area = length_scale(*evidence.shape) ** 2
-        positions = clean_labels(cut.labels, speck_px=config.speck_px * area, hole_px=config.hole_px * area)
+        positions = cut.labels
+        if dark is not None and config.contact_shadow > 0:
+            resting = contact_shadow(positions, frame, dark, scale, config.contact_shadow)
+            positions = np.where(resting, positions.dtype.type(0), positions)
+        speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
+        positions = clean_labels(positions, speck_px=speck_px, hole_px=hole_px)
         labels = np.array(ids, np.uint16)[positions]
         summaries = _summaries(positions, cost, normaliser, posteriors)
         done = perf_counter()

@@ -3,9 +3,15 @@
 Not in the paper. A shadow is ground with less light: its colour is the ground's, darker by a like factor in
 all channels. The ground's colour is taken from what lies around the objects in the same frame, so that it
 needs no memory: near a moving object the ground has often never been seen without its shadow.
+
+Where no light reaches, as between the wheels of a car, nothing is left of the ground's colour, and black
+tyres and bumpers look alike. There the place decides (:func:`contact_shadow`): a flat smooth dark strip at an
+object's foot that rests on the ground.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -13,7 +19,7 @@ import numpy as np
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 from mlbs_actors.trajectory_distance import trajectory_distance
 
-__all__ = ["shadow_likelihood"]
+__all__ = ["Darkening", "contact_shadow", "darkening", "shadow_likelihood"]
 
 #: The ground's colour is found on the frame shrunk by this.
 SHRINK = 4
@@ -21,8 +27,8 @@ SHRINK = 4
 NEAR_PX = 16.0
 #: So many px around last frame's objects are not taken for ground either.
 GROWN_PX = 9
-#: Standard deviations over which ground is looked for, nearest first, shrunk px.
-REACHES = (3.0, 6.0, 12.0, 24.0, 48.0)
+#: Standard deviation over which ground is looked for, shrunk px; where there is none, twice that, and so on.
+REACH, REACHES = 3.0, 5
 #: Least share of ground within a reach.
 LEAST_GROUND = 0.05
 #: Log darkening at which a shadow begins, over which that is certain, and the same for the darkest.
@@ -31,10 +37,38 @@ LIGHTEST, LIGHTEST_RAMP, DARKEST, DARKEST_RAMP = -0.10, 0.15, -2.2, 0.3
 CHANNEL_SPREAD, CHANNEL_NOISE = 0.25, 6.0
 #: Variance of the ground's log colour above which nothing is said.
 GROUND_VARIANCE = 0.04
+#: Log darkening of a contact shadow, and its steepest mean gradient over 5×5 px, grey levels/px.
+CONTACT_DARK, CONTACT_SMOOTH = -0.7, 6.0
+#: It is at least this wide, in heights of its object, and begins so near above the ground, px of 640×480.
+CONTACT_WIDTH, CONTACT_GAP_PX = 0.3, 6.0
+#: Its edges, which are neither smooth nor flat, reach so far, px of a 640×480 frame.
+CONTACT_EDGE_PX = 4.0
 
 
-def shadow_likelihood(frame: Array, evidence: FrameEvidence, previous: Array, scale: float) -> Array | None:
-    """How much each pixel looks like the ground near it, but darker.
+@dataclass(frozen=True, slots=True)
+class Darkening:
+    """How each pixel's colour differs from that of the ground near it.
+
+    Attributes
+    ----------
+    mean : (H, W) float32
+        Logarithm of colour over ground's colour, mean of the channels.
+    spread : (H, W) float32
+        Its range over the channels.
+    brightness : (H, W) float32
+        Mean of the channels, grey levels + 1.
+    variance : (H, W) float32
+        Of the ground's log colour; large where there is no ground.
+    """
+
+    mean: Array
+    spread: Array
+    brightness: Array
+    variance: Array
+
+
+def darkening(frame: Array, evidence: FrameEvidence, previous: Array, scale: float) -> Darkening | None:
+    """Compare each pixel with the ground near it.
 
     Parameters
     ----------
@@ -48,8 +82,8 @@ def shadow_likelihood(frame: Array, evidence: FrameEvidence, previous: Array, sc
 
     Returns
     -------
-    (H, W) float32 or None
-        0 = no shadow … 1 = darker ground; None if no object has a trajectory.
+    Darkening or None
+        None if no object has a trajectory.
     """
     height, width = frame.shape[:2]
     objects = [one for one in evidence.layers if one.layer != BACKGROUND and len(one.positions)]
@@ -61,15 +95,104 @@ def shadow_likelihood(frame: Array, evidence: FrameEvidence, previous: Array, sc
         occupied |= grown.astype(bool)
     ground, variance = _ground(frame, occupied)
     smooth = cv2.GaussianBlur(frame, (0, 0), 1.0).astype(np.float32) + 1.0
-    darkening = np.log(smooth) - ground
-    mean = darkening.mean(axis=2)
-    spread = darkening.max(axis=2) - darkening.min(axis=2)
-    tolerance = CHANNEL_SPREAD + CHANNEL_NOISE / smooth.mean(axis=2)
-    likelihood = np.clip((LIGHTEST - mean) / LIGHTEST_RAMP, 0.0, 1.0)
-    likelihood *= np.clip((mean - DARKEST) / DARKEST_RAMP, 0.0, 1.0)
-    likelihood *= np.clip(2.0 - 2.0 * spread / tolerance, 0.0, 1.0)
-    likelihood *= np.clip(2.0 - variance / GROUND_VARIANCE, 0.0, 1.0)
+    channels = np.log(smooth) - ground
+    return Darkening(
+        mean=channels.mean(axis=2),
+        spread=channels.max(axis=2) - channels.min(axis=2),
+        brightness=smooth.mean(axis=2),
+        variance=variance,
+    )
+
+
+def shadow_likelihood(dark: Darkening) -> Array:
+    """How much each pixel looks like the ground near it with less light.
+
+    Parameters
+    ----------
+    dark : Darkening
+
+    Returns
+    -------
+    (H, W) float32
+        0 = no shadow … 1 = darker ground.
+    """
+    likelihood = np.clip((LIGHTEST - dark.mean) / LIGHTEST_RAMP, 0.0, 1.0)
+    likelihood *= np.clip((dark.mean - DARKEST) / DARKEST_RAMP, 0.0, 1.0)
+    likelihood *= np.clip(2.0 - 2.0 * dark.spread / _tolerance(dark), 0.0, 1.0)
+    likelihood *= np.clip(2.0 - dark.variance / GROUND_VARIANCE, 0.0, 1.0)
     return np.asarray(likelihood, np.float32)
+
+
+def _tolerance(dark: Darkening) -> Array:
+    """What the channels' darkening may differ by; a dark colour is uncertain."""
+    return np.asarray(CHANNEL_SPREAD + CHANNEL_NOISE / dark.brightness)
+
+
+def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, rise: float) -> Array:
+    """The dark strip between an object's foot and the ground, as far as the label map gives it to the object.
+
+    Parameters
+    ----------
+    labels : (H, W) integer
+        0 = background.
+    frame : (H, W, 3) uint8
+    dark : Darkening
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+    rise : float
+        Its most height, in heights of its object.
+
+    Returns
+    -------
+    (H, W) bool
+    """
+    found = np.zeros(labels.shape, bool)
+    colourless = (dark.mean < CONTACT_DARK) & (dark.spread < _tolerance(dark))
+    for label in np.unique(labels[labels > BACKGROUND]):
+        count, parts, boxes, _ = cv2.connectedComponentsWithStats((labels == label).astype(np.uint8))
+        for part, (x, y, width, height, _) in enumerate(boxes[1:count], start=1):
+            bottom = y + height
+            strip = np.s_[max(y, bottom - 2 * int(np.ceil(rise * height))) : bottom, x : x + width]
+            # Where another object or the frame's border follows, it does not stand on the ground.
+            lower = (
+                labels[bottom, x : x + width] > BACKGROUND if bottom < len(labels) else np.ones(width, bool)
+            )
+            above = _height_above_ground(labels[strip] > BACKGROUND, lower)
+            low = colourless[strip] & (above <= rise * height)
+            found[strip] |= _resting_strip(parts[strip] == part, low, above, frame[strip], height, scale)
+    return found
+
+
+def _resting_strip(body: Array, low: Array, above: Array, frame: Array, height: int, scale: float) -> Array:
+    low = low & body
+    smooth = (low & (_steepness(frame) < CONTACT_SMOOTH)).astype(np.uint8)
+    flat = cv2.morphologyEx(
+        smooth, cv2.MORPH_OPEN, np.ones((1, max(3, int(CONTACT_WIDTH * height))), np.uint8)
+    )
+    _, pieces = cv2.connectedComponents(flat)
+    resting = np.unique(pieces[(flat > 0) & (above <= CONTACT_GAP_PX * scale)])
+    core = (flat > 0) & np.isin(pieces, resting)
+    edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
+    around = cv2.dilate(core.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge)))
+    # What is left of the object under it is the shadow's lighter rim.
+    return np.asarray(np.maximum.accumulate((around > 0) & low, axis=0) & body)
+
+
+def _height_above_ground(occupied: Array, below: Array) -> Array:
+    """How many pixels down to the first free one, (h, w) int32; more than h if there is none."""
+    above = np.zeros(occupied.shape, np.int32)
+    run = np.where(below, len(occupied), 0).astype(np.int32)
+    for row in range(len(occupied) - 1, -1, -1):
+        run = np.where(occupied[row], run + 1, 0)
+        above[row] = run
+    return above
+
+
+def _steepness(frame: Array) -> Array:
+    """Mean gradient over 5×5 px, grey levels/px."""
+    gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    slopes = (cv2.Sobel(gray, cv2.CV_32F, *axis) / 8.0 for axis in ((1, 0), (0, 1)))
+    return np.asarray(cv2.blur(np.hypot(*slopes), (5, 5)))
 
 
 def _ground(frame: Array, occupied: Array) -> tuple[Array, Array]:
@@ -80,17 +203,17 @@ def _ground(frame: Array, occupied: Array) -> tuple[Array, Array]:
     free = (cv2.resize(occupied.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0).astype(
         np.float32
     )
-    weighted = np.dstack([colour * free[..., None], np.square(colour) * free[..., None], free])
-    mean, variance = np.zeros_like(colour), np.full(free.shape, np.inf, np.float32)
-    missing = np.ones(free.shape, bool)
-    for reach in REACHES:
-        blurred = cv2.GaussianBlur(weighted, (0, 0), reach)
-        found = missing & (blurred[..., 6] > LEAST_GROUND)
+    weighted = [np.dstack([colour * free[..., None], np.square(colour) * free[..., None], free])]
+    while len(weighted) < REACHES:
+        weighted.append(cv2.pyrDown(weighted[-1]))
+    ground: Array = np.zeros((1, 1, 4), np.float32)
+    ground[..., 3] = 1e3  # the variance where there is no ground at all
+    for level in reversed(weighted):
+        blurred = cv2.GaussianBlur(level, (0, 0), REACH)
+        ground = cv2.resize(ground, level.shape[1::-1]).reshape(*level.shape[:2], 4)
+        found = blurred[..., 6] > LEAST_GROUND
         moments = blurred[found, :6] / blurred[found, 6:]
-        mean[found] = moments[:, :3]
-        variance[found] = (moments[:, 3:] - np.square(moments[:, :3])).max(axis=1)
-        missing &= ~found
-    return (
-        cv2.resize(mean, (width, height)),
-        cv2.resize(np.minimum(variance, 1e3), (width, height)),
-    )
+        ground[found, :3] = moments[:, :3]
+        ground[found, 3] = (moments[:, 3:] - np.square(moments[:, :3])).max(axis=1)
+    ground = cv2.resize(ground, (width, height))
+    return ground[..., :3], ground[..., 3]

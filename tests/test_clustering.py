@@ -12,6 +12,7 @@ from mlbs_actors.affinity import TrajectoryGraph
 from mlbs_actors.clustering import (
     LEAST_BORDER,
     UNLABELLED,
+    bled_trajectories,
     border_motion,
     label_speeds,
     least_object_speed,
@@ -86,35 +87,66 @@ def test_without_any_label_there_is_nothing_to_carry() -> None:
 # Splits
 
 
+def split(affinity: sp.csr_array, labels: Array, next_label: int = 1, bled: Array | None = None) -> Array:
+    return split_labels(
+        affinity, labels, CUTS, next_label, np.zeros(len(labels), bool) if bled is None else bled
+    )
+
+
 def test_the_largest_part_keeps_the_label_and_the_others_get_fresh_ones() -> None:
-    labels, fresh = split_labels(blocks(8, 12, 6), np.full(26, 4), CUTS, next_label=9)
+    labels = split(blocks(8, 12, 6), np.full(26, 4), next_label=9)
     assert labels.tolist() == [9] * 8 + [4] * 12 + [10] * 6
-    assert fresh == 11
 
 
 def test_a_cluster_that_holds_together_is_left_alone() -> None:
-    labels, fresh = split_labels(blocks(10, 12), np.repeat([0, 3], [10, 12]), CUTS, next_label=5)
+    labels = split(blocks(10, 12), np.repeat([0, 3], [10, 12]), next_label=5)
     assert labels.tolist() == [0] * 10 + [3] * 12
-    assert fresh == 5
 
 
 def test_unlabelled_trajectories_are_clustered_too() -> None:
     before = np.repeat([0, UNLABELLED], [10, 14])
-    labels, fresh = split_labels(blocks(10, 8, 6), before, CUTS, next_label=1)
+    labels = split(blocks(10, 8, 6), before)
     assert labels.tolist() == [0] * 10 + [1] * 8 + [2] * 6
-    assert fresh == 3
 
 
 def test_few_trajectories_that_fall_off_never_make_a_label() -> None:
-    labels, fresh = split_labels(blocks(12, 3, 4), np.zeros(19, np.int64), CUTS, next_label=1)
+    labels = split(blocks(12, 3, 4), np.zeros(19, np.int64))
     assert labels.tolist() == [0] * 12 + [UNLABELLED] * 7
-    assert fresh == 1
 
 
 def test_splitting_leaves_the_given_labels_as_they_were() -> None:
     before = np.zeros(20, np.int64)
-    split_labels(blocks(10, 10), before, CUTS, next_label=1)
+    split(blocks(10, 10), before)
     assert not before.any()
+
+
+def bridge() -> sp.csr_array:
+    """Two groups of ten, and between them three trajectories that are strongly tied to both."""
+    dense = blocks(10, 10, 3).toarray()
+    dense[20:, :20] = dense[:20, 20:] = 0.4
+    dense[20:, :10] = dense[:10, 20:] = 0.5  # a little nearer to the first
+    return sp.csr_array(dense)
+
+
+def test_trajectories_that_have_bled_tie_nothing_together() -> None:
+    labels = split(bridge(), np.zeros(23, np.int64), bled=np.arange(23) >= 20)
+    assert labels.tolist() == [0] * 10 + [1] * 10 + [0] * 3
+    assert not split(bridge(), np.zeros(23, np.int64)).any()
+
+
+def test_trajectories_that_have_bled_keep_the_label_of_what_holds_together() -> None:
+    assert not split(blocks(12, 3), np.zeros(15, np.int64), bled=np.arange(15) >= 12).any()
+
+
+def test_what_moves_against_the_camera_without_evidence_has_bled() -> None:
+    residuals = np.zeros((4, 4, 2))
+    residuals[1:] = (3.0, 0.0)
+    state = replace(
+        trajectories(np.zeros((4, 2)), residuals),
+        evidence=np.array([0.0, 0.0, MERGES.least_evidence, -1.0], np.float32),
+    )
+    assert bled_trajectories(state, MERGES, 1.0).tolist() == [False, True, False, True]
+    assert not bled_trajectories(state, MERGES, 10.0).any()  # 3 px is nothing in so large a frame
 
 
 # The border
@@ -251,10 +283,10 @@ def test_old_objects_that_touch_with_little_stay_apart_however_alike_they_move()
     ages, speeds = {2: OLD, 5: OLD}, {2: FAST, 5: FAST}
     few, labels = border(2, 5, [0.0] * (LEAST_BORDER - 1))
     np.testing.assert_array_equal(merge_by_motion(few, labels, ages, speeds, 1.0, MERGES), labels)
-    config = MERGES.model_copy(update={"same_motion_reach": 0.5})
-    little, labels = border(2, 5, [0.0] * 9)  # 9 edges for 20 trajectories
+    config = MERGES.model_copy(update={"same_motion_reach": 2.0})
+    little, labels = border(2, 5, [0.0] * 8)  # less than 2 √20
     np.testing.assert_array_equal(merge_by_motion(little, labels, ages, speeds, 1.0, config), labels)
-    enough, labels = border(2, 5, [0.0] * 10)
+    enough, labels = border(2, 5, [0.0] * 9)
     assert set(merge_by_motion(enough, labels, ages, speeds, 1.0, config).tolist()) == {2}
 
 

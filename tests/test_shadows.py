@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence
-from mlbs_actors.shadows import shadow_likelihood
+from mlbs_actors.shadows import Darkening, contact_shadow, darkening, shadow_likelihood
 
 SHAPE = (240, 320)
 #: Lengths are stated for 640×480.
@@ -62,9 +62,9 @@ def labels() -> Array:
 
 
 def likelihood(image: Array, previous: Array = NO_LABELS) -> Array:
-    found = shadow_likelihood(image, evidence(), previous, SCALE)
-    assert found is not None
-    return found
+    dark = darkening(image, evidence(), previous, SCALE)
+    assert dark is not None
+    return shadow_likelihood(dark)
 
 
 @pytest.mark.parametrize("factor", [0.7, 0.5, 0.3])
@@ -110,9 +110,9 @@ def test_on_strongly_textured_ground_nothing_is_said() -> None:
 
 def test_without_an_objects_trajectories_there_is_nothing_that_could_cast_one() -> None:
     image = picture(0.5)
-    assert shadow_likelihood(image, evidence(BACKGROUND), labels(), SCALE) is None
+    assert darkening(image, evidence(BACKGROUND), labels(), SCALE) is None
     none = np.zeros((0, 2), np.float32)
-    assert shadow_likelihood(image, evidence(1, none), labels(), SCALE) is None
+    assert darkening(image, evidence(1, none), labels(), SCALE) is None
 
 
 def test_equal_input_gives_equal_bytes_and_is_only_read() -> None:
@@ -124,6 +124,77 @@ def test_equal_input_gives_equal_bytes_and_is_only_read() -> None:
 def test_a_frame_without_any_ground_has_no_shadow() -> None:
     x, y = np.meshgrid(np.arange(0, SHAPE[1], 8), np.arange(0, SHAPE[0], 8))
     everywhere = np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
-    found = shadow_likelihood(picture(0.5), evidence(1, everywhere), NO_LABELS, SCALE)
-    assert found is not None
-    assert not found.any()
+    dark = darkening(picture(0.5), evidence(1, everywhere), NO_LABELS, SCALE)
+    assert dark is not None
+    assert not shadow_likelihood(dark).any()
+
+
+# The dark strip between an object and the ground
+
+#: Below the red car, nearly black.
+STRIP = np.s_[120:130, 126:174]
+
+
+def with_strip(strip: tuple[slice, slice] = STRIP) -> tuple[Array, Array, Darkening]:
+    """Label map, picture and its darkening: the map gives the car the strip too."""
+    image = picture(1.0)
+    image[strip] = 9
+    found = np.zeros(SHAPE, np.uint16)
+    found[CAR] = found[strip] = 1
+    dark = darkening(image, evidence(), found, SCALE)
+    assert dark is not None
+    return found, image, dark
+
+
+def test_a_dark_strip_under_an_object_is_not_the_object() -> None:
+    found, image, dark = with_strip()
+    strip = contact_shadow(found, image, dark, SCALE, 0.3)
+    assert strip.dtype == bool
+    assert strip[STRIP].mean() > 0.85
+    strip[STRIP] = False
+    assert not strip.any()
+
+
+def test_it_is_looked_for_no_higher_than_it_may_rise() -> None:
+    found, image, dark = with_strip(np.s_[110:130, 126:174])
+    strip = contact_shadow(found, image, dark, SCALE, 0.1)
+    assert not strip[:122].any()
+
+
+def test_a_dark_strip_higher_up_is_a_bumper() -> None:
+    found, image, dark = with_strip(np.s_[100:110, 126:174])
+    assert not contact_shadow(found, image, dark, SCALE, 0.3).any()
+
+
+def test_what_is_narrow_is_a_tyre() -> None:
+    found, image, dark = with_strip(np.s_[120:130, 126:134])
+    assert not contact_shadow(found, image, dark, SCALE, 0.3).any()
+
+
+def test_a_bright_strip_is_the_object() -> None:
+    found, image, _ = with_strip()
+    image[STRIP] = 140
+    dark = darkening(image, evidence(), found, SCALE)
+    assert dark is not None
+    assert not contact_shadow(found, image, dark, SCALE, 0.3).any()
+
+
+def test_the_lighter_rim_under_the_strip_goes_with_it() -> None:
+    found, image, _ = with_strip()
+    rim = np.s_[130:132, 134:166]
+    found[rim], image[rim] = 1, 100
+    dark = darkening(image, evidence(), found, SCALE)
+    assert dark is not None
+    strip = contact_shadow(found, image, dark, 1.0, 0.3)
+    assert strip[rim].all()
+
+
+@pytest.mark.parametrize("below", ["another object", "the frame's border"])
+def test_what_does_not_stand_on_the_ground_has_no_contact_shadow(below: str) -> None:
+    found, image, dark = with_strip()
+    if below == "another object":
+        found[130:160, 120:180] = 2
+    else:
+        found, image = found[:130], image[:130]
+        dark = Darkening(dark.mean[:130], dark.spread[:130], dark.brightness[:130], dark.variance[:130])
+    assert not contact_shadow(found, image, dark, SCALE, 0.3)[STRIP].any()

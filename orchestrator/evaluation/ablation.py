@@ -42,6 +42,7 @@ STAGES: tuple[Stage, ...] = (
     Stage("+ prior", ("posterior.prior=0",)),
     Stage("+ label cost", ("segmentation.label_cost=0",)),
     Stage("+ shadows", ("segmentation.shadow=0",)),
+    Stage("+ contact shadows", ("segmentation.contact_shadow=0",)),
     Stage("+ cleaning", ("segmentation.speck_px=0", "segmentation.hole_px=0")),
 )
 
