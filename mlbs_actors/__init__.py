@@ -34,10 +34,12 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> object:
-    """Import the whole engine when it is asked for: most processes of a stream need a part of it or none."""
-    if name == "MultilayerSubtractor":
-        from mlbs_actors.subtractor import MultilayerSubtractor
+if not TYPE_CHECKING:  # a checker that sees it would take every name for one of this package
 
-        return MultilayerSubtractor
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    def __getattr__(name: str) -> object:
+        """Import the whole engine when it is asked for: most processes of a stream need a part or none."""
+        if name == "MultilayerSubtractor":
+            from mlbs_actors.subtractor import MultilayerSubtractor
+
+            return MultilayerSubtractor
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

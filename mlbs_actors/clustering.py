@@ -9,6 +9,8 @@ Differs from the paper, which trusts the N-cut alone:
   motion test: parts of a static scene join continuously somewhere along their border, while an object is
   discontinuous along all of its own. So a young label is merged into the neighbour from which its
   motion distance, at a low quantile over their common border, is within the noise.
+* Flow bleeds over smooth ground. Trajectories that move without evidence of it have no part in the N-cut
+  test.
 * Disconnection alone never makes a label, and groups with few trajectories stay unlabelled.
 """
 
@@ -98,7 +100,8 @@ def split_labels(
     """Put every cluster to the N-cut test; parts that fall off get fresh labels.
 
     The part with most trajectories keeps the label. Trajectories without a label are clustered too. Those
-    that have bled tie nothing together; they go where the random walk takes them.
+    that have bled tie nothing together; they, and the few that hung on them alone, go where the random walk
+    takes them.
 
     Parameters
     ----------
@@ -115,6 +118,7 @@ def split_labels(
     (n,) int64
     """
     result = labels.copy()
+    adrift = np.zeros(len(labels), bool)
     for label in np.unique(labels):
         nodes = np.flatnonzero((labels == label) & ~bled)
         parts = recursive_cut(
@@ -123,16 +127,19 @@ def split_labels(
         if parts.max(initial=-1) < 0:
             continue  # too small to be split
         result[nodes[parts < 0]] = UNLABELLED
+        own_bled = (labels == label) & bled
+        if own_bled.any():
+            adrift[nodes[parts < 0]] = True
         if parts.max() > 0:
-            result[(labels == label) & bled] = UNLABELLED
+            adrift |= own_bled
+            result[own_bled] = UNLABELLED
         for part in range(parts.max() + 1):
             if part == 0 and label != UNLABELLED:
                 continue
             result[nodes[parts == part]] = next_label
             next_label += 1
-    lost = bled & (result == UNLABELLED)
-    if lost.any():
-        result[lost] = propagate_labels(affinity, result, config)[lost]
+    if adrift.any():
+        result[adrift] = propagate_labels(affinity, result, config)[adrift]
     return result
 
 
@@ -232,7 +239,8 @@ def merge_by_motion(
     to that neighbour. Parts of one object bend and turn against each other, so between objects more is
     allowed, but only where a good part of the younger touches the older: two objects that pass each other
     touch with little. Objects of any age whose motions have been the same, within the noise, all their common
-    life are one.
+    life are one, if they touch at all; their border is measured against √n of the younger's n trajectories,
+    for a border grows like the root of what it bounds.
 
     Parameters
     ----------
@@ -261,14 +269,14 @@ def merge_by_motion(
             older, younger = sorted((low, high), key=lambda label: (-ages.get(label, 0), label))
             young = ages.get(younger, 0) < config.young_frames
             count = int((labels == younger).sum())
-            touch = edges / count
             if older == BACKGROUND:
                 alike = young and distance < config.merge_distance
             else:
-                alike = young and distance < config.object_merge_distance and touch >= config.merge_reach
+                alike = young and distance < config.object_merge_distance
+                alike &= edges >= config.merge_reach * count
                 alike |= (
                     distance < config.same_motion_distance
-                    and edges >= config.same_motion_reach * np.sqrt(count)
+                    and edges >= config.same_motion_border * np.sqrt(count)
                     and edges >= LEAST_BORDER
                 )
             if alike:

@@ -125,7 +125,7 @@ class LayersConfig(_Section):
         1.0, ge=0, description="Border edges per trajectory of the younger of two objects to merge."
     )
     camera_px: float = Field(
-        0.6, ge=0, description="A young label moves at least this much against the camera, px/frame."
+        0.6, ge=0, description="A young label moves at least this much against the camera, px/frame; a bled trajectory too."
     )
     camera_relative: float = Field(
         0.06, ge=0, description="... and at least this share of the camera's own motion."
@@ -133,7 +133,7 @@ class LayersConfig(_Section):
     same_motion_distance: float = Field(
         2.5, ge=0, description="Objects of any age below it at that quantile are one."
     )
-    same_motion_reach: float = Field(
+    same_motion_border: float = Field(
         1.0, ge=0, description="Border edges of two such objects, × √(trajectories of the younger)."
     )
     unexplained_noise: float = Field(
@@ -252,13 +252,13 @@ class SegmentationConfig(_Section):
     )
     track_cost: float = Field(1.0, ge=0, description="|c|: pull of a labelled trajectory at its pixel, nats.")
     shadow: float = Field(
-        0.15, ge=0, description="Cost of an object in a likely shadow; 0 = shadows are not looked for, nats."
+        0.15, ge=0, description="Cost of an object in a likely cast shadow; 0 = none is looked for, nats."
     )
     contact_shadow: float = Field(
         0.12,
         ge=0,
         le=1,
-        description="Most height of a dark strip under an object, in the object's; 0 = none.",
+        description="Greatest height of a contact shadow, as a share of its object's; 0 = none.",
     )
     label_cost: float = Field(20.0, ge=0, description="h_k: cost of using a label at all, px × nats.")
     speck_px: float = Field(50.0, ge=0, description="Smaller components of an object are cleaned away, px².")

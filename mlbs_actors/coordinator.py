@@ -174,14 +174,13 @@ class Coordinator:
             spacing = config.trajectories.seed_spacing_px * scale
             voters = np.flatnonzero(known)[evenly_spread(trajectories.positions[known], spacing)]
             camera = camera_homography(trajectories.positions[voters], trajectories.motions[voters], scale)
-            trajectories = seed_trajectories(trajectories, gray, flow, shape, config.trajectories)
             nothing = np.zeros(gray.shape, np.float32)
             against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
             if flow is not None:
                 against_camera = camera_evidence(state.gray, gray, camera, flow.backward, flow.step)
-                # Small movers need more points than the grid gives them.
-                dense = against_camera.advantage > config.trajectories.dense_advantage
-                trajectories = seed_trajectories(trajectories, gray, flow, shape, config.trajectories, dense)
+            # Small movers need more points than the grid gives them.
+            dense = against_camera.advantage > config.trajectories.dense_advantage
+            trajectories = seed_trajectories(trajectories, gray, flow, shape, config.trajectories, dense)
             labels = np.concatenate([labels, np.full(len(trajectories) - survivors, UNLABELLED, np.int64)])
             step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
             advantage = sample_flow(against_camera.advantage[..., None], trajectories.positions, step)[:, 0]

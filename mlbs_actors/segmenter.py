@@ -4,8 +4,8 @@ E(L) = Σ_i −log P_post(l_i) + Σ_i tracks(l_i) + Σ_i shadow(l_i) + Σ_(i,j) 
 
 Differs from the paper: the trajectories' own data cost (there for new layers) is always there, not only
 where samples are missing: trajectory labels decide, contrast draws the outline, appearance repairs. Cast
-shadows, which move with an object, are told from it (:mod:`mlbs_actors.shadows`). The
-published map is the cleaned one (specks and pinholes removed), and it is the one the layers learn from.
+shadows, which move with an object, are told from it (:mod:`mlbs_actors.shadows`). The published map is
+the cleaned one (specks, pinholes and contact shadows removed), and it is the one the layers learn from.
 """
 
 from __future__ import annotations
@@ -116,12 +116,10 @@ class Segmenter:
         weights = contrast_weights(frame, config.contrast_strength, config.contrast_scale)
         cut = minimise(unary, weights, label_costs)
         solved = perf_counter()
-        positions = cut.labels
-        if dark is not None and config.contact_shadow > 0:
-            resting = contact_shadow(positions, frame, dark, scale, config.contact_shadow)
-            positions = np.where(resting, positions.dtype.type(0), positions)
         speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
-        positions = clean_labels(positions, speck_px=speck_px, hole_px=hole_px)
+        positions = clean_labels(cut.labels, speck_px=speck_px, hole_px=hole_px)
+        if dark is not None and config.contact_shadow > 0:
+            positions[contact_shadow(positions, frame, dark, scale, config.contact_shadow)] = 0
         labels = np.array(ids, np.uint16)[positions]
         summaries = _summaries(positions, cost, normaliser, posteriors)
         done = perf_counter()
@@ -162,10 +160,8 @@ def _pull_tracks(unary: Array, evidence: FrameEvidence, strength: float) -> None
     for position, layer in enumerate(evidence.layers):
         x = np.clip(np.rint(layer.positions[:, 0]).astype(np.intp), 0, width - 1)
         y = np.clip(np.rint(layer.positions[:, 1]).astype(np.intp), 0, height - 1)
-        pull = np.zeros((height, width), np.float32)
-        np.add.at(pull, (y, x), np.float32(strength))
-        unary += pull
-        unary[position] -= 2.0 * pull
+        for other in range(len(unary)):
+            np.add.at(unary[other], (y, x), np.float32(-strength if other == position else strength))
 
 
 def _discount_shadows(unary: Array, posteriors: list[LayerPosterior], shadow: Array, strength: float) -> None:

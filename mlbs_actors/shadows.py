@@ -27,8 +27,8 @@ SHRINK = 4
 NEAR_PX = 16.0
 #: So many px around last frame's objects are not taken for ground either.
 GROWN_PX = 9
-#: Standard deviation over which ground is looked for, shrunk px; where there is none, twice that, and so on.
-REACH, REACHES = 3.0, 5
+#: Standard deviation over which ground is looked for, shrunk px; where there is none, twice that, so often.
+REACH, DOUBLINGS = 3.0, 4
 #: Least share of ground within a reach.
 LEAST_GROUND = 0.05
 #: Log darkening at which a shadow begins, over which that is certain, and the same for the darkest.
@@ -37,9 +37,11 @@ LIGHTEST, LIGHTEST_RAMP, DARKEST, DARKEST_RAMP = -0.10, 0.15, -2.2, 0.3
 CHANNEL_SPREAD, CHANNEL_NOISE = 0.25, 6.0
 #: Variance of the ground's log colour above which nothing is said.
 GROUND_VARIANCE = 0.04
-#: Log darkening of a contact shadow, and its steepest mean gradient over 5×5 px, grey levels/px.
+#: What stands for it where there is no ground within any reach.
+NO_GROUND = 1e3
+#: Log darkening of a contact shadow, and its steepest mean gradient over 5×5 px, grey levels/px of 640×480.
 CONTACT_DARK, CONTACT_SMOOTH = -0.7, 6.0
-#: It is at least this wide, in heights of its object, and begins so near above the ground, px of 640×480.
+#: It is at least this wide, in heights of its object, and so near above the ground, px of 640×480.
 CONTACT_WIDTH, CONTACT_GAP_PX = 0.3, 6.0
 #: Its edges, which are neither smooth nor flat, reach so far, px of a 640×480 frame.
 CONTACT_EDGE_PX = 4.0
@@ -83,11 +85,11 @@ def darkening(frame: Array, evidence: FrameEvidence, previous: Array, scale: flo
     Returns
     -------
     Darkening or None
-        None if no object has a trajectory.
+        None if there is neither an object's trajectory nor an object in the last map.
     """
     height, width = frame.shape[:2]
     objects = [one for one in evidence.layers if one.layer != BACKGROUND and len(one.positions)]
-    if not objects:
+    if not objects and not previous.any():
         return None
     occupied = trajectory_distance(objects, Region(0, 0, width, height)) < NEAR_PX * scale
     if previous.size:
@@ -134,58 +136,38 @@ def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, r
     Parameters
     ----------
     labels : (H, W) integer
-        0 = background.
+        Without pinholes; 0 = background.
     frame : (H, W, 3) uint8
     dark : Darkening
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
     rise : float
-        Its most height, in heights of its object.
+        How high it may reach, as a share of the height of its piece of the object.
 
     Returns
     -------
     (H, W) bool
     """
     found = np.zeros(labels.shape, bool)
-    colourless = (dark.mean < CONTACT_DARK) & (dark.spread < _tolerance(dark))
-    for label in np.unique(labels[labels > BACKGROUND]):
-        count, parts, boxes, _ = cv2.connectedComponentsWithStats((labels == label).astype(np.uint8))
-        for part, (x, y, width, height, _) in enumerate(boxes[1:count], start=1):
-            bottom = y + height
-            strip = np.s_[max(y, bottom - 2 * int(np.ceil(rise * height))) : bottom, x : x + width]
-            # Where another object or the frame's border follows, it does not stand on the ground.
-            lower = (
-                labels[bottom, x : x + width] > BACKGROUND if bottom < len(labels) else np.ones(width, bool)
-            )
-            above = _height_above_ground(labels[strip] > BACKGROUND, lower)
-            low = colourless[strip] & (above <= rise * height)
-            found[strip] |= _resting_strip(parts[strip] == part, low, above, frame[strip], height, scale)
-    return found
-
-
-def _resting_strip(body: Array, low: Array, above: Array, frame: Array, height: int, scale: float) -> Array:
-    low = low & body
-    smooth = (low & (_steepness(frame) < CONTACT_SMOOTH)).astype(np.uint8)
-    flat = cv2.morphologyEx(
-        smooth, cv2.MORPH_OPEN, np.ones((1, max(3, int(CONTACT_WIDTH * height))), np.uint8)
-    )
-    _, pieces = cv2.connectedComponents(flat)
-    resting = np.unique(pieces[(flat > 0) & (above <= CONTACT_GAP_PX * scale)])
-    core = (flat > 0) & np.isin(pieces, resting)
+    unlit = (dark.mean < CONTACT_DARK) & (dark.spread < _tolerance(dark))
+    smooth = _steepness(frame) < CONTACT_SMOOTH / scale
     edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
-    around = cv2.dilate(core.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge)))
-    # What is left of the object under it is the shadow's lighter rim.
-    return np.asarray(np.maximum.accumulate((around > 0) & low, axis=0) & body)
-
-
-def _height_above_ground(occupied: Array, below: Array) -> Array:
-    """How many pixels down to the first free one, (h, w) int32; more than h if there is none."""
-    above = np.zeros(occupied.shape, np.int32)
-    run = np.where(below, len(occupied), 0).astype(np.int32)
-    for row in range(len(occupied) - 1, -1, -1):
-        run = np.where(occupied[row], run + 1, 0)
-        above[row] = run
-    return above
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
+    for label in np.unique(labels[labels > BACKGROUND]):
+        _, pieces, boxes, _ = cv2.connectedComponentsWithStats((labels == label).astype(np.uint8))
+        for piece, (x, y, width, height, _) in enumerate(boxes[1:], start=1):
+            # Feet of one object stand at different heights of the picture.
+            box = np.s_[y + height // 2 : y + height, x : x + width]
+            body = pieces[box] == piece
+            above = _height_above_ground(labels, box)
+            foot = body & unlit[box] & (above <= rise * height)
+            flat = _wide(foot & smooth[box], CONTACT_WIDTH * height)
+            _, strips = cv2.connectedComponents(flat.astype(np.uint8))
+            resting = np.unique(strips[flat & (above <= CONTACT_GAP_PX * scale)])
+            core = np.isin(strips, resting[resting > 0])
+            strip = cv2.dilate(core.astype(np.uint8), disc).astype(bool) & foot
+            found[box] |= _and_under(strip, body)
+    return found
 
 
 def _steepness(frame: Array) -> Array:
@@ -193,6 +175,36 @@ def _steepness(frame: Array) -> Array:
     gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY).astype(np.float32)
     slopes = (cv2.Sobel(gray, cv2.CV_32F, *axis) / 8.0 for axis in ((1, 0), (0, 1)))
     return np.asarray(cv2.blur(np.hypot(*slopes), (5, 5)))
+
+
+def _height_above_ground(labels: Array, box: tuple[slice, slice]) -> Array:
+    """How many px down to the first that is no object's, (h, w) int32; over H if the frame ends first."""
+    rows, columns = box
+    occupied = labels[rows, columns] > BACKGROUND
+    above = np.zeros(occupied.shape, np.int32)
+    under = labels[rows.stop, columns] > BACKGROUND if rows.stop < len(labels) else np.True_
+    run = np.where(under, len(labels), 0)
+    for row in range(len(occupied) - 1, -1, -1):
+        run = np.where(occupied[row], run + 1, 0)
+        above[row] = run
+    return above
+
+
+def _wide(mask: Array, least: float) -> Array:
+    """What of a mask lies in horizontal runs of at least so many px."""
+    run = np.ones((1, 2 * max(1, int(least / 2)) + 1), np.uint8)
+    opened = cv2.morphologyEx(
+        mask.astype(np.uint8), cv2.MORPH_OPEN, run, borderType=cv2.BORDER_CONSTANT, borderValue=0
+    )
+    return np.asarray(opened, bool)
+
+
+def _and_under(strip: Array, body: Array) -> Array:
+    """The strip and what of the body is under it, down to the ground: the shadow's lighter rim."""
+    result = strip.copy()
+    for row in range(1, len(strip)):
+        result[row] |= result[row - 1] & body[row]
+    return result
 
 
 def _ground(frame: Array, occupied: Array) -> tuple[Array, Array]:
@@ -204,16 +216,19 @@ def _ground(frame: Array, occupied: Array) -> tuple[Array, Array]:
         np.float32
     )
     weighted = [np.dstack([colour * free[..., None], np.square(colour) * free[..., None], free])]
-    while len(weighted) < REACHES:
+    for _ in range(DOUBLINGS):
         weighted.append(cv2.pyrDown(weighted[-1]))
-    ground: Array = np.zeros((1, 1, 4), np.float32)
-    ground[..., 3] = 1e3  # the variance where there is no ground at all
+    ground: Array | None = None
     for level in reversed(weighted):
         blurred = cv2.GaussianBlur(level, (0, 0), REACH)
-        ground = cv2.resize(ground, level.shape[1::-1]).reshape(*level.shape[:2], 4)
         found = blurred[..., 6] > LEAST_GROUND
-        moments = blurred[found, :6] / blurred[found, 6:]
-        ground[found, :3] = moments[:, :3]
-        ground[found, 3] = (moments[:, 3:] - np.square(moments[:, :3])).max(axis=1)
+        moments = blurred[..., :6] / np.maximum(blurred[..., 6:], LEAST_GROUND)
+        variance = (moments[..., 3:] - np.square(moments[..., :3])).max(axis=2)
+        variance[~found] = NO_GROUND
+        own = np.dstack([moments[..., :3], variance])
+        if ground is not None:
+            own = np.where(found[..., None], own, cv2.pyrUp(ground, dstsize=found.shape[::-1]))
+        ground = own
+    assert ground is not None
     ground = cv2.resize(ground, (width, height))
     return ground[..., :3], ground[..., 3]

@@ -146,49 +146,59 @@ def seed_trajectories(
         (H, W) of the full frame.
     config : TrajectoriesConfig
     dense : (h, w) bool, optional
-        Where to seed on the dense grid; elsewhere nothing is seeded then.
+        Where to seed on the dense grid besides.
 
     Returns
     -------
     TrajectoryState
-        With the new trajectories appended, in raster order.
+        With the new trajectories appended, each grid in raster order.
 
     Notes
     -----
     A seed needs a smaller structure-tensor eigenvalue above mean·(0.1 + exp(−0.1 d)), d the distance to the
     border in px.
     """
+    structure = cv2.cornerMinEigenVal(gray, blockSize=5, ksize=3)
+    everywhere = np.ones(gray.shape, bool)
+    state = _seeded(state, structure, flow, shape, config.seed_spacing_px, LEAST_SPACING, everywhere)
+    if dense is not None:
+        state = _seeded(state, structure, flow, shape, config.dense_spacing_px, LEAST_DENSE_SPACING, dense)
+    return state
+
+
+def _seeded(
+    state: TrajectoryState,
+    structure: Array,
+    flow: DenseFlow | None,
+    shape: tuple[int, int],
+    spacing_px: float,
+    least: float,
+    where: Array,
+) -> TrajectoryState:
+    """Seed one grid; nearer than ``least`` px of the shrunk frame the flow cannot tell two points apart."""
     height, width = shape
-    step_x, step_y = width / gray.shape[1], height / gray.shape[0]
-    # Nearer than this the flow cannot tell two points apart.
-    wanted_px, least = (
-        (config.seed_spacing_px, LEAST_SPACING)
-        if dense is None
-        else (config.dense_spacing_px, LEAST_DENSE_SPACING)
-    )
-    spacing = max(wanted_px * length_scale(height, width), least * max(step_x, step_y))
+    shrunk_height, shrunk_width = structure.shape
+    step_x, step_y = width / shrunk_width, height / shrunk_height
+    spacing = max(spacing_px * length_scale(height, width), least * max(step_x, step_y))
     columns, rows = max(1, int(width / spacing)), max(1, int(height / spacing))
     xs = ((np.arange(columns) + 0.5) * width / columns).astype(np.float32)
     ys = ((np.arange(rows) + 0.5) * height / rows).astype(np.float32)
     grid_x, grid_y = (axis.ravel() for axis in np.meshgrid(xs, ys))
 
     # A live trajectory covers a disc of the seed spacing around it.
-    free = np.full(gray.shape, 255, np.uint8)
-    px = np.clip((state.positions[:, 0] / step_x).astype(np.intp), 0, gray.shape[1] - 1)
-    py = np.clip((state.positions[:, 1] / step_y).astype(np.intp), 0, gray.shape[0] - 1)
+    free = np.full(structure.shape, 255, np.uint8)
+    px = np.clip((state.positions[:, 0] / step_x).astype(np.intp), 0, shrunk_width - 1)
+    py = np.clip((state.positions[:, 1] / step_y).astype(np.intp), 0, shrunk_height - 1)
     free[py, px] = 0
-    distance = np.full(gray.shape, np.inf, np.float32)  # px
+    distance = np.full(structure.shape, np.inf, np.float32)  # px
     if len(state):
         distance = cv2.distanceTransform(free, cv2.DIST_L2, 5) * np.float32(0.5 * (step_x + step_y))
-    cell_x = np.clip((grid_x / step_x).astype(np.intp), 0, gray.shape[1] - 1)
-    cell_y = np.clip((grid_y / step_y).astype(np.intp), 0, gray.shape[0] - 1)
+    cell_x = np.clip((grid_x / step_x).astype(np.intp), 0, shrunk_width - 1)
+    cell_y = np.clip((grid_y / step_y).astype(np.intp), 0, shrunk_height - 1)
 
-    structure = cv2.cornerMinEigenVal(gray, blockSize=5, ksize=3)
     border = np.minimum.reduce([grid_x, grid_y, width - 1 - grid_x, height - 1 - grid_y])
-    wanted = distance[cell_y, cell_x] >= 0.75 * spacing
+    wanted = where[cell_y, cell_x] & (distance[cell_y, cell_x] >= 0.75 * spacing)
     wanted &= structure[cell_y, cell_x] > structure.mean() * (0.1 + np.exp(-0.1 * border))
-    if dense is not None:
-        wanted &= dense[cell_y, cell_x]
     points = np.stack([grid_x, grid_y], axis=1)
     back = np.zeros_like(points)
     age = 0

@@ -138,6 +138,13 @@ def test_trajectories_that_have_bled_keep_the_label_of_what_holds_together() -> 
     assert not split(blocks(12, 3), np.zeros(15, np.int64), bled=np.arange(15) >= 12).any()
 
 
+def test_what_hangs_on_a_cluster_by_bled_trajectories_alone_keeps_its_label() -> None:
+    dense = blocks(12, 3, 4).toarray()
+    dense[12:15, :12] = dense[:12, 12:15] = dense[12:15, 15:] = dense[15:, 12:15] = 0.9
+    labels = split(sp.csr_array(dense), np.zeros(19, np.int64), bled=(np.arange(19) // 3) == 4)
+    assert not labels.any()
+
+
 def test_what_moves_against_the_camera_without_evidence_has_bled() -> None:
     residuals = np.zeros((4, 4, 2))
     residuals[1:] = (3.0, 0.0)
@@ -283,7 +290,7 @@ def test_old_objects_that_touch_with_little_stay_apart_however_alike_they_move()
     ages, speeds = {2: OLD, 5: OLD}, {2: FAST, 5: FAST}
     few, labels = border(2, 5, [0.0] * (LEAST_BORDER - 1))
     np.testing.assert_array_equal(merge_by_motion(few, labels, ages, speeds, 1.0, MERGES), labels)
-    config = MERGES.model_copy(update={"same_motion_reach": 2.0})
+    config = MERGES.model_copy(update={"same_motion_border": 2.0})
     little, labels = border(2, 5, [0.0] * 8)  # less than 2 √20
     np.testing.assert_array_equal(merge_by_motion(little, labels, ages, speeds, 1.0, config), labels)
     enough, labels = border(2, 5, [0.0] * 9)

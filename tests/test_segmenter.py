@@ -33,6 +33,7 @@ PLAIN: dict[str, float] = {
     "speck_px": 0.0,
     "hole_px": 0.0,
     "shadow": 0.0,
+    "contact_shadow": 0.0,
 }
 
 
@@ -170,6 +171,25 @@ def test_in_a_shadow_an_object_is_dearer_than_the_background_and_elsewhere_it_is
     assert (maps[0.0][region.slices] == 1).all()
     assert not maps[0.5][127:145, 122:178].any()
     assert (maps[0.5][82:118, 122:178] == 1).all()
+
+
+def test_the_dark_strip_under_an_object_goes_to_the_background_and_is_no_part_of_its_summary() -> None:
+    shape = (240, 320)
+    image = np.full((*shape, 3), (120, 125, 130), np.uint8)
+    car, strip = Region(120, 80, 60, 40), Region(126, 120, 48, 10)
+    image[car.slices], image[strip.slices] = (30, 30, 190), 9
+    cost = np.full((50, 60), 200, np.uint8)
+    cost[:40], cost[40:, 6:54] = 0, 0
+    posteriors = [posterior(0, 80, Region(0, 0, 320, 240)), posterior(7, cost, Region(120, 80, 60, 50))]
+    at = np.array([[150.0, 100.0]], np.float32)
+    results = {}
+    for rise in (0.0, 0.25):
+        given = replace(evidence_of(posteriors, tracks={7: at}), shape=shape)
+        results[rise] = Segmenter(configured(contact_shadow=rise)).step(given, image, posteriors)
+    assert (results[0.0].labels[strip.slices] == 7).all()
+    assert (results[0.25].labels[strip.slices] == 0).mean() > 0.8
+    assert (results[0.25].labels[car.slices] == 7).all()
+    assert results[0.25].layers[0].area == np.count_nonzero(results[0.25].labels == 7)
 
 
 def test_where_the_layers_cost_the_same_the_trajectories_decide() -> None:

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence
-from mlbs_actors.shadows import Darkening, contact_shadow, darkening, shadow_likelihood
+from mlbs_actors.shadows import (
+    CONTACT_DARK,
+    CONTACT_WIDTH,
+    Darkening,
+    contact_shadow,
+    darkening,
+    shadow_likelihood,
+)
 
 SHAPE = (240, 320)
 #: Lengths are stated for 640×480.
@@ -108,11 +115,13 @@ def test_on_strongly_textured_ground_nothing_is_said() -> None:
     assert found[INNER].mean() < 0.05
 
 
-def test_without_an_objects_trajectories_there_is_nothing_that_could_cast_one() -> None:
+def test_without_an_object_there_is_nothing_that_could_cast_one() -> None:
     image = picture(0.5)
-    assert darkening(image, evidence(BACKGROUND), labels(), SCALE) is None
     none = np.zeros((0, 2), np.float32)
-    assert darkening(image, evidence(1, none), labels(), SCALE) is None
+    for previous in (NO_LABELS, np.zeros(SHAPE, np.uint16)):
+        assert darkening(image, evidence(BACKGROUND), previous, SCALE) is None
+        assert darkening(image, evidence(1, none), previous, SCALE) is None
+    assert darkening(image, evidence(1, none), labels(), SCALE) is not None
 
 
 def test_equal_input_gives_equal_bytes_and_is_only_read() -> None:
@@ -131,70 +140,108 @@ def test_a_frame_without_any_ground_has_no_shadow() -> None:
 
 # The dark strip between an object and the ground
 
-#: Below the red car, nearly black.
+#: Below the red car, nearly black; with it the object is 50 px high.
 STRIP = np.s_[120:130, 126:174]
+RISE = 0.25
+#: Nearer than this to an outline no place is smooth.
+EDGE = 3
 
 
-def with_strip(strip: tuple[slice, slice] = STRIP) -> tuple[Array, Array, Darkening]:
-    """Label map, picture and its darkening: the map gives the car the strip too."""
-    image = picture(1.0)
-    image[strip] = 9
-    found = np.zeros(SHAPE, np.uint16)
-    found[CAR] = found[strip] = 1
+def strip_found(image: Array, found: Array) -> Array:
     dark = darkening(image, evidence(), found, SCALE)
     assert dark is not None
-    return found, image, dark
+    return contact_shadow(found, image, dark, SCALE, RISE)
+
+
+def with_strip(strip: tuple[slice, slice] = STRIP, grey: int = 9) -> tuple[Array, Array]:
+    """A picture, and a label map that gives the car a strip under it too."""
+    image = picture(1.0)
+    image[strip] = grey
+    found = np.zeros(SHAPE, np.uint16)
+    found[CAR] = found[strip] = 1
+    return image, found
 
 
 def test_a_dark_strip_under_an_object_is_not_the_object() -> None:
-    found, image, dark = with_strip()
-    strip = contact_shadow(found, image, dark, SCALE, 0.3)
+    strip = strip_found(*with_strip())
     assert strip.dtype == bool
     assert strip[STRIP].mean() > 0.85
     strip[STRIP] = False
     assert not strip.any()
 
 
-def test_it_is_looked_for_no_higher_than_it_may_rise() -> None:
-    found, image, dark = with_strip(np.s_[110:130, 126:174])
-    strip = contact_shadow(found, image, dark, SCALE, 0.1)
-    assert not strip[:122].any()
+def test_it_rises_no_higher_than_it_may() -> None:
+    strip = strip_found(*with_strip(np.s_[90:130, 126:174]))
+    assert strip[120:130, 130:170].all()
+    assert not strip[: 130 - int(RISE * 50) - 1].any()
 
 
-def test_a_dark_strip_higher_up_is_a_bumper() -> None:
-    found, image, dark = with_strip(np.s_[100:110, 126:174])
-    assert not contact_shadow(found, image, dark, SCALE, 0.3).any()
+def test_a_dark_strip_above_a_bright_one_is_a_bumper() -> None:
+    image, found = with_strip(np.s_[112:120, 122:178])
+    found[120:126, 122:178], image[120:126, 122:178] = 1, 125
+    assert not strip_found(image, found).any()
 
 
-def test_what_is_narrow_is_a_tyre() -> None:
-    found, image, dark = with_strip(np.s_[120:130, 126:134])
-    assert not contact_shadow(found, image, dark, SCALE, 0.3).any()
+@pytest.mark.parametrize("left", [120, 143, 160])
+def test_what_is_narrow_is_a_tyre(left: int) -> None:
+    width = int(CONTACT_WIDTH * 50) - 1 + 2 * EDGE
+    assert not strip_found(*with_strip(np.s_[112:130, left : left + width - 2 * EDGE])).any()
+    assert strip_found(*with_strip(np.s_[112:130, 130 : 130 + width + 4])).any()
 
 
-def test_a_bright_strip_is_the_object() -> None:
-    found, image, _ = with_strip()
-    image[STRIP] = 140
-    dark = darkening(image, evidence(), found, SCALE)
-    assert dark is not None
-    assert not contact_shadow(found, image, dark, SCALE, 0.3).any()
+@pytest.mark.parametrize("grey", [75, 140])
+def test_a_strip_that_is_not_dark_is_the_object(grey: int) -> None:
+    assert not strip_found(*with_strip(grey=grey)).any()
+
+
+def test_a_dark_strip_with_texture_is_the_object() -> None:
+    image, found = with_strip()
+    checks = np.indices(SHAPE).sum(axis=0)[STRIP] // 2 % 2
+    image[STRIP] = np.where(checks[..., None], 1, 40)
+    assert not strip_found(image, found).any()
+
+
+def test_a_dark_strip_of_another_hue_is_the_object() -> None:
+    image, found = with_strip()
+    image[STRIP] = (6, 6, 100)
+    assert not strip_found(image, found).any()
 
 
 def test_the_lighter_rim_under_the_strip_goes_with_it() -> None:
-    found, image, _ = with_strip()
-    rim = np.s_[130:132, 134:166]
-    found[rim], image[rim] = 1, 100
-    dark = darkening(image, evidence(), found, SCALE)
+    rim = np.s_[129:130, 130:170]
+    image, found = with_strip()
+    image[rim] = 100
+    image, found = (one.repeat(2, axis=0).repeat(2, axis=1) for one in (image, found))
+    dark = darkening(image, evidence(), found, 2 * SCALE)
     assert dark is not None
-    strip = contact_shadow(found, image, dark, 1.0, 0.3)
-    assert strip[rim].all()
+    assert dark.mean[258:260, 264:336].min() > CONTACT_DARK
+    assert contact_shadow(found, image, dark, 2 * SCALE, RISE)[258:260, 264:336].all()
+
+
+def test_nothing_is_taken_beyond_the_ground() -> None:
+    image, found = with_strip()
+    found[140:160, 130:170] = 1  # another piece of the same object, with ground between
+    assert not strip_found(image, found)[140:].any()
 
 
 @pytest.mark.parametrize("below", ["another object", "the frame's border"])
 def test_what_does_not_stand_on_the_ground_has_no_contact_shadow(below: str) -> None:
-    found, image, dark = with_strip()
+    image, found = with_strip()
+    assert strip_found(image, found).any()
     if below == "another object":
         found[130:160, 120:180] = 2
+        assert not strip_found(image, found)[STRIP].any()
     else:
-        found, image = found[:130], image[:130]
-        dark = Darkening(dark.mean[:130], dark.spread[:130], dark.brightness[:130], dark.variance[:130])
-    assert not contact_shadow(found, image, dark, SCALE, 0.3)[STRIP].any()
+        dark = darkening(image, evidence(), found, SCALE)
+        assert dark is not None
+        cut = Darkening(dark.mean[:130], dark.spread[:130], dark.brightness[:130], dark.variance[:130])
+        assert not contact_shadow(found[:130], image[:130], cut, SCALE, RISE).any()
+
+
+def test_the_ground_of_a_mirrored_frame_is_mirrored() -> None:
+    image, found = picture(0.5, road() * np.linspace(0.5, 1.5, SHAPE[1])[:, None]), labels()
+    one = darkening(image, evidence(BACKGROUND), found, SCALE)
+    other = darkening(image[:, ::-1], evidence(BACKGROUND), found[:, ::-1], SCALE)
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(other.mean[:, ::-1], one.mean, atol=0.05)

@@ -5,13 +5,15 @@ The actors know the engine through :class:`PartFactory` only. :class:`EnginePart
 
 from __future__ import annotations
 
-import getpass
+import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from filelock import FileLock
+from filelock import FileLock, Timeout
 
 from mlbs_actors.config import Config
 from mlbs_actors.messages import (
@@ -24,6 +26,9 @@ from mlbs_actors.messages import (
 )
 
 __all__ = ["CoordinatorPart", "EngineParts", "LayerPart", "PartFactory", "SegmenterPart"]
+
+#: How long a process waits for others to compile, s.
+TURN_SECONDS = 60.0
 
 
 class CoordinatorPart(Protocol):
@@ -105,7 +110,7 @@ class EngineParts:
         """
         import mlbs_actors.layer  # noqa: F401  (needs no turn)
 
-        with FileLock(Path(tempfile.gettempdir()) / f"mlbs-kernels-{getpass.getuser()}.lock"):
+        with _turn():
             self._run_two_layers()
 
     def _run_two_layers(self) -> None:
@@ -149,6 +154,18 @@ class EngineParts:
                     camera_motion=(0.0, 0.0),
                     latency_frames=0,
                 )
+
+
+@contextmanager
+def _turn() -> Iterator[None]:
+    """Wait for the other processes of this user; without their order nothing is lost but time."""
+    lock = FileLock(Path(tempfile.gettempdir()) / f"mlbs-actors-kernels-{os.getuid()}.lock")
+    with suppress(OSError, Timeout):
+        lock.acquire(timeout=TURN_SECONDS)
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _read_only(array: Array) -> Array:

@@ -66,9 +66,11 @@ THRESHOLDS = (
     "layers.merge_distance",
     "layers.object_merge_distance",
     "layers.same_motion_distance",
+    "layers.same_motion_border",
     "layers.unexplained_noise",
     "layers.least_evidence",
     "trajectories.dense_advantage",
+    "segmentation.contact_shadow",
 )
 TRAJECTORIES = ("trajectories.seed_spacing_px", "trajectories.consistency_px2", "affinity.radius_px")
 WEIGHTS = (
