@@ -125,7 +125,7 @@ class LayersConfig(_Section):
         1.0, ge=0, description="Border edges per trajectory of the younger of two objects to merge."
     )
     camera_px: float = Field(
-        0.6, ge=0, description="A young label moves at least this much against the camera, px/frame; a bled trajectory too."
+        0.6, ge=0, description="A young label moves at least this much against the camera, px/frame."
     )
     camera_relative: float = Field(
         0.06, ge=0, description="... and at least this share of the camera's own motion."
@@ -140,7 +140,7 @@ class LayersConfig(_Section):
         4.0, gt=0, description="The camera's motion fails to explain a place where it errs by this, × noise."
     )
     least_evidence: float = Field(
-        2.0, description="An object's trajectory counts from this much evidence against the camera, × noise."
+        2.0, description="A moving trajectory counts from this much evidence against the camera, × noise."
     )
     probation_frames: int = Field(2, ge=0, description="Frames a split must last before it becomes a layer.")
     min_tracks: int = Field(5, ge=1, description="A layer with fewer trajectories falls asleep.")
