@@ -59,8 +59,8 @@ def test_the_five_sequences_in_one_run_have_a_good_mask_for_every_frame(
         assert len(overlaps) == len(list((sequences / name / "frames").iterdir()))
         two_label_f.append(mean(two_label(overlap).f for overlap in overlaps))
         object_f.append(mean(object_level(overlap).f for overlap in overlaps))
-    assert mean(two_label_f) >= 0.86
-    assert mean(object_f) >= 0.78
+    assert mean(two_label_f) >= 0.915
+    assert mean(object_f) >= 0.88
 
     subtractor, results = MultilayerSubtractor(), []
     frames = sorted((sequences / "cars2" / "frames").iterdir())
