@@ -1,0 +1,1 @@
+"""How long the engine takes, and what else one could use, measured in one run."""

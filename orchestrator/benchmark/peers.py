@@ -1,0 +1,191 @@
+"""What one would use instead: moving against not moving with OpenCV alone, in a few lines each.
+
+All of them take the camera's motion out by a homography and give one mask a frame; none tells objects apart.
+They are written to be good at it with one set of parameters, in one thread, so that a comparison is fair.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from mlbs_actors.messages import Array
+
+__all__ = ["PEERS", "FlowComposite", "FlowResidual", "Peer", "StabilisedMog2"]
+
+#: GrabCut works on the frame shrunk by this.
+SHRINK = 2
+#: Reprojection error of an inlier of the camera's homography, px.
+INLIER_PX = 1.0
+#: Every so many px the flow votes for the camera's motion.
+VOTE_STEP = 16
+#: Residual motion below this is noise, px a frame.
+LEAST_RESIDUAL_PX = 1.0
+#: Share of the last frame's average that is kept.
+KEPT = 0.7
+#: Components smaller than this share of the frame are specks.
+SPECK_SHARE = 0.0005
+#: Widest stabilised canvas, in frames; past it the background is learnt anew.
+MOST_DRIFT = 0.25
+
+
+class Peer(Protocol):
+    """A two-label subtractor."""
+
+    def apply(self, frame: Array) -> Array:
+        """Take the next frame, (H, W, 3) uint8 BGR; return what moves, (H, W) bool."""
+
+
+class FlowResidual:
+    """DIS flow minus the camera's homography, thresholded by Otsu's rule."""
+
+    def __init__(self) -> None:
+        self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        self._last: Array | None = None
+
+    def apply(self, frame: Array) -> Array:
+        """See :class:`Peer`."""
+        gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
+        if self._last is None:
+            self._last = gray
+            return np.zeros(frame.shape[:2], bool)
+        backward = self._flow.calc(gray, self._last, None)  # type: ignore[call-overload]
+        self._last = gray
+        return _without_specks(_moving(_residual(backward)))
+
+
+class FlowComposite:
+    """The same, averaged along the flow over time, outlined by GrabCut on the shrunk frame."""
+
+    def __init__(self) -> None:
+        self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        self._last: Array | None = None
+        self._average: Array | None = None
+
+    def apply(self, frame: Array) -> Array:
+        """See :class:`Peer`."""
+        gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
+        if self._last is None:
+            self._last = gray
+            return np.zeros(frame.shape[:2], bool)
+        backward = self._flow.calc(gray, self._last, None)  # type: ignore[call-overload]
+        self._last = gray
+        residual = _residual(backward)
+        if self._average is not None:
+            residual = KEPT * _followed(self._average, backward) + (1.0 - KEPT) * residual
+        self._average = residual
+        moving = _moving(residual).astype(np.uint8)
+        size = (max(1, gray.shape[1] // SHRINK), max(1, gray.shape[0] // SHRINK))
+        small = cv2.resize(frame, size, interpolation=cv2.INTER_AREA)
+        outlined = _outlined(small, cv2.resize(moving, size, interpolation=cv2.INTER_NEAREST).astype(bool))
+        large = cv2.resize(outlined.astype(np.uint8), gray.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        return _without_specks(large.astype(bool))
+
+
+class StabilisedMog2:
+    """MOG2 on frames that are laid over the first one by homographies of tracked corners."""
+
+    def __init__(self) -> None:
+        self._restart()
+
+    def _restart(self) -> None:
+        self._model = cv2.createBackgroundSubtractorMOG2(history=200, varThreshold=16, detectShadows=False)
+        self._last: Array | None = None
+        self._to_first = np.eye(3)
+
+    def apply(self, frame: Array) -> Array:
+        """See :class:`Peer`."""
+        gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
+        if self._last is not None:
+            self._to_first = self._to_first @ _corner_homography(gray, self._last)
+            self._to_first /= self._to_first[2, 2]
+        height, width = gray.shape
+        corners = np.array([[[0, 0], [width, 0], [width, height], [0, height]]], np.float64)
+        moved = cv2.perspectiveTransform(corners, self._to_first) - corners
+        if not np.abs(moved).max() < MOST_DRIFT * width:
+            self._restart()
+        self._last = gray
+        laid = cv2.warpPerspective(frame, self._to_first, (width, height), borderMode=cv2.BORDER_REPLICATE)
+        foreground = (self._model.apply(laid) > 0).astype(np.uint8)
+        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        back = cv2.warpPerspective(foreground, self._to_first, (width, height), flags=flags)
+        return _without_specks(cv2.medianBlur(back, 5).astype(bool))
+
+
+#: By the name that chooses it.
+PEERS: dict[str, Callable[[], Peer]] = {
+    "mog2": StabilisedMog2,
+    "residual": FlowResidual,
+    "composite": FlowComposite,
+}
+
+
+def _pixels(shape: tuple[int, ...]) -> Array:
+    rows, columns = np.indices(shape[:2], dtype=np.float32)
+    return np.dstack([columns, rows])
+
+
+def _residual(backward: Array) -> Array:
+    """What the camera's homography leaves of a backward flow, (h, w) float32, px."""
+    at = _pixels(backward.shape)
+    votes = np.s_[VOTE_STEP // 2 :: VOTE_STEP, VOTE_STEP // 2 :: VOTE_STEP]
+    start, end = at[votes].reshape(-1, 2), (at + backward)[votes].reshape(-1, 2)
+    matrix = None
+    if len(start) >= 4:
+        matrix, _ = cv2.findHomography(start, end, cv2.RANSAC, INLIER_PX)
+    if matrix is None:
+        return np.zeros(backward.shape[:2], np.float32)
+    by_camera = cv2.perspectiveTransform(at.reshape(1, -1, 2), matrix).reshape(at.shape)
+    return np.asarray(np.hypot(*np.moveaxis(at + backward - by_camera, 2, 0)), np.float32)
+
+
+def _followed(image: Array, backward: Array) -> Array:
+    """A map of the last frame, moved along the flow."""
+    source = _pixels(backward.shape) + backward
+    return cv2.remap(image, source, None, cv2.INTER_LINEAR)  # type: ignore[call-overload,no-any-return]
+
+
+def _moving(residual: Array) -> Array:
+    """Otsu's threshold, but not under the noise; few very fast pixels do not raise it."""
+    top = float(np.quantile(residual, 0.995))
+    if top <= LEAST_RESIDUAL_PX:
+        return np.zeros(residual.shape, bool)
+    quantised = np.rint(255 * np.minimum(residual / top, 1.0)).astype(np.uint8)
+    threshold, _ = cv2.threshold(quantised, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    return np.asarray(residual > max(threshold * top / 255, LEAST_RESIDUAL_PX))
+
+
+def _outlined(image: Array, moving: Array) -> Array:
+    """GrabCut from a rough mask: sure well inside and well outside of it, open between."""
+    kernel = np.ones((9, 9), np.uint8)
+    inside = cv2.erode(moving.astype(np.uint8), kernel).astype(bool)
+    near = cv2.dilate(moving.astype(np.uint8), kernel).astype(bool)
+    if not inside.any() or near.all():
+        return moving
+    state = np.where(near, np.where(moving, cv2.GC_PR_FGD, cv2.GC_PR_BGD), cv2.GC_BGD).astype(np.uint8)
+    state[inside] = cv2.GC_FGD
+    cv2.grabCut(image, state, None, np.zeros((1, 65)), np.zeros((1, 65)), 1, cv2.GC_INIT_WITH_MASK)  # type: ignore[call-overload]
+    return np.asarray((state == cv2.GC_FGD) | (state == cv2.GC_PR_FGD))
+
+
+def _corner_homography(gray: Array, last: Array) -> Array:
+    """From this frame's pixels to the last one's; the identity if too few corners can be followed."""
+    points = cv2.goodFeaturesToTrack(gray, 400, 0.01, 10)
+    if points is None:
+        return np.eye(3)
+    moved, found, _ = cv2.calcOpticalFlowPyrLK(gray, last, points, None)  # type: ignore[call-overload]
+    kept = found.ravel() == 1
+    if np.count_nonzero(kept) < 8:
+        return np.eye(3)
+    matrix, _ = cv2.findHomography(points[kept], moved[kept], cv2.RANSAC, 2.0)
+    return np.eye(3) if matrix is None else np.asarray(matrix)
+
+
+def _without_specks(mask: Array) -> Array:
+    count, pieces, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    kept = boxes[:, cv2.CC_STAT_AREA] >= SPECK_SHARE * mask.size
+    kept[0] = False
+    return np.asarray(kept[pieces]) if count else mask
