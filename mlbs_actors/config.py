@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal
 
@@ -310,9 +311,7 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
         name, equals, text = override.partition("=")
         section, dot, key = name.strip().partition(".")
         if not (equals and dot and section and key):
-            raise ConfigError(
-                f"Cannot use --set {override!r}; write section.key=value, as in layers.lookahead=4."
-            )
+            raise ConfigError(f"Cannot use --set {override!r}; write it as in layers.lookahead=4.")
         group = values.get(section) or {}
         if not isinstance(group, dict):
             raise ConfigError(f"The section {section!r} must hold key: value pairs.")
@@ -324,7 +323,17 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
         return Config.model_validate(values)
     except ValidationError as error:
         problems = "; ".join(
-            f"{'.'.join(str(part) for part in problem['loc'])}: {problem['msg']}"
-            for problem in error.errors()
+            _problem(problem["type"], problem["loc"], problem["msg"]) for problem in error.errors()
         )
         raise ConfigError(f"The configuration cannot be used: {problems}.") from error
+
+
+def _problem(kind: str, place: tuple[int | str, ...], message: str) -> str:
+    name = ".".join(str(part) for part in place)
+    if kind != "extra_forbidden":
+        return f"{name}: {message}"
+    section = Config.model_fields.get(str(place[0])) if len(place) > 1 else None
+    fields = type(section.default).model_fields if section else Config.model_fields
+    near = get_close_matches(str(place[-1]), [str(field) for field in fields], 1)
+    meant = f"; did you mean {'.'.join([*(str(part) for part in place[:-1]), near[0]])}?" if near else ""
+    return f"there is no parameter {name}{meant} (all of them: configs/default.yaml)"

@@ -242,7 +242,7 @@ class Coordinator:
         state, config = self.state, self.config
         assert state.shape is not None
         scale = length_scale(*state.shape)
-        registry = LayerRegistry(config.layers, scale, state.registry)
+        registry = LayerRegistry(config.layers, state.shape, state.registry)
         with _timed(stage_ms, "affinity"):
             graph = self._graph()
             affinity = graph.matrix()
@@ -328,7 +328,7 @@ class Coordinator:
     def _evidence(self, held: HeldFrame) -> FrameEvidence:
         state = self.state
         assert state.shape is not None
-        registry = LayerRegistry(self.config.layers, length_scale(*state.shape), state.registry)
+        registry = LayerRegistry(self.config.layers, state.shape, state.registry)
         layer = np.array(
             [registry.layer_of(int(label)) if label >= 0 else UNLABELLED for label in np.unique(held.labels)]
         )

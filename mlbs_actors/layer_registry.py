@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mlbs_actors.clustering import UNLABELLED
-from mlbs_actors.config import LayersConfig
+from mlbs_actors.config import LayersConfig, length_scale
 from mlbs_actors.messages import BACKGROUND, Array
 
 __all__ = ["LayerRegistry", "RegistryState", "colour_signature"]
@@ -110,15 +110,17 @@ class LayerRegistry:
     Parameters
     ----------
     config : LayersConfig
-    scale : float
-        :func:`~mlbs_actors.config.length_scale` of the frame.
+    shape : (H, W)
+        Of the frame, px.
     state : RegistryState, optional
         To go on from; a new registry by default.
     """
 
-    def __init__(self, config: LayersConfig, scale: float, state: RegistryState | None = None) -> None:
+    def __init__(
+        self, config: LayersConfig, shape: tuple[int, int], state: RegistryState | None = None
+    ) -> None:
         self.config = config
-        self.scale = scale
+        self.shape = shape
         self.state = state or RegistryState.empty()
 
     def ages(self, frame_index: int) -> dict[int, int]:
@@ -287,11 +289,13 @@ class LayerRegistry:
         for sleeper in np.flatnonzero((state.labels > 0) & (state.seen < frame_index)):
             gap = frame_index - state.seen[sleeper]
             expected = state.centroids[sleeper] + gap * state.velocities[sleeper]
-            nearest = min(
-                float(np.hypot(*(state.centroids[row] - expected))),
-                float(np.hypot(*(state.centroids[row] - state.centroids[sleeper]))),
-            )
-            if nearest > self.config.wake_px * self.scale:
+            places = [expected]
+            if (expected >= 0).all() and (expected < self.shape[::-1]).all():
+                # It may have been held up. One that has left the frame has not: what comes in where it went
+                # out is another.
+                places.append(state.centroids[sleeper])
+            nearest = min(float(np.hypot(*(state.centroids[row] - place))) for place in places)
+            if nearest > self.config.wake_px * length_scale(*self.shape):
                 continue
             likeness = float(np.sqrt(state.signatures[row] * state.signatures[sleeper]).sum())
             if likeness > best:

