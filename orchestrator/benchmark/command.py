@@ -14,7 +14,7 @@ from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.benchmark.measurement import ENGINE, Measurement, measure
 from orchestrator.benchmark.peers import PEERS
 from orchestrator.evaluation import datasets
-from orchestrator.evaluation.figures import format_number, null_if_unknown
+from orchestrator.evaluation.figures import format_number, format_table, null_if_unknown
 
 __all__ = ["main"]
 
@@ -117,7 +117,7 @@ def _measure(options: argparse.Namespace) -> dict[str, list[Measurement]]:
 
 def methods_table(measured: dict[str, list[Measurement]]) -> str:
     """A row for each sequence and method: what it finds, what it takes, CPU time against the composite's."""
-    rows = [["sequence", "method", "two_label_f", "object_f", "wall ms", "cpu ms", f"× {REFERENCE}"]]
+    rows = []
     for name, methods in measured.items():
         reference = next((one.cpu_ms for one in methods if one.method == REFERENCE), float("nan"))
         for one in methods:
@@ -129,19 +129,19 @@ def methods_table(measured: dict[str, list[Measurement]]) -> str:
             )
             ratio = f"{one.cpu_ms / reference:.2f}"
             rows.append([name, one.method, *(format_number(figure) for figure in figures), ratio])
-    return _aligned(rows)
+    headings = ["sequence", "method", "two_label_f", "object_f", "wall ms", "cpu ms", f"× {REFERENCE}"]
+    return format_table(headings, rows)
 
 
 def stages_table(measured: dict[str, list[Measurement]]) -> str:
     """The engine's stages, ms a frame: a row for each stage, a column for each sequence."""
     columns = {name: methods[0].stage_ms for name, methods in measured.items()}
     stages = dict.fromkeys(stage for column in columns.values() for stage in column)
-    rows = [[f"{ENGINE}: ms", *columns]]
-    rows += [
+    rows = [
         [stage, *(format_number(column.get(stage, 0.0)) for column in columns.values())] for stage in stages
     ]
     rows.append(["together", *(format_number(sum(column.values())) for column in columns.values())])
-    return _aligned(rows)
+    return format_table([f"{ENGINE}: ms", *columns], rows)
 
 
 def as_json(measured: dict[str, list[Measurement]]) -> dict[str, Any]:
@@ -159,14 +159,3 @@ def as_json(measured: dict[str, list[Measurement]]) -> dict[str, Any]:
         }
         for name, methods in measured.items()
     }
-
-
-def _aligned(rows: list[list[str]]) -> str:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if column < 1 else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    )

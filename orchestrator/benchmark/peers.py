@@ -28,7 +28,7 @@ LEAST_RESIDUAL_PX = 1.0
 KEPT = 0.7
 #: Components smaller than this share of the frame are specks.
 SPECK_SHARE = 0.0005
-#: Widest stabilised canvas, in frames; past it the background is learnt anew.
+#: How far the stabilised frame may drift, in frame widths; past it the background is learnt anew.
 MOST_DRIFT = 0.25
 
 
@@ -43,17 +43,13 @@ class FlowResidual:
     """DIS flow minus the camera's homography, thresholded by Otsu's rule."""
 
     def __init__(self) -> None:
-        self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-        self._last: Array | None = None
+        self._flow = _BackwardFlow()
 
     def apply(self, frame: Array) -> Array:
         """See :class:`Peer`."""
-        gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-        if self._last is None:
-            self._last = gray
+        backward = self._flow.to_last(frame)
+        if backward is None:
             return np.zeros(frame.shape[:2], bool)
-        backward = self._flow.calc(gray, self._last, None)  # type: ignore[call-overload]
-        self._last = gray
         return _without_specks(_moving(_residual(backward)))
 
 
@@ -61,27 +57,24 @@ class FlowComposite:
     """The same, averaged along the flow over time, outlined by GrabCut on the shrunk frame."""
 
     def __init__(self) -> None:
-        self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-        self._last: Array | None = None
+        self._flow = _BackwardFlow()
         self._average: Array | None = None
 
     def apply(self, frame: Array) -> Array:
         """See :class:`Peer`."""
-        gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-        if self._last is None:
-            self._last = gray
+        backward = self._flow.to_last(frame)
+        if backward is None:
             return np.zeros(frame.shape[:2], bool)
-        backward = self._flow.calc(gray, self._last, None)  # type: ignore[call-overload]
-        self._last = gray
         residual = _residual(backward)
         if self._average is not None:
             residual = KEPT * _followed(self._average, backward) + (1.0 - KEPT) * residual
         self._average = residual
         moving = _moving(residual).astype(np.uint8)
-        size = (max(1, gray.shape[1] // SHRINK), max(1, gray.shape[0] // SHRINK))
+        height, width = moving.shape
+        size = (max(1, width // SHRINK), max(1, height // SHRINK))
         small = cv2.resize(frame, size, interpolation=cv2.INTER_AREA)
         outlined = _outlined(small, cv2.resize(moving, size, interpolation=cv2.INTER_NEAREST).astype(bool))
-        large = cv2.resize(outlined.astype(np.uint8), gray.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        large = cv2.resize(outlined.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
         return _without_specks(large.astype(bool))
 
 
@@ -121,6 +114,20 @@ PEERS: dict[str, Callable[[], Peer]] = {
     "residual": FlowResidual,
     "composite": FlowComposite,
 }
+
+
+class _BackwardFlow:
+    """DIS flow from each frame to the one before it."""
+
+    def __init__(self) -> None:
+        self._dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        self._last: Array | None = None
+
+    def to_last(self, frame: Array) -> Array | None:
+        """Flow, (H, W, 2) float32 px; None for the first frame."""
+        gray, last = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), self._last
+        self._last = gray
+        return None if last is None else self._dis.calc(gray, last, None)  # type: ignore[call-overload]
 
 
 def _pixels(shape: tuple[int, ...]) -> Array:
@@ -185,7 +192,7 @@ def _corner_homography(gray: Array, last: Array) -> Array:
 
 
 def _without_specks(mask: Array) -> Array:
-    count, pieces, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    _, pieces, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     kept = boxes[:, cv2.CC_STAT_AREA] >= SPECK_SHARE * mask.size
     kept[0] = False
-    return np.asarray(kept[pieces]) if count else mask
+    return np.asarray(kept[pieces])
