@@ -173,7 +173,7 @@ def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, r
 def _steepness(frame: Array) -> Array:
     """Mean gradient over 5×5 px, grey levels/px."""
     gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    slopes = (cv2.Sobel(gray, cv2.CV_32F, *axis) / 8.0 for axis in ((1, 0), (0, 1)))
+    slopes = (cv2.Sobel(gray, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
     return np.asarray(cv2.blur(np.hypot(*slopes), (5, 5)))
 
 

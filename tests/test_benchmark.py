@@ -118,6 +118,19 @@ def test_the_command_prints_a_row_for_each_method_and_writes_the_figures(
     assert figures[ENGINE]["stage_ms"]["flow"] > 0
 
 
+def test_several_sequences_are_followed_by_the_means_of_each_method() -> None:
+    peers = {"composite": PEERS["composite"]}
+    measured = {
+        name: measure(demo(frames), peers, Config(), frames=6, warm=5)
+        for name, frames in (("a", 5), ("b", 6))
+    }
+    rows = [line.split() for line in command.methods_table(measured).splitlines()]
+    assert [row[:2] for row in rows[-2:]] == [["mean", ENGINE], ["mean", "composite"]]
+    for column in range(2, 6):
+        values = [float(row[column]) for row in rows if row[1] == "composite"]
+        assert values[-1] == pytest.approx(np.mean(values[:-1]), abs=0.11)
+
+
 @pytest.mark.parametrize(
     ("flags", "said"),
     [

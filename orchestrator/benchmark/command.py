@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.benchmark.measurement import ENGINE, Measurement, measure
 from orchestrator.benchmark.peers import PEERS
 from orchestrator.evaluation import datasets
-from orchestrator.evaluation.figures import format_number, format_table, null_if_unknown
+from orchestrator.evaluation.figures import format_number, format_table, mean_of_sequences, write_figures
 
 __all__ = ["main"]
 
@@ -56,11 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(stages_table(measured))
     if options.json:
         try:
-            options.json.write_text(
-                json.dumps(null_if_unknown(as_json(measured)), indent=1) + "\n", encoding="utf-8"
-            )
-        except OSError as error:
-            parser.error(f"The figures cannot be written with --json: {error}.")
+            write_figures(options.json, as_json(measured))
+        except MlbsError as error:
+            parser.error(str(error))
     return 0
 
 
@@ -116,21 +113,29 @@ def _measure(options: argparse.Namespace) -> dict[str, list[Measurement]]:
 
 
 def methods_table(measured: dict[str, list[Measurement]]) -> str:
-    """A row for each sequence and method: what it finds, what it takes, CPU time against the composite's."""
+    """A row for each sequence and method: what it finds, what it takes, CPU time against the composite's.
+
+    Several sequences are followed by a row for each method with the means of its columns.
+    """
+    figures: dict[str, list[list[float]]] = {}
     rows = []
     for name, methods in measured.items():
         reference = next((one.cpu_ms for one in methods if one.method == REFERENCE), float("nan"))
         for one in methods:
-            figures = (
-                100 * one.score.all_frames.two_label_f,
-                100 * one.score.all_frames.object_f,
-                one.wall_ms,
-                one.cpu_ms,
-            )
-            ratio = f"{one.cpu_ms / reference:.2f}"
-            rows.append([name, one.method, *(format_number(figure) for figure in figures), ratio])
+            score, ratio = one.score.all_frames, one.cpu_ms / reference
+            row = [100 * score.two_label_f, 100 * score.object_f, one.wall_ms, one.cpu_ms, ratio]
+            figures.setdefault(one.method, []).append(row)
+            rows.append([name, one.method, *_cells(row)])
+    if len(measured) > 1:
+        for method, of_sequences in figures.items():
+            means = [mean_of_sequences(column) for column in zip(*of_sequences, strict=True)]
+            rows.append(["mean", method, *_cells(means)])
     headings = ["sequence", "method", "two_label_f", "object_f", "wall ms", "cpu ms", f"× {REFERENCE}"]
     return format_table(headings, rows)
+
+
+def _cells(row: list[float]) -> list[str]:
+    return [*(format_number(figure) for figure in row[:-1]), f"{row[-1]:.2f}"]
 
 
 def stages_table(measured: dict[str, list[Measurement]]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from orchestrator.evaluation.figures import (
     format_table,
     mean_of_sequences,
     results_as_json,
+    write_figures,
 )
 from orchestrator.evaluation.scoring import SequenceResult, run_label_maps, score_sequence
 from orchestrator.evaluation.variants import Variant, VariantResults, run_variants, variants_as_json
@@ -78,11 +78,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _print_figures(rows[0].results)
     _print_failures(rows)
     if options.json:
-        text = json.dumps(_as_json(options, rows), indent=1, allow_nan=False)
         try:
-            options.json.write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            parser.error(f"The figures cannot be written with --json: {error}.")
+            write_figures(options.json, _as_json(options, rows))
+        except MlbsError as error:
+            parser.error(str(error))
     return int(any(result.error or result.missing for row in rows for result in row.results))
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
+from mlbs_actors.errors import ConfigError
 from orchestrator.evaluation.scoring import SequenceResult
 from orchestrator.evaluation.sequence_scorer import SequenceScore
 
@@ -20,6 +23,7 @@ __all__ = [
     "median_delay",
     "null_if_unknown",
     "results_as_json",
+    "write_figures",
 ]
 
 #: Heading of a column, and how its value is found.
@@ -96,6 +100,21 @@ def _result_as_json(result: SequenceResult) -> dict[str, Any]:
     cleaned = null_if_unknown(record)
     assert isinstance(cleaned, dict)
     return cleaned
+
+
+def write_figures(path: Path, figures: Any) -> None:
+    """Write figures as JSON.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be written.
+    """
+    text = json.dumps(null_if_unknown(figures), indent=1, allow_nan=False)
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"The figures cannot be written with --json: {error}.") from error
 
 
 def null_if_unknown(value: Any) -> Any:
