@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import scipy.sparse as sp
-from scipy.spatial import cKDTree
+from numba import njit
 
 from mlbs_actors.config import AffinityConfig, length_scale
 from mlbs_actors.messages import Array
+from mlbs_actors.nearest_neighbours import neighbour_pairs
 from mlbs_actors.trajectories import TrajectoryState
 
 __all__ = ["TrajectoryGraph", "displacement_spread", "trajectory_graph"]
@@ -45,11 +45,9 @@ class TrajectoryGraph:
     size: int
 
     def matrix(self) -> sp.csr_array:
-        """Symmetric (n, n) sparse affinity matrix."""
-        rows = np.concatenate([self.first, self.second])
-        columns = np.concatenate([self.second, self.first])
-        values = np.concatenate([self.affinity, self.affinity]).astype(np.float64)
-        return sp.csr_array((values, (rows, columns)), shape=(self.size, self.size))
+        """Symmetric (n, n) sparse affinity matrix, the columns of a row ascending."""
+        pointers, columns, values = _symmetric(self.first, self.second, self.affinity, self.size)
+        return sp.csr_array((values, columns, pointers), shape=(self.size, self.size))
 
 
 def displacement_spread(state: TrajectoryState, config: AffinityConfig, scale: float) -> float:
@@ -66,28 +64,72 @@ def displacement_spread(state: TrajectoryState, config: AffinityConfig, scale: f
     return max(2.0 * config.motion_relative * speed, floor)
 
 
-@numba.njit(cache=True)
-def _max_motion_distance(first, second, residuals, ages, units, relative, forgetting):  # type: ignore[no-untyped-def]
-    distances = np.zeros(first.size, np.float32)
+@njit(cache=True)
+def _symmetric(first: Array, second: Array, values: Array, size: int) -> tuple[Array, Array, Array]:
+    """Row pointers, columns and values of the symmetric matrix of some sorted pairs."""
+    pointers = np.zeros(size + 1, np.int32)
     for edge in range(first.size):
-        i = first[edge]
-        j = second[edge]
+        pointers[first[edge] + 1] += 1
+        pointers[second[edge] + 1] += 1
+    for row in range(size):
+        pointers[row + 1] += pointers[row]
+    place = pointers[:-1].copy()
+    columns, filled = np.empty(2 * first.size, np.int32), np.empty(2 * first.size)
+    for edge in range(first.size):  # columns left of the diagonal, in ascending order
+        at = place[second[edge]]
+        columns[at], filled[at] = first[edge], values[edge]
+        place[second[edge]] += 1
+    for edge in range(first.size):  # and right of it
+        at = place[first[edge]]
+        columns[at], filled[at] = second[edge], values[edge]
+        place[first[edge]] += 1
+    return pointers, columns, filled
+
+
+@njit(cache=True)
+def _max_motion_distance(
+    first: Array,
+    second: Array,
+    residuals: Array,
+    ages: Array,
+    units: Array,
+    relative: float,
+    forgetting: float,
+) -> Array:
+    count, memory = residuals.shape[:2]
+    # Two-frame displacements, their lengths, and how far back they are forgotten.
+    x, y = np.zeros((count, memory), np.float32), np.zeros((count, memory), np.float32)
+    speed = np.zeros((count, memory), np.float32)
+    for i in range(count):
+        for age in range(memory - 1):
+            x[i, age] = residuals[i, age, 0] + residuals[i, age + 1, 0]
+            y[i, age] = residuals[i, age, 1] + residuals[i, age + 1, 1]
+            speed[i, age] = np.sqrt(x[i, age] ** 2 + y[i, age] ** 2)
+    noise, kept = np.empty(memory, np.float32), np.empty(memory, np.float32)
+    for age in range(memory):
+        noise[age] = units[age] ** 2
+        kept[age] = (1.0 - forgetting) ** age
+    half, two = np.float32(0.5 * relative), np.float32(2)
+    distances = np.zeros(first.size, np.float32)
+    ratio = np.empty(memory, np.float32)
+    for edge in range(first.size):
+        i, j = first[edge], second[edge]
         common = min(ages[i], ages[j])
-        largest = 0.0
-        kept = 1.0
-        for age in range(max(common - 1, min(common, 1))):
-            # Two-frame displacements; with one frame in common twice its motion stands for it.
-            before = age + 1 if common > 1 else age
-            xi = residuals[i, age, 0] + residuals[i, before, 0]
-            yi = residuals[i, age, 1] + residuals[i, before, 1]
-            xj = residuals[j, age, 0] + residuals[j, before, 0]
-            yj = residuals[j, age, 1] + residuals[j, before, 1]
-            speed = 0.5 * relative * (np.sqrt(xi * xi + yi * yi) + np.sqrt(xj * xj + yj * yj))
-            noise = units[age] * units[age] + speed * speed
-            distance = kept * ((xi - xj) * (xi - xj) + (yi - yj) * (yi - yj)) / noise
-            if distance > largest:
-                largest = distance
-            kept *= 1.0 - forgetting
+        if common == 1:  # twice the one motion they have in common stands for it
+            dx = two * (residuals[i, 0, 0] - residuals[j, 0, 0])
+            dy = two * (residuals[i, 0, 1] - residuals[j, 0, 1])
+            lengths = np.hypot(residuals[i, 0, 0], residuals[i, 0, 1])
+            lengths += np.hypot(residuals[j, 0, 0], residuals[j, 0, 1])
+            spread = two * half * lengths
+            distances[edge] = (dx * dx + dy * dy) / (noise[0] + spread * spread)
+            continue
+        for age in range(common - 1):
+            dx, dy = x[i, age] - x[j, age], y[i, age] - y[j, age]
+            spread = half * (speed[i, age] + speed[j, age])
+            ratio[age] = kept[age] * (dx * dx + dy * dy) / (noise[age] + spread * spread)
+        largest = np.float32(0)
+        for age in range(common - 1):
+            largest = max(largest, ratio[age])
         distances[edge] = largest
     return distances
 
@@ -115,16 +157,7 @@ def trajectory_graph(
     if n < 2:
         none = np.zeros(0, np.int32)
         return TrajectoryGraph(none, none, np.zeros(0, np.float32), np.zeros(0, np.float32), n)
-    count = min(config.neighbours + 1, n)
-    nearest = cKDTree(state.positions).query(state.positions, k=count, distance_upper_bound=radius)
-    distance, index = (np.asarray(one) for one in nearest)
-    source = np.repeat(np.arange(n), count)
-    target = index.ravel()
-    valid = np.isfinite(distance.ravel()) & (target != source)
-    low = np.minimum(source, target)[valid].astype(np.int64)
-    high = np.maximum(source, target)[valid].astype(np.int64)
-    pairs = np.unique(low * n + high)
-    first, second = (pairs // n).astype(np.int32), (pairs % n).astype(np.int32)
+    first, second = neighbour_pairs(state.positions, min(config.neighbours, n - 1), radius)
     units = config.motion_factor * np.asarray(spreads, np.float64)
     motion = _max_motion_distance(
         first, second, state.residuals, state.ages, units, config.object_relative, config.forgetting

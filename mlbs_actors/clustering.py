@@ -16,6 +16,9 @@ Differs from the paper, which trusts the N-cut alone:
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -61,16 +64,21 @@ def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConf
     (n,) int64
         −1 where no labelled trajectory can be reached.
     """
+    if config.propagation == "soft":
+        return _decided(partial(propagate_soft, restart=config.restart), affinity, labels)
+    return _decided(propagate_absorbing, affinity, labels)
+
+
+def _decided(
+    walk: Callable[[sp.csr_array, Array, int], Array], affinity: sp.csr_array, labels: Array
+) -> Array:
+    """The label to which most walks from each trajectory lead, −1 where none does."""
     known = np.unique(labels[labels != UNLABELLED])
     if len(known) == 0:
         return labels.copy()
     classes = np.where(labels == UNLABELLED, UNLABELLED, np.searchsorted(known, labels))
-    if config.propagation == "soft":
-        share = propagate_soft(affinity, classes, len(known), config.restart)
-    else:
-        share = propagate_absorbing(affinity, classes, len(known))
-    decided = known[np.argmax(share, axis=1)]
-    return np.where(share.max(axis=1) > 0, decided, UNLABELLED)
+    share = walk(affinity, classes, len(known))
+    return np.where(share.max(axis=1) > 0, known[np.argmax(share, axis=1)], UNLABELLED)
 
 
 def bled_trajectories(trajectories: TrajectoryState, config: LayersConfig, scale: float) -> Array:
@@ -119,27 +127,30 @@ def split_labels(
     """
     result = labels.copy()
     adrift = np.zeros(len(labels), bool)
-    for label in np.unique(labels):
+    known, classes = np.unique(labels, return_inverse=True)
+    clusters = recursive_cut(
+        affinity, config.cut_threshold, config.cut_side_tracks, np.where(bled, UNLABELLED, classes)
+    )
+    for label in known:
         nodes = np.flatnonzero((labels == label) & ~bled)
-        parts = recursive_cut(
-            sp.csr_array(affinity[nodes][:, nodes]), config.cut_threshold, config.cut_side_tracks
-        )
-        if parts.max(initial=-1) < 0:
+        parts = clusters[nodes]
+        numbers = np.unique(parts[parts >= 0])  # by falling size
+        if len(numbers) == 0:
             continue  # too small to be split
         result[nodes[parts < 0]] = UNLABELLED
         own_bled = (labels == label) & bled
         if own_bled.any():
             adrift[nodes[parts < 0]] = True
-        if parts.max() > 0:
+        if len(numbers) > 1:
             adrift |= own_bled
             result[own_bled] = UNLABELLED
-        for part in range(parts.max() + 1):
-            if part == 0 and label != UNLABELLED:
-                continue
-            result[nodes[parts == part]] = next_label
+        for number in numbers[1:] if label != UNLABELLED else numbers:
+            result[nodes[parts == number]] = next_label
             next_label += 1
     if adrift.any():
-        result[adrift] = propagate_labels(affinity, result, config)[adrift]
+        result[adrift] = UNLABELLED
+        # All others hold still: the walk is asked only where those adrift go.
+        result[adrift] = _decided(propagate_absorbing, affinity, result)[adrift]
     return result
 
 

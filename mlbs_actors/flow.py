@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
 from mlbs_actors.messages import Array
@@ -116,30 +117,61 @@ def dense_flow(
     # None, which the stubs do not know: no initial flow.
     forward = solver.calc(previous, current, None) * factor  # type: ignore[call-overload]
     backward = solver.calc(current, previous, None) * factor  # type: ignore[call-overload]
+    thresholds = (
+        checks.consistency_relative,
+        checks.consistency_px2,
+        checks.boundary_relative,
+        checks.boundary_absolute,
+    )
     return DenseFlow(
         forward,
         backward,
-        _reliable(forward, backward, step, checks),
-        _reliable(backward, forward, step, checks),
+        _reliable(forward, backward, *step, thresholds),
+        _reliable(backward, forward, *step, thresholds),
         step,
     )
 
 
-def _reliable(flow: Array, reverse: Array, step: tuple[float, float], checks: TrajectoriesConfig) -> Array:
-    """|w+w'(x+w)|² < a(|w|²+|w'|²)+b inside the frame, and |∇u|²+|∇v|² ≤ c|w|²+d."""
+@njit(cache=True)
+def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks: tuple[float, ...]) -> Array:
+    """|w+w'(x+w)|² < a(|w|²+|w'|²)+b inside the frame, and |∇u|²+|∇v|² ≤ c|w|²+d, for checks (a, b, c, d)."""
     height, width = flow.shape[:2]
-    target_x = np.arange(width, dtype=np.float32)[None, :] + flow[..., 0] / np.float32(step[0])
-    target_y = np.arange(height, dtype=np.float32)[:, None] + flow[..., 1] / np.float32(step[1])
-    there = cv2.remap(reverse, target_x, target_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    inside = (target_x >= 0) & (target_x <= width - 1) & (target_y >= 0) & (target_y <= height - 1)
-    squared = np.square(flow).sum(axis=2)
-    error = np.square(flow + there).sum(axis=2)
-    allowed = checks.consistency_relative * (squared + np.square(there).sum(axis=2)) + checks.consistency_px2
-    # Central differences of the flow, per full-size px.
-    gradient = np.zeros((height, width), np.float32)
-    for axis in (0, 1):
-        horizontal = cv2.Scharr(flow[..., axis], cv2.CV_32F, 1, 0, scale=1 / 32) / step[0]
-        vertical = cv2.Scharr(flow[..., axis], cv2.CV_32F, 0, 1, scale=1 / 32) / step[1]
-        gradient += np.square(horizontal) + np.square(vertical)
-    smooth = gradient <= checks.boundary_relative * squared + checks.boundary_absolute
-    return np.asarray(inside & (error < allowed) & smooth)
+    relative, absolute, boundary_relative, boundary_absolute = checks
+    reliable = np.zeros((height, width), np.bool_)
+    for y in range(height):
+        above, below = max(y - 1, 0), min(y + 1, height - 1)
+        for x in range(width):
+            u, v = flow[y, x, 0], flow[y, x, 1]
+            there_x, there_y = x + u / step_x, y + v / step_y
+            if not (0 <= there_x <= width - 1 and 0 <= there_y <= height - 1):
+                continue
+            squared = u * u + v * v
+            column, row = int(there_x), int(there_y)
+            right, down = min(column + 1, width - 1), min(row + 1, height - 1)
+            along, across = there_x - column, there_y - row
+            back_u = (1 - across) * (
+                (1 - along) * reverse[row, column, 0] + along * reverse[row, right, 0]
+            ) + across * ((1 - along) * reverse[down, column, 0] + along * reverse[down, right, 0])
+            back_v = (1 - across) * (
+                (1 - along) * reverse[row, column, 1] + along * reverse[row, right, 1]
+            ) + across * ((1 - along) * reverse[down, column, 1] + along * reverse[down, right, 1])
+            error = (u + back_u) ** 2 + (v + back_v) ** 2
+            if error >= relative * (squared + back_u**2 + back_v**2) + absolute:
+                continue
+            before, after = max(x - 1, 0), min(x + 1, width - 1)
+            gradient = 0.0
+            for axis in range(2):
+                # Scharr's central differences, per full-size px.
+                horizontal = (
+                    3 * (flow[above, after, axis] - flow[above, before, axis])
+                    + 10 * (flow[y, after, axis] - flow[y, before, axis])
+                    + 3 * (flow[below, after, axis] - flow[below, before, axis])
+                ) / (32 * step_x)
+                vertical = (
+                    3 * (flow[below, before, axis] - flow[above, before, axis])
+                    + 10 * (flow[below, x, axis] - flow[above, x, axis])
+                    + 3 * (flow[below, after, axis] - flow[above, after, axis])
+                ) / (32 * step_y)
+                gradient += horizontal * horizontal + vertical * vertical
+            reliable[y, x] = gradient <= boundary_relative * squared + boundary_absolute
+    return reliable

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from mlbs_actors.label_propagation import propagate_absorbing, propagate_soft
+from mlbs_actors.label_propagation import TOLERANCE, propagate_absorbing, propagate_soft
 from mlbs_actors.messages import Array
 
 
@@ -49,8 +49,8 @@ def test_the_soft_walk_is_its_dense_closed_form(seed: int, restart: float) -> No
     walks = np.eye(40) - (1 - restart) * transition(affinity)
     expected = restart * np.linalg.solve(walks, one_hot(labels, 3))
     share = propagate_soft(sp.csr_array(affinity), labels, 3, restart)
-    np.testing.assert_allclose(share, expected, atol=2e-5)
-    assert (share.sum(axis=1) <= 1 + 1e-9).all()
+    np.testing.assert_allclose(share, expected, atol=TOLERANCE)
+    assert (share.sum(axis=1) <= 1 + TOLERANCE).all()
 
 
 @pytest.mark.parametrize("seed", range(5))

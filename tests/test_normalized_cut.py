@@ -10,7 +10,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from mlbs_actors.messages import Array
-from mlbs_actors.normalized_cut import DENSE_NODES, NO_EDGE, best_cut, ncut_value, recursive_cut
+from mlbs_actors.normalized_cut import EXACT_NODES, NO_EDGE, TwoWayCut, best_cut, ncut_value, recursive_cut
 
 
 def random_graph(nodes: int, seed: int, density: float = 0.6) -> Array:
@@ -81,21 +81,25 @@ def thresholded_ncut(affinity: Array, min_side: int, vectors: int = 3) -> float:
         for count in range(min_side, nodes - min_side + 1):
             side = np.zeros(nodes, bool)
             side[order[:count]] = True
-            values.append(ncut_value(sp.csr_array(affinity), side))
+            values.append(ncut_value(affinity, side))
     return min(values)
+
+
+def single_nodes_cut(affinity: Array, min_side: int) -> TwoWayCut:
+    return best_cut(affinity, np.ones(len(affinity), np.int64), min_side)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_cut_value_is_that_of_dense_loops(seed: int) -> None:
     affinity = random_graph(12, seed)
     side = np.random.default_rng(seed).random(12) < 0.4
-    assert ncut_value(sp.csr_array(affinity), side) == pytest.approx(dense_ncut(affinity, side))
+    assert ncut_value(affinity, side) == pytest.approx(dense_ncut(affinity, side))
 
 
 def test_a_side_without_volume_has_no_finite_cut_value() -> None:
     affinity = random_graph(6, 0)
-    assert ncut_value(sp.csr_array(affinity), np.zeros(6, bool)) == float("inf")
-    assert ncut_value(sp.csr_array(affinity), np.ones(6, bool)) == float("inf")
+    assert ncut_value(affinity, np.zeros(6, bool)) == float("inf")
+    assert ncut_value(affinity, np.ones(6, bool)) == float("inf")
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -104,7 +108,7 @@ def test_the_best_cut_is_never_better_than_the_true_optimum_and_is_what_it_says(
     seed: int, min_side: int
 ) -> None:
     affinity = random_graph(9, seed)
-    cut = best_cut(sp.csr_array(affinity), min_side)
+    cut = single_nodes_cut(affinity, min_side)
     assert cut.value == pytest.approx(dense_ncut(affinity, cut.side))
     assert min_side <= cut.side.sum() <= 9 - min_side
     assert cut.value >= exhaustive_ncut(affinity, min_side) - 1e-9
@@ -114,27 +118,42 @@ def test_the_best_cut_is_never_better_than_the_true_optimum_and_is_what_it_says(
 @pytest.mark.parametrize("seed", range(6))
 def test_the_best_cut_of_two_blocks_is_the_true_optimum(seed: int) -> None:
     affinity, block = block_graph([6, 5], between=0.02, seed=seed)
-    cut = best_cut(sp.csr_array(affinity), 2)
+    cut = single_nodes_cut(affinity, 2)
     assert cut.value == pytest.approx(exhaustive_ncut(affinity, 2))
     assert set(cut.side[block == 0].tolist()) | set(cut.side[block == 1].tolist()) == {True, False}
     assert len(set(cut.side[block == 0].tolist())) == len(set(cut.side[block == 1].tolist())) == 1
 
 
-@pytest.mark.parametrize("nodes", [DENSE_NODES - 8, DENSE_NODES + 60])
-def test_small_and_large_clusters_are_cut_as_the_dense_eigenvectors_say(nodes: int) -> None:
+@pytest.mark.parametrize("nodes", [EXACT_NODES - 8, 4 * EXACT_NODES])
+def test_small_and_large_clusters_are_cut_where_the_dense_eigenvectors_say(nodes: int) -> None:
     points = two_clouds(nodes)
-    affinity = neighbour_graph(points, 2.5)
-    cut = best_cut(sp.csr_array(affinity), 5)
-    assert cut.value == pytest.approx(ncut_value(sp.csr_array(affinity), cut.side))
-    assert cut.value <= 1.02 * thresholded_ncut(affinity, 5)
+    affinity = neighbour_graph(points, 1.5)
+    best = thresholded_ncut(affinity, 5)
+    labels = recursive_cut(sp.csr_array(affinity), 1.1 * best, 5)
+    assert labels.max() == 1
+    assert ncut_value(affinity, labels == 0) <= 1.1 * best
     left = points[:, 0] < 0
-    assert max((cut.side == left).mean(), (cut.side != left).mean()) > 0.95
+    assert max(((labels == 0) == left).mean(), ((labels == 0) != left).mean()) > 0.95
+
+
+def test_a_node_that_stands_for_many_counts_as_many() -> None:
+    affinity, _ = block_graph([4, 4], between=1e-3)
+    cut = best_cut(affinity, np.full(8, 3), 12)
+    assert cut.value == pytest.approx(exhaustive_ncut(affinity, 4))
+    assert best_cut(affinity, np.full(8, 3), 13).value == float("inf")
+
+
+def test_what_is_to_be_kept_apart_is_never_in_one_cluster() -> None:
+    affinity, _ = block_graph([60], between=0.0)
+    apart = np.repeat([0, 1, -1], [20, 30, 10])
+    labels = recursive_cut(sp.csr_array(affinity), 1e-2, 5, apart)
+    np.testing.assert_array_equal(labels, np.repeat([1, 0, -1], [20, 30, 10]))
 
 
 def test_the_cut_keeps_the_least_size_of_a_side() -> None:
     affinity, _ = block_graph([20, 3], between=1e-3)
-    free = best_cut(sp.csr_array(affinity), 2)
-    bound = best_cut(sp.csr_array(affinity), 8)
+    free = single_nodes_cut(affinity, 2)
+    bound = single_nodes_cut(affinity, 8)
     assert min(free.side.sum(), (~free.side).sum()) == 3
     assert min(bound.side.sum(), (~bound.side).sum()) >= 8
     assert free.value < bound.value
@@ -142,13 +161,13 @@ def test_the_cut_keeps_the_least_size_of_a_side() -> None:
 
 @pytest.mark.parametrize("nodes", [1, 2, 3, 5])
 def test_a_cluster_too_small_for_two_sides_is_not_cut(nodes: int) -> None:
-    assert best_cut(sp.csr_array(random_graph(nodes, 0)), 3).value == float("inf")
+    assert single_nodes_cut(random_graph(nodes, 0), 3).value == float("inf")
 
 
 @pytest.mark.parametrize("nodes", [2, 3])
 def test_the_smallest_clusters_can_be_cut_into_single_nodes(nodes: int) -> None:
     affinity = random_graph(nodes, 1)
-    cut = best_cut(sp.csr_array(affinity), 1)
+    cut = single_nodes_cut(affinity, 1)
     assert cut.value == pytest.approx(exhaustive_ncut(affinity, 1))
 
 
@@ -180,7 +199,7 @@ def test_every_cluster_that_is_left_cannot_be_split_below_the_threshold() -> Non
     for label in range(labels.max() + 1):
         nodes = np.flatnonzero(labels == label)
         assert len(nodes) >= 6
-        assert best_cut(sp.csr_array(affinity[nodes][:, nodes]), 6).value >= 0.08
+        assert single_nodes_cut(affinity[np.ix_(nodes, nodes)], 6).value >= 0.08
 
 
 def test_parts_that_are_too_small_get_no_cluster() -> None:
