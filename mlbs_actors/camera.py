@@ -2,7 +2,8 @@
 
 The paper has no camera model. Here trajectories are compared by what the camera's motion leaves of
 theirs, so that a roll or a zoom, whose motion differs from place to place, does not look like objects.
-A homography does not explain parallax; that stays in the residuals and is the clustering's business.
+A homography does not explain parallax. Where a camera drives through a scene, :mod:`mlbs_actors.epipolar`
+does; elsewhere parallax stays in the residuals and is the clustering's business.
 """
 
 from __future__ import annotations

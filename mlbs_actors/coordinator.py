@@ -30,6 +30,7 @@ from mlbs_actors.clustering import (
     split_labels,
 )
 from mlbs_actors.config import Config, length_scale
+from mlbs_actors.epipolar import forward_motion, static_motion
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray, sample_flow
 from mlbs_actors.held_frames import HeldFrame, relabelled
@@ -185,6 +186,15 @@ class Coordinator:
             step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
             advantage = sample_flow(against_camera.advantage[..., None], trajectories.positions, step)[:, 0]
             predicted = homography_motion(camera, trajectories.positions)
+            moving = np.flatnonzero(trajectories.ages > 0)
+            everywhere = moving[evenly_spread(trajectories.positions[moving], 2 * spacing)]
+            driving = forward_motion(
+                trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape
+            )
+            if driving is not None:
+                predicted = static_motion(driving, trajectories.positions, trajectories.motions)
+                obeying = np.hypot(*(trajectories.motions - predicted).T) < scale
+                advantage = np.where(obeying, 0.0, advantage)
             trajectories = with_residuals(trajectories, predicted, advantage)
             spread = displacement_spread(trajectories, config.affinity, scale)
             spreads = np.concatenate([[spread], state.spreads])[: config.trajectories.history_frames]
