@@ -2,9 +2,9 @@
 
 The paper has no camera model. A homography (:mod:`mlbs_actors.camera`) fails when a vehicle drives down a
 street: each house, parked car and road marking moves in its own way, all are discontinuous at their borders,
-and all would be objects. One epipolar geometry explains them, with a depth for each point. It also explains much that
-moves: a car that comes towards the camera looks like something nearer. So it is asked only where nothing else
-will do (:func:`forward_motion`), and what it cannot tell from the scene stays background.
+and all would be objects. One epipolar geometry explains them, with a depth for each point. It also explains
+much that moves: a car that comes towards the camera looks like something nearer. So it is asked only where
+nothing else will do (:func:`forward_motion`), and what it cannot tell from the scene stays background.
 """
 
 from __future__ import annotations
