@@ -134,7 +134,8 @@ def inverse_diagonal(screening: Array, edge: float) -> Array:
     """Diagonal of A⁻¹, exactly.
 
     With the nodes numbered along the grid's shorter side, A = L D Lᵀ has its elements within that side's
-    length w of the diagonal, and so have those of Z = A⁻¹ that the diagonal needs (Takahashi, Fagan and Chen 1973):
+    length w of the diagonal, and so have those of Z = A⁻¹ that the diagonal needs (Takahashi, Fagan and Chen
+    1973):
     Z_ij = −Σ_k Z_ik L_kj for j < i ≤ j + w and Z_jj = 1/D_j − Σ_k Z_jk L_kj, k = j + 1 … j + w, from the last
     column to the first. The cost is O(long side · short side³).
 
