@@ -41,7 +41,7 @@ class AppearanceModel:
     ----------
     region : Region
         Where the stacks live in the frame.
-    samples : (h, w, N, 3) uint8
+    samples : (h, w, 3, N) uint8
         Colours, BGR; the first ``count`` are valid.
     count : (h, w) uint8
         Number of samples, 0 (unknown) … N.
@@ -66,7 +66,7 @@ def empty_model(region: Region, sample_count: int = 20) -> AppearanceModel:
     shape = (region.height, region.width)
     return AppearanceModel(
         region,
-        np.zeros((*shape, sample_count, 3), np.uint8),
+        np.zeros((*shape, 3, sample_count), np.uint8),
         np.zeros(shape, np.uint8),
         np.zeros(shape, np.uint8),
         np.zeros(shape, np.uint8),
@@ -96,7 +96,7 @@ def warp_model(model: AppearanceModel, new_region: Region, motion: Array) -> App
     Paper §6.1; see :mod:`mlbs_actors.warp`.
     """
     if model.region.area == 0:
-        return empty_model(new_region, model.samples.shape[2])
+        return empty_model(new_region, model.samples.shape[3])
     source, residual = nearest_sources(model.residual, model.region, new_region, motion)
     shape = source.shape
     samples = np.empty((*shape, *model.samples.shape[2:]), np.uint8)
@@ -117,7 +117,7 @@ def warp_model(model: AppearanceModel, new_region: Region, motion: Array) -> App
 
 def _stacks(samples: Array) -> Array:
     """Bytes of every stack: a view (h·w, 3 N)."""
-    return samples.reshape(-1, 3 * samples.shape[2])
+    return samples.reshape(-1, 3 * samples.shape[3])
 
 
 @njit(cache=True)
@@ -158,11 +158,10 @@ def read_image(
 ) -> tuple[np.float32, np.float32, np.float32]:
     """Bilinear colour at (right, down) from a pixel, both less than 1 px, held inside the image."""
     one = np.float32(1)
-    top, left = y, x
-    if down < 0:
-        top, down = y - 1, down + one
-    if right < 0:
-        left, right = x - 1, right + one
+    # No branch: a residual's sign is as good as random.
+    above, before = int(down < 0), int(right < 0)
+    top, left = y - above, x - before
+    down, right = down + np.float32(above), right + np.float32(before)
     bottom, beside = min(top + 1, image.shape[0] - 1), min(left + 1, image.shape[1] - 1)
     top, left = max(top, 0), max(left, 0)
     w00, w01 = (one - down) * (one - right), (one - down) * right
@@ -181,7 +180,7 @@ def read_image(
 def _update(
     samples: Array, count: Array, newest: Array, spread: Array, residual: Array, image: Array, mask: Array
 ) -> None:
-    capacity = samples.shape[2]
+    capacity = samples.shape[3]
     half, third, rate = np.float32(0.5), np.float32(1 / (3 * SPREAD_STEP)), np.float32(_SPREAD_RATE)
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
@@ -196,15 +195,15 @@ def _update(
                 last = int(newest[y, x])
                 slot = last + 1 if last + 1 < capacity else 0
                 difference = (
-                    abs(colour[0] - np.float32(stack[last, 0]))
-                    + abs(colour[1] - np.float32(stack[last, 1]))
-                    + abs(colour[2] - np.float32(stack[last, 2]))
+                    abs(colour[0] - np.float32(stack[0, last]))
+                    + abs(colour[1] - np.float32(stack[1, last]))
+                    + abs(colour[2] - np.float32(stack[2, last]))
                 )
                 # The running median steps towards the new difference and never past it.
                 old = np.float32(spread[y, x])
                 step = min(max(difference * third - old, -rate), rate)
                 spread[y, x] = np.uint8(min(np.floor(old + step + half), np.float32(255)))
             for channel in range(3):
-                stack[slot, channel] = np.uint8(colour[channel] + half)
+                stack[channel, slot] = np.uint8(colour[channel] + half)
             newest[y, x] = slot
             count[y, x] = min(known + 1, capacity)

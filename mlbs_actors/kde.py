@@ -196,6 +196,7 @@ def _evaluate(
 ) -> None:  # fmt: skip
     height, width, radius = result.shape[0], result.shape[1], weights.shape[0] // 2
     half, last = np.float32(0.5), np.float32(_EXP.size - 1)
+    steps = np.empty(samples.shape[3], np.int32)
     for y in range(height):
         for x in range(width):
             if not needed[y, x] or count[y, x] == 0:
@@ -211,13 +212,18 @@ def _evaluate(
                     if registration > 0:
                         least = _least_spread(image, row, column, floor, registration)
                         width_index = max(width_index, least)
-                    scale, stack, kernels = inverse[width_index], samples[row, column], np.float32(0)
-                    for slot in range(known):
-                        d_blue = np.float32(stack[slot, 0]) - blue
-                        d_green = np.float32(stack[slot, 1]) - green
-                        d_red = np.float32(stack[slot, 2]) - red
+                    # All slots, valid or not, and nothing but arithmetic: this runs in vector registers.
+                    scale, stack = inverse[width_index], samples[row, column]
+                    blues, greens, reds = stack[0], stack[1], stack[2]
+                    for slot in range(steps.size):
+                        d_blue = np.float32(blues[slot]) - blue
+                        d_green = np.float32(greens[slot]) - green
+                        d_red = np.float32(reds[slot]) - red
                         exponent = (d_blue * d_blue + d_green * d_green + d_red * d_red) * scale
-                        kernels += _EXP[int(min(exponent, last) + half)]
+                        steps[slot] = np.int32(min(exponent, last) + half)
+                    kernels = np.float32(0)
+                    for slot in range(known):
+                        kernels += _EXP[steps[slot]]
                     share = weights[row - y + radius, column - x + radius]
                     density += share * norm[width_index] * kernels / np.float32(known)
                     weight += share

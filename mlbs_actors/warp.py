@@ -105,14 +105,16 @@ def _find_sources(
 def _best_around(residual: Array, row: int, column: int, part_x: float, part_y: float) -> int:
     """Index of the best stack where the residual jumps: at a border, or a bend of the motion."""
     height, width = residual.shape[0], residual.shape[1]
-    best_place, best = -1, np.float32(np.inf)
-    for near_row in range(max(row - 1, 0), min(row + 2, height)):
-        for near_column in range(max(column - 1, 0), min(column + 2, width)):
+    best_place, best = 0, np.float32(np.inf)
+    for v in range(-1, 2):  # of fixed length and without a branch: this is half of the time
+        near_row = min(max(row + v, 0), height - 1)
+        for u in range(-1, 2):
+            near_column = min(max(column + u, 0), width - 1)
             miss_x = np.float32(near_column - column) + residual[near_row, near_column, 0] - part_x
             miss_y = np.float32(near_row - row) + residual[near_row, near_column, 1] - part_y
             miss = miss_x * miss_x + miss_y * miss_y
-            if miss < best:
-                best_place, best = near_row * width + near_column, miss
+            best_place = near_row * width + near_column if miss < best else best_place
+            best = min(miss, best)
     return best_place
 
 

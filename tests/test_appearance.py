@@ -35,9 +35,9 @@ def test_a_stack_keeps_the_newest_samples_of_its_own_pixel() -> None:
     for (y, x), colours in kept.items():
         newest = np.array(colours[-5:])
         assert model.count[y, x] == len(newest)
-        stack = model.samples[y, x, : model.count[y, x]]
+        stack = model.samples[y, x, :, : model.count[y, x]].T
         np.testing.assert_array_equal(np.sort(stack, axis=0), np.sort(newest, axis=0))
-        np.testing.assert_array_equal(model.samples[y, x, model.newest[y, x]], colours[-1])
+        np.testing.assert_array_equal(model.samples[y, x, :, model.newest[y, x]], colours[-1])
     never = np.array([[(y, x) not in kept for x in range(REGION.width)] for y in range(REGION.height)])
     assert (model.count[never] == 0).all()
 
@@ -74,7 +74,7 @@ def test_a_move_leaves_the_old_model_as_it_is() -> None:
 
 def test_a_model_of_no_region_moves_to_an_unknown_one() -> None:
     moved = warp_model(empty_model(Region(0, 0, 0, 0), 5), REGION, np.zeros((11, 14, 2), np.float32))
-    assert moved.samples.shape == (11, 14, 5, 3)
+    assert moved.samples.shape == (11, 14, 3, 5)
     assert not moved.count.any()
 
 
@@ -87,9 +87,7 @@ def test_the_frame_is_learnt_at_the_point_the_stack_describes() -> None:
     np.testing.assert_allclose(moved.residual[:, :-1, 0], -0.3, atol=1e-6)
     update(moved, image, EVERYWHERE)
     inner = (slice(None), slice(1, -1))
-    newest = np.take_along_axis(moved.samples, moved.newest[..., None, None].astype(np.int64), axis=2)[
-        :, :, 0
-    ]
+    newest = np.take_along_axis(moved.samples, moved.newest[..., None, None].astype(np.int64), axis=3)[..., 0]
     np.testing.assert_array_equal(newest[inner], image[inner] - 3)
 
 

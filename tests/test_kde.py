@@ -21,7 +21,7 @@ def model_with_gaps(seed: int, region: Region = REGION, capacity: int = 7) -> Ap
     shape = (region.height, region.width)
     return AppearanceModel(
         region,
-        (100 + rng.integers(0, 40, (*shape, capacity, 3))).astype(np.uint8),
+        (100 + rng.integers(0, 40, (*shape, 3, capacity))).astype(np.uint8),
         rng.integers(0, capacity + 1, shape).astype(np.uint8),
         np.zeros(shape, np.uint8),
         rng.integers(0, 120, shape).astype(np.uint8),
@@ -37,7 +37,7 @@ def smooth_image(seed: int, region: Region = REGION) -> Array:
 def plain_density(model: AppearanceModel, y: int, x: int, colour: Array, floor: float) -> float:
     """1/n Σ_f Π_ch N(c_ch; c_f,ch, σ²)."""
     sigma = max(float(model.spread[y, x]) * SPREAD_STEP, floor)
-    samples = model.samples[y, x, : model.count[y, x]].astype(np.float64)
+    samples = model.samples[y, x, :, : model.count[y, x]].astype(np.float64).T
     kernels = np.exp(-((colour - samples) ** 2) / (2 * sigma**2)) / (sigma * np.sqrt(2 * np.pi))
     return float(kernels.prod(axis=1).mean())
 
