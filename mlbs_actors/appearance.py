@@ -126,14 +126,13 @@ def _take_over(
     new_stacks: Array, new_count: Array, new_newest: Array, new_spread: Array,
 ) -> None:  # fmt: skip
     for pixel in range(source.size):
-        place, new = source[pixel], new_stacks[pixel]
+        place = source[pixel]
         if place < 0:
-            new[:] = 0
+            new_stacks[pixel] = 0
             new_count[pixel], new_newest[pixel], new_spread[pixel] = 0, 0, 0
             continue
-        old = stacks[place]
-        for byte in range(new.size):
-            new[byte] = old[byte]
+        for byte in range(stacks.shape[1]):
+            new_stacks[pixel, byte] = stacks[place, byte]
         new_count[pixel], new_newest[pixel], new_spread[pixel] = count[place], newest[place], spread[place]
 
 
@@ -186,7 +185,7 @@ def _update(
         for x in range(mask.shape[1]):
             if not mask[y, x]:
                 continue
-            stack, known = samples[y, x], int(count[y, x])
+            known = int(count[y, x])
             if known == 0:
                 residual[y, x, 0], residual[y, x, 1] = 0, 0
             colour = read_image(image, y, x, residual[y, x, 0], residual[y, x, 1])
@@ -195,15 +194,17 @@ def _update(
                 last = int(newest[y, x])
                 slot = last + 1 if last + 1 < capacity else 0
                 difference = (
-                    abs(colour[0] - np.float32(stack[0, last]))
-                    + abs(colour[1] - np.float32(stack[1, last]))
-                    + abs(colour[2] - np.float32(stack[2, last]))
+                    abs(colour[0] - np.float32(samples[y, x, 0, last]))
+                    + abs(colour[1] - np.float32(samples[y, x, 1, last]))
+                    + abs(colour[2] - np.float32(samples[y, x, 2, last]))
                 )
                 # The running median steps towards the new difference and never past it.
                 old = np.float32(spread[y, x])
                 step = min(max(difference * third - old, -rate), rate)
-                spread[y, x] = np.uint8(min(np.floor(old + step + half), np.float32(255)))
-            for channel in range(3):
-                stack[channel, slot] = np.uint8(colour[channel] + half)
-            newest[y, x] = slot
-            count[y, x] = min(known + 1, capacity)
+                spread[y, x] = np.uint8(np.int32(min(old + step + half, np.float32(255))))
+            # By way of int32, which takes one instruction.
+            samples[y, x, 0, slot] = np.uint8(np.int32(colour[0] + half))
+            samples[y, x, 1, slot] = np.uint8(np.int32(colour[1] + half))
+            samples[y, x, 2, slot] = np.uint8(np.int32(colour[2] + half))
+            newest[y, x] = np.uint8(slot)
+            count[y, x] = np.uint8(min(known + 1, capacity))

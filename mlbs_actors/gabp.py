@@ -205,7 +205,8 @@ def motion_field(
     points = positions[inside].astype(np.float64)
     spacing = parameters.spacing_px
     grid = _grid_shape(shape, spacing)
-    prior = np.broadcast_to(np.asarray(prior_mean, np.float64), (*grid, 2))
+    prior = np.empty((2, *grid))
+    prior[:] = np.moveaxis(np.broadcast_to(prior_mean, (*grid, 2)), 2, 0)
     nodes, shares = _bilinear_taps(points, grid, spacing)
     measured = motions[inside] - _interpolate(prior, nodes, shares)
 
@@ -216,24 +217,24 @@ def motion_field(
     for round_index in range(parameters.robust_rounds + 1):
         evidence = weights / parameters.point_std_px**2
         amounts = np.column_stack([evidence, evidence[:, None] * measured])
-        diagonal, *rhs = _lump(nodes, shares, amounts, grid)
-        diagonal += _prior_precision(grid, parameters)
+        lumped = _lump(nodes, shares, amounts, grid)
+        diagonal, rhs = lumped[0] + _prior_precision(grid, parameters), lumped[1:]
         last_round = round_index == parameters.robust_rounds or len(points) == 0
         # A rough field is enough to weigh the trajectories by.
         tolerance = parameters.tolerance if last_round else max(parameters.tolerance, _ROUGH_TOLERANCE)
-        solution = solve(diagonal, np.stack(rhs), edge, deviation, tolerance, parameters.max_iterations)
+        solution = solve(diagonal, rhs, edge, deviation, tolerance, parameters.max_iterations)
         deviation = solution.value
         iterations += solution.iterations
         if last_round:
             break
-        misfit = measured - _interpolate(np.moveaxis(deviation, 0, 2), nodes, shares)
+        misfit = measured - _interpolate(deviation, nodes, shares)
         weights = _robust_weights(np.hypot(misfit[:, 0], misfit[:, 1]), parameters.robust_px)
 
     point_weights = np.zeros(len(positions), np.float32)
     point_weights[inside] = weights
     return MotionField(
         shape=(height, width),
-        mean=(prior + np.moveaxis(deviation, 0, 2)).astype(np.float32),
+        mean=np.ascontiguousarray(np.moveaxis(prior + deviation, 0, 2), np.float32),
         spacing=spacing,
         variance=_marginal_variance(points, weights, shape, parameters).astype(np.float32),
         variance_spacing=parameters.variance_spacing_px,
@@ -291,9 +292,9 @@ def _bilinear_taps(points: Array, grid: tuple[int, int], spacing: int) -> tuple[
 
 
 def _interpolate(field: Array, nodes: Array, shares: Array) -> Array:
-    """Values (n, 2) of a (gh, gw, 2) field at points."""
+    """Values (n, 2) of a (2, gh, gw) field at points."""
     values = np.empty((len(nodes), 2))
-    _gather(np.ascontiguousarray(field).reshape(-1, 2), nodes, shares, values)
+    _gather(field.reshape(2, -1), nodes, shares, values)
     return values
 
 
@@ -310,7 +311,7 @@ def _gather(field: Array, nodes: Array, shares: Array, values: Array) -> None:
         for axis in range(2):
             total = 0.0
             for tap in range(4):
-                total += shares[point, tap] * field[nodes[point, tap], axis]
+                total += shares[point, tap] * field[axis, nodes[point, tap]]
             values[point, axis] = total
 
 

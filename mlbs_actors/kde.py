@@ -213,12 +213,11 @@ def _evaluate(
                         least = _least_spread(image, row, column, floor, registration)
                         width_index = max(width_index, least)
                     # All slots, valid or not, and nothing but arithmetic: this runs in vector registers.
-                    scale, stack = inverse[width_index], samples[row, column]
-                    blues, greens, reds = stack[0], stack[1], stack[2]
+                    scale = inverse[width_index]
                     for slot in range(steps.size):
-                        d_blue = np.float32(blues[slot]) - blue
-                        d_green = np.float32(greens[slot]) - green
-                        d_red = np.float32(reds[slot]) - red
+                        d_blue = np.float32(samples[row, column, 0, slot]) - blue
+                        d_green = np.float32(samples[row, column, 1, slot]) - green
+                        d_red = np.float32(samples[row, column, 2, slot]) - red
                         exponent = (d_blue * d_blue + d_green * d_green + d_red * d_red) * scale
                         steps[slot] = np.int32(min(exponent, last) + half)
                     kernels = np.float32(0)

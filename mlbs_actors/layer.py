@@ -341,4 +341,4 @@ def _surroundings(layers: list[LayerEvidence], margin: float, shape: tuple[int, 
 def _unexplained(evidence: FrameEvidence, region: Region) -> Array:
     """How badly the camera's motion explains the image, at a region's pixels, (h, w) uint8."""
     height, width = evidence.shape
-    return np.asarray(cv2.resize(evidence.unexplained, (width, height))[region.slices])
+    return np.ascontiguousarray(cv2.resize(evidence.unexplained, (width, height))[region.slices])

@@ -290,11 +290,11 @@ def _v_cycle(
         coarse[:] = 0.0
         # The residual of colour 1 is zero: it was swept last. That of colour 0 was: its neighbours are left.
         for v in range(1, x.shape[0] - 1):
-            above, own, below, joined = x[v - 1], x[v], x[v + 1], coarse[(v + 1) // 2, 1:]
+            for u in range(1, x.shape[1] - 1):
+                y[v, u] = vertical * (x[v - 1, u] + x[v + 1, u]) + horizontal * (x[v, u - 1] + x[v, u + 1])
             first = 1 + v % 2
             for j in range((x.shape[1] - first) // 2):
-                u = first + 2 * j
-                joined[j] += vertical * (above[u] + below[u]) + horizontal * (own[u - 1] + own[u + 1])
+                coarse[(v + 1) // 2, j + 1] += y[v, first + 2 * j]
     x, b, d = _level(value, levels, last), _level(rhs, levels, last), _level(diagonal, levels, last)
     x[1, 1] = b[1, 1] / d[1, 1]
     for level in range(last - 1, -1, -1):

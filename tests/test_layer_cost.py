@@ -74,7 +74,7 @@ def test_the_cost_is_the_weighted_sum_of_the_terms_where_it_is_needed(kind: Laye
     )
     expected = nats_by_arrays(kind, evidence, motion, variance, unexplained, prior, own_terms) / COST_STEP
     assert (found[~needed] == uncontested_cost(CONFIG)).all()
-    assert np.abs(found - np.clip(expected, 0, 255))[needed].max() < 0.5 + 1e-3
+    assert np.abs(found - np.clip(expected, 0, 255))[needed].max() < 0.5 + 0.05  # of the tables
     assert np.ptp(found[needed]) > 50
 
 
