@@ -319,13 +319,16 @@ def _set_operators(screening: Array, diagonal: Array, inverse: Array, levels: Ar
     _level(summed, levels, 0)[1:-1, 1:-1] = screening
     for level in range(len(levels)):
         s, d = _level(summed, levels, level), _level(diagonal, levels, level)
-        colours = _level(inverse[0], levels, level), _level(inverse[1], levels, level)
         rows, columns = levels[level, 1], levels[level, 2]
         for v in range(1, rows + 1):
             vertical = edges[level, 0] * ((v > 1) + (v < rows))
             for u in range(1, columns + 1):
                 d[v, u] = s[v, u] + vertical + edges[level, 1] * ((u > 1) + (u < columns))
-                colours[(v + u + 1) % 2][v, u] = np.float32(1) / d[v, u]
+        for colour in range(2):
+            i = _level(inverse[colour], levels, level)
+            for v in range(1, rows + 1):
+                for u in range(1 + (v + colour) % 2, columns + 1, 2):
+                    i[v, u] = np.float32(1) / d[v, u]
         if level + 1 < len(levels):
             coarse = _level(summed, levels, level + 1)
             for v in range(1, rows + 1):
