@@ -39,7 +39,6 @@ import cv2
 import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, update
-from mlbs_actors.camera import homography_motion
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import LayerError
 from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_positions
@@ -278,8 +277,8 @@ class Layer:
         corner = np.array([region.x, region.y], np.float32)
         prior: Array = np.zeros(2)
         if self.kind == "background" and region.area:
-            nodes = node_positions(shape, self._motion.spacing_px)
-            prior = homography_motion(frame_evidence.camera, nodes.reshape(-1, 2)).reshape(nodes.shape)
+            nodes = node_positions(shape, self._motion.spacing_px).astype(np.float64)
+            prior = cv2.perspectiveTransform(nodes, frame_evidence.camera) - nodes
         elif len(evidence.motions):
             prior = np.median(evidence.motions, axis=0)
         elif region.area:
