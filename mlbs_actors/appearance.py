@@ -98,15 +98,42 @@ def warp_model(model: AppearanceModel, new_region: Region, motion: Array) -> App
     if model.region.area == 0:
         return empty_model(new_region, model.samples.shape[3])
     source, residual = nearest_sources(model.residual, model.region, new_region, motion)
-    has_source = source >= 0
-    # Where nothing is taken over, the first stack serves as a harmless filling behind the count of 0.
-    source = np.maximum(source, 0)
-    stacks = model.samples.reshape(model.region.area, -1)
-    samples = np.take(stacks, source.ravel(), axis=0).reshape(*source.shape, *model.samples.shape[2:])
-    count, newest, spread = (
-        np.take(a, source) * has_source for a in (model.count, model.newest, model.spread)
+    shape = source.shape
+    samples = np.empty((*shape, *model.samples.shape[2:]), np.uint8)
+    count, newest, spread = np.empty(shape, np.uint8), np.empty(shape, np.uint8), np.empty(shape, np.uint8)
+    _take_over(
+        source.ravel(),
+        _stacks(model.samples),
+        model.count.ravel(),
+        model.newest.ravel(),
+        model.spread.ravel(),
+        _stacks(samples),
+        count.ravel(),
+        newest.ravel(),
+        spread.ravel(),
     )
     return AppearanceModel(new_region, samples, count, newest, spread, residual)
+
+
+def _stacks(samples: Array) -> Array:
+    """Bytes of every stack: a view (h·w, 3 N)."""
+    return samples.reshape(-1, 3 * samples.shape[3])
+
+
+@njit(cache=True)
+def _take_over(
+    source: Array, stacks: Array, count: Array, newest: Array, spread: Array,
+    new_stacks: Array, new_count: Array, new_newest: Array, new_spread: Array,
+) -> None:  # fmt: skip
+    for pixel in range(source.size):
+        place = source[pixel]
+        if place < 0:
+            new_stacks[pixel] = 0
+            new_count[pixel], new_newest[pixel], new_spread[pixel] = 0, 0, 0
+            continue
+        for byte in range(stacks.shape[1]):
+            new_stacks[pixel, byte] = stacks[place, byte]
+        new_count[pixel], new_newest[pixel], new_spread[pixel] = count[place], newest[place], spread[place]
 
 
 def update(model: AppearanceModel, image: Array, mask: Array) -> None:
@@ -125,23 +152,26 @@ def update(model: AppearanceModel, image: Array, mask: Array) -> None:
 
 
 @njit(cache=True)
-def read_image(image: Array, y: float, x: float) -> tuple[float, float, float]:
-    """Bilinear colour at a sub-pixel position, held inside the image."""
-    height, width = image.shape[0], image.shape[1]
-    y = min(max(y, 0.0), height - 1.0)
-    x = min(max(x, 0.0), width - 1.0)
-    top, left = int(y), int(x)
-    bottom, right = min(top + 1, height - 1), min(left + 1, width - 1)
-    down, along = np.float32(y - top), np.float32(x - left)
-    up, back = np.float32(1) - down, np.float32(1) - along
-    w00, w01, w10, w11 = up * back, up * along, down * back, down * along
+def read_image(
+    image: Array, y: int, x: int, right: np.float32, down: np.float32
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Bilinear colour at (right, down) from a pixel, both less than 1 px, held inside the image."""
+    one = np.float32(1)
+    # No branch: a residual's sign is as good as random.
+    above, before = int(down < 0), int(right < 0)
+    top, left = y - above, x - before
+    down, right = down + np.float32(above), right + np.float32(before)
+    bottom, beside = min(top + 1, image.shape[0] - 1), min(left + 1, image.shape[1] - 1)
+    top, left = max(top, 0), max(left, 0)
+    w00, w01 = (one - down) * (one - right), (one - down) * right
+    w10, w11 = down * (one - right), down * right
     return (
-        w00 * image[top, left, 0] + w01 * image[top, right, 0]
-        + w10 * image[bottom, left, 0] + w11 * image[bottom, right, 0],
-        w00 * image[top, left, 1] + w01 * image[top, right, 1]
-        + w10 * image[bottom, left, 1] + w11 * image[bottom, right, 1],
-        w00 * image[top, left, 2] + w01 * image[top, right, 2]
-        + w10 * image[bottom, left, 2] + w11 * image[bottom, right, 2],
+        w00 * image[top, left, 0] + w01 * image[top, beside, 0]
+        + w10 * image[bottom, left, 0] + w11 * image[bottom, beside, 0],
+        w00 * image[top, left, 1] + w01 * image[top, beside, 1]
+        + w10 * image[bottom, left, 1] + w11 * image[bottom, beside, 1],
+        w00 * image[top, left, 2] + w01 * image[top, beside, 2]
+        + w10 * image[bottom, left, 2] + w11 * image[bottom, beside, 2],
     )  # fmt: skip
 
 
@@ -150,26 +180,31 @@ def _update(
     samples: Array, count: Array, newest: Array, spread: Array, residual: Array, image: Array, mask: Array
 ) -> None:
     capacity = samples.shape[3]
+    half, third, rate = np.float32(0.5), np.float32(1 / (3 * SPREAD_STEP)), np.float32(_SPREAD_RATE)
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
             if not mask[y, x]:
                 continue
-            if count[y, x] == 0:
+            known = int(count[y, x])
+            if known == 0:
                 residual[y, x, 0], residual[y, x, 1] = 0, 0
-            colour = read_image(image, y + residual[y, x, 1], x + residual[y, x, 0])
+            colour = read_image(image, y, x, residual[y, x, 0], residual[y, x, 1])
             slot = 0
-            if count[y, x] > 0:
-                last = newest[y, x]
-                slot = (last + 1) % capacity
-                difference = np.float32(0)
-                for channel in range(3):
-                    difference += abs(colour[channel] - np.float32(samples[y, x, channel, last]))
+            if known > 0:
+                last = int(newest[y, x])
+                slot = last + 1 if last + 1 < capacity else 0
+                difference = (
+                    abs(colour[0] - np.float32(samples[y, x, 0, last]))
+                    + abs(colour[1] - np.float32(samples[y, x, 1, last]))
+                    + abs(colour[2] - np.float32(samples[y, x, 2, last]))
+                )
                 # The running median steps towards the new difference and never past it.
                 old = np.float32(spread[y, x])
-                step = difference / np.float32(3 * SPREAD_STEP) - old
-                step = min(max(step, np.float32(-_SPREAD_RATE)), np.float32(_SPREAD_RATE))
-                spread[y, x] = np.uint8(min(np.floor(old + step + np.float32(0.5)), np.float32(255)))
-            for channel in range(3):
-                samples[y, x, channel, slot] = np.uint8(colour[channel] + np.float32(0.5))
-            newest[y, x] = slot
-            count[y, x] = min(count[y, x] + 1, capacity)
+                step = min(max(difference * third - old, -rate), rate)
+                spread[y, x] = np.uint8(np.int32(min(old + step + half, np.float32(255))))
+            # By way of int32, which takes one instruction.
+            samples[y, x, 0, slot] = np.uint8(np.int32(colour[0] + half))
+            samples[y, x, 1, slot] = np.uint8(np.int32(colour[1] + half))
+            samples[y, x, 2, slot] = np.uint8(np.int32(colour[2] + half))
+            newest[y, x] = np.uint8(slot)
+            count[y, x] = np.uint8(min(known + 1, capacity))

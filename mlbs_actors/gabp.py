@@ -8,8 +8,8 @@ with L the grid's Laplacian, w the weight of the trajectories that fall on each 
 from the prior. x and y share A. Gaussian belief propagation converges to this mean, because A is strictly
 diagonally dominant with no positive element off the diagonal and so *walk-summable*; it does not give these
 variances (on a loopy grid it is too sure of itself). Both are computed directly here: the mean by conjugate
-gradients with a multigrid V-cycle as the preconditioner, the variances by block-tridiagonal selected
-inversion, which is exact (:mod:`mlbs_actors.screened_poisson`).
+gradients with a multigrid V-cycle as the preconditioner, the variances by selected inversion of the banded
+matrix, which is exact (:mod:`mlbs_actors.screened_poisson`).
 
 Differs from the paper:
 
@@ -42,6 +42,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
+from numba import njit
 
 from mlbs_actors.errors import SolverError
 from mlbs_actors.messages import Array
@@ -204,7 +205,8 @@ def motion_field(
     points = positions[inside].astype(np.float64)
     spacing = parameters.spacing_px
     grid = _grid_shape(shape, spacing)
-    prior = np.broadcast_to(np.asarray(prior_mean, np.float64), (*grid, 2))
+    prior = np.empty((2, *grid))
+    prior[:] = np.moveaxis(np.broadcast_to(prior_mean, (*grid, 2)), 2, 0)
     nodes, shares = _bilinear_taps(points, grid, spacing)
     measured = motions[inside] - _interpolate(prior, nodes, shares)
 
@@ -214,8 +216,9 @@ def motion_field(
     deviation = np.zeros((2, *grid))
     for round_index in range(parameters.robust_rounds + 1):
         evidence = weights / parameters.point_std_px**2
-        diagonal = _lump(nodes, shares, evidence, grid) + _prior_precision(grid, parameters)
-        rhs = np.stack([_lump(nodes, shares, evidence * measured[:, axis], grid) for axis in (0, 1)])
+        amounts = np.column_stack([evidence, evidence[:, None] * measured])
+        lumped = _lump(nodes, shares, amounts, grid)
+        diagonal, rhs = lumped[0] + _prior_precision(grid, parameters), lumped[1:]
         last_round = round_index == parameters.robust_rounds or len(points) == 0
         # A rough field is enough to weigh the trajectories by.
         tolerance = parameters.tolerance if last_round else max(parameters.tolerance, _ROUGH_TOLERANCE)
@@ -224,14 +227,14 @@ def motion_field(
         iterations += solution.iterations
         if last_round:
             break
-        misfit = measured - _interpolate(np.moveaxis(deviation, 0, 2), nodes, shares)
+        misfit = measured - _interpolate(deviation, nodes, shares)
         weights = _robust_weights(np.hypot(misfit[:, 0], misfit[:, 1]), parameters.robust_px)
 
     point_weights = np.zeros(len(positions), np.float32)
     point_weights[inside] = weights
     return MotionField(
         shape=(height, width),
-        mean=(prior + np.moveaxis(deviation, 0, 2)).astype(np.float32),
+        mean=np.ascontiguousarray(np.moveaxis(prior + deviation, 0, 2), np.float32),
         spacing=spacing,
         variance=_marginal_variance(points, weights, shape, parameters).astype(np.float32),
         variance_spacing=parameters.variance_spacing_px,
@@ -289,15 +292,36 @@ def _bilinear_taps(points: Array, grid: tuple[int, int], spacing: int) -> tuple[
 
 
 def _interpolate(field: Array, nodes: Array, shares: Array) -> Array:
-    """Values (n, 2) of a (gh, gw, 2) field at points."""
-    values: Array = np.einsum("nk,nkc->nc", shares, field.reshape(-1, 2)[nodes])
+    """Values (n, 2) of a (2, gh, gw) field at points."""
+    values = np.empty((len(nodes), 2))
+    _gather(field.reshape(2, -1), nodes, shares, values)
     return values
 
 
 def _lump(nodes: Array, shares: Array, amounts: Array, grid: tuple[int, int]) -> Array:
-    """Sum the points' amounts (n,) on the nodes by their shares."""
-    total = np.bincount(nodes.ravel(), (shares * amounts[:, None]).ravel(), grid[0] * grid[1])
-    return total.reshape(grid).astype(np.float64)  # bincount of no points at all is integer
+    """Sum the points' amounts (n, k) on the nodes by their shares: (k, gh, gw)."""
+    total = np.zeros((amounts.shape[1], grid[0] * grid[1]))
+    _scatter(nodes, shares, amounts, total)
+    return total.reshape(-1, *grid)
+
+
+@njit(cache=True)
+def _gather(field: Array, nodes: Array, shares: Array, values: Array) -> None:
+    for point in range(nodes.shape[0]):
+        for axis in range(2):
+            total = 0.0
+            for tap in range(4):
+                total += shares[point, tap] * field[axis, nodes[point, tap]]
+            values[point, axis] = total
+
+
+@njit(cache=True)
+def _scatter(nodes: Array, shares: Array, amounts: Array, total: Array) -> None:
+    for point in range(nodes.shape[0]):
+        for tap in range(4):
+            node, share = nodes[point, tap], shares[point, tap]
+            for kind in range(amounts.shape[1]):
+                total[kind, node] += share * amounts[point, kind]
 
 
 def _prior_precision(grid: tuple[int, int], parameters: MotionParameters) -> float:
@@ -316,7 +340,7 @@ def _marginal_variance(
     """diag(A⁻¹) of the same model on the variance's grid, plus what the finer nodes of the mean vary more."""
     grid = _grid_shape(shape, parameters.variance_spacing_px)
     nodes, shares = _bilinear_taps(points, grid, parameters.variance_spacing_px)
-    screening = _lump(nodes, shares, weights / parameters.point_std_px**2, grid)
+    (screening,) = _lump(nodes, shares, weights[:, None] / parameters.point_std_px**2, grid)
     screening += _prior_precision(grid, parameters)
     refinement = np.log(parameters.variance_spacing_px / parameters.spacing_px) / (2.0 * np.pi)
     variance = inverse_diagonal(screening, 1.0 / parameters.smoothness_std_px**2)

@@ -1,7 +1,9 @@
 """One layer: motion field, prediction, likelihood, posterior, update — the "processing block" (§5, §6).
 
 :meth:`Layer.step` is called once a frame: it finishes frame t−1 with the published labels, then predicts and
-evaluates frame t. The layer works on the region of its object; the background's region is the frame.
+evaluates frame t. The layer works on the region of its object (:mod:`mlbs_actors.regions`). The background's
+is the frame: it moves and learns all of it, but is evaluated only where an object can be. Elsewhere its cost
+is the offset of all costs, its colours say nothing and have no samples.
 
 The negative logarithm of a pixel's unnormalised posterior is a weighted sum of five terms (weights in
 :class:`~mlbs_actors.config.PosteriorConfig`, nats), cut to 0 … 15.9:
@@ -18,12 +20,13 @@ The negative logarithm of a pixel's unnormalised posterior is a weighted sum of 
   neutral (0.5 by default) in a new-born layer and where the source is outside the layer's old region, at
   least 0.1 for an object and 0.5 for the background.
 
-Outside its region an object costs 15.9 nats. It learns only where its label is sure
-(:meth:`Layer._near_trajectories`).
+Outside its region an object costs 15.9 nats. A layer learns only where its label is sure
+(:meth:`Layer._near_trajectories`, :meth:`Layer._trusted_background`).
 
 Differs from the paper: the motion, photometric and away terms are not in it; the prior has a floor, so that
 it can be overruled, and a layer is weighed by its own confidence, pixel by pixel (the authors' program makes
-*all* layers uniform where one has few samples, and never uses its prior). A layer that wakes after a sleep
+*all* layers uniform where one has few samples, and never uses its prior); no layer but the background is
+evaluated on the whole frame, and it only where it has a rival. A layer that wakes after a sleep
 keeps its id, not its samples: only its place is known, not the path of its pixels.
 """
 
@@ -36,14 +39,12 @@ import cv2
 import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, update
-from mlbs_actors.camera import homography_motion
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import LayerError
-from mlbs_actors.fusion import quantised_ratio, with_appearance
 from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_positions
 from mlbs_actors.kde import AppearanceParameters, confidence, warp_and_evaluate
+from mlbs_actors.layer_cost import finished_posterior, layer_cost, quantised_colours
 from mlbs_actors.messages import (
-    COST_STEP,
     UNEXPLAINED_STEP,
     Array,
     FrameEvidence,
@@ -54,13 +55,11 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 from mlbs_actors.photometric import FramePart, photometric_advantage
+from mlbs_actors.regions import contested, object_region
 from mlbs_actors.trajectory_distance import closed_distance, trajectory_distance
 from mlbs_actors.warp import warp_map
 
 __all__ = ["Layer", "LayerState"]
-
-#: log of the uniform density over 8-bit colours, nats per unit RGB volume.
-LOG_UNIFORM = -3.0 * float(np.log(256.0))
 
 
 @dataclass(slots=True)
@@ -183,32 +182,46 @@ class Layer:
                 "restart the stream from its last snapshot."
             )
         start = perf_counter()
-        posterior, support = self._finish(previous)
+        posterior = self._finish(previous)
         finished = perf_counter()
-        region = self._next_region(evidence, frame_evidence, support)
+        shape, margin = frame_evidence.shape, self.config.posterior.region_margin_px
+        if self.kind == "background":
+            region = Region(0, 0, shape[1], shape[0])
+            needed = contested(frame_evidence, previous, margin)
+        else:
+            region = object_region(evidence, previous, shape, margin)
+            needed = np.ones((region.height, region.width), np.bool_)
         field = self._motion_field(evidence, frame_evidence, region)
         motion = field.dense()
         moved = perf_counter()
         image = np.ascontiguousarray(frame[region.slices])
-        model, log_density = warp_and_evaluate(state.model, region, motion, image, self._appearance)
-        log_ratio = np.nan_to_num(log_density, nan=LOG_UNIFORM) - LOG_UNIFORM
-        log_ratio = quantised_ratio(log_ratio, self.config.posterior.appearance_cap)
-        samples = model.count.copy()  # the model goes on learning
+        model, log_density = warp_and_evaluate(state.model, region, motion, image, self._appearance, needed)
         weights = self.config.posterior
-        trusted, away = self._near_trajectories(evidence, frame_evidence, region)
-        cost = (
-            weights.motion * self._motion_cost(frame_evidence, region, field, motion)
-            + weights.distance * away
-            + weights.prior * self._prior_cost(posterior, region, motion)
-        )
-        if self.kind != "background":
-            camera = _camera_motion(frame_evidence.camera, region)
-            own = warp_map(posterior, state.region, region, motion, 0.0) >= 0.5
+        log_ratio, samples = quantised_colours(log_density, model.count, needed, weights.appearance_cap)
+        unexplained = _unexplained(frame_evidence, region)
+        prior = warp_map(posterior, state.region, region, motion, needed)
+        if self.kind == "background":
+            trusted = self._trusted_background(evidence, frame_evidence, unexplained)
+            own_terms: Array = np.zeros(needed.shape, np.float32)
+        else:
+            trusted, away = self._near_trajectories(evidence, frame_evidence, region, unexplained)
             before, now = FramePart(state.region, state.image), FramePart(region, image)
-            cost -= weights.photometric * photometric_advantage(
-                before, now, motion, camera, own, weights.photometric_cap
+            advantage = photometric_advantage(
+                before, now, motion, frame_evidence.camera, prior[0] >= 0.5, weights.photometric_cap
             )
-        quantised = np.clip(np.rint((cost + weights.offset) / COST_STEP), 0, 255).astype(np.uint8)
+            own_terms = np.float32(weights.distance) * away - np.float32(weights.photometric) * advantage
+        cost = layer_cost(
+            self.config,
+            self.kind,
+            frame_evidence,
+            region,
+            needed,
+            motion,
+            field.dense_variance(),
+            unexplained,
+            prior,
+            own_terms,
+        )
         evaluated = perf_counter()
 
         if len(evidence.motions):
@@ -219,24 +232,24 @@ class Layer:
             frame_evidence.frame_index,
             region,
             model,
-            quantised,
+            cost,
             log_ratio,
             samples,
             image,
             velocity,
             trusted,
         )
-        trust = confidence(samples, self._appearance)
+        trust = confidence(np.arange(256), self._appearance)
         return LayerPosterior(
             layer=self.layer,
             frame_index=frame_evidence.frame_index,
             kind=self.kind,
             region=region,
-            cost=quantised,
+            cost=cost,
             log_ratio=log_ratio,
             samples=samples,
             outside_cost=255,
-            confidence=float(trust.mean()) if trust.size else 0.0,
+            confidence=float(trust[model.count].mean()) if region.area else 0.0,
             velocity=velocity,
             stage_ms={
                 "update": 1e3 * (finished - start),
@@ -245,56 +258,16 @@ class Layer:
             },
         )
 
-    def _finish(self, previous: Segmentation | None) -> tuple[Array, Region | None]:
-        """Learn frame t−1; return this layer's normalised posterior of it and the box of its pixels."""
+    def _finish(self, previous: Segmentation | None) -> Array:
+        """Learn frame t−1; return this layer's normalised posterior of it, empty if it had no part in it."""
         state = self.state
-        nothing = np.zeros((0, 0), np.float32)
         if previous is None or previous.frame_index != state.last_frame:
-            return nothing, None
-        slices = state.region.slices
-        mask = np.ascontiguousarray(previous.labels[slices] == self.layer)
+            return np.zeros((0, 0), np.float32)
+        mask = previous.labels[state.region.slices] == self.layer
         update(state.model, state.image, mask & state.trusted)
-        cost = with_appearance(
-            state.cost,
-            state.log_ratio,
-            state.samples,
-            np.ascontiguousarray(previous.fallback[slices]),
-            self.config.posterior.appearance,
-            self.config.appearance.half_confidence_samples,
+        return finished_posterior(
+            self.config, state.cost, state.log_ratio, state.samples, previous, state.region, mask
         )
-        log_posterior = previous.normaliser[slices].astype(np.float32) - cost.astype(np.float32)
-        posterior = np.exp(np.minimum(log_posterior * np.float32(COST_STEP), 0.0))
-        # The published map is the better half of the knowledge: it has seen the outlines.
-        posterior = 0.5 * posterior + 0.5 * mask
-        if not mask.any():
-            return posterior, None
-        x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
-        return posterior, Region(state.region.x + x, state.region.y + y, width, height)
-
-    def _next_region(
-        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, support: Region | None
-    ) -> Region:
-        """The frame for the background; else the box of trajectories and moved support, with a margin."""
-        height, width = frame_evidence.shape
-        if self.kind == "background":
-            return Region(0, 0, width, height)
-        boxes = []
-        velocity = self.state.velocity
-        if len(evidence.positions):
-            boxes.append(np.concatenate([evidence.positions.min(axis=0), evidence.positions.max(axis=0)]))
-            velocity = -np.median(evidence.motions, axis=0)
-        if support is not None:
-            corner = np.array([support.x, support.y]) + velocity
-            size = np.array([support.width, support.height])
-            boxes.append(np.concatenate([corner, corner + size]))
-        if not boxes:
-            return Region(0, 0, 0, 0)
-        margin = self.config.posterior.region_margin_px * length_scale(height, width)
-        low = np.floor(np.min(boxes, axis=0)[:2] - margin).astype(int)
-        high = np.ceil(np.max(boxes, axis=0)[2:] + margin).astype(int) + 1
-        x0, y0 = np.clip(low, 0, (width, height))
-        x1, y1 = np.clip(high, 0, (width, height))
-        return Region(int(x0), int(y0), int(x1 - x0), int(y1 - y0))
 
     def _motion_field(
         self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region
@@ -304,8 +277,8 @@ class Layer:
         corner = np.array([region.x, region.y], np.float32)
         prior: Array = np.zeros(2)
         if self.kind == "background" and region.area:
-            nodes = node_positions(shape, self._motion.spacing_px)
-            prior = homography_motion(frame_evidence.camera, nodes.reshape(-1, 2)).reshape(nodes.shape)
+            nodes = node_positions(shape, self._motion.spacing_px).astype(np.float64)
+            prior = cv2.perspectiveTransform(nodes, frame_evidence.camera) - nodes
         elif len(evidence.motions):
             prior = np.median(evidence.motions, axis=0)
         elif region.area:
@@ -313,77 +286,58 @@ class Layer:
         return motion_field(evidence.positions - corner, evidence.motions, shape, prior, self._motion)
 
     def _near_trajectories(
-        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region
+        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region, unexplained: Array
     ) -> tuple[Array, Array]:
-        """Where the layer may learn, (h, w) bool, and an object's cost in [0, 1] away from its trajectories.
+        """Where an object may learn, (h, w) bool, and its cost in [0, 1] away from its trajectories.
 
-        What is labelled wrongly near an outline must not be learnt. An object learns close to its own
-        trajectories, where the camera's motion fails to explain the image; near an object the background
-        learns beside its own ones, or where nothing moves against the camera.
+        What is labelled wrongly near an outline must not be learnt: an object learns close to its own
+        trajectories, where the camera's motion fails to explain the image.
         """
         weights, scale = self.config.posterior, length_scale(*frame_evidence.shape)
-        noise = self.config.layers.unexplained_noise
         own = trajectory_distance([evidence], region)
-        others = trajectory_distance(
-            [one for one in frame_evidence.layers if one.layer != self.layer], region
-        )
-        unexplained = UNEXPLAINED_STEP * _to_region(frame_evidence.unexplained, region, frame_evidence.shape)
-        if self.kind == "background":
-            trusted = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
-            if frame_evidence.frame_index > 0:
-                trusted |= (others > weights.learn_px * scale) & (unexplained < 0.5 * noise)
-            return trusted, np.zeros(own.shape, np.float32)
-        trusted = (own <= weights.learn_px * scale) & (own < others) & (unexplained >= noise)
+        others = trajectory_distance(_others(evidence, frame_evidence), region)
+        trusted = (own <= weights.learn_px * scale) & (own < others)
+        trusted &= unexplained >= self.config.layers.unexplained_noise / UNEXPLAINED_STEP
         body = closed_distance(own, weights.close_px * scale)
         away = np.clip((body - weights.near_px * scale) / (weights.fade_px * scale), 0.0, 1.0)
         return trusted, away
 
-    def _prior_cost(self, posterior: Array, region: Region, motion: Array) -> Array:
-        """−log of the last posterior warped by the layer's own motion, (h, w) float32."""
-        weights = self.config.posterior
-        prior = np.full(motion.shape[:2], weights.neutral_prior, np.float32)
-        if posterior.size:
-            prior = warp_map(posterior, self.state.region, region, motion, weights.neutral_prior)
-        # Background that was hidden has been there all the same: for it the floor is the neutral value.
-        floor = weights.neutral_prior if self.kind == "background" else weights.prior_floor
-        return np.asarray(-np.log(np.maximum(prior, floor)))
-
-    def _motion_cost(
-        self, frame_evidence: FrameEvidence, region: Region, field: MotionField, motion: Array
+    def _trusted_background(
+        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, unexplained: Array
     ) -> Array:
-        """−log(ε + (1−ε) exp(−½d²)) of the dense flow under the motion field."""
-        height, width = frame_evidence.shape
-        if region.area == 0 or self.config.posterior.motion == 0 or not frame_evidence.flow_reliable.any():
-            return np.zeros(motion.shape[:2], np.float32)
-        source = np.dstack(
-            [frame_evidence.flow.astype(np.float32), frame_evidence.flow_reliable.astype(np.float32)]
-        )
-        flow = _to_region(source, region, frame_evidence.shape)
-        scale = length_scale(height, width)
-        variance = field.dense_variance() + (self.config.motion.flow_std_px * scale) ** 2
-        distance = np.square(flow[..., :2] - motion).sum(axis=2) / variance
-        weights = self.config.posterior
-        floor = weights.motion_floor if self.kind == "background" else weights.object_motion_floor
-        cost = -np.log(floor + (1.0 - floor) * np.exp(-0.5 * distance))
-        # Where the camera's motion explains the image as well, the flow may have bled there: it is not heard.
-        unexplained = UNEXPLAINED_STEP * _to_region(frame_evidence.unexplained, region, frame_evidence.shape)
-        heard = np.clip(2.0 * unexplained / self.config.layers.unexplained_noise - 1.0, 0.0, 1.0)
-        return np.asarray(cost * flow[..., 2] * heard, np.float32)
+        """Where the background may learn, (H, W) bool.
+
+        Near an object it learns beside its own trajectories only, or where nothing moves against the camera.
+        """
+        weights, shape = self.config.posterior, frame_evidence.shape
+        scale = length_scale(*shape)
+        trusted = np.ones(shape, np.bool_)
+        objects = _others(evidence, frame_evidence)
+        # A pixel is judged up to this far from the objects, by own trajectories up to this far from it.
+        near = _surroundings(objects, 2.0 * weights.keep_off_px * scale, shape)
+        own, others = trajectory_distance([evidence], near), trajectory_distance(objects, near)
+        trusted[near.slices] = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
+        if frame_evidence.frame_index > 0:
+            still = unexplained[near.slices] < 0.5 * self.config.layers.unexplained_noise / UNEXPLAINED_STEP
+            trusted[near.slices] |= still & (others > weights.learn_px * scale)
+        return trusted
 
 
-def _camera_motion(matrix: Array, region: Region) -> Array:
-    """The camera's backward motion at a region's pixels, (h, w, 2) float32, px."""
-    rows, columns = np.mgrid[region.slices]
-    pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
-    return homography_motion(matrix, pixels).reshape(region.height, region.width, 2)
+def _others(evidence: LayerEvidence, frame_evidence: FrameEvidence) -> list[LayerEvidence]:
+    return [one for one in frame_evidence.layers if one.layer != evidence.layer]
 
 
-def _to_region(coarse: Array, region: Region, shape: tuple[int, int]) -> Array:
-    """Bilinear values of a map of the whole frame, coarser than it, at a region's pixels."""
-    if region.area == 0:
-        return np.zeros((region.height, region.width, *coarse.shape[2:]), coarse.dtype)
-    rows, columns = coarse.shape[:2]
-    x = ((np.arange(region.x, region.x + region.width) + 0.5) * columns / shape[1] - 0.5).astype(np.float32)
-    y = ((np.arange(region.y, region.y + region.height) + 0.5) * rows / shape[0] - 0.5).astype(np.float32)
-    map_x, map_y = np.meshgrid(x, y)
-    return np.asarray(cv2.remap(coarse, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+def _surroundings(layers: list[LayerEvidence], margin: float, shape: tuple[int, int]) -> Region:
+    """Box of some layers' trajectories with a margin, inside the frame."""
+    positions = np.concatenate([np.zeros((0, 2), np.float32), *(one.positions for one in layers)])
+    if len(positions) == 0:
+        return Region(0, 0, 0, 0)
+    x0, y0 = np.maximum(np.floor(positions.min(axis=0) - margin), 0).astype(int)
+    x1, y1 = np.minimum(np.ceil(positions.max(axis=0) + margin) + 1, shape[::-1]).astype(int)
+    return Region(int(x0), int(y0), int(x1 - x0), int(y1 - y0))
+
+
+def _unexplained(evidence: FrameEvidence, region: Region) -> Array:
+    """How badly the camera's motion explains the image, at a region's pixels, (h, w) uint8."""
+    height, width = evidence.shape
+    return np.ascontiguousarray(cv2.resize(evidence.unexplained, (width, height))[region.slices])

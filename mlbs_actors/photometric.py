@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 
 from mlbs_actors.camera import LEAST_NOISE, MOST_NOISE
 from mlbs_actors.messages import Array, Region
@@ -52,8 +53,10 @@ def photometric_advantage(
     ----------
     before, now : FramePart
         Of frames t−1 and t.
-    motion, camera : (h, w, 2) float32
-        The object's and the camera's backward motion at the pixels of ``now``, px.
+    motion : (h, w, 2) float32
+        The object's backward motion at the pixels of ``now``, px.
+    camera : (3, 3) float64
+        The camera's: takes pixels of frame t to frame t−1.
     own : (h, w) bool
         Where the object's motion leads back to its own pixels.
     largest : float
@@ -69,21 +72,58 @@ def photometric_advantage(
     if region.area == 0 or before.region.area == 0:
         return np.zeros(motion.shape[:2], np.float32)
     last, newest = (cv2.cvtColor(part.image, cv2.COLOR_BGR2GRAY) for part in (before, now))
-    rows, columns = np.mgrid[region.slices].astype(np.float32)
-    known = np.ones(motion.shape[:2], bool)
-    errors = []
-    for candidate in (motion, camera):
-        x = columns + candidate[..., 0] - np.float32(before.region.x)
-        y = rows + candidate[..., 1] - np.float32(before.region.y)
-        known &= (x >= 0) & (x <= last.shape[1] - 1) & (y >= 0) & (y <= last.shape[0] - 1)
-        moved = cv2.remap(last, x, y, cv2.INTER_LINEAR)
-        errors.append(cv2.blur(cv2.absdiff(newest, moved).astype(np.float32), (WINDOW, WINDOW)))
-    noise = np.float32(np.clip(np.median(errors[1]), LEAST_NOISE, MOST_NOISE))
-    own_error, camera_error = errors[0] / noise, errors[1] / noise
-    advantage = np.clip(camera_error - own_error, -largest, largest)
-    believed = np.where(
-        advantage > 0,
-        own * np.clip(OWN_BELIEVED - own_error, 0.0, 1.0),
-        np.clip(CAMERA_BELIEVED - camera_error, 0.0, 1.0),
+    sources = np.empty((2, 2, *motion.shape[:2]), np.float32)
+    known = np.empty(motion.shape[:2], np.bool_)
+    _find_sources(motion, camera, region.x, region.y, before.region.x, before.region.y, last, sources, known)
+    own_error, camera_error = (
+        cv2.blur(
+            cv2.absdiff(newest, cv2.remap(last, source[0], source[1], cv2.INTER_LINEAR)).astype(np.float32),
+            (WINDOW, WINDOW),
+        )
+        for source in sources
     )
-    return np.asarray(advantage * believed * known, np.float32)
+    noise = np.float32(np.clip(np.median(camera_error), LEAST_NOISE, MOST_NOISE))
+    advantage = np.zeros(known.shape, np.float32)
+    _compare(own_error, camera_error, noise, own, known, np.float32(largest), advantage)
+    return advantage
+
+
+@njit(cache=True)
+def _find_sources(
+    motion: Array, camera: Array, x0: int, y0: int, last_x0: int, last_y0: int, last: Array, sources: Array,
+    known: Array,
+) -> None:  # fmt: skip
+    """Where (x, y) in the last image each pixel comes from by either motion, and whether both are inside."""
+    bottom, right = last.shape[0] - 1, last.shape[1] - 1
+    for v in range(known.shape[0]):
+        for u in range(known.shape[1]):
+            x, y = np.float64(u + x0), np.float64(v + y0)
+            depth = camera[2, 0] * x + camera[2, 1] * y + camera[2, 2]
+            own_x, own_y = x + motion[v, u, 0] - last_x0, y + motion[v, u, 1] - last_y0
+            camera_x = (camera[0, 0] * x + camera[0, 1] * y + camera[0, 2]) / depth - last_x0
+            camera_y = (camera[1, 0] * x + camera[1, 1] * y + camera[1, 2]) / depth - last_y0
+            sources[0, 0, v, u], sources[0, 1, v, u] = own_x, own_y
+            sources[1, 0, v, u], sources[1, 1, v, u] = camera_x, camera_y
+            known[v, u] = (
+                min(own_x, camera_x) >= 0
+                and min(own_y, camera_y) >= 0
+                and max(own_x, camera_x) <= right
+                and max(own_y, camera_y) <= bottom
+            )
+
+
+@njit(cache=True)
+def _compare(
+    own_error: Array, camera_error: Array, noise: np.float32, own: Array, known: Array,
+    largest: np.float32,    advantage: Array,
+) -> None:  # fmt: skip
+    zero, one = np.float32(0), np.float32(1)
+    for y in range(known.shape[0]):
+        for x in range(known.shape[1]):
+            by_own, by_camera = own_error[y, x] / noise, camera_error[y, x] / noise
+            lead = min(max(by_camera - by_own, -largest), largest)
+            believed = np.float32(CAMERA_BELIEVED) - by_camera
+            if lead > 0:
+                believed = np.float32(OWN_BELIEVED) - by_own if own[y, x] else zero
+            if known[y, x]:
+                advantage[y, x] = lead * min(max(believed, zero), one)

@@ -6,8 +6,9 @@ of the Gaussian Markov random field of :mod:`mlbs_actors.gabp`.
 
 :func:`solve` runs conjugate gradients with one multigrid V-cycle as the preconditioner; the cost a node
 does not grow with the grid, nor with the unevenness of s (preconditioners that replace s by its mean suffer
-from it). The residual it returns with is computed anew; where it misses the tolerance a direct sparse solve
-takes over. :func:`inverse_diagonal` is exact: selected inversion with the grid's rows as blocks.
+from it). The V-cycle runs in single precision, which a preconditioner can do, the iterations in double. The
+residual they return with is computed anew; where it misses the tolerance a direct sparse solve takes over.
+:func:`inverse_diagonal` is exact: selected inversion of the banded matrix.
 """
 
 from __future__ import annotations
@@ -83,22 +84,27 @@ def solve(
     value = np.zeros((rhs.shape[0], rhs.shape[1] + 2, rhs.shape[2] + 2))
     value[:, 1:-1, 1:-1] = start
     iterations = _conjugate_gradients(
-        screening, rhs, levels, edges, 0.5 * tolerance * size / rhs.shape[0] ** 0.5, max_iterations, value
+        screening,
+        rhs,
+        edge,
+        levels,
+        edges,
+        0.5 * tolerance * size / rhs.shape[0] ** 0.5,
+        max_iterations,
+        value,
     )
-    value = np.ascontiguousarray(value[:, 1:-1, 1:-1])
-    matrix = assemble(screening, edge)
-    residual = _residual(matrix, rhs, value) / size
+    residual = _residual(screening, rhs, edge, value) / size
     if residual <= tolerance:
-        return Solution(value, residual, iterations, "multigrid")
-    factors = scipy.sparse.linalg.splu(matrix.tocsc())
-    value = np.stack([factors.solve(part.ravel()) for part in rhs]).reshape(rhs.shape)
-    residual = _residual(matrix, rhs, value) / size
+        return Solution(np.ascontiguousarray(value[:, 1:-1, 1:-1]), residual, iterations, "multigrid")
+    factors = scipy.sparse.linalg.splu(assemble(screening, edge).tocsc())
+    value[:, 1:-1, 1:-1] = np.stack([factors.solve(part.ravel()) for part in rhs]).reshape(rhs.shape)
+    residual = _residual(screening, rhs, edge, value) / size
     if not residual <= tolerance:
         raise SolverError(
             f"The field could be solved to a relative residual of {residual:.1e} only and {tolerance:.1e} is "
             "wanted; raise the tolerance, or bring the standard deviations of its terms closer together."
         )
-    return Solution(value, residual, iterations, "direct")
+    return Solution(np.ascontiguousarray(value[:, 1:-1, 1:-1]), residual, iterations, "direct")
 
 
 def assemble(screening: Array, edge: float) -> scipy.sparse.dia_array:
@@ -127,9 +133,11 @@ def assemble(screening: Array, edge: float) -> scipy.sparse.dia_array:
 def inverse_diagonal(screening: Array, edge: float) -> Array:
     """Diagonal of A⁻¹, exactly.
 
-    With the grid's lines as blocks, A has D_i (tridiagonal) on its diagonal and −e·I beside it. Elimination
-    gives S_i = D_i − e² S_{i−1}⁻¹, and backwards the diagonal blocks of the inverse are
-    G_i = S_i⁻¹ + e² S_i⁻¹ G_{i+1} S_i⁻¹. The cost is O(long side · short side³).
+    With the nodes numbered along the grid's shorter side, A = L D Lᵀ has its elements within that side's
+    length w of the diagonal, and so have those of Z = A⁻¹ that the diagonal needs (Takahashi, Fagan and Chen
+    1973):
+    Z_ij = −Σ_k Z_ik L_kj for j < i ≤ j + w and Z_jj = 1/D_j − Σ_k Z_jk L_kj, k = j + 1 … j + w, from the last
+    column to the first. The cost is O(long side · short side³).
 
     Parameters
     ----------
@@ -140,24 +148,10 @@ def inverse_diagonal(screening: Array, edge: float) -> Array:
     -------
     (rows, columns) float64
     """
-    if screening.shape[0] < screening.shape[1]:  # blocks as long as the shorter side
+    if screening.shape[0] < screening.shape[1]:
         return np.ascontiguousarray(inverse_diagonal(screening.T, edge).T)
-    rows, columns = screening.shape
-    tridiagonal = -edge * (np.eye(columns, k=1) + np.eye(columns, k=-1))
-    diagonal = screening + edge * _degree(rows, columns)
-    eliminated = np.empty((rows, columns, columns))
-    for row in range(rows):
-        block = tridiagonal + np.diag(diagonal[row])
-        if row > 0:
-            block -= edge**2 * eliminated[row - 1]
-        eliminated[row] = np.linalg.inv(block)
-    result = np.empty((rows, columns))
-    inverse = eliminated[-1]
-    result[-1] = np.diag(inverse)
-    for row in range(rows - 2, -1, -1):
-        inverse = eliminated[row] + edge**2 * (eliminated[row] @ inverse @ eliminated[row])
-        result[row] = np.diag(inverse)
-    return result
+    diagonal = screening + edge * _degree(*screening.shape)
+    return np.asarray(_inverse_diagonal(np.ascontiguousarray(diagonal), edge))
 
 
 def _degree(rows: int, columns: int) -> Array:
@@ -170,9 +164,58 @@ def _degree(rows: int, columns: int) -> Array:
     return degree
 
 
-def _residual(matrix: scipy.sparse.dia_array, rhs: Array, value: Array) -> float:
-    difference = rhs.reshape(len(rhs), -1).T - matrix @ value.reshape(len(rhs), -1).T
-    return float(np.sqrt(np.sum(difference**2)))
+@njit(cache=True)
+def _inverse_diagonal(diagonal: Array, edge: float) -> Array:
+    rows, columns = diagonal.shape
+    size, width = rows * columns, columns
+    # lower[j, k] is the element (j + k, j): of A at first, of L below the diagonal after the elimination.
+    lower = np.zeros((size + width, width + 1))
+    for node in range(size):
+        lower[node, 0] = diagonal[node // columns, node % columns]
+        if (node + 1) % columns != 0:
+            lower[node, 1] = -edge
+        if node + columns < size:
+            lower[node, width] = -edge  # the very element beside the diagonal where a line is one node
+    factor = np.empty(width + 1)
+    for node in range(size):
+        factor[:] = lower[node] / lower[node, 0]
+        for k in range(1, width + 1):
+            change, below, row = lower[node, k], factor[k:], lower[node + k]
+            for i in range(below.size):
+                row[i] -= change * below[i]
+        lower[node, 1:] = factor[1:]
+    # inverse[i, width + k] is Z's element (i, i + k), on both sides of the diagonal.
+    inverse = np.zeros((size + width, 2 * width + 1))
+    column = np.empty(width)
+    for node in range(size - 1, -1, -1):
+        column[:] = 0.0
+        for k in range(1, width + 1):
+            weight, row = lower[node, k], inverse[node + k, width + 1 - k :]
+            for i in range(width):
+                column[i] -= weight * row[i]
+        corner = 1.0 / lower[node, 0]
+        for k in range(1, width + 1):
+            corner -= lower[node, k] * column[k - 1]
+            inverse[node, width + k] = column[k - 1]
+            inverse[node + k, width - k] = column[k - 1]
+        inverse[node, width] = corner
+    return np.ascontiguousarray(inverse[:size, width]).reshape(rows, columns)
+
+
+@njit(cache=True)
+def _residual(screening: Array, rhs: Array, edge: float, value: Array) -> float:
+    """|b − A d| for d with a border of zeros, (k, rows + 2, columns + 2)."""
+    rows, columns = screening.shape
+    total = 0.0
+    for part in range(rhs.shape[0]):
+        d = value[part]
+        for v in range(1, rows + 1):
+            vertical = edge * ((v > 1) + (v < rows))
+            for u in range(1, columns + 1):
+                own = screening[v - 1, u - 1] + vertical + edge * ((u > 1) + (u < columns))
+                near = d[v - 1, u] + d[v + 1, u] + d[v, u - 1] + d[v, u + 1]
+                total += (rhs[part, v - 1, u - 1] - own * d[v, u] + edge * near) ** 2
+    return float(np.sqrt(total))
 
 
 # The multigrid pyramid. Level 0 is the grid, each next level joins 2×2 nodes, down to a single one. Joined
@@ -180,7 +223,7 @@ def _residual(matrix: scipy.sparse.dia_array, rhs: Array, value: Array) -> float
 # edges are then halved: constant interpolation makes a smooth function's gradient twice too steep. Every
 # array has a border of zeros, so that no loop asks for the grid's edge; all levels of a quantity lie in one
 # array, and the tables say where each starts, its rows and columns, and its edge weights (vertical,
-# horizontal).
+# horizontal). A sweep writes into a second array: in place it could not run in vector registers.
 
 
 def _pyramid(rows: int, columns: int, edge: float) -> tuple[Array, Array]:
@@ -191,7 +234,7 @@ def _pyramid(rows: int, columns: int, edge: float) -> tuple[Array, Array]:
         edges.append((vertical, horizontal))
         start += (rows + 2) * (columns + 2)
         if rows == columns == 1:
-            return np.array(levels, np.int64), np.array(edges)
+            return np.array(levels, np.int64), np.array(edges, np.float32)
         vertical *= 1.0 if columns > 1 else 0.5
         horizontal *= 1.0 if rows > 1 else 0.5
         rows, columns = (rows + 1) // 2, (columns + 1) // 2
@@ -204,68 +247,88 @@ def _level(buffer: Array, levels: Array, level: int) -> Array:
 
 
 @njit(cache=True)
-def _sweep(value: Array, rhs: Array, inverse: Array, vertical: float, horizontal: float, colour: int) -> None:
-    """Gauss–Seidel on the nodes of one colour of the checkerboard: they depend on the other colour only."""
+def _sweep(
+    value: Array,
+    rhs: Array,
+    diagonal: Array,
+    inverse: Array,
+    vertical: float,
+    horizontal: float,
+    swept: Array,
+) -> None:
+    """Gauss–Seidel on the nodes of one colour of the checkerboard: they depend on the other colour only.
+
+    ``inverse`` is the diagonal's reciprocal on that colour and 0 elsewhere, so that the others stay.
+    """
+    inner = value.shape[1] - 2
     for v in range(1, value.shape[0] - 1):
-        for u in range(1 + (v + colour) % 2, value.shape[1] - 1, 2):
-            value[v, u] = inverse[v, u] * (
-                rhs[v, u]
-                + vertical * (value[v - 1, u] + value[v + 1, u])
-                + horizontal * (value[v, u - 1] + value[v, u + 1])
+        above, below, b = value[v - 1, 1:], value[v + 1, 1:], rhs[v, 1:]
+        left, own, right = value[v], value[v, 1:], value[v, 2:]
+        d, i, result = diagonal[v, 1:], inverse[v, 1:], swept[v, 1:]
+        for u in range(inner):
+            misfit = (
+                b[u] - d[u] * own[u] + vertical * (above[u] + below[u]) + horizontal * (left[u] + right[u])
             )
+            result[u] = own[u] + i[u] * misfit
 
 
 @njit(cache=True)
-def _v_cycle(value: Array, rhs: Array, diagonal: Array, inverse: Array, levels: Array, edges: Array) -> None:
+def _v_cycle(
+    value: Array, half: Array, rhs: Array, diagonal: Array, inverse: Array, levels: Array, edges: Array
+) -> None:
     """Set value ≈ A⁻¹ rhs on level 0. Colours 0, 1 on the way down, 1, 0 up, which makes it symmetric."""
     last = len(levels) - 1
     for level in range(last):
         vertical, horizontal = edges[level, 0], edges[level, 1]
-        x, b = _level(value, levels, level), _level(rhs, levels, level)
-        d, i = _level(diagonal, levels, level), _level(inverse, levels, level)
-        x[:] = 0.0
-        _sweep(x, b, i, vertical, horizontal, 0)
-        _sweep(x, b, i, vertical, horizontal, 1)
+        x, y, b = _level(value, levels, level), _level(half, levels, level), _level(rhs, levels, level)
+        d, i = _level(diagonal, levels, level), _level(inverse[0], levels, level)
+        for v in range(1, x.shape[0] - 1):
+            for u in range(x.shape[1]):
+                y[v, u] = i[v, u] * b[v, u]
+        _sweep(y, b, d, _level(inverse[1], levels, level), vertical, horizontal, x)
         coarse = _level(rhs, levels, level + 1)
         coarse[:] = 0.0
-        for v in range(1, x.shape[0] - 1):
-            # The residual of colour 1 is zero: it was swept last.
-            for u in range(1 + v % 2, x.shape[1] - 1, 2):
-                coarse[(v + 1) // 2, (u + 1) // 2] += (
-                    b[v, u]
-                    - d[v, u] * x[v, u]
-                    + vertical * (x[v - 1, u] + x[v + 1, u])
-                    + horizontal * (x[v, u - 1] + x[v, u + 1])
-                )
-    x, b, i = _level(value, levels, last), _level(rhs, levels, last), _level(inverse, levels, last)
-    x[1, 1] = b[1, 1] * i[1, 1]
-    for level in range(last - 1, -1, -1):
-        x, coarse = _level(value, levels, level), _level(value, levels, level + 1)
+        # The residual of colour 1 is zero: it was swept last. That of colour 0 was: its neighbours are left.
         for v in range(1, x.shape[0] - 1):
             for u in range(1, x.shape[1] - 1):
-                x[v, u] += coarse[(v + 1) // 2, (u + 1) // 2]
-        b, i = _level(rhs, levels, level), _level(inverse, levels, level)
-        _sweep(x, b, i, edges[level, 0], edges[level, 1], 1)
-        _sweep(x, b, i, edges[level, 0], edges[level, 1], 0)
+                y[v, u] = vertical * (x[v - 1, u] + x[v + 1, u]) + horizontal * (x[v, u - 1] + x[v, u + 1])
+            first = 1 + v % 2
+            for j in range((x.shape[1] - first) // 2):
+                coarse[(v + 1) // 2, j + 1] += y[v, first + 2 * j]
+    x, b, d = _level(value, levels, last), _level(rhs, levels, last), _level(diagonal, levels, last)
+    x[1, 1] = b[1, 1] / d[1, 1]
+    for level in range(last - 1, -1, -1):
+        vertical, horizontal = edges[level, 0], edges[level, 1]
+        x, y, b = _level(value, levels, level), _level(half, levels, level), _level(rhs, levels, level)
+        d, coarse = _level(diagonal, levels, level), _level(value, levels, level + 1)
+        for v in range(1, x.shape[0] - 1):
+            own, joined, columns = x[v, 1:], coarse[(v + 1) // 2, 1:], x.shape[1] - 2
+            for j in range(columns // 2):
+                own[2 * j] += joined[j]
+                own[2 * j + 1] += joined[j]
+            if columns % 2:
+                own[columns - 1] += joined[columns // 2]
+        _sweep(x, b, d, _level(inverse[1], levels, level), vertical, horizontal, y)
+        _sweep(y, b, d, _level(inverse[0], levels, level), vertical, horizontal, x)
 
 
 @njit(cache=True)
 def _set_operators(screening: Array, diagonal: Array, inverse: Array, levels: Array, edges: Array) -> None:
-    """Diagonal of every level's operator and its reciprocal."""
+    """Diagonal of every level's operator, and its reciprocal on either colour."""
     summed = np.zeros_like(diagonal)
     _level(summed, levels, 0)[1:-1, 1:-1] = screening
     for level in range(len(levels)):
-        s, d, i = (
-            _level(summed, levels, level),
-            _level(diagonal, levels, level),
-            _level(inverse, levels, level),
-        )
+        s, d = _level(summed, levels, level), _level(diagonal, levels, level)
         rows, columns = levels[level, 1], levels[level, 2]
         for v in range(1, rows + 1):
             vertical = edges[level, 0] * ((v > 1) + (v < rows))
             for u in range(1, columns + 1):
                 d[v, u] = s[v, u] + vertical + edges[level, 1] * ((u > 1) + (u < columns))
-                i[v, u] = 1.0 / d[v, u]
+        for colour in range(2):
+            i = _level(inverse[colour], levels, level)
+            for v in range(1, rows + 1):
+                for u in range(1 + (v + colour) % 2, columns + 1, 2):
+                    i[v, u] = np.float32(1) / d[v, u]
         if level + 1 < len(levels):
             coarse = _level(summed, levels, level + 1)
             for v in range(1, rows + 1):
@@ -274,54 +337,76 @@ def _set_operators(screening: Array, diagonal: Array, inverse: Array, levels: Ar
 
 
 @njit(cache=True)
+def _product(a: Array, b: Array, sums: Array) -> float:
+    """Scalar product of two fields; summed by columns, which can run in vector registers."""
+    sums[:] = 0.0
+    for v in range(1, a.shape[0] - 1):
+        first, second = a[v], b[v]
+        for u in range(sums.size):
+            sums[u] += first[u] * second[u]
+    total = 0.0
+    for one in sums:
+        total += one
+    return total
+
+
+@njit(cache=True)
 def _conjugate_gradients(
-    screening: Array, rhs: Array, levels: Array, edges: Array, target: float, limit: int, value: Array
-) -> int:
+    screening: Array, rhs: Array, edge: float, levels: Array, edges: Array, target: float, limit: int,
+    value: Array,
+) -> int:  # fmt: skip
     """Improve value (k, rows + 2, columns + 2) until each component's residual norm is ≤ target."""
     total = levels[-1, 0] + 9
-    diagonal, inverse, right, result = np.zeros(total), np.zeros(total), np.zeros(total), np.zeros(total)
+    diagonal, inverse = np.zeros(total, np.float32), np.zeros((2, total), np.float32)
+    right, half, result = (
+        np.zeros(total, np.float32),
+        np.zeros(total, np.float32),
+        np.zeros(total, np.float32),
+    )
     _set_operators(screening, diagonal, inverse, levels, edges)
-    a, z, edge = _level(diagonal, levels, 0), _level(result, levels, 0), edges[0, 0]
+    z, b = _level(result, levels, 0), _level(right, levels, 0)
     rows, columns = screening.shape
-    residual, direction, product = np.zeros_like(a), np.zeros_like(a), np.zeros_like(a)
+    own = np.zeros((rows + 2, columns + 2))
+    for v in range(1, rows + 1):
+        for u in range(1, columns + 1):
+            own[v, u] = screening[v - 1, u - 1] + edge * ((v > 1) + (v < rows) + (u > 1) + (u < columns))
+    residual, direction, product = np.zeros_like(own), np.zeros_like(own), np.zeros_like(own)
+    sums = np.empty(columns + 2)
     longest = 0
     for part in range(rhs.shape[0]):
         x = value[part]
-        for v in range(1, rows + 1):
-            for u in range(1, columns + 1):
-                near = x[v - 1, u] + x[v + 1, u] + x[v, u - 1] + x[v, u + 1]
-                residual[v, u] = rhs[part, v - 1, u - 1] - a[v, u] * x[v, u] + edge * near
+        _apply(own, edge, x, product)
+        residual[1:-1, 1:-1] = rhs[part] - product[1:-1, 1:-1]
         previous = 1.0
         for step in range(limit):
-            norm = 0.0
-            for v in range(1, rows + 1):
-                for u in range(1, columns + 1):
-                    norm += residual[v, u] * residual[v, u]
-            if np.sqrt(norm) <= target:
+            if np.sqrt(_product(residual, residual, sums)) <= target:
                 break
-            _level(right, levels, 0)[:] = residual
-            _v_cycle(result, right, diagonal, inverse, levels, edges)
-            descent = 0.0
             for v in range(1, rows + 1):
-                for u in range(1, columns + 1):
-                    descent += residual[v, u] * z[v, u]
+                for u in range(columns + 2):
+                    b[v, u] = residual[v, u]
+            _v_cycle(result, half, right, diagonal, inverse, levels, edges)
+            descent = _product(residual, z, sums)
             ratio = descent / previous if step > 0 else 0.0
             previous = descent
             for v in range(1, rows + 1):
-                for u in range(1, columns + 1):
+                for u in range(columns + 2):
                     direction[v, u] = z[v, u] + ratio * direction[v, u]
-            curvature = 0.0
+            _apply(own, edge, direction, product)
+            length = descent / _product(direction, product, sums)
             for v in range(1, rows + 1):
-                for u in range(1, columns + 1):
-                    near = (
-                        direction[v - 1, u] + direction[v + 1, u] + direction[v, u - 1] + direction[v, u + 1]
-                    )
-                    product[v, u] = a[v, u] * direction[v, u] - edge * near
-                    curvature += direction[v, u] * product[v, u]
-            length = descent / curvature
-            for v in range(1, rows + 1):
-                for u in range(1, columns + 1):
+                for u in range(columns + 2):
                     x[v, u] += length * direction[v, u]
                     residual[v, u] -= length * product[v, u]
             longest = max(longest, step + 1)
     return longest
+
+
+@njit(cache=True)
+def _apply(own: Array, edge: float, x: Array, product: Array) -> None:
+    """Set product = A x; ``own`` is A's diagonal."""
+    inner = x.shape[1] - 2
+    for v in range(1, x.shape[0] - 1):
+        above, below, diagonal = x[v - 1, 1:], x[v + 1, 1:], own[v, 1:]
+        left, centre, right, result = x[v], x[v, 1:], x[v, 2:], product[v, 1:]
+        for u in range(inner):
+            result[u] = diagonal[u] * centre[u] - edge * (above[u] + below[u] + left[u] + right[u])

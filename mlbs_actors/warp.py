@@ -49,7 +49,7 @@ def nearest_sources(
 
     Returns
     -------
-    source : (new height, new width) int64
+    source : (new height, new width) int32
         Raster index in the old region, −1 where the source is outside it or nothing describes it.
     new_residual : (new height, new width, 2) float32
         Residual (x, y) after the move, px; 0 where there is no source.
@@ -58,7 +58,7 @@ def nearest_sources(
     -----
     Backward warp of the appearance model, paper §6.1.
     """
-    source = np.empty((new_region.height, new_region.width), np.int64)
+    source = np.empty((new_region.height, new_region.width), np.int32)
     new_residual = np.empty((new_region.height, new_region.width, 2), np.float32)
     _find_sources(
         residual, motion, new_region.x - old_region.x, new_region.y - old_region.y, source, new_residual
@@ -71,99 +71,107 @@ def _find_sources(
     residual: Array, motion: Array, shift_x: int, shift_y: int, source: Array, new_residual: Array
 ) -> None:
     height, width = residual.shape[0], residual.shape[1]
+    half = np.float32(0.5)
     for y in range(source.shape[0]):
         for x in range(source.shape[1]):
-            source_x = np.float64(x + shift_x) + motion[y, x, 0]
-            source_y = np.float64(y + shift_y) + motion[y, x, 1]
             # Halves round upwards whatever the sign, so that a pan is treated alike everywhere.
-            column, row = int(np.floor(source_x + 0.5)), int(np.floor(source_y + 0.5))
+            whole_x, whole_y = np.floor(motion[y, x, 0] + half), np.floor(motion[y, x, 1] + half)
+            column, row = x + shift_x + int(whole_x), y + shift_y + int(whole_y)
             if not (0 <= row < height and 0 <= column < width):
                 source[y, x] = -1
                 new_residual[y, x, 0], new_residual[y, x, 1] = 0.0, 0.0
                 continue
-            miss_x = column + residual[row, column, 0] - source_x
-            miss_y = row + residual[row, column, 1] - source_y
-            if max(abs(miss_x), abs(miss_y)) > 0.5:
-                row, column, miss_x, miss_y = _search(residual, source_y, source_x, row, column)
-            source[y, x] = row * width + column if row >= 0 else -1
+            # q lies this far from the nearest pixel. Exact in single precision, as q itself is not.
+            part_x, part_y = motion[y, x, 0] - whole_x, motion[y, x, 1] - whole_y
+            near_column = column + int(np.floor(part_x - residual[row, column, 0] + half))
+            near_row = row + int(np.floor(part_y - residual[row, column, 1] + half))
+            if not (0 <= near_row < height and 0 <= near_column < width):
+                near_row, near_column = row, column
+            miss_x = np.float32(near_column - column) + residual[near_row, near_column, 0] - part_x
+            miss_y = np.float32(near_row - row) + residual[near_row, near_column, 1] - part_y
+            place = near_row * width + near_column
+            if max(abs(miss_x), abs(miss_y)) > half:
+                place = _best_around(residual, row, column, part_x, part_y)
+                near_row, near_column = place // width, place % width
+                miss_x = np.float32(near_column - column) + residual[near_row, near_column, 0] - part_x
+                miss_y = np.float32(near_row - row) + residual[near_row, near_column, 1] - part_y
+                if miss_x * miss_x + miss_y * miss_y >= np.float32(MAX_MISS_PX**2):
+                    place, miss_x, miss_y = -1, np.float32(0), np.float32(0)
+            source[y, x] = place
             new_residual[y, x, 0], new_residual[y, x, 1] = miss_x, miss_y
 
 
 @njit(cache=True)
-def _search(
-    residual: Array, source_y: float, source_x: float, row: int, column: int
-) -> tuple[int, int, float, float]:
-    """Row, column and miss (x, y) of the best stack when the one at the nearest pixel is not it."""
+def _best_around(residual: Array, row: int, column: int, part_x: float, part_y: float) -> int:
+    """Index of the best stack where the residual jumps: at a border, or a bend of the motion."""
     height, width = residual.shape[0], residual.shape[1]
-    guess_row = int(np.floor(source_y - residual[row, column, 1] + 0.5))
-    guess_column = int(np.floor(source_x - residual[row, column, 0] + 0.5))
-    if 0 <= guess_row < height and 0 <= guess_column < width:
-        miss_x = guess_column + residual[guess_row, guess_column, 0] - source_x
-        miss_y = guess_row + residual[guess_row, guess_column, 1] - source_y
-        if max(abs(miss_x), abs(miss_y)) <= 0.5:
-            return guess_row, guess_column, miss_x, miss_y
-    # The residual jumps here (a border, a bend of the motion): look at all neighbours.
-    best_row, best_column, best_x, best_y, best = -1, -1, 0.0, 0.0, MAX_MISS_PX**2
-    for near_row in range(max(row - 1, 0), min(row + 2, height)):
-        for near_column in range(max(column - 1, 0), min(column + 2, width)):
-            miss_x = near_column + residual[near_row, near_column, 0] - source_x
-            miss_y = near_row + residual[near_row, near_column, 1] - source_y
+    best_place, best = 0, np.float32(np.inf)
+    for v in range(-1, 2):  # of fixed length and without a branch: this is half of the time
+        near_row = min(max(row + v, 0), height - 1)
+        for u in range(-1, 2):
+            near_column = min(max(column + u, 0), width - 1)
+            miss_x = np.float32(near_column - column) + residual[near_row, near_column, 0] - part_x
+            miss_y = np.float32(near_row - row) + residual[near_row, near_column, 1] - part_y
             miss = miss_x * miss_x + miss_y * miss_y
-            if miss < best:
-                best_row, best_column, best_x, best_y, best = near_row, near_column, miss_x, miss_y, miss
-    return best_row, best_column, best_x, best_y
+            best_place = near_row * width + near_column if miss < best else best_place
+            best = min(miss, best)
+    return best_place
 
 
-def warp_map(values: Array, old_region: Region, new_region: Region, motion: Array, neutral: float) -> Array:
+def warp_map(
+    values: Array, old_region: Region, new_region: Region, motion: Array, needed: Array
+) -> tuple[Array, Array]:
     """Bilinear backward warp of a map by the layer's motion: prior_t(i) = posterior_{t−1}(i + m(i)).
 
     Parameters
     ----------
-    values : (old height, old width) float32 or uint8
+    values : (old height, old width) float32
         The map of frame t−1 on the old region.
     old_region, new_region : Region
     motion : (new height, new width, 2) float32
         Backward motion t → t−1 at the pixels of the new region, px.
-    neutral : float
-        Value of everything outside the old region, in the map's unit.
+    needed : (new height, new width) bool
+        Where to warp it; both results are 0 elsewhere.
 
     Returns
     -------
-    (new height, new width) array of the same dtype
-        uint8 maps are rounded to the nearest level.
+    value : (new height, new width) float32
+        Everything outside the old region taken as 0.
+    share : (new height, new width) float32
+        How much of the value comes from inside the old region, in [0, 1]: with a neutral value n outside, the
+        map is ``value + (1 − share) n``.
 
     Notes
     -----
     Paper §6.1, with the delta approximation (variance of the motion taken as 0).
     """
-    warped = np.empty((new_region.height, new_region.width), np.float32)
+    value, share = np.zeros(needed.shape, np.float32), np.zeros(needed.shape, np.float32)
     _warp_bilinear(
-        values, motion, new_region.x - old_region.x, new_region.y - old_region.y, float(neutral), warped
+        values, motion, new_region.x - old_region.x, new_region.y - old_region.y, needed, value, share
     )
-    if values.dtype == np.uint8:
-        rounded: Array = np.floor(warped + np.float32(0.5)).astype(np.uint8)
-        return rounded
-    return warped
+    return value, share
 
 
 @njit(cache=True)
 def _warp_bilinear(
-    values: Array, motion: Array, shift_x: int, shift_y: int, neutral: float, warped: Array
+    values: Array, motion: Array, shift_x: int, shift_y: int, needed: Array, value: Array, share: Array
 ) -> None:
     height, width = values.shape
-    for y in range(warped.shape[0]):
-        for x in range(warped.shape[1]):
-            source_x = np.float64(x + shift_x) + motion[y, x, 0]
-            source_y = np.float64(y + shift_y) + motion[y, x, 1]
-            if not (-1 < source_x < width and -1 < source_y < height):
-                warped[y, x] = neutral
+    one = np.float32(1)
+    for y in range(needed.shape[0]):
+        for x in range(needed.shape[1]):
+            if not needed[y, x]:
                 continue
-            left, top = int(np.floor(source_x)), int(np.floor(source_y))
-            right_weight, bottom_weight = source_x - left, source_y - top
-            total = 0.0
-            for row, row_weight in ((top, 1.0 - bottom_weight), (top + 1, bottom_weight)):
-                for column, column_weight in ((left, 1.0 - right_weight), (left + 1, right_weight)):
-                    inside = 0 <= row < height and 0 <= column < width
-                    value = np.float64(values[row, column]) if inside else np.float64(neutral)
-                    total += row_weight * column_weight * value
-            warped[y, x] = total
+            whole_x, whole_y = np.floor(motion[y, x, 0]), np.floor(motion[y, x, 1])
+            left, top = x + shift_x + int(whole_x), y + shift_y + int(whole_y)
+            along, down = motion[y, x, 0] - whole_x, motion[y, x, 1] - whole_y
+            if 0 <= left < width - 1 and 0 <= top < height - 1:
+                above = (one - along) * values[top, left] + along * values[top, left + 1]
+                below = (one - along) * values[top + 1, left] + along * values[top + 1, left + 1]
+                value[y, x], share[y, x] = (one - down) * above + down * below, one
+                continue
+            for row, row_share in ((top, one - down), (top + 1, down)):
+                for column, column_share in ((left, one - along), (left + 1, along)):
+                    if 0 <= row < height and 0 <= column < width:
+                        value[y, x] += row_share * column_share * values[row, column]
+                        share[y, x] += row_share * column_share

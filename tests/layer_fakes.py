@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from mlbs_actors.messages import Array, FrameEvidence, LayerEvidence, Region, Segmentation
+from mlbs_actors.messages import (
+    BACKGROUND,
+    Array,
+    FrameEvidence,
+    LayerEvidence,
+    LayerSummary,
+    Region,
+    Segmentation,
+)
 
 SHAPE = (120, 160)
 WHOLE = Region(0, 0, SHAPE[1], SHAPE[0])
@@ -52,13 +60,26 @@ def frame_of(
     )
 
 
-def published(frame_index: int, labels: Array, normaliser: int = 64) -> Segmentation:
+def published(
+    frame_index: int,
+    labels: Array,
+    normaliser: int = 64,
+    velocity: tuple[float, float] = (0.0, 0.0),
+) -> Segmentation:
+    """Every object's summary is that of its pixels in the map; they all have the same velocity."""
+    summaries = []
+    for layer in np.unique(labels[labels != BACKGROUND]):
+        rows, columns = np.nonzero(labels == layer)
+        x, y = int(columns.min()), int(rows.min())
+        box = Region(x, y, int(columns.max()) + 1 - x, int(rows.max()) + 1 - y)
+        centre = float(columns.mean()), float(rows.mean())
+        summaries.append(LayerSummary(int(layer), "object", box, len(rows), centre, velocity, 1.0))
     return Segmentation(
         frame_index=frame_index,
         labels=labels.astype(np.uint16),
         normaliser=np.full(SHAPE, normaliser, np.uint8),
         fallback=np.zeros(SHAPE, np.int8),
-        layers=(),
+        layers=tuple(summaries),
         camera_motion=(0.0, 0.0),
         latency_frames=0,
     )

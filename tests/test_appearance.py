@@ -54,6 +54,7 @@ def test_a_move_takes_whole_stacks_along() -> None:
         for x in range(target.width):
             if source[y, x] < 0:
                 assert moved.count[y, x] == 0
+                assert not moved.samples[y, x].any()
                 continue
             place = divmod(int(source[y, x]), REGION.width)
             np.testing.assert_array_equal(moved.samples[y, x], model.samples[place])

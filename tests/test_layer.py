@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from layer_fakes import CAR, SHAPE, WHOLE, frame_of, grid, owned, picture, published, tracks
@@ -16,12 +17,14 @@ from mlbs_actors.layer import Layer
 from mlbs_actors.messages import (
     BACKGROUND,
     COST_STEP,
+    UNEXPLAINED_STEP,
     Array,
     LayerEvidence,
     LayerPosterior,
     Region,
     Segmentation,
 )
+from mlbs_actors.trajectory_distance import trajectory_distance
 
 #: Every term is off; each test switches on what it is about.
 SILENT = {"appearance": 0.0, "motion": 0.0, "photometric": 0.0, "prior": 0.0, "distance": 0.0, "offset": 4.0}
@@ -41,13 +44,14 @@ def step(
     positions: Array,
     previous: Segmentation | None = None,
     motion: tuple[float, float] = (0.0, 0.0),
-    background: Array | None = None,
+    rival: Array | None = None,
 ) -> LayerPosterior:
-    """One step with the evidence that is due."""
+    """One step with the evidence that is due; ``rival`` are an object's trajectories for the background."""
     own = tracks(layer.layer, positions, layer.state.last_frame, motion)
     if layer.layer == BACKGROUND:
-        return layer.step(own, frame_of([own], frame_index), image, previous)
-    far = grid(Region(0, 0, 160, 20)) if background is None else background
+        everyone = [own] if rival is None else [own, tracks(1, rival, frame_index - 1)]
+        return layer.step(own, frame_of(everyone, frame_index), image, previous)
+    far = grid(Region(0, 0, 160, 20))
     everyone = [tracks(BACKGROUND, far, frame_index - 1), own]
     return layer.step(own, frame_of(everyone, frame_index), image, previous)
 
@@ -137,10 +141,30 @@ def test_an_object_can_leave_the_frame() -> None:
     layer = Layer(config, 1, "object")
     right = Region(130, 40, 30, 30)
     step(layer, 0, picture(), grid(right), motion=(-60.0, 0.0))
-    gone = step(layer, 1, picture(1), np.zeros((0, 2), np.float32), published(0, owned(right)))
+    gone = step(
+        layer, 1, picture(1), np.zeros((0, 2), np.float32), published(0, owned(right), velocity=(60.0, 0.0))
+    )
     assert gone.region.area == 0
     later = step(layer, 2, picture(2), np.zeros((0, 2), np.float32), published(1, owned(WHOLE, 0)))
     assert later.region.area == 0
+
+
+def test_the_background_is_evaluated_where_an_object_can_be_and_learns_everywhere() -> None:
+    config = configured(appearance=1.0, motion=1.0, prior=1.0)
+    contested = np.zeros(SHAPE, bool)
+    contested[32:77, 52:109] = True  # the trajectories, and 10 px around
+    layer = Layer(config, 0, "background")
+    for t in range(3):
+        previous = published(t - 1, owned(WHOLE, 0), normaliser=0) if t else None
+        result = step(layer, t, picture(t), grid(WHOLE), previous, rival=grid(CAR))
+    assert result.region == WHOLE
+    assert (nats(result)[~contested] == 4.0).all()
+    assert not result.samples[~contested].any()
+    assert not result.log_ratio[~contested].any()
+    assert (nats(result)[contested] != 4.0).all()
+    assert result.samples[contested].any()
+    assert result.log_ratio[contested].any()
+    assert (layer.state.model.count[~contested] == 2).all()
 
 
 def test_outside_its_region_a_layer_is_as_dear_as_can_be() -> None:
@@ -173,7 +197,8 @@ def test_what_looks_as_before_is_cheap_and_what_looks_otherwise_is_dear() -> Non
         step(layer, t, image, grid(WHOLE), published(t - 1, owned(WHOLE, 0)) if t else None)
     changed = image.copy()
     changed[CAR.slices] = 255 - image[CAR.slices]
-    result = step(layer, 6, changed, grid(WHOLE), published(5, owned(WHOLE, 0)))
+    ends = np.array([[0, 0], [159, 119]], np.float32)  # an object can be anywhere
+    result = step(layer, 6, changed, grid(WHOLE), published(5, owned(WHOLE, 0)), rival=ends)
     strange = np.abs(changed.astype(int) - image).max(axis=2) > 60
     assert nats(result, 1.0)[strange].min() > 4.5
     same = np.ones(SHAPE, bool)
@@ -192,6 +217,28 @@ def test_a_layer_learns_only_the_pixels_that_it_won() -> None:
     counts[layer.state.region.slices] = layer.state.model.count
     assert (counts[won.slices] == 1).all()
     assert counts.sum() == won.area
+
+
+@pytest.mark.parametrize("frame_index", [0, 1])
+def test_the_background_learns_away_from_objects_beside_its_own_trajectories_and_where_nothing_moves(
+    frame_index: int,
+) -> None:
+    rng = np.random.default_rng(0)
+    own, objects = (rng.uniform(0, 1, (count, 2)) * [159, 119] for count in (30, 4))
+    objects = objects * 0.3 + [60, 40]
+    config = configured(keep_off_px=80.0, learn_px=20.0)
+    evidence = frame_of([tracks(0, own.astype(np.float32)), tracks(1, objects.astype(np.float32))])
+    unexplained = np.where(rng.random((60, 80)) < 0.5, 0, 255).astype(np.uint8)
+    evidence = replace(evidence, unexplained=unexplained, frame_index=frame_index)
+    layer = Layer(config, 0, "background")
+    layer.step(evidence.layers[0], evidence, picture(), None)
+    near_own, near_object = (trajectory_distance([one], WHOLE) for one in evidence.layers)
+    shown = cv2.resize(unexplained, SHAPE[::-1]) * UNEXPLAINED_STEP < 0.5 * config.layers.unexplained_noise
+    expected = (near_object > 80.0 * SCALE) | (near_own + 2.0 * SCALE < near_object)
+    if frame_index > 0:
+        expected |= (near_object > 20.0 * SCALE) & shown
+    np.testing.assert_array_equal(layer.state.trusted, expected)
+    assert 0.01 < 1 - expected.mean() < 0.5
 
 
 def test_a_layer_does_not_learn_from_a_map_of_another_frame() -> None:
@@ -294,7 +341,8 @@ def test_background_that_was_hidden_is_not_unlikely() -> None:
     config = configured(prior=1.0, prior_floor=0.1, neutral_prior=0.5)
     layer = Layer(config, 0, "background")
     step(layer, 0, picture(), grid(WHOLE))
-    result = step(layer, 1, picture(), grid(WHOLE), published(0, owned(CAR), normaliser=0))
+    result = step(layer, 1, picture(), grid(WHOLE), published(0, owned(CAR), normaliser=0), rival=grid(CAR))
+    assert nats(result)[CAR.slices].min() > 4.0
     assert nats(result)[CAR.slices].max() <= 4.0 - np.log(0.5) + COST_STEP
 
 
@@ -316,7 +364,7 @@ def test_a_flow_that_contradicts_costs_each_kind_of_layer_its_own_floor() -> Non
     config = configured(motion=1.0, motion_floor=0.05, object_motion_floor=0.4)
     for layer, kind, floor in ((0, "background", 0.05), (1, "object", 0.4)):
         own = tracks(layer, grid(WHOLE))
-        evidence = frame_of([own], 0, (30.0, 0.0), True)
+        evidence = frame_of([own, tracks(2, grid(WHOLE))], 0, (30.0, 0.0), True)
         made = Layer(config, 0, "background") if kind == "background" else Layer(config, 1, "object")
         found = nats(made.step(own, evidence, picture(), None)) - 4.0
         np.testing.assert_allclose(found[20:100, 20:140], -np.log(floor), atol=COST_STEP)
@@ -343,7 +391,7 @@ def life(layer: Layer, first: int, last: int) -> list[bytes]:
         previous = published(t - 1, owned(Region(60 + t, 40, 40, 30))) if t else None
         positions = grid(CAR) + np.array([t, 0], np.float32)
         image = np.roll(picture(), t, axis=1)
-        one = step(layer, t, image, positions, previous, (-1.0, 0.0))
+        one = step(layer, t, image, positions, previous, (-1.0, 0.0), rival=grid(CAR))
         costs.append(one.cost.tobytes() + one.log_ratio.tobytes() + one.samples.tobytes())
     return costs
 

@@ -12,6 +12,7 @@ from mlbs_actors.warp import MAX_MISS_PX, nearest_sources, warp_map
 
 OLD = Region(10, 20, 23, 17)
 NEW = Region(8, 22, 25, 19)
+EVERYWHERE = np.ones((NEW.height, NEW.width), bool)
 
 
 def rough_motion(region: Region, seed: int) -> Array:
@@ -38,23 +39,25 @@ def plain_warp(values: Array, old: Region, new: Region, motion: Array, neutral: 
 def test_a_map_is_warped_as_by_plain_loops_and_neutral_outside() -> None:
     values = np.random.default_rng(0).random((OLD.height, OLD.width)).astype(np.float32)
     motion = rough_motion(NEW, 1)
-    warped = warp_map(values, OLD, NEW, motion, 0.4)
+    value, share = warp_map(values, OLD, NEW, motion, EVERYWHERE)
+    warped = value + (1 - share) * np.float32(0.4)
     np.testing.assert_allclose(warped, plain_warp(values, OLD, NEW, motion, 0.4), atol=1e-5)
-    assert warped.dtype == np.float32
+    np.testing.assert_allclose(value, plain_warp(values, OLD, NEW, motion, 0.0), atol=1e-5)
+    assert 0 < np.count_nonzero((share > 0) & (share < 1)) < share.size  # the border is met
 
 
-def test_a_uint8_map_is_rounded_to_the_nearest_level() -> None:
-    values = np.random.default_rng(2).integers(0, 256, (OLD.height, OLD.width)).astype(np.uint8)
-    motion = rough_motion(NEW, 3)
-    warped = warp_map(values, OLD, NEW, motion, 100)
-    assert warped.dtype == np.uint8
-    assert np.abs(warped - plain_warp(values, OLD, NEW, motion, 100)).max() <= 0.501
+def test_a_map_is_warped_only_where_it_is_needed() -> None:
+    values = np.random.default_rng(2).random((OLD.height, OLD.width)).astype(np.float32)
+    motion, needed = rough_motion(NEW, 3), np.random.default_rng(4).random(EVERYWHERE.shape) < 0.4
+    everywhere, partly = (warp_map(values, OLD, NEW, motion, where) for where in (EVERYWHERE, needed))
+    for whole, part in zip(everywhere, partly, strict=True):
+        np.testing.assert_array_equal(part, np.where(needed, whole, 0))
 
 
 def test_a_map_of_no_region_is_neutral() -> None:
     nowhere = np.zeros((0, 0), np.float32)
-    warped = warp_map(nowhere, Region(0, 0, 0, 0), NEW, rough_motion(NEW, 4), 0.25)
-    assert (warped == 0.25).all()
+    _, share = warp_map(nowhere, Region(0, 0, 0, 0), NEW, rough_motion(NEW, 4), EVERYWHERE)
+    assert not share.any()
 
 
 def plain_sources(residual: Array, old: Region, new: Region, motion: Array) -> tuple[Array, Array]:

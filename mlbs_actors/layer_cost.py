@@ -1,0 +1,262 @@
+"""The kernels of a layer's posterior: its cost without the colours, and its share of a finished frame (§6).
+
+Each is one pass over the pixels that are needed, with the flow read from its coarse grid where it is heard.
+:mod:`mlbs_actors.layer` says what the terms are. Motion and prior are functions of one number each and read
+from tables, 0.003 nats from exact before they are weighed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from mlbs_actors.config import Config, length_scale
+from mlbs_actors.fusion import RATIO_STEP
+from mlbs_actors.messages import (
+    COST_STEP,
+    UNEXPLAINED_STEP,
+    Array,
+    FrameEvidence,
+    LayerKind,
+    Region,
+    Segmentation,
+)
+
+__all__ = ["finished_posterior", "layer_cost", "quantised_colours", "uncontested_cost"]
+
+#: log of the uniform density over 8-bit colours, nats per unit RGB volume.
+LOG_UNIFORM = -3.0 * float(np.log(256.0))
+
+#: Steps of d² in the motion term's table, which ends at d² = 32.
+_DISTANCE_STEPS = 128
+#: Steps of the prior's table.
+_PRIOR_STEPS = 4096
+#: exp(−q) for q = 0 … 255 quanta of the cost.
+_LIKELIHOOD = np.exp(np.arange(256) * -COST_STEP).astype(np.float32)
+#: exp of all 256 values of a quantised log ratio, by their bits as an unsigned byte.
+_RATIO = np.exp(np.arange(256, dtype=np.uint8).view(np.int8) * RATIO_STEP).astype(np.float32)
+
+
+def uncontested_cost(config: Config) -> int:
+    """Cost of the background where no object can be: the offset alone, in units of ``COST_STEP``."""
+    return int(np.clip(np.rint(config.posterior.offset / COST_STEP), 0, 255))
+
+
+def layer_cost(
+    config: Config,
+    kind: LayerKind,
+    evidence: FrameEvidence,
+    region: Region,
+    needed: Array,
+    motion: Array,
+    variance: Array,
+    unexplained: Array,
+    prior: tuple[Array, Array],
+    own_terms: Array,
+) -> Array:
+    """Weighted sum of the layer's terms.
+
+    Parameters
+    ----------
+    config : Config
+    kind : {"background", "object", "other"}
+    evidence : FrameEvidence
+        Camera and dense flow of the frame.
+    region : Region
+        The layer's.
+    needed : (h, w) bool
+        Where to evaluate.
+    motion : (h, w, 2) float32
+        Mean of the motion field, px.
+    variance : (h, w) float32
+        Its variance, px².
+    unexplained : (h, w) uint8
+        How badly the camera's motion explains the image, in units of ``UNEXPLAINED_STEP``.
+    prior : two (h, w) float32
+        The last posterior as :func:`~mlbs_actors.warp.warp_map` returns it.
+    own_terms : (h, w) float32
+        Sum of the terms that an object has besides, nats.
+
+    Returns
+    -------
+    (h, w) uint8
+        Units of ``COST_STEP``; :func:`uncontested_cost` where it was not needed.
+    """
+    weights, background = config.posterior, kind == "background"
+    cost = np.full(needed.shape, uncontested_cost(config), np.uint8)
+    heard = np.clip(
+        2.0 * UNEXPLAINED_STEP / config.layers.unexplained_noise * np.arange(256) - 1.0, 0.0, 1.0
+    ).astype(np.float32)
+    floor = weights.motion_floor if background else weights.object_motion_floor
+    distances = np.arange(32 * _DISTANCE_STEPS + 1) / _DISTANCE_STEPS
+    disagreement = -np.log(floor + (1.0 - floor) * np.exp(-0.5 * distances))
+    # Background that was hidden has been there all the same: for it the floor is the neutral value.
+    floor = weights.neutral_prior if background else weights.prior_floor
+    surprise = -np.log(np.maximum(np.arange(_PRIOR_STEPS + 1) / _PRIOR_STEPS, floor))
+    flow_variance = (config.motion.flow_std_px * length_scale(*evidence.shape)) ** 2
+    _layer_cost(
+        needed,
+        motion,
+        variance,
+        np.asarray(evidence.flow, np.float32),
+        evidence.flow_reliable,
+        *_taps(region.y, region.height, evidence.shape[0], evidence.flow.shape[0]),
+        *_taps(region.x, region.width, evidence.shape[1], evidence.flow.shape[1]),
+        unexplained,
+        heard * np.float32(weights.motion),
+        *prior,
+        own_terms,
+        np.float32(flow_variance),
+        np.float32(weights.neutral_prior),
+        disagreement.astype(np.float32),
+        (weights.prior * surprise).astype(np.float32),
+        np.float32(weights.offset),
+        cost,
+    )
+    return cost
+
+
+def _taps(first: int, count: int, fine: int, coarse: int) -> tuple[Array, Array, Array]:
+    """Between which two cells of a coarser axis each pixel's centre lies, and its share in the second."""
+    place = np.clip((np.arange(first, first + count) + 0.5) * coarse / fine - 0.5, 0, coarse - 1)
+    low = place.astype(np.int64)
+    return low, np.minimum(low + 1, coarse - 1), (place - low).astype(np.float32)
+
+
+@njit(cache=True)
+def _layer_cost(
+    needed: Array, motion: Array, variance: Array, flow: Array, reliable: Array,
+    top: Array, bottom: Array, down: Array, left: Array, right: Array, along: Array,
+    unexplained: Array, heard: Array, prior: Array, share: Array, own_terms: Array,
+    flow_variance: np.float32, neutral: np.float32, disagreement: Array, surprise: Array, offset: np.float32,
+    cost: Array,
+) -> None:  # fmt: skip
+    one, half, step = np.float32(1), np.float32(0.5), np.float32(COST_STEP)
+    for y in range(needed.shape[0]):
+        for x in range(needed.shape[1]):
+            if not needed[y, x]:
+                continue
+            nats = offset + own_terms[y, x]
+            weight = heard[unexplained[y, x]]
+            if weight > 0:
+                w00, w01 = (one - down[y]) * (one - along[x]), (one - down[y]) * along[x]
+                w10, w11 = down[y] * (one - along[x]), down[y] * along[x]
+                a, b, c, d = top[y], bottom[y], left[x], right[x]
+                weight *= (
+                    w00 * reliable[a, c] + w01 * reliable[a, d] + w10 * reliable[b, c] + w11 * reliable[b, d]
+                )
+                if weight > 0:
+                    flow_x = w00 * flow[a, c, 0] + w01 * flow[a, d, 0]
+                    flow_x += w10 * flow[b, c, 0] + w11 * flow[b, d, 0]
+                    flow_y = w00 * flow[a, c, 1] + w01 * flow[a, d, 1]
+                    flow_y += w10 * flow[b, c, 1] + w11 * flow[b, d, 1]
+                    miss_x, miss_y = flow_x - motion[y, x, 0], flow_y - motion[y, x, 1]
+                    distance = (miss_x * miss_x + miss_y * miss_y) / (variance[y, x] + flow_variance)
+                    place = min(distance * np.float32(_DISTANCE_STEPS), np.float32(disagreement.size - 1))
+                    nats += weight * disagreement[int(place + half)]
+            believed = min(prior[y, x] + (one - share[y, x]) * neutral, one)
+            nats += surprise[int(believed * np.float32(_PRIOR_STEPS) + half)]
+            cost[y, x] = np.uint8(min(max(np.rint(nats / step), np.float32(0)), np.float32(255)))
+
+
+def quantised_colours(log_density: Array, count: Array, needed: Array, largest: float) -> tuple[Array, Array]:
+    """What the colours say of the pixels that are needed, as it is sent.
+
+    Parameters
+    ----------
+    log_density : (h, w) float32
+        Nats per unit RGB volume; NaN where nothing is known.
+    count : (h, w) uint8
+        Samples behind it.
+    needed : (h, w) bool
+    largest : float
+        Most that a ratio can be, nats.
+
+    Returns
+    -------
+    log_ratio : (h, w) int8
+        log of the density over the uniform one, in units of ``RATIO_STEP``; 0 where nothing is known.
+    samples : (h, w) uint8
+        0 where it is not needed.
+    """
+    log_ratio, samples = np.zeros(needed.shape, np.int8), np.zeros(needed.shape, np.uint8)
+    _quantise_colours(log_density, count, needed, np.float32(largest), log_ratio, samples)
+    return log_ratio, samples
+
+
+@njit(cache=True)
+def _quantise_colours(
+    log_density: Array, count: Array, needed: Array, largest: np.float32, log_ratio: Array, samples: Array
+) -> None:
+    for y in range(needed.shape[0]):
+        for x in range(needed.shape[1]):
+            if needed[y, x] and count[y, x] > 0:
+                ratio = min(log_density[y, x] - np.float32(LOG_UNIFORM), largest)
+                quanta = np.rint(ratio / np.float32(RATIO_STEP))
+                log_ratio[y, x] = np.int8(min(max(quanta, np.float32(-128)), np.float32(127)))
+                samples[y, x] = count[y, x]
+
+
+def finished_posterior(
+    config: Config,
+    cost: Array,
+    log_ratio: Array,
+    samples: Array,
+    published: Segmentation,
+    region: Region,
+    mask: Array,
+) -> Array:
+    """A layer's normalised posterior of a finished frame, of which the published map is half.
+
+    Parameters
+    ----------
+    config : Config
+    cost, samples : (h, w) uint8
+    log_ratio : (h, w) int8
+        As the layer sent them to the segmenter.
+    published : Segmentation
+        Result of that frame.
+    region : Region
+        The layer's.
+    mask : (h, w) bool
+        Its published pixels: the better half of the knowledge, having seen the outlines.
+
+    Returns
+    -------
+    (h, w) float32
+        In [0, 1].
+    """
+    posterior = np.empty(cost.shape, np.float32)
+    count = np.arange(256, dtype=np.float32)
+    trust = count / (count + np.float32(config.appearance.half_confidence_samples))
+    _finished_posterior(
+        cost,
+        log_ratio,
+        samples,
+        np.ascontiguousarray(published.normaliser[region.slices]),
+        np.ascontiguousarray(published.fallback[region.slices]),
+        mask,
+        trust,
+        np.float32(config.posterior.appearance / COST_STEP),
+        posterior,
+    )
+    return posterior
+
+
+@njit(cache=True)
+def _finished_posterior(
+    cost: Array, log_ratio: Array, samples: Array, normaliser: Array, fallback: Array, mask: Array,
+    trust: Array, weight: np.float32, posterior: Array,
+) -> None:  # fmt: skip
+    one, half = np.float32(1), np.float32(0.5)
+    for y in range(cost.shape[0]):
+        for x in range(cost.shape[1]):
+            whole = int(cost[y, x])
+            if samples[y, x] > 0 or fallback[y, x] != 0:
+                known = trust[samples[y, x]]
+                ratio = known * _RATIO[np.uint8(log_ratio[y, x])]
+                ratio += (one - known) * _RATIO[np.uint8(fallback[y, x])]
+                fused = np.rint(np.float32(cost[y, x]) - weight * np.log(ratio))
+                whole = int(min(max(fused, np.float32(0)), np.float32(255)))
+            above = max(whole - int(normaliser[y, x]), 0)
+            posterior[y, x] = half * _LIKELIHOOD[above] + (half if mask[y, x] else np.float32(0))
