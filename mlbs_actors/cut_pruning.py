@@ -39,7 +39,6 @@ __all__ = [
     "Pruning",
     "UndecidedEnergy",
     "movable",
-    "neighbour_weights",
     "prune",
 ]
 
@@ -58,20 +57,21 @@ class LabelCostEnergy:
     ----------
     unary : (K, H, W) int32
         Cost of each label at each pixel, at most 2²⁴ in size.
-    neighbour_weights : (H, W, 8) int32
-        Potts weights as `neighbour_weights` lays them out, in 0 … 2²⁴.
+    weights : (H, W, 4) int32
+        Potts weight to the neighbour at ``NEIGHBOUR_OFFSETS[k]``, k < 4, in 0 … 2²⁴; 0 where it would be
+        outside the image.
     label_costs : (K,) int64
         Cost of using a label at all, ≥ 0.
     """
 
     unary: Array
-    neighbour_weights: Array
+    weights: Array
     label_costs: Array
 
     def energy(self, labels: Array) -> int:
         """E(labels) of label positions (H, W) intp."""
         used = np.bincount(labels.reshape(-1), minlength=self.label_costs.size) > 0
-        pixel_terms = _image_energy(self.unary, self.neighbour_weights, labels)
+        pixel_terms = _image_energy(self.unary, self.weights, labels)
         return int(pixel_terms) + int(self.label_costs[used].sum())
 
 
@@ -131,33 +131,6 @@ class Pruning:
     rest: UndecidedEnergy
 
 
-def neighbour_weights(right: Array, down: Array, down_right: Array, down_left: Array) -> Array:
-    """Lay the weights of the four pair directions out by pixel.
-
-    Parameters
-    ----------
-    right : (H, W−1) array
-        Between (y, x) and (y, x+1), whole numbers of any dtype, ≥ 0; the others likewise.
-    down : (H−1, W) array
-        Between (y, x) and (y+1, x).
-    down_right : (H−1, W−1) array
-        Between (y, x) and (y+1, x+1).
-    down_left : (H−1, W−1) array
-        Between (y, x+1) and (y+1, x).
-
-    Returns
-    -------
-    (H, W, 8) int32
-        Weight to the neighbour at ``NEIGHBOUR_OFFSETS[k]``, 0 where it would be outside the image.
-    """
-    weights = np.zeros((right.shape[0], down.shape[1], 8), np.int32)
-    weights[:, :-1, 0] = weights[:, 1:, 4] = right
-    weights[:-1, :, 1] = weights[1:, :, 5] = down
-    weights[:-1, :-1, 2] = weights[1:, 1:, 6] = down_right
-    weights[:-1, 1:, 3] = weights[1:, :-1, 7] = down_left
-    return weights
-
-
 def prune(whole: LabelCostEnergy) -> Pruning:
     """Decide the pixels whose label can be proven locally to be the same in all optima.
 
@@ -169,33 +142,34 @@ def prune(whole: LabelCostEnergy) -> Pruning:
     -------
     Pruning
     """
-    label_count, height, width = whole.unary.shape
-    weights = whole.neighbour_weights.reshape(-1, 8)
-    steps = NEIGHBOUR_OFFSETS[:, 0] * width + NEIGHBOUR_OFFSETS[:, 1]
-    folded = np.ascontiguousarray(whole.unary.reshape(label_count, -1).T)
-    if label_count == 1:
-        labels, certain = np.zeros(height * width, np.intp), np.ones(1, np.bool_)
-    else:
-        labels, certain = _decide(folded, weights, steps, whole.label_costs)
-
+    width = whole.unary.shape[2]
+    best, margin, evidence = _first_look(whole.unary, whole.weights)
+    certain = evidence > whole.label_costs
+    labels = np.where((margin > 0) & certain[best], best, UNDECIDED)
     pixels = np.flatnonzero(labels == UNDECIDED)
-    position = np.full(labels.size, -1, np.int32)
-    position[pixels] = np.arange(pixels.size)
-    near = weights[pixels]
-    # A weight of 0 stands for no neighbour; the pixel itself keeps the index inside the image.
-    neighbour = position[pixels[:, None] + np.where(near > 0, steps, 0)]
-    neighbour[near == 0] = -1
-    near[neighbour < 0] = 0
+    folded, neighbour, weight, open_weight = _fold(whole.unary, whole.weights, labels, pixels)
+    open_labels = _decide(
+        folded,
+        neighbour,
+        weight,
+        open_weight,
+        best.reshape(-1)[pixels],
+        margin.reshape(-1)[pixels],
+        evidence,
+        certain,
+        whole.label_costs,
+    )
+    labels.reshape(-1)[pixels] = open_labels
+    left = np.flatnonzero(open_labels == UNDECIDED)
+    pixels = pixels[left]
     rest = UndecidedEnergy(
         pixels,
         pixels // width,
-        np.ascontiguousarray(folded[pixels].T),
-        neighbour,
-        near,
+        *_compressed(folded, neighbour, weight, left),
         np.where(certain, 0, whole.label_costs),
         certain,
     )
-    return Pruning(labels.reshape(height, width), rest)
+    return Pruning(labels, rest)
 
 
 def movable(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array, Array]:
@@ -225,9 +199,9 @@ def movable(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array, Ar
 
 
 @njit(cache=True)
-def _best_and_margin(costs: Array, open_weight: int) -> tuple[int, np.int64]:
+def _best_and_margin(costs: Array, open_weight: np.int64) -> tuple[int, np.int64]:
     """First label of least cost, and by how much it beats the others beyond ``open_weight``."""
-    best, least, second = 0, np.int64(costs[0]), np.int64(2**62)
+    best, least, second = 0, np.int64(costs[0]), np.int64(2**40)  # beyond every cost: there may be no other
     for label in range(1, costs.size):
         cost = np.int64(costs[label])
         if cost < least:
@@ -238,45 +212,98 @@ def _best_and_margin(costs: Array, open_weight: int) -> tuple[int, np.int64]:
 
 
 @njit(cache=True)
-def _decide(folded: Array, weights: Array, steps: Array, label_costs: Array) -> tuple[Array, Array]:
-    """Labels and certain labels; folds decided neighbours into ``folded`` (H·W, K) in place."""
-    count, label_count = folded.shape
-    open_weight = np.zeros(count, np.int64)
-    best = np.empty(count, np.intp)
-    margin = np.empty(count, np.int64)
+def _first_look(unary: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Best label and margin of every pixel, and the positive margins' sum by best label."""
+    label_count, height, width = unary.shape
+    best = np.empty((height, width), np.intp)
+    margin = np.empty((height, width), np.int64)
     evidence = np.zeros(label_count, np.int64)
-    for p in range(count):
+    for y in range(height):
+        for x in range(width):
+            open_weight = np.int64(0)
+            for k in range(4):
+                open_weight += weights[y, x, k]
+                y0, x0 = y - NEIGHBOUR_OFFSETS[k, 0], x - NEIGHBOUR_OFFSETS[k, 1]
+                if y0 >= 0 and 0 <= x0 < width:
+                    open_weight += weights[y0, x0, k]
+            best[y, x], margin[y, x] = _best_and_margin(unary[:, y, x], open_weight)
+            if margin[y, x] > 0:
+                evidence[best[y, x]] += margin[y, x]
+    return best, margin, evidence
+
+
+@njit(cache=True)
+def _fold(unary: Array, weights: Array, labels: Array, pixels: Array) -> tuple[Array, Array, Array, Array]:
+    """The open pixels by themselves: unary (n, K) with decided neighbours folded in, neighbours, weights."""
+    label_count, height, width = unary.shape
+    count = pixels.size
+    position = np.full((height, width), -1, np.int32)
+    for i in range(count):
+        position[pixels[i] // width, pixels[i] % width] = i
+    folded = np.empty((count, label_count), np.int32)
+    neighbour, weight = np.full((count, 8), -1, np.int32), np.zeros((count, 8), np.int32)
+    open_weight = np.zeros(count, np.int64)
+    for i in range(count):
+        y, x = pixels[i] // width, pixels[i] % width
+        for label in range(label_count):
+            folded[i, label] = unary[label, y, x]
         for k in range(8):
-            open_weight[p] += weights[p, k]
+            v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
+            if not (0 <= v < height and 0 <= u < width):
+                continue
+            w = weights[y, x, k] if k < 4 else weights[v, u, k - 4]
+            if labels[v, u] != UNDECIDED:
+                folded[i, labels[v, u]] -= w
+            elif w > 0:
+                neighbour[i, k], weight[i, k] = position[v, u], w
+                open_weight[i] += w
+    return folded, neighbour, weight, open_weight
+
+
+@njit(cache=True)
+def _decide(
+    folded: Array,
+    neighbour: Array,
+    weight: Array,
+    open_weight: Array,
+    best: Array,
+    margin: Array,
+    evidence: Array,
+    certain: Array,
+    label_costs: Array,
+) -> Array:
+    """Labels of the open pixels.
+
+    All but the last argument are kept up to date: newly decided neighbours are folded in.
+    """
+    count = len(folded)
+    for p in range(count):
+        if margin[p] > 0:
+            evidence[best[p]] -= margin[p]
         best[p], margin[p] = _best_and_margin(folded[p], open_weight[p])
         if margin[p] > 0:
             evidence[best[p]] += margin[p]
-
     labels = np.full(count, UNDECIDED, np.intp)
-    certain = np.zeros(label_count, np.bool_)
     queue = np.empty(count, np.intp)
     while True:
-        newly_certain = ~certain & (evidence > label_costs)
-        if not newly_certain.any():
-            return labels, certain
-        certain |= newly_certain
+        certain |= evidence > label_costs
         head = tail = 0
         for p in range(count):
-            if newly_certain[best[p]] and margin[p] > 0 and labels[p] == UNDECIDED:
+            if labels[p] == UNDECIDED and margin[p] > 0 and certain[best[p]]:
                 labels[p] = best[p]
                 queue[tail] = p
                 tail += 1
+        if tail == 0:
+            return labels
         while head < tail:
             q = queue[head]
             head += 1
             label = labels[q]
             for k in range(8):
-                w = weights[q, k]
-                if w == 0:
+                p = neighbour[q, k]
+                if p < 0 or labels[p] != UNDECIDED:
                     continue
-                p = q + steps[k]
-                if labels[p] != UNDECIDED:
-                    continue
+                w = weight[q, k]
                 if margin[p] > 0:
                     evidence[best[p]] -= margin[p]
                 folded[p, label] -= w
@@ -288,6 +315,23 @@ def _decide(folded: Array, weights: Array, steps: Array, label_costs: Array) -> 
                         labels[p] = best[p]
                         queue[tail] = p
                         tail += 1
+
+
+@njit(cache=True)
+def _compressed(folded: Array, neighbour: Array, weight: Array, left: Array) -> tuple[Array, Array, Array]:
+    """Unary (K, m), neighbours and weights (m, 8) of the open pixels that are left."""
+    position = np.full(len(folded), -1, np.int32)
+    for i in range(left.size):
+        position[left[i]] = i
+    unary = np.empty((folded.shape[1], left.size), np.int32)
+    near, near_weight = np.full((left.size, 8), -1, np.int32), np.zeros((left.size, 8), np.int32)
+    for i in range(left.size):
+        unary[:, i] = folded[left[i]]
+        for k in range(8):
+            q = neighbour[left[i], k]
+            if q >= 0 and position[q] >= 0:
+                near[i, k], near_weight[i, k] = position[q], weight[left[i], k]
+    return unary, near, near_weight
 
 
 @njit(cache=True)

@@ -15,18 +15,17 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
-from mlbs_actors.trajectory_distance import trajectory_distance
+from mlbs_actors.regions import common, slices_in
 
-__all__ = ["Darkening", "contact_shadow", "darkening", "shadow_likelihood"]
+__all__ = ["Darkening", "contact_shadow", "darkening", "ground_colour", "shadow_likelihood"]
 
 #: The ground's colour is found on the frame shrunk by this.
 SHRINK = 4
 #: Pixels this near to an object's trajectory may be the object itself, px of a 640×480 frame.
 NEAR_PX = 16.0
-#: So many px around last frame's objects are not taken for ground either.
-GROWN_PX = 9
 #: Standard deviation over which ground is looked for, shrunk px; where there is none, twice that, so often.
 REACH, DOUBLINGS = 3.0, 4
 #: Least share of ground within a reach.
@@ -49,17 +48,17 @@ CONTACT_EDGE_PX = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Darkening:
-    """How each pixel's colour differs from that of the ground near it.
+    """How each pixel's colour differs from that of the ground near it, in one box of the frame.
 
     Attributes
     ----------
-    mean : (H, W) float32
+    mean : (h, w) float32
         Logarithm of colour over ground's colour, mean of the channels.
-    spread : (H, W) float32
+    spread : (h, w) float32
         Its range over the channels.
-    brightness : (H, W) float32
+    brightness : (h, w) float32
         Mean of the channels, grey levels + 1.
-    variance : (H, W) float32
+    variance : (h, w) float32
         Of the ground's log colour; large where there is no ground.
     """
 
@@ -69,8 +68,8 @@ class Darkening:
     variance: Array
 
 
-def darkening(frame: Array, evidence: FrameEvidence, previous: Array, scale: float) -> Darkening | None:
-    """Compare each pixel with the ground near it.
+def ground_colour(frame: Array, evidence: FrameEvidence, previous: Array, scale: float) -> Array | None:
+    """The colour of the ground near each pixel, from what is no object's.
 
     Parameters
     ----------
@@ -84,26 +83,49 @@ def darkening(frame: Array, evidence: FrameEvidence, previous: Array, scale: flo
 
     Returns
     -------
-    Darkening or None
-        None if there is neither an object's trajectory nor an object in the last map.
+    (H / SHRINK, W / SHRINK, 4) float32 or None
+        Mean log colour and its variance. None if there is neither an object's trajectory nor an object in
+        the last map.
     """
     height, width = frame.shape[:2]
-    objects = [one for one in evidence.layers if one.layer != BACKGROUND and len(one.positions)]
+    objects = [one.positions for one in evidence.layers if one.layer != BACKGROUND and len(one.positions)]
     if not objects and not previous.any():
         return None
-    occupied = trajectory_distance(objects, Region(0, 0, width, height)) < NEAR_PX * scale
+    size = (max(1, width // SHRINK), max(1, height // SHRINK))
+    free = np.ones(size[::-1], np.float32)
+    if objects:
+        at = np.rint((np.concatenate(objects) + 0.5) * np.divide(size, (width, height)) - 0.5).astype(np.intp)
+        tracked = np.ones(free.shape, np.uint8)
+        tracked[np.clip(at[:, 1], 0, size[1] - 1), np.clip(at[:, 0], 0, size[0] - 1)] = 0
+        free[cv2.distanceTransform(tracked, cv2.DIST_L2, 5) < NEAR_PX * scale / SHRINK] = 0.0
     if previous.size:
-        grown = cv2.dilate((previous > BACKGROUND).astype(np.uint8), np.ones((GROWN_PX, GROWN_PX), np.uint8))
-        occupied |= grown.astype(bool)
-    ground, variance = _ground(frame, occupied)
-    smooth = cv2.GaussianBlur(frame, (0, 0), 1.0).astype(np.float32) + 1.0
-    channels = np.log(smooth) - ground
-    return Darkening(
-        mean=channels.mean(axis=2),
-        spread=channels.max(axis=2) - channels.min(axis=2),
-        brightness=smooth.mean(axis=2),
-        variance=variance,
+        shrunk = cv2.resize((previous > BACKGROUND).view(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        free[cv2.dilate(shrunk, np.ones((3, 3), np.uint8)) > 0] = 0.0
+    colour = _LOG[cv2.resize(frame, size, interpolation=cv2.INTER_AREA)]
+    return _spread_into_objects(colour, free)
+
+
+def darkening(frame: Array, ground: Array, box: Region) -> Darkening:
+    """Compare each pixel of a box with the ground near it.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) uint8
+    ground : (H / SHRINK, W / SHRINK, 4) float32
+        Of :func:`ground_colour`.
+    box : Region
+
+    Returns
+    -------
+    Darkening
+    """
+    reach = 4  # of the blur
+    around = common(
+        Region(box.x - reach, box.y - reach, box.width + 2 * reach, box.height + 2 * reach),
+        Region(0, 0, frame.shape[1], frame.shape[0]),
     )
+    smooth = cv2.GaussianBlur(frame[around.slices], (0, 0), 1.0)[slices_in(box, around)]
+    return Darkening(*_compared(np.ascontiguousarray(smooth), ground, box.y, box.x, frame.shape[:2], _LOG))
 
 
 def shadow_likelihood(dark: Darkening) -> Array:
@@ -115,19 +137,24 @@ def shadow_likelihood(dark: Darkening) -> Array:
 
     Returns
     -------
-    (H, W) float32
+    (h, w) float32
         0 = no shadow … 1 = darker ground.
     """
-    likelihood = np.clip((LIGHTEST - dark.mean) / LIGHTEST_RAMP, 0.0, 1.0)
-    likelihood *= np.clip((dark.mean - DARKEST) / DARKEST_RAMP, 0.0, 1.0)
-    likelihood *= np.clip(2.0 - 2.0 * dark.spread / _tolerance(dark), 0.0, 1.0)
-    likelihood *= np.clip(2.0 - dark.variance / GROUND_VARIANCE, 0.0, 1.0)
-    return np.asarray(likelihood, np.float32)
+    return _likelihood(dark.mean, dark.spread, dark.brightness, dark.variance)
 
 
-def _tolerance(dark: Darkening) -> Array:
-    """What the channels' darkening may differ by; a dark colour is uncertain."""
-    return np.asarray(CHANNEL_SPREAD + CHANNEL_NOISE / dark.brightness)
+@njit(cache=True)
+def _likelihood(mean: Array, spread: Array, brightness: Array, variance: Array) -> Array:
+    likelihood = np.empty(mean.shape, np.float32)
+    for y in range(mean.shape[0]):
+        for x in range(mean.shape[1]):
+            tolerance = CHANNEL_SPREAD + CHANNEL_NOISE / brightness[y, x]
+            value = min(max((LIGHTEST - mean[y, x]) / LIGHTEST_RAMP, 0.0), 1.0)
+            value *= min(max((mean[y, x] - DARKEST) / DARKEST_RAMP, 0.0), 1.0)
+            value *= min(max(2.0 - 2.0 * spread[y, x] / tolerance, 0.0), 1.0)
+            value *= min(max(2.0 - variance[y, x] / GROUND_VARIANCE, 0.0), 1.0)
+            likelihood[y, x] = value
+    return likelihood
 
 
 def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, rise: float) -> Array:
@@ -135,9 +162,11 @@ def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, r
 
     Parameters
     ----------
-    labels : (H, W) integer
-        Without pinholes; 0 = background.
-    frame : (H, W, 3) uint8
+    labels : (h, w) unsigned integer
+        A frame's label map without pinholes, 0 = background, or one of its boxes with only background along
+        the sides that are not the frame's border.
+    frame : (h, w, 3) uint8
+        The same box of the frame.
     dark : Darkening
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
@@ -146,26 +175,30 @@ def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, r
 
     Returns
     -------
-    (H, W) bool
+    (h, w) bool
     """
     found = np.zeros(labels.shape, bool)
-    unlit = (dark.mean < CONTACT_DARK) & (dark.spread < _tolerance(dark))
+    unlit = (dark.mean < CONTACT_DARK) & (dark.spread < CHANNEL_SPREAD + CHANNEL_NOISE / dark.brightness)
     smooth = _steepness(frame) < CONTACT_SMOOTH / scale
     edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
-    for label in np.unique(labels[labels > BACKGROUND]):
-        _, pieces, boxes, _ = cv2.connectedComponentsWithStats((labels == label).astype(np.uint8))
+    present = np.flatnonzero(np.bincount(labels.reshape(-1)))
+    for label in present[present > BACKGROUND]:
+        own = (labels == label).view(np.uint8)
+        part = Region(*cv2.boundingRect(own))
+        _, pieces, boxes, _ = cv2.connectedComponentsWithStats(own[part.slices])
         for piece, (x, y, width, height, _) in enumerate(boxes[1:], start=1):
             # Feet of one object stand at different heights of the picture.
-            box = np.s_[y + height // 2 : y + height, x : x + width]
-            body = pieces[box] == piece
+            feet = Region(x, y + height // 2, width, height - height // 2)
+            body = pieces[feet.slices] == piece
+            box = Region(feet.x + part.x, feet.y + part.y, feet.width, feet.height).slices
             above = _height_above_ground(labels, box)
             foot = body & unlit[box] & (above <= rise * height)
             flat = _wide(foot & smooth[box], CONTACT_WIDTH * height)
-            _, strips = cv2.connectedComponents(flat.astype(np.uint8))
+            _, strips = cv2.connectedComponents(flat.view(np.uint8))
             resting = np.unique(strips[flat & (above <= CONTACT_GAP_PX * scale)])
             core = np.isin(strips, resting[resting > 0])
-            strip = cv2.dilate(core.astype(np.uint8), disc).astype(bool) & foot
+            strip = cv2.dilate(core.view(np.uint8), disc).astype(bool) & foot
             found[box] |= _and_under(strip, body)
     return found
 
@@ -207,14 +240,8 @@ def _and_under(strip: Array, body: Array) -> Array:
     return result
 
 
-def _ground(frame: Array, occupied: Array) -> tuple[Array, Array]:
-    """Mean log colour (H, W, 3) and its variance (H, W) of the free pixels within the nearest reach."""
-    height, width = occupied.shape
-    size = (max(1, width // SHRINK), max(1, height // SHRINK))
-    colour = np.log(cv2.resize(frame, size, interpolation=cv2.INTER_AREA).astype(np.float32) + 1.0)
-    free = (cv2.resize(occupied.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0).astype(
-        np.float32
-    )
+def _spread_into_objects(colour: Array, free: Array) -> Array:
+    """Mean log colour and its variance, (h, w, 4) float32, of the free pixels within the nearest reach."""
     weighted = [np.dstack([colour * free[..., None], np.square(colour) * free[..., None], free])]
     for _ in range(DOUBLINGS):
         weighted.append(cv2.pyrDown(weighted[-1]))
@@ -230,5 +257,45 @@ def _ground(frame: Array, occupied: Array) -> tuple[Array, Array]:
             own = np.where(found[..., None], own, cv2.pyrUp(ground, dstsize=found.shape[::-1]))
         ground = own
     assert ground is not None
-    ground = cv2.resize(ground, (width, height))
-    return ground[..., :3], ground[..., 3]
+    return ground
+
+
+@njit(cache=True)
+def _compared(
+    smooth: Array, ground: Array, top: int, left: int, frame_shape: tuple[int, int], log_of: Array
+) -> tuple[Array, Array, Array, Array]:
+    """The fields of `Darkening` in a box; the ground is interpolated bilinearly."""
+    height, width, _ = smooth.shape
+    mean, spread = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    brightness, variance = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    columns = ground.shape[1]
+    row = np.empty((columns, 4), np.float32)
+    for y in range(height):
+        above, below, down = _between(y + top, ground.shape[0] / frame_shape[0], ground.shape[0])
+        for column in range(columns):
+            for c in range(4):
+                step = ground[below, column, c] - ground[above, column, c]
+                row[column, c] = ground[above, column, c] + down * step
+        for x in range(width):
+            before, after, right = _between(x + left, columns / frame_shape[1], columns)
+            blue = log_of[smooth[y, x, 0]] - (row[before, 0] + right * (row[after, 0] - row[before, 0]))
+            green = log_of[smooth[y, x, 1]] - (row[before, 1] + right * (row[after, 1] - row[before, 1]))
+            red = log_of[smooth[y, x, 2]] - (row[before, 2] + right * (row[after, 2] - row[before, 2]))
+            mean[y, x] = (blue + green + red) / 3.0
+            spread[y, x] = max(blue, green, red) - min(blue, green, red)
+            total = np.int64(smooth[y, x, 0]) + np.int64(smooth[y, x, 1]) + np.int64(smooth[y, x, 2])
+            brightness[y, x] = total / 3.0 + 1.0
+            variance[y, x] = row[before, 3] + right * (row[after, 3] - row[before, 3])
+    return mean, spread, brightness, variance
+
+
+@njit(cache=True)
+def _between(pixel: int, ratio: float, count: int) -> tuple[int, int, float]:
+    """The two pixels of a shrunk row of ``count`` next to a pixel of the row, and the share of the second."""
+    place = min(max((pixel + 0.5) * ratio - 0.5, 0.0), count - 1.0)
+    first = int(place)
+    return first, min(first + 1, count - 1), place - first
+
+
+#: Log of a channel's value + 1.
+_LOG = np.log(np.arange(1, 257, dtype=np.float32))
