@@ -143,29 +143,14 @@ def prune(whole: LabelCostEnergy) -> Pruning:
     Pruning
     """
     width = whole.unary.shape[2]
-    best, margin, evidence = _first_look(whole.unary, whole.weights)
-    certain = evidence > whole.label_costs
-    labels = np.where((margin > 0) & certain[best], best, UNDECIDED)
-    pixels = np.flatnonzero(labels == UNDECIDED)
-    folded, neighbour, weight, open_weight = _fold(whole.unary, whole.weights, labels, pixels)
-    open_labels = _decide(
-        folded,
-        neighbour,
-        weight,
-        open_weight,
-        best.reshape(-1)[pixels],
-        margin.reshape(-1)[pixels],
-        evidence,
-        certain,
-        whole.label_costs,
-    )
-    labels.reshape(-1)[pixels] = open_labels
-    left = np.flatnonzero(open_labels == UNDECIDED)
-    pixels = pixels[left]
+    labels, certain, pixels, folded = _decide(whole.unary, whole.weights, whole.label_costs)
+    neighbour, weight = _around(whole.weights, labels, pixels)
     rest = UndecidedEnergy(
         pixels,
         pixels // width,
-        *_compressed(folded, neighbour, weight, left),
+        folded,
+        neighbour,
+        weight,
         np.where(certain, 0, whole.label_costs),
         certain,
     )
@@ -201,7 +186,7 @@ def movable(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array, Ar
 @njit(cache=True)
 def _best_and_margin(costs: Array, open_weight: np.int64) -> tuple[int, np.int64]:
     """First label of least cost, and by how much it beats the others beyond ``open_weight``."""
-    best, least, second = 0, np.int64(costs[0]), np.int64(2**40)  # beyond every cost: there may be no other
+    best, least, second = 0, np.int64(costs[0]), np.int64(2**29)  # beyond every gap: there may be no other
     for label in range(1, costs.size):
         cost = np.int64(costs[label])
         if cost < least:
@@ -212,126 +197,99 @@ def _best_and_margin(costs: Array, open_weight: np.int64) -> tuple[int, np.int64
 
 
 @njit(cache=True)
-def _first_look(unary: Array, weights: Array) -> tuple[Array, Array, Array]:
-    """Best label and margin of every pixel, and the positive margins' sum by best label."""
+def _neighbour(y: int, x: int, k: int) -> tuple[int, int, int, int, int]:
+    """Row and column of a neighbour, and where the weight to it is found: row, column and direction."""
+    v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
+    if k < 4:
+        return v, u, y, x, k
+    return v, u, v, u, k - 4
+
+
+@njit(cache=True)
+def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Array, Array, Array]:
+    """Labels, certain labels, undecided pixels, and their unary (K, n) with decided neighbours folded in."""
     label_count, height, width = unary.shape
-    best = np.empty((height, width), np.intp)
-    margin = np.empty((height, width), np.int64)
+    best = np.empty((height, width), np.int32)
+    margin = np.empty((height, width), np.int32)
+    open_weight = np.zeros((height, width), np.int32)
     evidence = np.zeros(label_count, np.int64)
     for y in range(height):
         for x in range(width):
-            open_weight = np.int64(0)
             for k in range(4):
-                open_weight += weights[y, x, k]
-                y0, x0 = y - NEIGHBOUR_OFFSETS[k, 0], x - NEIGHBOUR_OFFSETS[k, 1]
-                if y0 >= 0 and 0 <= x0 < width:
-                    open_weight += weights[y0, x0, k]
-            best[y, x], margin[y, x] = _best_and_margin(unary[:, y, x], open_weight)
+                w = weights[y, x, k]
+                if w > 0:
+                    open_weight[y, x] += w
+                    open_weight[y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]] += w
+    for y in range(height):
+        for x in range(width):
+            best[y, x], margin[y, x] = _best_and_margin(unary[:, y, x], open_weight[y, x])
             if margin[y, x] > 0:
                 evidence[best[y, x]] += margin[y, x]
-    return best, margin, evidence
 
-
-@njit(cache=True)
-def _fold(unary: Array, weights: Array, labels: Array, pixels: Array) -> tuple[Array, Array, Array, Array]:
-    """The open pixels by themselves: unary (n, K) with decided neighbours folded in, neighbours, weights."""
-    label_count, height, width = unary.shape
-    count = pixels.size
-    position = np.full((height, width), -1, np.int32)
-    for i in range(count):
-        position[pixels[i] // width, pixels[i] % width] = i
-    folded = np.empty((count, label_count), np.int32)
-    neighbour, weight = np.full((count, 8), -1, np.int32), np.zeros((count, 8), np.int32)
-    open_weight = np.zeros(count, np.int64)
-    for i in range(count):
-        y, x = pixels[i] // width, pixels[i] % width
-        for label in range(label_count):
-            folded[i, label] = unary[label, y, x]
-        for k in range(8):
-            v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
-            if not (0 <= v < height and 0 <= u < width):
-                continue
-            w = weights[y, x, k] if k < 4 else weights[v, u, k - 4]
-            if labels[v, u] != UNDECIDED:
-                folded[i, labels[v, u]] -= w
-            elif w > 0:
-                neighbour[i, k], weight[i, k] = position[v, u], w
-                open_weight[i] += w
-    return folded, neighbour, weight, open_weight
-
-
-@njit(cache=True)
-def _decide(
-    folded: Array,
-    neighbour: Array,
-    weight: Array,
-    open_weight: Array,
-    best: Array,
-    margin: Array,
-    evidence: Array,
-    certain: Array,
-    label_costs: Array,
-) -> Array:
-    """Labels of the open pixels.
-
-    All but the last argument are kept up to date: newly decided neighbours are folded in.
-    """
-    count = len(folded)
-    for p in range(count):
-        if margin[p] > 0:
-            evidence[best[p]] -= margin[p]
-        best[p], margin[p] = _best_and_margin(folded[p], open_weight[p])
-        if margin[p] > 0:
-            evidence[best[p]] += margin[p]
-    labels = np.full(count, UNDECIDED, np.intp)
-    queue = np.empty(count, np.intp)
+    labels = np.full((height, width), UNDECIDED, np.intp)
+    folded = unary.copy()
+    certain = np.zeros(label_count, np.bool_)
+    queue = np.empty(height * width, np.int32)
     while True:
-        certain |= evidence > label_costs
+        newly_certain = ~certain & (evidence > label_costs)
+        if not newly_certain.any():
+            break
+        certain |= newly_certain
         head = tail = 0
-        for p in range(count):
-            if labels[p] == UNDECIDED and margin[p] > 0 and certain[best[p]]:
-                labels[p] = best[p]
-                queue[tail] = p
-                tail += 1
-        if tail == 0:
-            return labels
+        for y in range(height):
+            for x in range(width):
+                if labels[y, x] == UNDECIDED and margin[y, x] > 0 and certain[best[y, x]]:
+                    labels[y, x] = best[y, x]
+                    queue[tail] = y * width + x
+                    tail += 1
         while head < tail:
-            q = queue[head]
+            y, x = queue[head] // width, queue[head] % width
             head += 1
-            label = labels[q]
+            label = labels[y, x]
             for k in range(8):
-                p = neighbour[q, k]
-                if p < 0 or labels[p] != UNDECIDED:
+                v, u, row, column, direction = _neighbour(y, x, k)
+                if not (0 <= v < height and 0 <= u < width) or labels[v, u] != UNDECIDED:
                     continue
-                w = weight[q, k]
-                if margin[p] > 0:
-                    evidence[best[p]] -= margin[p]
-                folded[p, label] -= w
-                open_weight[p] -= w
-                best[p], margin[p] = _best_and_margin(folded[p], open_weight[p])
-                if margin[p] > 0:
-                    evidence[best[p]] += margin[p]
-                    if certain[best[p]]:
-                        labels[p] = best[p]
-                        queue[tail] = p
+                w = weights[row, column, direction]
+                if w == 0:
+                    continue
+                if margin[v, u] > 0:
+                    evidence[best[v, u]] -= margin[v, u]
+                folded[label, v, u] -= w
+                open_weight[v, u] -= w
+                best[v, u], margin[v, u] = _best_and_margin(folded[:, v, u], open_weight[v, u])
+                if margin[v, u] > 0:
+                    evidence[best[v, u]] += margin[v, u]
+                    if certain[best[v, u]]:
+                        labels[v, u] = best[v, u]
+                        queue[tail] = v * width + u
                         tail += 1
 
+    pixels = np.flatnonzero(labels == UNDECIDED)
+    rest = np.empty((label_count, pixels.size), np.int32)
+    for label in range(label_count):
+        for i in range(pixels.size):
+            rest[label, i] = folded[label, pixels[i] // width, pixels[i] % width]
+    return labels, certain, pixels, rest
+
 
 @njit(cache=True)
-def _compressed(folded: Array, neighbour: Array, weight: Array, left: Array) -> tuple[Array, Array, Array]:
-    """Unary (K, m), neighbours and weights (m, 8) of the open pixels that are left."""
-    position = np.full(len(folded), -1, np.int32)
-    for i in range(left.size):
-        position[left[i]] = i
-    unary = np.empty((folded.shape[1], left.size), np.int32)
-    near, near_weight = np.full((left.size, 8), -1, np.int32), np.zeros((left.size, 8), np.int32)
-    for i in range(left.size):
-        unary[:, i] = folded[left[i]]
+def _around(weights: Array, labels: Array, pixels: Array) -> tuple[Array, Array]:
+    """Neighbours (n, 8) of the undecided pixels among themselves, and the weights to them."""
+    height, width = labels.shape
+    position = np.full((height, width), -1, np.int32)
+    for i in range(pixels.size):
+        position[pixels[i] // width, pixels[i] % width] = i
+    neighbour, weight = np.full((pixels.size, 8), -1, np.int32), np.zeros((pixels.size, 8), np.int32)
+    for i in range(pixels.size):
+        y, x = pixels[i] // width, pixels[i] % width
         for k in range(8):
-            q = neighbour[left[i], k]
-            if q >= 0 and position[q] >= 0:
-                near[i, k], near_weight[i, k] = position[q], weight[left[i], k]
-    return unary, near, near_weight
+            v, u, row, column, direction = _neighbour(y, x, k)
+            if 0 <= v < height and 0 <= u < width and position[v, u] >= 0:
+                w = weights[row, column, direction]
+                if w > 0:
+                    neighbour[i, k], weight[i, k] = position[v, u], w
+    return neighbour, weight
 
 
 @njit(cache=True)

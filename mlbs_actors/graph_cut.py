@@ -16,8 +16,9 @@ Differs from the paper:
 * Costs are integers, in units of ``COST_QUANTUM`` = 1/1024 nat: no tolerance anywhere.
 * Pixels whose label is the same in every optimum are decided first (``cut_pruning``), only the rest is cut.
 * Beside expansions (one label takes pixels), *removals* are tried: a label's pixels are shared out to others.
-* The usual star of one node a label cost with thousands of edges makes the Boykov–Kolmogorov algorithm crawl.
-  Here the pixels of one image row meet in a row node first; the minimum is the same.
+* Cuts of pixels alone are those of ``min_cut``; a label that could be got rid of needs a general graph.
+  There the usual star of one node a label cost with thousands of edges makes the Boykov–Kolmogorov algorithm
+  crawl. Here the pixels of one image row meet in a row node first; the minimum is the same.
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import maxflow
 import numpy as np
@@ -34,6 +34,7 @@ from numba import njit
 from mlbs_actors.cut_pruning import NEIGHBOUR_OFFSETS, LabelCostEnergy, UndecidedEnergy, movable, prune
 from mlbs_actors.errors import ConfigError, FrameError
 from mlbs_actors.messages import Array
+from mlbs_actors.min_cut import min_cut
 
 __all__ = [
     "COST_QUANTUM",
@@ -210,7 +211,7 @@ class _Course:
             if self.expanded_at[alpha] == self.step:
                 continue
             nodes, kept = movable(rest, self.labels, alpha)
-            if rest.label_costs[alpha] == 0:
+            if rest.label_costs[alpha] == 0 and self.expanded_at[alpha] >= 0:
                 nodes = _worth_expanding(
                     rest.neighbour,
                     rest.label_costs,
@@ -283,30 +284,49 @@ def _expansion(
     """
     if nodes.size == 0:
         return nodes, 0
-    graph = maxflow.GraphInt(nodes.size, 4 * nodes.size)
-    ids = graph.add_grid_nodes((nodes.size,))
-    stay, move, ends, capacities = _move_graph(rest.unary, rest.neighbour, rest.weight, labels, alpha, nodes)
-    graph.add_grid_tedges(ids, move, stay)
-    graph.add_edges(*ends, *capacities)
-    unmoved = int(stay.sum())
-    for label in np.flatnonzero(~kept & (np.bincount(labels[nodes], minlength=kept.size) > 0)):
-        members = np.flatnonzero(labels[nodes] == label)
-        _add_label_cost(graph, members, rest.row[nodes[members]], int(rest.label_costs[label]))
-        unmoved += int(rest.label_costs[label])
-    change = int(graph.maxflow()) - unmoved
+    surplus, residual, unmoved = _move_graph(rest.unary, rest.neighbour, rest.weight, labels, alpha, nodes)
+    paid = np.flatnonzero(~kept & (np.bincount(labels[nodes], minlength=kept.size) > 0))
+    if paid.size:
+        flow, moved = _cut_with_label_costs(rest, surplus, residual, labels, nodes, paid)
+    else:
+        flow, moved = min_cut(surplus, rest.neighbour, residual)
+    change = int(flow - unmoved) - int(rest.label_costs[paid].sum())
     if not rest.used(labels)[alpha]:
         change += int(rest.label_costs[alpha])
-    return nodes[graph.get_grid_segments(ids)], change
+    return np.flatnonzero(moved), change
 
 
-def _add_label_cost(graph: Any, members: Array, rows: Array, cost: int) -> None:
-    """Charge ``cost`` unless all members move to the sink's side: member → row node → hub → sink."""
-    distinct, of_member = np.unique(rows, return_inverse=True)
-    row_nodes = graph.add_grid_nodes((distinct.size,))
-    hub = graph.add_nodes(1)
-    for tails, heads in ((members, row_nodes[of_member]), (row_nodes, np.repeat(hub, distinct.size))):
-        graph.add_edges(tails, heads, np.full(tails.size, cost), np.zeros(tails.size, np.int64))
-    graph.add_tedge(int(hub[0]), 0, cost)
+def _cut_with_label_costs(
+    rest: UndecidedEnergy, surplus: Array, residual: Array, labels: Array, nodes: Array, paid: Array
+) -> tuple[np.int64, Array]:
+    """The minimum cut where each label of ``paid`` is charged unless all its pixels are on the sink's side.
+
+    Its edges: member → row node → hub → sink.
+    """
+    graph = maxflow.GraphInt(nodes.size, 4 * nodes.size)
+    ids = graph.add_grid_nodes((nodes.size,))
+    terminal = surplus[nodes].astype(np.int64)
+    graph.add_grid_tedges(ids, np.maximum(terminal, 0), np.maximum(-terminal, 0))
+    local = np.full(labels.size, -1)
+    local[nodes] = np.arange(nodes.size)
+    for k in range(4):
+        heads = rest.neighbour[nodes, k]
+        inside = (heads >= 0) & (local[heads] >= 0)
+        tails, heads = nodes[inside], heads[inside]
+        graph.add_edges(local[tails], local[heads], residual[tails, k], residual[heads, k + 4])
+    for label in paid:
+        members = np.flatnonzero(labels[nodes] == label)
+        cost = int(rest.label_costs[label])
+        distinct, of_member = np.unique(rest.row[nodes[members]], return_inverse=True)
+        row_nodes = graph.add_grid_nodes((distinct.size,))
+        hub = graph.add_nodes(1)
+        for tails, heads in ((members, row_nodes[of_member]), (row_nodes, np.repeat(hub, distinct.size))):
+            graph.add_edges(tails, heads, np.full(tails.size, cost), np.zeros(tails.size, np.int64))
+        graph.add_tedge(int(hub[0]), 0, cost)
+    flow = np.int64(graph.maxflow())
+    moved = np.zeros(labels.size, bool)
+    moved[nodes] = graph.get_grid_segments(ids)
+    return flow, moved
 
 
 @njit(cache=True)
@@ -382,33 +402,35 @@ def _worth_expanding(
 @njit(cache=True)
 def _move_graph(
     unary: Array, neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Costs to stay and to move, (m,) each, and the edges' ends (2, e) and capacities forth and back (2, e).
+) -> tuple[Array, Array, np.int64]:
+    """What moving costs over staying (n,), the edges' capacities (n, 8), and the cost if nothing moves.
 
-    A pair costs w unless both ends move or, if they have the same label, both stay. With the same label it is
-    a plain edge; with two labels it is w for p staying, and w for q staying while p moves, a directed edge.
+    That cost leaves out the least of both choices at each pixel, which no cut can change. A pair costs w
+    unless both ends move or, if they have the same label, both stay. With the same label it is a plain edge;
+    with two labels it is w for p staying, and w for q staying while p moves, a directed edge.
     """
-    local = np.full(labels.size, -1, np.intp)
-    local[nodes] = np.arange(nodes.size)
-    stay, move = np.empty(nodes.size, np.int64), np.empty(nodes.size, np.int64)
-    ends, capacities = np.empty((2, 4 * nodes.size), np.int64), np.empty((2, 4 * nodes.size), np.int64)
-    edges = 0
-    for i in range(nodes.size):
-        p = nodes[i]
-        stay[i] = unary[labels[p], p]
-        move[i] = unary[alpha, p]
+    is_node = np.zeros(labels.size, np.bool_)
+    is_node[nodes] = True
+    surplus = np.zeros(labels.size, np.int32)
+    capacity = np.zeros((labels.size, 8), np.int32)
+    unmoved = np.int64(0)
+    for p in nodes:
+        stay, move = unary[labels[p], p], unary[alpha, p]
         for k in range(8):
             q = neighbour[p, k]
-            if q < 0 or (local[q] >= 0 and k >= 4):
+            if q < 0:
                 continue
             w = weight[p, k]
             same = labels[q] == labels[p]
-            if not same:
-                stay[i] += w
-            if local[q] >= 0:
-                ends[0, edges], ends[1, edges] = i, local[q]
-                capacities[0, edges], capacities[1, edges] = (w if same else 0), w
-                edges += 1
-            elif labels[q] != alpha:
-                move[i] += w
-    return stay, move, ends[:, :edges], capacities[:, :edges]
+            if is_node[q]:
+                if k < 4:
+                    capacity[p, k] = w if same else 0
+                    stay += 0 if same else w
+                else:
+                    capacity[p, k] = w
+            else:
+                stay += 0 if same else w
+                move += w if labels[q] != alpha else 0
+        surplus[p] = move - stay
+        unmoved += max(stay - move, 0)
+    return surplus, capacity, unmoved

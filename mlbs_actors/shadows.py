@@ -19,6 +19,7 @@ from numba import njit
 
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 from mlbs_actors.regions import common, slices_in
+from mlbs_actors.trajectory_distance import trajectory_distance
 
 __all__ = ["Darkening", "contact_shadow", "darkening", "ground_colour", "shadow_likelihood"]
 
@@ -26,6 +27,8 @@ __all__ = ["Darkening", "contact_shadow", "darkening", "ground_colour", "shadow_
 SHRINK = 4
 #: Pixels this near to an object's trajectory may be the object itself, px of a 640×480 frame.
 NEAR_PX = 16.0
+#: So many px around last frame's objects are not taken for ground either.
+GROWN_PX = 9
 #: Standard deviation over which ground is looked for, shrunk px; where there is none, twice that, so often.
 REACH, DOUBLINGS = 3.0, 4
 #: Least share of ground within a reach.
@@ -88,20 +91,22 @@ def ground_colour(frame: Array, evidence: FrameEvidence, previous: Array, scale:
         the last map.
     """
     height, width = frame.shape[:2]
-    objects = [one.positions for one in evidence.layers if one.layer != BACKGROUND and len(one.positions)]
+    objects = [one for one in evidence.layers if one.layer != BACKGROUND and len(one.positions)]
     if not objects and not previous.any():
         return None
-    size = (max(1, width // SHRINK), max(1, height // SHRINK))
-    free = np.ones(size[::-1], np.float32)
-    if objects:
-        at = np.rint((np.concatenate(objects) + 0.5) * np.divide(size, (width, height)) - 0.5).astype(np.intp)
-        tracked = np.ones(free.shape, np.uint8)
-        tracked[np.clip(at[:, 1], 0, size[1] - 1), np.clip(at[:, 0], 0, size[0] - 1)] = 0
-        free[cv2.distanceTransform(tracked, cv2.DIST_L2, 5) < NEAR_PX * scale / SHRINK] = 0.0
+    occupied: Array = np.zeros((height, width), np.uint8)
     if previous.size:
-        shrunk = cv2.resize((previous > BACKGROUND).view(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-        free[cv2.dilate(shrunk, np.ones((3, 3), np.uint8)) > 0] = 0.0
+        grown = np.ones((GROWN_PX, GROWN_PX), np.uint8)
+        occupied = cv2.dilate((previous > BACKGROUND).view(np.uint8), grown)
+    near = NEAR_PX * scale
+    for one in objects:
+        low, high = one.positions.min(axis=0) - near, one.positions.max(axis=0) + near + 1
+        (x, y), (right, bottom) = np.clip([low, high], 0, (width, height)).astype(int).tolist()
+        box = Region(x, y, right - x, bottom - y)
+        occupied[box.slices] |= (trajectory_distance([one], box) < near).view(np.uint8)
+    size = (max(1, width // SHRINK), max(1, height // SHRINK))
     colour = _LOG[cv2.resize(frame, size, interpolation=cv2.INTER_AREA)]
+    free = cv2.resize(occupied, size, interpolation=cv2.INTER_NEAREST) == 0
     return _spread_into_objects(colour, free)
 
 
@@ -242,22 +247,47 @@ def _and_under(strip: Array, body: Array) -> Array:
 
 def _spread_into_objects(colour: Array, free: Array) -> Array:
     """Mean log colour and its variance, (h, w, 4) float32, of the free pixels within the nearest reach."""
-    weighted = [np.dstack([colour * free[..., None], np.square(colour) * free[..., None], free])]
+    weighted = [_moments(colour, free)]
     for _ in range(DOUBLINGS):
         weighted.append(cv2.pyrDown(weighted[-1]))
-    ground: Array | None = None
+    ground = np.zeros((*weighted[-1].shape[:2], 4), np.float32)
+    ground[..., 3] = NO_GROUND
     for level in reversed(weighted):
-        blurred = cv2.GaussianBlur(level, (0, 0), REACH)
-        found = blurred[..., 6] > LEAST_GROUND
-        moments = blurred[..., :6] / np.maximum(blurred[..., 6:], LEAST_GROUND)
-        variance = (moments[..., 3:] - np.square(moments[..., :3])).max(axis=2)
-        variance[~found] = NO_GROUND
-        own = np.dstack([moments[..., :3], variance])
-        if ground is not None:
-            own = np.where(found[..., None], own, cv2.pyrUp(ground, dstsize=found.shape[::-1]))
-        ground = own
-    assert ground is not None
+        if ground.shape[:2] != level.shape[:2]:
+            ground = cv2.pyrUp(ground, dstsize=level.shape[1::-1])
+        _take_where_found(cv2.GaussianBlur(level, (0, 0), REACH), ground)
     return ground
+
+
+@njit(cache=True)
+def _moments(colour: Array, free: Array) -> Array:
+    """Log colour, its square and 1 where a pixel is free, else 0; (h, w, 7) float32."""
+    height, width = free.shape
+    moments = np.zeros((height, width, 7), np.float32)
+    for y in range(height):
+        for x in range(width):
+            if free[y, x]:
+                for c in range(3):
+                    moments[y, x, c] = colour[y, x, c]
+                    moments[y, x, 3 + c] = colour[y, x, c] * colour[y, x, c]
+                moments[y, x, 6] = 1.0
+    return moments
+
+
+@njit(cache=True)
+def _take_where_found(moments: Array, ground: Array) -> None:
+    """Put mean log colour and variance into ``ground`` where there is enough of it within the reach."""
+    height, width, _ = ground.shape
+    for y in range(height):
+        for x in range(width):
+            share = moments[y, x, 6]
+            if share > LEAST_GROUND:
+                variance = np.float32(0.0)
+                for c in range(3):
+                    mean = moments[y, x, c] / share
+                    variance = max(variance, moments[y, x, 3 + c] / share - mean * mean)
+                    ground[y, x, c] = mean
+                ground[y, x, 3] = variance
 
 
 @njit(cache=True)
@@ -269,7 +299,12 @@ def _compared(
     mean, spread = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     brightness, variance = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     columns = ground.shape[1]
+    before, after = np.empty(width, np.intp), np.empty(width, np.intp)
+    right = np.empty(width, np.float32)
+    for x in range(width):
+        before[x], after[x], right[x] = _between(x + left, columns / frame_shape[1], columns)
     row = np.empty((columns, 4), np.float32)
+    third, here = np.float32(1.0 / 3.0), np.empty(4, np.float32)
     for y in range(height):
         above, below, down = _between(y + top, ground.shape[0] / frame_shape[0], ground.shape[0])
         for column in range(columns):
@@ -277,15 +312,16 @@ def _compared(
                 step = ground[below, column, c] - ground[above, column, c]
                 row[column, c] = ground[above, column, c] + down * step
         for x in range(width):
-            before, after, right = _between(x + left, columns / frame_shape[1], columns)
-            blue = log_of[smooth[y, x, 0]] - (row[before, 0] + right * (row[after, 0] - row[before, 0]))
-            green = log_of[smooth[y, x, 1]] - (row[before, 1] + right * (row[after, 1] - row[before, 1]))
-            red = log_of[smooth[y, x, 2]] - (row[before, 2] + right * (row[after, 2] - row[before, 2]))
-            mean[y, x] = (blue + green + red) / 3.0
+            for c in range(4):
+                here[c] = row[before[x], c] + right[x] * (row[after[x], c] - row[before[x], c])
+            blue = log_of[smooth[y, x, 0]] - here[0]
+            green = log_of[smooth[y, x, 1]] - here[1]
+            red = log_of[smooth[y, x, 2]] - here[2]
+            mean[y, x] = (blue + green + red) * third
             spread[y, x] = max(blue, green, red) - min(blue, green, red)
-            total = np.int64(smooth[y, x, 0]) + np.int64(smooth[y, x, 1]) + np.int64(smooth[y, x, 2])
-            brightness[y, x] = total / 3.0 + 1.0
-            variance[y, x] = row[before, 3] + right * (row[after, 3] - row[before, 3])
+            total = np.int32(smooth[y, x, 0]) + np.int32(smooth[y, x, 1]) + np.int32(smooth[y, x, 2])
+            brightness[y, x] = np.float32(total) * third + np.float32(1.0)
+            variance[y, x] = here[3]
     return mean, spread, brightness, variance
 
 
