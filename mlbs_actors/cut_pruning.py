@@ -283,12 +283,13 @@ def _around(weights: Array, labels: Array, pixels: Array) -> tuple[Array, Array]
     neighbour, weight = np.full((pixels.size, 8), -1, np.int32), np.zeros((pixels.size, 8), np.int32)
     for i in range(pixels.size):
         y, x = pixels[i] // width, pixels[i] % width
-        for k in range(8):
-            v, u, row, column, direction = _neighbour(y, x, k)
-            if 0 <= v < height and 0 <= u < width and position[v, u] >= 0:
-                w = weights[row, column, direction]
-                if w > 0:
-                    neighbour[i, k], weight[i, k] = position[v, u], w
+        for k in range(4):
+            w = weights[y, x, k]
+            if w > 0:
+                j = position[y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]]
+                if j >= 0:
+                    neighbour[i, k], weight[i, k] = j, w
+                    neighbour[j, k + 4], weight[j, k + 4] = i, w
     return neighbour, weight
 
 

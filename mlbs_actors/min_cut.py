@@ -49,12 +49,18 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
     parent = np.where(surplus != 0, _TERMINAL, _NONE).astype(np.int8)
     distance, stamp = np.ones(count, np.int32), np.zeros(count, np.int32)
     time = 0
-    active, waiting = np.empty(count + 1, np.int32), surplus != 0
+    active, waiting = np.empty(count + 1, np.int32), np.zeros(count, np.bool_)
     begin, end = 0, 0
     for pixel in range(count):
-        if waiting[pixel]:
-            active[end] = pixel
-            end += 1
+        if parent[pixel] == _NONE:
+            continue
+        for k in range(8):  # inside a tree there is nothing to grow into
+            other = neighbour[pixel, k]
+            if other >= 0 and (parent[other] == _NONE or from_sink[other] != from_sink[pixel]):
+                waiting[pixel] = True
+                active[end] = pixel
+                end += 1
+                break
     orphans = np.empty(count + 1, np.int32)
 
     current = -1
@@ -189,7 +195,7 @@ def _distance(start: int, neighbour: Array, parent: Array, stamp: Array, distanc
             return _FAR
         pixel = neighbour[pixel, parent[pixel]]
         steps += 1
-    total = steps + distance[pixel]
+    total = steps + int(distance[pixel])
     pixel, left = start, total
     while stamp[pixel] != time:
         stamp[pixel], distance[pixel] = time, left

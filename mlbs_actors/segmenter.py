@@ -224,10 +224,12 @@ def _summaries(
     rows = []
     for cost, one in zip(fused.cost[1:], posteriors[1:], strict=True):
         place = slices_in(one.region, box)
-        y, x = np.nonzero(labels[place] == one.layer)
-        if len(x) == 0:
+        own = np.flatnonzero(labels[place] == one.layer)
+        if len(own) == 0:
             continue
-        log_posterior = (fused.normaliser[place][y, x].astype(np.float64) - cost[place][y, x]) * COST_STEP
+        normaliser = fused.normaliser[place].reshape(-1)[own].astype(np.float64)
+        log_posterior = (normaliser - cost[place].reshape(-1)[own]) * COST_STEP
+        y, x = np.divmod(own, one.region.width)
         y, x = y + one.region.y, x + one.region.x
         rows.append(
             LayerSummary(

@@ -27,6 +27,8 @@ __all__ = ["Darkening", "contact_shadow", "darkening", "ground_colour", "shadow_
 SHRINK = 4
 #: Pixels this near to an object's trajectory may be the object itself, px of a 640×480 frame.
 NEAR_PX = 16.0
+#: How far the blur of the frame looks, px.
+BLUR_REACH = 4
 #: So many px around last frame's objects are not taken for ground either.
 GROWN_PX = 9
 #: Standard deviation over which ground is looked for, shrunk px; where there is none, twice that, so often.
@@ -124,11 +126,7 @@ def darkening(frame: Array, ground: Array, box: Region) -> Darkening:
     -------
     Darkening
     """
-    reach = 4  # of the blur
-    around = common(
-        Region(box.x - reach, box.y - reach, box.width + 2 * reach, box.height + 2 * reach),
-        Region(0, 0, frame.shape[1], frame.shape[0]),
-    )
+    around = _grown(box, BLUR_REACH, frame.shape)
     smooth = cv2.GaussianBlur(frame[around.slices], (0, 0), 1.0)[slices_in(box, around)]
     return Darkening(*_compared(np.ascontiguousarray(smooth), ground, box.y, box.x, frame.shape[:2], _LOG))
 
@@ -183,8 +181,6 @@ def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, r
     (h, w) bool
     """
     found = np.zeros(labels.shape, bool)
-    unlit = (dark.mean < CONTACT_DARK) & (dark.spread < CHANNEL_SPREAD + CHANNEL_NOISE / dark.brightness)
-    smooth = _steepness(frame) < CONTACT_SMOOTH / scale
     edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
     present = np.flatnonzero(np.bincount(labels.reshape(-1)))
@@ -196,35 +192,51 @@ def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, r
             # Feet of one object stand at different heights of the picture.
             feet = Region(x, y + height // 2, width, height - height // 2)
             body = pieces[feet.slices] == piece
-            box = Region(feet.x + part.x, feet.y + part.y, feet.width, feet.height).slices
-            above = _height_above_ground(labels, box)
-            foot = body & unlit[box] & (above <= rise * height)
-            flat = _wide(foot & smooth[box], CONTACT_WIDTH * height)
+            box = Region(feet.x + part.x, feet.y + part.y, feet.width, feet.height)
+            above = _height_above_ground(labels, box.x, box.y, box.width, box.height)
+            foot = body & _unlit(dark, box) & (above <= rise * height)
+            if not foot.any():
+                continue
+            flat = _wide(foot & (_steepness(frame, box) < CONTACT_SMOOTH / scale), CONTACT_WIDTH * height)
             _, strips = cv2.connectedComponents(flat.view(np.uint8))
             resting = np.unique(strips[flat & (above <= CONTACT_GAP_PX * scale)])
             core = np.isin(strips, resting[resting > 0])
             strip = cv2.dilate(core.view(np.uint8), disc).astype(bool) & foot
-            found[box] |= _and_under(strip, body)
+            found[box.slices] |= _and_under(strip, body)
     return found
 
 
-def _steepness(frame: Array) -> Array:
-    """Mean gradient over 5×5 px, grey levels/px."""
-    gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY).astype(np.float32)
+def _unlit(dark: Darkening, box: Region) -> Array:
+    """Where a box is much darker than the ground, and alike in all channels."""
+    tolerance = CHANNEL_SPREAD + CHANNEL_NOISE / dark.brightness[box.slices]
+    return np.asarray((dark.mean[box.slices] < CONTACT_DARK) & (dark.spread[box.slices] < tolerance))
+
+
+def _steepness(frame: Array, box: Region) -> Array:
+    """Mean gradient over 5×5 px in a box, grey levels/px."""
+    around = _grown(box, 3, frame.shape)
+    gray = cv2.cvtColor(frame[around.slices], cv2.COLOR_BGR2GRAY).astype(np.float32)
     slopes = (cv2.Sobel(gray, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
-    return np.asarray(cv2.blur(np.hypot(*slopes), (5, 5)))
+    return np.asarray(cv2.blur(np.hypot(*slopes), (5, 5))[slices_in(box, around)])
 
 
-def _height_above_ground(labels: Array, box: tuple[slice, slice]) -> Array:
+def _grown(box: Region, reach: int, shape: tuple[int, ...]) -> Region:
+    """The box and what a filter of this reach needs around it."""
+    grown = Region(box.x - reach, box.y - reach, box.width + 2 * reach, box.height + 2 * reach)
+    return common(grown, Region(0, 0, shape[1], shape[0]))
+
+
+@njit(cache=True)
+def _height_above_ground(labels: Array, left: int, top: int, width: int, height: int) -> Array:
     """How many px down to the first that is no object's, (h, w) int32; over H if the frame ends first."""
-    rows, columns = box
-    occupied = labels[rows, columns] > BACKGROUND
-    above = np.zeros(occupied.shape, np.int32)
-    under = labels[rows.stop, columns] > BACKGROUND if rows.stop < len(labels) else np.True_
-    run = np.where(under, len(labels), 0)
-    for row in range(len(occupied) - 1, -1, -1):
-        run = np.where(occupied[row], run + 1, 0)
-        above[row] = run
+    above = np.empty((height, width), np.int32)
+    bottom = top + height
+    for x in range(width):
+        ends = bottom == len(labels) or labels[bottom, left + x] > BACKGROUND
+        run = len(labels) if ends else 0
+        for y in range(height - 1, -1, -1):
+            run = run + 1 if labels[top + y, left + x] > BACKGROUND else 0
+            above[y, x] = run
     return above
 
 
