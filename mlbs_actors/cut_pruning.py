@@ -184,19 +184,6 @@ def movable(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array, Ar
 
 
 @njit(cache=True)
-def _best_and_margin(costs: Array, open_weight: np.int64) -> tuple[int, np.int64]:
-    """First label of least cost, and by how much it beats the others beyond ``open_weight``."""
-    best, least, second = 0, np.int64(costs[0]), np.int64(2**29)  # beyond every gap: there may be no other
-    for label in range(1, costs.size):
-        cost = np.int64(costs[label])
-        if cost < least:
-            best, least, second = label, cost, least
-        elif cost < second:
-            second = cost
-    return best, second - least - open_weight
-
-
-@njit(cache=True)
 def _neighbour(y: int, x: int, k: int) -> tuple[int, int, int, int, int]:
     """Row and column of a neighbour, and where the weight to it is found: row, column and direction."""
     v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
@@ -209,10 +196,19 @@ def _neighbour(y: int, x: int, k: int) -> tuple[int, int, int, int, int]:
 def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Array, Array, Array]:
     """Labels, certain labels, undecided pixels, and their unary (K, n) with decided neighbours folded in."""
     label_count, height, width = unary.shape
-    best = np.empty((height, width), np.int32)
-    margin = np.empty((height, width), np.int32)
+    best = np.zeros((height, width), np.int32)
+    least = unary[0].copy()
+    second = np.full((height, width), 2**29, np.int32)  # beyond every cost: there may be no other label
+    for label in range(1, label_count):
+        for y in range(height):
+            for x in range(width):
+                cost = unary[label, y, x]
+                if cost < least[y, x]:
+                    best[y, x], least[y, x], second[y, x] = label, cost, least[y, x]
+                elif cost < second[y, x]:
+                    second[y, x] = cost
+    # What the neighbours that are not decided could pay; the margin is gap − open weight.
     open_weight = np.zeros((height, width), np.int32)
-    evidence = np.zeros(label_count, np.int64)
     for y in range(height):
         for x in range(width):
             for k in range(4):
@@ -220,11 +216,10 @@ def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Ar
                 if w > 0:
                     open_weight[y, x] += w
                     open_weight[y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]] += w
+    evidence = np.zeros(label_count, np.int64)
     for y in range(height):
         for x in range(width):
-            best[y, x], margin[y, x] = _best_and_margin(unary[:, y, x], open_weight[y, x])
-            if margin[y, x] > 0:
-                evidence[best[y, x]] += margin[y, x]
+            evidence[best[y, x]] += max(second[y, x] - least[y, x] - open_weight[y, x], 0)
 
     labels = np.full((height, width), UNDECIDED, np.intp)
     folded = unary.copy()
@@ -238,7 +233,8 @@ def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Ar
         head = tail = 0
         for y in range(height):
             for x in range(width):
-                if labels[y, x] == UNDECIDED and margin[y, x] > 0 and certain[best[y, x]]:
+                margin = second[y, x] - least[y, x] - open_weight[y, x]
+                if labels[y, x] == UNDECIDED and margin > 0 and certain[best[y, x]]:
                     labels[y, x] = best[y, x]
                     queue[tail] = y * width + x
                     tail += 1
@@ -253,17 +249,22 @@ def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Ar
                 w = weights[row, column, direction]
                 if w == 0:
                     continue
-                if margin[v, u] > 0:
-                    evidence[best[v, u]] -= margin[v, u]
+                evidence[best[v, u]] -= max(second[v, u] - least[v, u] - open_weight[v, u], 0)
                 folded[label, v, u] -= w
                 open_weight[v, u] -= w
-                best[v, u], margin[v, u] = _best_and_margin(folded[:, v, u], open_weight[v, u])
-                if margin[v, u] > 0:
-                    evidence[best[v, u]] += margin[v, u]
-                    if certain[best[v, u]]:
-                        labels[v, u] = best[v, u]
-                        queue[tail] = v * width + u
-                        tail += 1
+                cost = folded[label, v, u]
+                if label == best[v, u]:
+                    least[v, u] = cost
+                elif cost < least[v, u]:
+                    best[v, u], least[v, u], second[v, u] = label, cost, least[v, u]
+                elif cost < second[v, u]:
+                    second[v, u] = cost
+                margin = second[v, u] - least[v, u] - open_weight[v, u]
+                evidence[best[v, u]] += max(margin, 0)
+                if margin > 0 and certain[best[v, u]]:
+                    labels[v, u] = best[v, u]
+                    queue[tail] = v * width + u
+                    tail += 1
 
     pixels = np.flatnonzero(labels == UNDECIDED)
     rest = np.empty((label_count, pixels.size), np.int32)

@@ -284,49 +284,48 @@ def _expansion(
     """
     if nodes.size == 0:
         return nodes, 0
-    surplus, residual, unmoved = _move_graph(rest.unary, rest.neighbour, rest.weight, labels, alpha, nodes)
+    surplus, neighbour, residual, unmoved = _move_graph(
+        rest.unary, rest.neighbour, rest.weight, labels, alpha, nodes
+    )
     paid = np.flatnonzero(~kept & (np.bincount(labels[nodes], minlength=kept.size) > 0))
     if paid.size:
-        flow, moved = _cut_with_label_costs(rest, surplus, residual, labels, nodes, paid)
+        members = [np.flatnonzero(labels[nodes] == label) for label in paid]
+        groups = [
+            (own, rest.row[nodes[own]], int(rest.label_costs[k]))
+            for own, k in zip(members, paid, strict=True)
+        ]
+        flow, moved = _cut_with_label_costs(surplus, neighbour, residual, groups)
     else:
-        flow, moved = min_cut(surplus, rest.neighbour, residual)
+        flow, moved = min_cut(surplus, neighbour, residual)
     change = int(flow - unmoved) - int(rest.label_costs[paid].sum())
     if not rest.used(labels)[alpha]:
         change += int(rest.label_costs[alpha])
-    return np.flatnonzero(moved), change
+    return nodes[moved], change
 
 
 def _cut_with_label_costs(
-    rest: UndecidedEnergy, surplus: Array, residual: Array, labels: Array, nodes: Array, paid: Array
+    surplus: Array, neighbour: Array, residual: Array, groups: Sequence[tuple[Array, Array, int]]
 ) -> tuple[np.int64, Array]:
-    """The minimum cut where each label of ``paid`` is charged unless all its pixels are on the sink's side.
+    """The minimum cut where each group of nodes is charged for unless all of it is on the sink's side.
 
-    Its edges: member → row node → hub → sink.
+    A group's nodes, their image rows and its cost are given. Its edges: member → row node → hub → sink.
     """
-    graph = maxflow.GraphInt(nodes.size, 4 * nodes.size)
-    ids = graph.add_grid_nodes((nodes.size,))
-    terminal = surplus[nodes].astype(np.int64)
+    graph = maxflow.GraphInt(surplus.size, 4 * surplus.size)
+    ids = graph.add_grid_nodes(surplus.shape)
+    terminal = surplus.astype(np.int64)
     graph.add_grid_tedges(ids, np.maximum(terminal, 0), np.maximum(-terminal, 0))
-    local = np.full(labels.size, -1)
-    local[nodes] = np.arange(nodes.size)
     for k in range(4):
-        heads = rest.neighbour[nodes, k]
-        inside = (heads >= 0) & (local[heads] >= 0)
-        tails, heads = nodes[inside], heads[inside]
-        graph.add_edges(local[tails], local[heads], residual[tails, k], residual[heads, k + 4])
-    for label in paid:
-        members = np.flatnonzero(labels[nodes] == label)
-        cost = int(rest.label_costs[label])
-        distinct, of_member = np.unique(rest.row[nodes[members]], return_inverse=True)
-        row_nodes = graph.add_grid_nodes((distinct.size,))
+        tails = np.flatnonzero(neighbour[:, k] >= 0)
+        heads = neighbour[tails, k]
+        graph.add_edges(tails, heads, residual[tails, k], residual[heads, k + 4])
+    for members, rows, cost in groups:
+        distinct, of_member = np.unique(rows, return_inverse=True)
+        row_nodes = graph.add_grid_nodes(distinct.shape)
         hub = graph.add_nodes(1)
         for tails, heads in ((members, row_nodes[of_member]), (row_nodes, np.repeat(hub, distinct.size))):
             graph.add_edges(tails, heads, np.full(tails.size, cost), np.zeros(tails.size, np.int64))
         graph.add_tedge(int(hub[0]), 0, cost)
-    flow = np.int64(graph.maxflow())
-    moved = np.zeros(labels.size, bool)
-    moved[nodes] = graph.get_grid_segments(ids)
-    return flow, moved
+    return np.int64(graph.maxflow()), graph.get_grid_segments(ids)
 
 
 @njit(cache=True)
@@ -402,19 +401,22 @@ def _worth_expanding(
 @njit(cache=True)
 def _move_graph(
     unary: Array, neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array
-) -> tuple[Array, Array, np.int64]:
-    """What moving costs over staying (n,), the edges' capacities (n, 8), and the cost if nothing moves.
+) -> tuple[Array, Array, Array, np.int64]:
+    """What moving costs over staying (m,), neighbours among the m nodes and capacities to them (m, 8), and
+    the cost if nothing moves.
 
     That cost leaves out the least of both choices at each pixel, which no cut can change. A pair costs w
     unless both ends move or, if they have the same label, both stay. With the same label it is a plain edge;
     with two labels it is w for p staying, and w for q staying while p moves, a directed edge.
     """
-    is_node = np.zeros(labels.size, np.bool_)
-    is_node[nodes] = True
-    surplus = np.zeros(labels.size, np.int32)
-    capacity = np.zeros((labels.size, 8), np.int32)
+    local = np.full(labels.size, -1, np.int32)
+    for i in range(nodes.size):
+        local[nodes[i]] = i
+    surplus = np.empty(nodes.size, np.int32)
+    near, capacity = np.full((nodes.size, 8), -1, np.int32), np.zeros((nodes.size, 8), np.int32)
     unmoved = np.int64(0)
-    for p in nodes:
+    for i in range(nodes.size):
+        p = nodes[i]
         stay, move = unary[labels[p], p], unary[alpha, p]
         for k in range(8):
             q = neighbour[p, k]
@@ -422,15 +424,15 @@ def _move_graph(
                 continue
             w = weight[p, k]
             same = labels[q] == labels[p]
-            if is_node[q]:
-                if k < 4:
-                    capacity[p, k] = w if same else 0
-                    stay += 0 if same else w
-                else:
-                    capacity[p, k] = w
-            else:
+            near[i, k] = local[q]
+            if local[q] < 0:
                 stay += 0 if same else w
                 move += w if labels[q] != alpha else 0
-        surplus[p] = move - stay
+            elif k < 4:
+                capacity[i, k] = w if same else 0
+                stay += 0 if same else w
+            else:
+                capacity[i, k] = w
+        surplus[i] = move - stay
         unmoved += max(stay - move, 0)
-    return surplus, capacity, unmoved
+    return surplus, near, capacity, unmoved
