@@ -16,6 +16,8 @@ Differs from the paper:
 * Costs are integers, in units of ``COST_QUANTUM`` = 1/1024 nat: no tolerance anywhere.
 * Pixels whose label is the same in every optimum are decided first (``cut_pruning``), only the rest is cut.
 * Beside expansions (one label takes pixels), *removals* are tried: a label's pixels are shared out to others.
+* The start is label 0 everywhere, so that with two labels the first expansion ends in a global optimum. An
+  expansion is tried again only where something has changed: the last one was the best there.
 * Cuts of pixels alone are those of ``min_cut``; a label that could be got rid of needs a general graph.
   There the usual star of one node a label cost with thousands of edges makes the Boykov–Kolmogorov algorithm
   crawl. Here the pixels of one image row meet in a row node first; the minimum is the same.
@@ -120,11 +122,12 @@ def contrast_weights(image: Array, strength: float = 0.8, scale: float = 200.0) 
     return _contrast(np.ascontiguousarray(image), np.rint(table / COST_QUANTUM).astype(np.int32))
 
 
-def minimise(whole: LabelCostEnergy, max_sweeps: int = 10) -> CutResult:
+def minimise(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> CutResult:
     """Find a labelling that no α-expansion and no removal of a label improves.
 
     With two labels it is a global optimum. Else no expansion of the whole image lowers it, although only
-    undecided pixels are cut (``cut_pruning`` says why).
+    undecided pixels are cut (``cut_pruning`` says why), and of those only the parts around which something
+    has changed.
 
     Parameters
     ----------
@@ -168,6 +171,9 @@ def _check(whole: LabelCostEnergy) -> None:
     shape = (*unary.shape[1:], 4)
     if weights.shape != shape or not (weights.min() >= 0 and weights.max() <= MAX_COST):
         raise ConfigError(f"Give pair weights of shape {shape}, each from 0 to {MAX_COST}.")
+    outward = (weights[:, -1, 0], weights[-1, :, 1:], weights[:, -1, 2], weights[:, 0, 3])
+    if any(part.any() for part in outward):
+        raise ConfigError("Give pair weights of 0 where a neighbour would be outside the image.")
     if label_costs.shape != (len(unary),) or not (
         label_costs.min() >= 0 and label_costs.max() <= _MAX_LABEL_COST
     ):

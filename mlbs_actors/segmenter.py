@@ -6,6 +6,8 @@ Differs from the paper: the trajectories' own data cost (there for new layers) i
 where samples are missing: trajectory labels decide, contrast draws the outline, appearance repairs. Cast
 shadows, which move with an object, are told from it (:mod:`mlbs_actors.shadows`). The published map is
 the cleaned one (specks, pinholes and contact shadows removed), and it is the one the layers learn from.
+A layer other than the background can own nothing outside its region, so each group of regions near each
+other is labelled by itself (:mod:`mlbs_actors.regions`).
 """
 
 from __future__ import annotations

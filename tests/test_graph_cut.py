@@ -228,6 +228,16 @@ def test_no_expansion_on_the_full_graph_lowers_the_pruned_result(label_cost: flo
     assert cut > 0.1
 
 
+@pytest.mark.parametrize("label_cost", [0.0, 6.0])
+def test_no_expansion_lowers_the_result_where_every_label_meets_every_other(label_cost: float) -> None:
+    for seed in range(15, 30):
+        problem = random_problem(seed, (4, 7, 8), label_cost)
+        result = minimise(problem)
+        for alpha in range(4):
+            expanded = textbook_expansion(result.labels, alpha, problem)
+            assert slow_energy(expanded, problem) >= result.energy
+
+
 def test_no_expansion_lowers_the_result_although_few_are_tried_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -346,6 +356,11 @@ def test_costs_that_cannot_be_cut_are_refused(bad: int) -> None:
         minimise(replace(problem, unary=problem.unary.astype(np.float32)))
     with pytest.raises(ConfigError, match="pair weights"):
         minimise(replace(problem, weights=weights))
+    for place in ((1, 3, 0), (3, 1, 1), (3, 1, 2), (1, 3, 2), (3, 1, 3), (1, 0, 3)):
+        outward = problem.weights.copy()
+        outward[place] = 1
+        with pytest.raises(ConfigError, match="outside the image"):
+            minimise(replace(problem, weights=outward))
     with pytest.raises(ConfigError, match="label costs"):
         minimise(replace(problem, label_costs=np.array([0, -1 if bad < 0 else 2**51])))
 
