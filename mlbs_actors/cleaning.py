@@ -10,18 +10,21 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mlbs_actors.messages import Array
+from mlbs_actors.messages import BACKGROUND, Array, Region
+from mlbs_actors.region_groups import common
 
 __all__ = ["clean_labels"]
 
 
-def clean_labels(labels: Array, speck_px: float, hole_px: float) -> Array:
-    """Remove small components of every label.
+def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) -> Array:
+    """Remove small components of every label in a box.
 
     Parameters
     ----------
-    labels : (H, W) int
-        Label positions, 0 = background.
+    labels : (H, W) unsigned integer
+        Label map, 0 = background.
+    box : Region
+        Around objects; along its sides there is only background, except on the border of the frame.
     speck_px : float
         Components of a label > 0 below this area are removed, except each label's largest, px².
     hole_px : float
@@ -29,26 +32,44 @@ def clean_labels(labels: Array, speck_px: float, hole_px: float) -> Array:
 
     Returns
     -------
-    (H, W) int
+    (box.height, box.width) unsigned integer
         A new array.
     """
-    cleaned = labels.copy()
-    for label in np.unique(labels)[::-1]:  # specks first: they must not become holes of what is filled
-        limit = hole_px if label == 0 else speck_px
-        _count, component, stats, _ = cv2.connectedComponentsWithStats(
-            (labels == label).astype(np.uint8), connectivity=4
-        )
+    before = labels[box.slices]
+    cleaned = before.copy()
+    whole = Region(0, 0, box.width, box.height)
+    # Specks first: they must not become holes of what is filled.
+    for label in np.flatnonzero(np.bincount(before.reshape(-1)))[::-1]:
+        own = (before == label).view(np.uint8)
+        x, y, width, height = cv2.boundingRect(own)
+        part = common(Region(x - 1, y - 1, width + 2, height + 2), whole)
+        after = cleaned[part.slices]
+        _count, component, stats, _ = cv2.connectedComponentsWithStats(own[part.slices], connectivity=4)
         areas = stats[1:, cv2.CC_STAT_AREA]
-        if len(areas) == 0:
-            continue
-        small = areas < limit
+        if label == BACKGROUND:  # it goes on outside
+            areas[_open_components(component, box, labels.shape) - 1] += labels.size - box.area
+        small = areas < (hole_px if label == BACKGROUND else speck_px)
         small[int(np.argmax(areas))] = False
         for index in np.flatnonzero(small) + 1:
             x, y, width, height = stats[index, :4]
-            box = np.s_[max(y - 1, 0) : y + height + 1, max(x - 1, 0) : x + width + 1]
-            inside = component[box] == index
-            ring = cv2.dilate(inside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & ~inside
-            neighbours = cleaned[box][ring]
+            place = np.s_[max(y - 1, 0) : y + height + 1, max(x - 1, 0) : x + width + 1]
+            inside = component[place] == index
+            ring = cv2.dilate(inside.view(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & ~inside
+            neighbours = after[place][ring]
             if len(neighbours):
-                cleaned[box][inside] = np.bincount(neighbours).argmax()
+                after[place][inside] = np.bincount(neighbours).argmax()
     return cleaned
+
+
+def _open_components(component: Array, box: Region, shape: tuple[int, ...]) -> Array:
+    """Components on those sides of the box that are not the frame's border."""
+    sides = []
+    if box.y > 0:
+        sides.append(component[0])
+    if box.x > 0:
+        sides.append(component[:, 0])
+    if box.y + box.height < shape[0]:
+        sides.append(component[-1])
+    if box.x + box.width < shape[1]:
+        sides.append(component[:, -1])
+    return np.unique(np.concatenate(sides)) if sides else np.zeros(0, np.intp)

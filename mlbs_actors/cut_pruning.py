@@ -39,7 +39,6 @@ __all__ = [
     "Pruning",
     "UndecidedEnergy",
     "movable",
-    "neighbour_weights",
     "prune",
 ]
 
@@ -58,20 +57,21 @@ class LabelCostEnergy:
     ----------
     unary : (K, H, W) int32
         Cost of each label at each pixel, at most 2²⁴ in size.
-    neighbour_weights : (H, W, 8) int32
-        Potts weights as `neighbour_weights` lays them out, in 0 … 2²⁴.
+    weights : (H, W, 4) int32
+        Potts weight to the neighbour at ``NEIGHBOUR_OFFSETS[k]``, k < 4, in 0 … 2²⁴; 0 where it would be
+        outside the image.
     label_costs : (K,) int64
         Cost of using a label at all, ≥ 0.
     """
 
     unary: Array
-    neighbour_weights: Array
+    weights: Array
     label_costs: Array
 
     def energy(self, labels: Array) -> int:
         """E(labels) of label positions (H, W) intp."""
         used = np.bincount(labels.reshape(-1), minlength=self.label_costs.size) > 0
-        pixel_terms = _image_energy(self.unary, self.neighbour_weights, labels)
+        pixel_terms = _image_energy(self.unary, self.weights, labels)
         return int(pixel_terms) + int(self.label_costs[used].sum())
 
 
@@ -131,33 +131,6 @@ class Pruning:
     rest: UndecidedEnergy
 
 
-def neighbour_weights(right: Array, down: Array, down_right: Array, down_left: Array) -> Array:
-    """Lay the weights of the four pair directions out by pixel.
-
-    Parameters
-    ----------
-    right : (H, W−1) array
-        Between (y, x) and (y, x+1), whole numbers of any dtype, ≥ 0; the others likewise.
-    down : (H−1, W) array
-        Between (y, x) and (y+1, x).
-    down_right : (H−1, W−1) array
-        Between (y, x) and (y+1, x+1).
-    down_left : (H−1, W−1) array
-        Between (y, x+1) and (y+1, x).
-
-    Returns
-    -------
-    (H, W, 8) int32
-        Weight to the neighbour at ``NEIGHBOUR_OFFSETS[k]``, 0 where it would be outside the image.
-    """
-    weights = np.zeros((right.shape[0], down.shape[1], 8), np.int32)
-    weights[:, :-1, 0] = weights[:, 1:, 4] = right
-    weights[:-1, :, 1] = weights[1:, :, 5] = down
-    weights[:-1, :-1, 2] = weights[1:, 1:, 6] = down_right
-    weights[:-1, 1:, 3] = weights[1:, :-1, 7] = down_left
-    return weights
-
-
 def prune(whole: LabelCostEnergy) -> Pruning:
     """Decide the pixels whose label can be proven locally to be the same in all optima.
 
@@ -169,33 +142,19 @@ def prune(whole: LabelCostEnergy) -> Pruning:
     -------
     Pruning
     """
-    label_count, height, width = whole.unary.shape
-    weights = whole.neighbour_weights.reshape(-1, 8)
-    steps = NEIGHBOUR_OFFSETS[:, 0] * width + NEIGHBOUR_OFFSETS[:, 1]
-    folded = np.ascontiguousarray(whole.unary.reshape(label_count, -1).T)
-    if label_count == 1:
-        labels, certain = np.zeros(height * width, np.intp), np.ones(1, np.bool_)
-    else:
-        labels, certain = _decide(folded, weights, steps, whole.label_costs)
-
-    pixels = np.flatnonzero(labels == UNDECIDED)
-    position = np.full(labels.size, -1, np.int32)
-    position[pixels] = np.arange(pixels.size)
-    near = weights[pixels]
-    # A weight of 0 stands for no neighbour; the pixel itself keeps the index inside the image.
-    neighbour = position[pixels[:, None] + np.where(near > 0, steps, 0)]
-    neighbour[near == 0] = -1
-    near[neighbour < 0] = 0
+    width = whole.unary.shape[2]
+    labels, certain, pixels, folded = _decide(whole.unary, whole.weights, whole.label_costs)
+    neighbour, weight = _around(whole.weights, labels, pixels)
     rest = UndecidedEnergy(
         pixels,
         pixels // width,
-        np.ascontiguousarray(folded[pixels].T),
+        folded,
         neighbour,
-        near,
+        weight,
         np.where(certain, 0, whole.label_costs),
         certain,
     )
-    return Pruning(labels.reshape(height, width), rest)
+    return Pruning(labels, rest)
 
 
 def movable(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array, Array]:
@@ -225,69 +184,114 @@ def movable(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array, Ar
 
 
 @njit(cache=True)
-def _best_and_margin(costs: Array, open_weight: int) -> tuple[int, np.int64]:
-    """First label of least cost, and by how much it beats the others beyond ``open_weight``."""
-    best, least, second = 0, np.int64(costs[0]), np.int64(2**62)
-    for label in range(1, costs.size):
-        cost = np.int64(costs[label])
-        if cost < least:
-            best, least, second = label, cost, least
-        elif cost < second:
-            second = cost
-    return best, second - least - open_weight
+def _neighbour(y: int, x: int, k: int) -> tuple[int, int, int, int, int]:
+    """Row and column of a neighbour, and where the weight to it is found: row, column and direction."""
+    v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
+    if k < 4:
+        return v, u, y, x, k
+    return v, u, v, u, k - 4
 
 
 @njit(cache=True)
-def _decide(folded: Array, weights: Array, steps: Array, label_costs: Array) -> tuple[Array, Array]:
-    """Labels and certain labels; folds decided neighbours into ``folded`` (H·W, K) in place."""
-    count, label_count = folded.shape
-    open_weight = np.zeros(count, np.int64)
-    best = np.empty(count, np.intp)
-    margin = np.empty(count, np.int64)
+def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Array, Array, Array]:
+    """Labels, certain labels, undecided pixels, and their unary (K, n) with decided neighbours folded in."""
+    label_count, height, width = unary.shape
+    best = np.zeros((height, width), np.int32)
+    least = unary[0].copy()
+    second = np.full((height, width), 2**29, np.int32)  # beyond every cost: there may be no other label
+    for label in range(1, label_count):
+        for y in range(height):
+            for x in range(width):
+                cost = unary[label, y, x]
+                if cost < least[y, x]:
+                    best[y, x], least[y, x], second[y, x] = label, cost, least[y, x]
+                elif cost < second[y, x]:
+                    second[y, x] = cost
+    # What the neighbours that are not decided could pay; the margin is gap − open weight.
+    open_weight = np.zeros((height, width), np.int32)
+    for y in range(height):
+        for x in range(width):
+            for k in range(4):
+                w = weights[y, x, k]
+                if w > 0:
+                    open_weight[y, x] += w
+                    open_weight[y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]] += w
     evidence = np.zeros(label_count, np.int64)
-    for p in range(count):
-        for k in range(8):
-            open_weight[p] += weights[p, k]
-        best[p], margin[p] = _best_and_margin(folded[p], open_weight[p])
-        if margin[p] > 0:
-            evidence[best[p]] += margin[p]
+    for y in range(height):
+        for x in range(width):
+            evidence[best[y, x]] += max(second[y, x] - least[y, x] - open_weight[y, x], 0)
 
-    labels = np.full(count, UNDECIDED, np.intp)
+    labels = np.full((height, width), UNDECIDED, np.intp)
+    folded = unary.copy()
     certain = np.zeros(label_count, np.bool_)
-    queue = np.empty(count, np.intp)
+    queue = np.empty(height * width, np.int32)
     while True:
         newly_certain = ~certain & (evidence > label_costs)
         if not newly_certain.any():
-            return labels, certain
+            break
         certain |= newly_certain
         head = tail = 0
-        for p in range(count):
-            if newly_certain[best[p]] and margin[p] > 0 and labels[p] == UNDECIDED:
-                labels[p] = best[p]
-                queue[tail] = p
-                tail += 1
+        for y in range(height):
+            for x in range(width):
+                margin = second[y, x] - least[y, x] - open_weight[y, x]
+                if labels[y, x] == UNDECIDED and margin > 0 and certain[best[y, x]]:
+                    labels[y, x] = best[y, x]
+                    queue[tail] = y * width + x
+                    tail += 1
         while head < tail:
-            q = queue[head]
+            y, x = queue[head] // width, queue[head] % width
             head += 1
-            label = labels[q]
+            label = labels[y, x]
             for k in range(8):
-                w = weights[q, k]
+                v, u, row, column, direction = _neighbour(y, x, k)
+                if not (0 <= v < height and 0 <= u < width) or labels[v, u] != UNDECIDED:
+                    continue
+                w = weights[row, column, direction]
                 if w == 0:
                     continue
-                p = q + steps[k]
-                if labels[p] != UNDECIDED:
-                    continue
-                if margin[p] > 0:
-                    evidence[best[p]] -= margin[p]
-                folded[p, label] -= w
-                open_weight[p] -= w
-                best[p], margin[p] = _best_and_margin(folded[p], open_weight[p])
-                if margin[p] > 0:
-                    evidence[best[p]] += margin[p]
-                    if certain[best[p]]:
-                        labels[p] = best[p]
-                        queue[tail] = p
-                        tail += 1
+                evidence[best[v, u]] -= max(second[v, u] - least[v, u] - open_weight[v, u], 0)
+                folded[label, v, u] -= w
+                open_weight[v, u] -= w
+                cost = folded[label, v, u]
+                if label == best[v, u]:
+                    least[v, u] = cost
+                elif cost < least[v, u]:
+                    best[v, u], least[v, u], second[v, u] = label, cost, least[v, u]
+                elif cost < second[v, u]:
+                    second[v, u] = cost
+                margin = second[v, u] - least[v, u] - open_weight[v, u]
+                evidence[best[v, u]] += max(margin, 0)
+                if margin > 0 and certain[best[v, u]]:
+                    labels[v, u] = best[v, u]
+                    queue[tail] = v * width + u
+                    tail += 1
+
+    pixels = np.flatnonzero(labels == UNDECIDED)
+    rest = np.empty((label_count, pixels.size), np.int32)
+    for label in range(label_count):
+        for i in range(pixels.size):
+            rest[label, i] = folded[label, pixels[i] // width, pixels[i] % width]
+    return labels, certain, pixels, rest
+
+
+@njit(cache=True)
+def _around(weights: Array, labels: Array, pixels: Array) -> tuple[Array, Array]:
+    """Neighbours (n, 8) of the undecided pixels among themselves, and the weights to them."""
+    height, width = labels.shape
+    position = np.full((height, width), -1, np.int32)
+    for i in range(pixels.size):
+        position[pixels[i] // width, pixels[i] % width] = i
+    neighbour, weight = np.full((pixels.size, 8), -1, np.int32), np.zeros((pixels.size, 8), np.int32)
+    for i in range(pixels.size):
+        y, x = pixels[i] // width, pixels[i] % width
+        for k in range(4):
+            w = weights[y, x, k]
+            if w > 0:
+                j = position[y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]]
+                if j >= 0:
+                    neighbour[i, k], weight[i, k] = j, w
+                    neighbour[j, k + 4], weight[j, k + 4] = i, w
+    return neighbour, weight
 
 
 @njit(cache=True)

@@ -16,13 +16,16 @@ layers become uniform where one has few samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from mlbs_actors.kde import AppearanceParameters, confidence
-from mlbs_actors.messages import COST_STEP, Array, LayerPosterior
+from mlbs_actors.messages import COST_STEP, Array, LayerPosterior, Region
+from mlbs_actors.region_groups import common, slices_in
 
-__all__ = ["RATIO_STEP", "fused_costs", "quantised_ratio", "with_appearance"]
+__all__ = ["RATIO_STEP", "FusedCosts", "fused_costs", "quantised_ratio", "with_appearance"]
 
 #: Quantum of log r, nats.
 RATIO_STEP = 1.0 / 16.0
@@ -64,49 +67,153 @@ def with_appearance(
     -------
     (h, w) uint8
     """
-    trust = confidence(samples, AppearanceParameters(half_confidence_samples=half_confidence))
-    ratio = trust * _EXP[log_ratio.view(np.uint8)] + (1.0 - trust) * _EXP[fallback.view(np.uint8)]
-    return np.asarray(
-        np.clip(np.rint(cost - np.float32(weight / COST_STEP) * np.log(ratio)), 0, 255), np.uint8
+    fused = np.empty(cost.shape, np.uint8)
+    _add_appearance(
+        cost,
+        log_ratio.view(np.uint8),
+        samples,
+        fallback.view(np.uint8),
+        _trust(half_confidence),
+        _EXP,
+        float(weight / COST_STEP),
+        fused,
     )
+    return fused
+
+
+@dataclass(frozen=True, slots=True)
+class FusedCosts:
+    """What the layers say together in one box of the frame.
+
+    Attributes
+    ----------
+    cost : (K, h, w) uint8
+        Every layer's whole cost, units of ``COST_STEP``; the layer's ``outside_cost`` outside its region.
+    normaliser : (h, w) uint8
+        −log Σ_k exp(−cost_k) over the layers that have a say there, units of ``COST_STEP``.
+    fallback : (h, w) int8
+        log f, units of ``RATIO_STEP``.
+    """
+
+    cost: Array
+    normaliser: Array
+    fallback: Array
 
 
 def fused_costs(
-    posteriors: Sequence[LayerPosterior], shape: tuple[int, int], weight: float, half_confidence: float
-) -> tuple[Array, Array]:
-    """Every layer's whole cost on the whole frame.
+    posteriors: Sequence[LayerPosterior], box: Region, weight: float, half_confidence: float
+) -> FusedCosts:
+    """Compare the layers in one box; a layer has no say outside its region.
 
     Parameters
     ----------
     posteriors : sequence of LayerPosterior
-        In ascending layer id.
-    shape : (H, W)
+        In ascending layer id; the background's region holds the box.
+    box : Region
+        Where they are compared.
     weight, half_confidence : float
         As for :func:`with_appearance`.
 
     Returns
     -------
-    cost : (K, H, W) uint8
-        Units of ``COST_STEP``.
-    fallback : (H, W) int8
-        log f, units of ``RATIO_STEP``.
+    FusedCosts
     """
-    appearance = AppearanceParameters(half_confidence_samples=half_confidence)
+    shape = (box.height, box.width)
+    trust = _trust(half_confidence)
+    parts = [_Part.of(one, box) for one in posteriors]
     known, matched = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    for one in posteriors:
-        trust = confidence(one.samples, appearance)
-        known[one.region.slices] += trust
-        matched[one.region.slices] += trust * _EXP[one.log_ratio.view(np.uint8)]
-    mean = np.divide(matched, known, out=np.ones(shape, np.float32), where=known > 0)
-    fallback = quantised_ratio(np.log(np.maximum(mean, 1.0)), np.inf)
-    cost = np.empty((len(posteriors), *shape), np.uint8)
-    for position, one in enumerate(posteriors):
-        cost[position] = one.outside_cost
-        cost[position][one.region.slices] = with_appearance(
-            one.cost, one.log_ratio, one.samples, fallback[one.region.slices], weight, half_confidence
+    for part in parts:
+        _add_known(known[part.place], matched[part.place], part.log_ratio, part.samples, trust, _EXP)
+    fallback = _fallback(known, matched)
+    cost = np.empty((len(parts), *shape), np.uint8)
+    total = np.zeros(shape, np.float32)
+    for part, own, one in zip(parts, cost, posteriors, strict=True):
+        own[...] = one.outside_cost
+        fused = np.empty(part.cost.shape, np.uint8)
+        others = np.ascontiguousarray(fallback[part.place]).view(np.uint8)
+        strength = weight / COST_STEP
+        _add_appearance(part.cost, part.log_ratio, part.samples, others, trust, _EXP, strength, fused)
+        own[part.place] = fused
+        total[part.place] += _LIKELIHOOD[fused]
+    normaliser = np.clip(np.rint(-np.log(total) / np.float32(COST_STEP)), 0, 255).astype(np.uint8)
+    return FusedCosts(cost, normaliser, fallback)
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A layer's posterior as far as it lies in a box; the arrays are contiguous copies."""
+
+    place: tuple[slice, slice]
+    cost: Array
+    log_ratio: Array
+    samples: Array
+
+    @classmethod
+    def of(cls, one: LayerPosterior, box: Region) -> _Part:
+        both = common(one.region, box)
+        own = slices_in(both, one.region)
+        return cls(
+            slices_in(both, box),
+            one.cost[own].copy(),
+            one.log_ratio[own].copy().view(np.uint8),
+            one.samples[own].copy(),
         )
-    return cost, fallback
+
+
+def _trust(half_confidence: float) -> Array:
+    """κ for 0 … 255 samples."""
+    return confidence(
+        np.arange(256, dtype=np.uint8), AppearanceParameters(half_confidence_samples=half_confidence)
+    )
+
+
+@njit(cache=True)
+def _add_known(
+    known: Array, matched: Array, log_ratio: Array, samples: Array, trust: Array, ratio_of: Array
+) -> None:
+    """Add κ and κ r of one layer; log r comes by its bits as an unsigned byte."""
+    height, width = samples.shape
+    for y in range(height):
+        for x in range(width):
+            own = trust[samples[y, x]]
+            known[y, x] += own
+            matched[y, x] += own * ratio_of[log_ratio[y, x]]
+
+
+@njit(cache=True)
+def _fallback(known: Array, matched: Array) -> Array:
+    height, width = known.shape
+    fallback = np.zeros((height, width), np.int8)
+    for y in range(height):
+        for x in range(width):
+            if matched[y, x] > known[y, x]:
+                log_mean = np.log(matched[y, x] / known[y, x])
+                fallback[y, x] = min(np.rint(log_mean / np.float32(RATIO_STEP)), np.float32(127.0))
+    return fallback
+
+
+@njit(cache=True)
+def _add_appearance(
+    cost: Array,
+    log_ratio: Array,
+    samples: Array,
+    fallback: Array,
+    trust: Array,
+    ratio_of: Array,
+    strength: float,
+    fused: Array,
+) -> None:
+    """Cost − strength · log r'; log r and log f come by their bits as unsigned bytes."""
+    height, width = cost.shape
+    for y in range(height):
+        for x in range(width):
+            own = trust[samples[y, x]]
+            ratio = own * ratio_of[log_ratio[y, x]] + (np.float32(1.0) - own) * ratio_of[fallback[y, x]]
+            value = np.rint(np.float32(cost[y, x]) - np.float32(strength) * np.log(ratio))
+            fused[y, x] = np.uint8(min(max(value, np.float32(0.0)), np.float32(255.0)))
 
 
 #: exp of all 256 values of log r, by their bits as an unsigned byte.
 _EXP = np.exp(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32) * np.float32(RATIO_STEP))
+#: exp(−cost) of all 256 costs.
+_LIKELIHOOD = np.exp(np.arange(256, dtype=np.float32) * np.float32(-COST_STEP))

@@ -1,7 +1,7 @@
 """One layer: motion field, prediction, likelihood, posterior, update — the "processing block" (§5, §6).
 
 :meth:`Layer.step` is called once a frame: it finishes frame t−1 with the published labels, then predicts and
-evaluates frame t. The layer works on the region of its object (:mod:`mlbs_actors.regions`). The background's
+evaluates frame t. The layer works on the region of its object (:mod:`mlbs_actors.object_regions`). The background's
 is the frame: it moves and learns all of it, but is evaluated only where an object can be. Elsewhere its cost
 is the offset of all costs, its colours say nothing and have no samples.
 
@@ -55,7 +55,7 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 from mlbs_actors.photometric import FramePart, photometric_advantage
-from mlbs_actors.regions import contested, object_region
+from mlbs_actors.object_regions import contested, object_region
 from mlbs_actors.trajectory_distance import closed_distance, trajectory_distance
 from mlbs_actors.warp import warp_map
 

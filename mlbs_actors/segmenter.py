@@ -6,6 +6,8 @@ Differs from the paper: the trajectories' own data cost (there for new layers) i
 where samples are missing: trajectory labels decide, contrast draws the outline, appearance repairs. Cast
 shadows, which move with an object, are told from it (:mod:`mlbs_actors.shadows`). The published map is
 the cleaned one (specks, pinholes and contact shadows removed), and it is the one the layers learn from.
+A layer other than the background can own nothing outside its region, so each group of regions near each
+other is labelled by itself (:mod:`mlbs_actors.region_groups`).
 """
 
 from __future__ import annotations
@@ -17,20 +19,23 @@ import numpy as np
 
 from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.config import Config, length_scale
+from mlbs_actors.cut_pruning import LabelCostEnergy
 from mlbs_actors.errors import FrameError
-from mlbs_actors.fusion import fused_costs
-from mlbs_actors.graph_cut import contrast_weights, minimise
+from mlbs_actors.fusion import FusedCosts, fused_costs
+from mlbs_actors.graph_cut import COST_QUANTUM, MAX_COST, contrast_weights, minimise
 from mlbs_actors.messages import (
     BACKGROUND,
     COST_STEP,
     Array,
     FrameEvidence,
+    LayerEvidence,
     LayerPosterior,
     LayerSummary,
     Region,
     Segmentation,
 )
-from mlbs_actors.shadows import contact_shadow, darkening, shadow_likelihood
+from mlbs_actors.region_groups import common, group_regions, slices_in
+from mlbs_actors.shadows import contact_shadow, darkening, ground_colour, shadow_likelihood
 
 __all__ = ["Segmenter", "SegmenterState"]
 
@@ -93,98 +98,141 @@ class Segmenter:
                 f"{evidence.frame_index} with the layers {[one.layer for one in posteriors]} of {ids}; "
                 "restart the stream from its last snapshot."
             )
-        config = self.config.segmentation
         start = perf_counter()
-        cost, fallback = fused_costs(
-            posteriors,
-            evidence.shape,
-            self.config.posterior.appearance,
-            self.config.appearance.half_confidence_samples,
-        )
-        normaliser = _normaliser(cost)
-        unary = cost.astype(np.float32) * np.float32(COST_STEP)
-        _pull_tracks(unary, evidence, config.track_cost)
-        scale = length_scale(*evidence.shape)
-        dark = None
-        if config.shadow > 0 or config.contact_shadow > 0:
-            dark = darkening(frame, evidence, self.state.labels, scale)
-        if dark is not None and config.shadow > 0:
-            _discount_shadows(unary, posteriors, shadow_likelihood(dark), config.shadow)
-        fused = perf_counter()
-        label_costs = np.full(len(ids), config.label_cost * scale**2)
-        label_costs[0] = 0.0  # the background is always there
-        weights = contrast_weights(frame, config.contrast_strength, config.contrast_scale)
-        cut = minimise(unary, weights, label_costs)
-        solved = perf_counter()
-        speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
-        positions = clean_labels(cut.labels, speck_px=speck_px, hole_px=hole_px)
-        if dark is not None and config.contact_shadow > 0:
-            positions[contact_shadow(positions, frame, dark, scale, config.contact_shadow)] = 0
-        labels = np.array(ids, np.uint16)[positions]
-        summaries = _summaries(positions, cost, normaliser, posteriors)
-        done = perf_counter()
-        self.state = SegmenterState(evidence.frame_index + 1, labels)
-        for shared in (labels, normaliser, fallback):  # the layers read them back at the next frame
+        settings = self.config.segmentation
+        ground = None
+        if settings.shadow > 0 or settings.contact_shadow > 0:
+            ground = ground_colour(frame, evidence, self.state.labels, length_scale(*evidence.shape))
+        result = _Maps.of_background(evidence.shape)
+        stage_ms = {"fusion": 1e3 * (perf_counter() - start), "cut": 0.0, "cleaning": 0.0}
+        layers = list(zip(posteriors, evidence.layers, strict=True))
+        summaries: list[LayerSummary] = []
+        for group in group_regions([one.region for one in posteriors[1:]], evidence.shape):
+            members = [layers[0], *(layers[1 + position] for position in group.members)]
+            summaries += self._label(group.box, members, frame, ground, result, stage_ms)
+        self.state = SegmenterState(evidence.frame_index + 1, result.labels)
+        for shared in (result.labels, result.normaliser, result.fallback):  # the layers read them back
             shared.setflags(write=False)
         camera = posteriors[0].velocity
         return Segmentation(
             frame_index=evidence.frame_index,
-            labels=labels,
-            normaliser=normaliser,
-            fallback=fallback,
-            layers=summaries,
+            labels=result.labels,
+            normaliser=result.normaliser,
+            fallback=result.fallback,
+            layers=tuple(sorted(summaries, key=lambda one: one.layer)),
             camera_motion=(float(camera[0]), float(camera[1])),
             latency_frames=evidence.latency_frames,
-            stage_ms={
-                **evidence.stage_ms,
-                **_slowest(posteriors),
-                "fusion": 1e3 * (fused - start),
-                "cut": 1e3 * (solved - fused),
-                "cleaning": 1e3 * (done - solved),
-            },
+            stage_ms={**evidence.stage_ms, **_slowest(posteriors), **stage_ms},
         )
 
+    def _label(
+        self,
+        box: Region,
+        members: list[tuple[LayerPosterior, LayerEvidence]],
+        frame: Array,
+        ground: Array | None,
+        result: _Maps,
+        stage_ms: dict[str, float],
+    ) -> list[LayerSummary]:
+        """Fill in one group's box of the maps, in which only the background and its members live."""
+        config, scale = self.config.segmentation, length_scale(*result.labels.shape)
+        start = perf_counter()
+        posteriors = [posterior for posterior, _ in members]
+        weight, half = self.config.posterior.appearance, self.config.appearance.half_confidence_samples
+        fused = fused_costs(posteriors, box, weight, half)
+        unary = _data_costs(fused.cost, posteriors, box)
+        _pull_tracks(
+            unary, [evidence for _, evidence in members], box, result.labels.shape, config.track_cost
+        )
+        image = np.ascontiguousarray(frame[box.slices])
+        dark = None if ground is None else darkening(frame, ground, box)
+        if dark is not None and config.shadow > 0:
+            _discount_shadows(unary, posteriors, box, shadow_likelihood(dark), config.shadow)
+        ready = perf_counter()
+        label_costs = np.full(len(members), round(config.label_cost * scale**2 / COST_QUANTUM), np.int64)
+        label_costs[0] = 0  # the background is always there
+        weights = contrast_weights(image, config.contrast_strength, config.contrast_scale)
+        cut = minimise(LabelCostEnergy(unary, weights, label_costs))
+        solved = perf_counter()
+        labels = result.labels[box.slices]
+        labels[...] = np.array([one.layer for one in posteriors], np.uint16)[cut.labels]
+        speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
+        labels[...] = clean_labels(result.labels, box, speck_px=speck_px, hole_px=hole_px)
+        if dark is not None and config.contact_shadow > 0:
+            labels[contact_shadow(labels, image, dark, scale, config.contact_shadow)] = BACKGROUND
+        result.normaliser[box.slices], result.fallback[box.slices] = fused.normaliser, fused.fallback
+        summaries = _summaries(labels, fused, posteriors, box)
+        done = perf_counter()
+        for stage, duration in (
+            ("fusion", ready - start),
+            ("cut", solved - ready),
+            ("cleaning", done - solved),
+        ):
+            stage_ms[stage] += 1e3 * duration
+        return summaries
 
-def _normaliser(cost: Array) -> Array:
-    """−log Σ_k exp(−cost_k) in quanta, summed in ascending layer id."""
-    total = np.zeros(cost.shape[1:], np.float32)
-    likelihood = np.exp(np.arange(256, dtype=np.float32) * np.float32(-COST_STEP))
-    for one in cost:
-        total += likelihood[one]
-    return np.clip(np.rint(-np.log(total) / np.float32(COST_STEP)), 0, 255).astype(np.uint8)
+
+@dataclass(frozen=True, slots=True)
+class _Maps:
+    """The arrays of a `Segmentation`."""
+
+    labels: Array
+    normaliser: Array
+    fallback: Array
+
+    @classmethod
+    def of_background(cls, shape: tuple[int, int]) -> _Maps:
+        """What holds where no object has a say."""
+        return cls(np.zeros(shape, np.uint16), np.full(shape, 255, np.uint8), np.zeros(shape, np.int8))
 
 
-def _pull_tracks(unary: Array, evidence: FrameEvidence, strength: float) -> None:
-    """Add the trajectories' data cost: −c for their own label at their pixel, +c for every other."""
-    height, width = evidence.shape
-    for position, layer in enumerate(evidence.layers):
-        x = np.clip(np.rint(layer.positions[:, 0]).astype(np.intp), 0, width - 1)
-        y = np.clip(np.rint(layer.positions[:, 1]).astype(np.intp), 0, height - 1)
-        for other in range(len(unary)):
-            np.add.at(unary[other], (y, x), np.float32(-strength if other == position else strength))
+def _data_costs(cost: Array, posteriors: list[LayerPosterior], box: Region) -> Array:
+    """Unary costs (K, h, w) int32 in ``COST_QUANTUM``; outside its region no layer can own a pixel."""
+    unary = np.full(cost.shape, MAX_COST, np.int32)
+    for own, fused, one in zip(unary, cost, posteriors, strict=True):
+        place = slices_in(common(one.region, box), box)
+        np.multiply(fused[place], round(COST_STEP / COST_QUANTUM), out=own[place], dtype=np.int32)
+    return unary
 
 
-def _discount_shadows(unary: Array, posteriors: list[LayerPosterior], shadow: Array, strength: float) -> None:
+def _pull_tracks(
+    unary: Array, layers: list[LayerEvidence], box: Region, shape: tuple[int, ...], strength: float
+) -> None:
+    """Add the trajectories' data cost: −c for their own label at their pixel, +c for every other.
+
+    Up to a constant, which does not matter, that is −2c for their own.
+    """
+    pull = round(2.0 * strength / COST_QUANTUM)
+    for own, layer in zip(unary, layers, strict=True):
+        x = np.clip(np.rint(layer.positions[:, 0]).astype(np.intp), 0, shape[1] - 1) - box.x
+        y = np.clip(np.rint(layer.positions[:, 1]).astype(np.intp), 0, shape[0] - 1) - box.y
+        inside = (x >= 0) & (x < box.width) & (y >= 0) & (y < box.height)
+        np.subtract.at(own, (y[inside], x[inside]), pull)
+
+
+def _discount_shadows(
+    unary: Array, posteriors: list[LayerPosterior], box: Region, shadow: Array, strength: float
+) -> None:
     """Take away, as far as a pixel is a shadow, what an object has over the background, and a little more."""
-    for position, one in enumerate(posteriors):
-        if one.layer != BACKGROUND:
-            own, darkened = unary[position][one.region.slices], shadow[one.region.slices]
-            lead = np.maximum(unary[0][one.region.slices] - own, 0.0)
-            own += darkened * (lead + np.float32(strength))
+    for own, one in zip(unary[1:], posteriors[1:], strict=True):
+        place = slices_in(one.region, box)
+        lead = np.maximum(unary[0][place] - own[place], 0)
+        own[place] += np.rint(shadow[place] * (lead + np.float32(strength / COST_QUANTUM))).astype(np.int32)
 
 
 def _summaries(
-    positions: Array, cost: Array, normaliser: Array, posteriors: list[LayerPosterior]
-) -> tuple[LayerSummary, ...]:
+    labels: Array, fused: FusedCosts, posteriors: list[LayerPosterior], box: Region
+) -> list[LayerSummary]:
     rows = []
-    for position, one in enumerate(posteriors):
-        if one.layer == BACKGROUND:
+    for cost, one in zip(fused.cost[1:], posteriors[1:], strict=True):
+        place = slices_in(one.region, box)
+        own = np.flatnonzero(labels[place] == one.layer)
+        if len(own) == 0:
             continue
-        y, x = np.nonzero(positions[one.region.slices] == position)
-        if len(x) == 0:
-            continue
+        normaliser = fused.normaliser[place].reshape(-1)[own].astype(np.float64)
+        log_posterior = (normaliser - cost[place].reshape(-1)[own]) * COST_STEP
+        y, x = np.divmod(own, one.region.width)
         y, x = y + one.region.y, x + one.region.x
-        log_posterior = (normaliser[y, x].astype(np.float64) - cost[position][y, x]) * COST_STEP
         rows.append(
             LayerSummary(
                 layer=one.layer,
@@ -196,7 +244,7 @@ def _summaries(
                 confidence=float(np.exp(np.minimum(log_posterior, 0.0)).mean()),
             )
         )
-    return tuple(rows)
+    return rows
 
 
 def _slowest(posteriors: list[LayerPosterior]) -> dict[str, float]:

@@ -15,16 +15,20 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
+from mlbs_actors.region_groups import common, slices_in
 from mlbs_actors.trajectory_distance import trajectory_distance
 
-__all__ = ["Darkening", "contact_shadow", "darkening", "shadow_likelihood"]
+__all__ = ["Darkening", "contact_shadow", "darkening", "ground_colour", "shadow_likelihood"]
 
 #: The ground's colour is found on the frame shrunk by this.
 SHRINK = 4
 #: Pixels this near to an object's trajectory may be the object itself, px of a 640×480 frame.
 NEAR_PX = 16.0
+#: How far the blur of the frame looks, px.
+BLUR_REACH = 4
 #: So many px around last frame's objects are not taken for ground either.
 GROWN_PX = 9
 #: Standard deviation over which ground is looked for, shrunk px; where there is none, twice that, so often.
@@ -49,17 +53,17 @@ CONTACT_EDGE_PX = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Darkening:
-    """How each pixel's colour differs from that of the ground near it.
+    """How each pixel's colour differs from that of the ground near it, in one box of the frame.
 
     Attributes
     ----------
-    mean : (H, W) float32
+    mean : (h, w) float32
         Logarithm of colour over ground's colour, mean of the channels.
-    spread : (H, W) float32
+    spread : (h, w) float32
         Its range over the channels.
-    brightness : (H, W) float32
+    brightness : (h, w) float32
         Mean of the channels, grey levels + 1.
-    variance : (H, W) float32
+    variance : (h, w) float32
         Of the ground's log colour; large where there is no ground.
     """
 
@@ -69,8 +73,8 @@ class Darkening:
     variance: Array
 
 
-def darkening(frame: Array, evidence: FrameEvidence, previous: Array, scale: float) -> Darkening | None:
-    """Compare each pixel with the ground near it.
+def ground_colour(frame: Array, evidence: FrameEvidence, previous: Array, scale: float) -> Array | None:
+    """The colour of the ground near each pixel, from what is no object's.
 
     Parameters
     ----------
@@ -84,26 +88,47 @@ def darkening(frame: Array, evidence: FrameEvidence, previous: Array, scale: flo
 
     Returns
     -------
-    Darkening or None
-        None if there is neither an object's trajectory nor an object in the last map.
+    (H / SHRINK, W / SHRINK, 4) float32 or None
+        Mean log colour and its variance. None if there is neither an object's trajectory nor an object in
+        the last map.
     """
     height, width = frame.shape[:2]
     objects = [one for one in evidence.layers if one.layer != BACKGROUND and len(one.positions)]
     if not objects and not previous.any():
         return None
-    occupied = trajectory_distance(objects, Region(0, 0, width, height)) < NEAR_PX * scale
+    occupied: Array = np.zeros((height, width), np.uint8)
     if previous.size:
-        grown = cv2.dilate((previous > BACKGROUND).astype(np.uint8), np.ones((GROWN_PX, GROWN_PX), np.uint8))
-        occupied |= grown.astype(bool)
-    ground, variance = _ground(frame, occupied)
-    smooth = cv2.GaussianBlur(frame, (0, 0), 1.0).astype(np.float32) + 1.0
-    channels = np.log(smooth) - ground
-    return Darkening(
-        mean=channels.mean(axis=2),
-        spread=channels.max(axis=2) - channels.min(axis=2),
-        brightness=smooth.mean(axis=2),
-        variance=variance,
-    )
+        grown = np.ones((GROWN_PX, GROWN_PX), np.uint8)
+        occupied = cv2.dilate((previous > BACKGROUND).view(np.uint8), grown)
+    near = NEAR_PX * scale
+    for one in objects:
+        low, high = one.positions.min(axis=0) - near, one.positions.max(axis=0) + near + 1
+        (x, y), (right, bottom) = np.clip([low, high], 0, (width, height)).astype(int).tolist()
+        box = Region(x, y, right - x, bottom - y)
+        occupied[box.slices] |= (trajectory_distance([one], box) < near).view(np.uint8)
+    size = (max(1, width // SHRINK), max(1, height // SHRINK))
+    colour = _LOG[cv2.resize(frame, size, interpolation=cv2.INTER_AREA)]
+    free = cv2.resize(occupied, size, interpolation=cv2.INTER_NEAREST) == 0
+    return _spread_into_objects(colour, free)
+
+
+def darkening(frame: Array, ground: Array, box: Region) -> Darkening:
+    """Compare each pixel of a box with the ground near it.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) uint8
+    ground : (H / SHRINK, W / SHRINK, 4) float32
+        Of :func:`ground_colour`.
+    box : Region
+
+    Returns
+    -------
+    Darkening
+    """
+    around = _grown(box, BLUR_REACH, frame.shape)
+    smooth = cv2.GaussianBlur(frame[around.slices], (0, 0), 1.0)[slices_in(box, around)]
+    return Darkening(*_compared(np.ascontiguousarray(smooth), ground, box.y, box.x, frame.shape[:2], _LOG))
 
 
 def shadow_likelihood(dark: Darkening) -> Array:
@@ -115,19 +140,24 @@ def shadow_likelihood(dark: Darkening) -> Array:
 
     Returns
     -------
-    (H, W) float32
+    (h, w) float32
         0 = no shadow … 1 = darker ground.
     """
-    likelihood = np.clip((LIGHTEST - dark.mean) / LIGHTEST_RAMP, 0.0, 1.0)
-    likelihood *= np.clip((dark.mean - DARKEST) / DARKEST_RAMP, 0.0, 1.0)
-    likelihood *= np.clip(2.0 - 2.0 * dark.spread / _tolerance(dark), 0.0, 1.0)
-    likelihood *= np.clip(2.0 - dark.variance / GROUND_VARIANCE, 0.0, 1.0)
-    return np.asarray(likelihood, np.float32)
+    return _likelihood(dark.mean, dark.spread, dark.brightness, dark.variance)
 
 
-def _tolerance(dark: Darkening) -> Array:
-    """What the channels' darkening may differ by; a dark colour is uncertain."""
-    return np.asarray(CHANNEL_SPREAD + CHANNEL_NOISE / dark.brightness)
+@njit(cache=True)
+def _likelihood(mean: Array, spread: Array, brightness: Array, variance: Array) -> Array:
+    likelihood = np.empty(mean.shape, np.float32)
+    for y in range(mean.shape[0]):
+        for x in range(mean.shape[1]):
+            tolerance = CHANNEL_SPREAD + CHANNEL_NOISE / brightness[y, x]
+            value = min(max((LIGHTEST - mean[y, x]) / LIGHTEST_RAMP, 0.0), 1.0)
+            value *= min(max((mean[y, x] - DARKEST) / DARKEST_RAMP, 0.0), 1.0)
+            value *= min(max(2.0 - 2.0 * spread[y, x] / tolerance, 0.0), 1.0)
+            value *= min(max(2.0 - variance[y, x] / GROUND_VARIANCE, 0.0), 1.0)
+            likelihood[y, x] = value
+    return likelihood
 
 
 def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, rise: float) -> Array:
@@ -135,9 +165,11 @@ def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, r
 
     Parameters
     ----------
-    labels : (H, W) integer
-        Without pinholes; 0 = background.
-    frame : (H, W, 3) uint8
+    labels : (h, w) unsigned integer
+        A frame's label map without pinholes, 0 = background, or one of its boxes with only background along
+        the sides that are not the frame's border.
+    frame : (h, w, 3) uint8
+        The same box of the frame.
     dark : Darkening
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
@@ -146,47 +178,65 @@ def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, r
 
     Returns
     -------
-    (H, W) bool
+    (h, w) bool
     """
     found = np.zeros(labels.shape, bool)
-    unlit = (dark.mean < CONTACT_DARK) & (dark.spread < _tolerance(dark))
-    smooth = _steepness(frame) < CONTACT_SMOOTH / scale
     edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
-    for label in np.unique(labels[labels > BACKGROUND]):
-        _, pieces, boxes, _ = cv2.connectedComponentsWithStats((labels == label).astype(np.uint8))
+    present = np.flatnonzero(np.bincount(labels.reshape(-1)))
+    for label in present[present > BACKGROUND]:
+        own = (labels == label).view(np.uint8)
+        part = Region(*cv2.boundingRect(own))
+        _, pieces, boxes, _ = cv2.connectedComponentsWithStats(own[part.slices])
         for piece, (x, y, width, height, _) in enumerate(boxes[1:], start=1):
             # Feet of one object stand at different heights of the picture.
-            box = np.s_[y + height // 2 : y + height, x : x + width]
-            body = pieces[box] == piece
-            above = _height_above_ground(labels, box)
-            foot = body & unlit[box] & (above <= rise * height)
-            flat = _wide(foot & smooth[box], CONTACT_WIDTH * height)
-            _, strips = cv2.connectedComponents(flat.astype(np.uint8))
+            feet = Region(x, y + height // 2, width, height - height // 2)
+            body = pieces[feet.slices] == piece
+            box = Region(feet.x + part.x, feet.y + part.y, feet.width, feet.height)
+            above = _height_above_ground(labels, box.x, box.y, box.width, box.height)
+            foot = body & _unlit(dark, box) & (above <= rise * height)
+            if not foot.any():
+                continue
+            flat = _wide(foot & (_steepness(frame, box) < CONTACT_SMOOTH / scale), CONTACT_WIDTH * height)
+            _, strips = cv2.connectedComponents(flat.view(np.uint8))
             resting = np.unique(strips[flat & (above <= CONTACT_GAP_PX * scale)])
             core = np.isin(strips, resting[resting > 0])
-            strip = cv2.dilate(core.astype(np.uint8), disc).astype(bool) & foot
-            found[box] |= _and_under(strip, body)
+            strip = cv2.dilate(core.view(np.uint8), disc).astype(bool) & foot
+            found[box.slices] |= _and_under(strip, body)
     return found
 
 
-def _steepness(frame: Array) -> Array:
-    """Mean gradient over 5×5 px, grey levels/px."""
-    gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY).astype(np.float32)
+def _unlit(dark: Darkening, box: Region) -> Array:
+    """Where a box is much darker than the ground, and alike in all channels."""
+    tolerance = CHANNEL_SPREAD + CHANNEL_NOISE / dark.brightness[box.slices]
+    return np.asarray((dark.mean[box.slices] < CONTACT_DARK) & (dark.spread[box.slices] < tolerance))
+
+
+def _steepness(frame: Array, box: Region) -> Array:
+    """Mean gradient over 5×5 px in a box, grey levels/px."""
+    around = _grown(box, 3, frame.shape)
+    gray = cv2.cvtColor(frame[around.slices], cv2.COLOR_BGR2GRAY).astype(np.float32)
     slopes = (cv2.Sobel(gray, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
-    return np.asarray(cv2.blur(np.hypot(*slopes), (5, 5)))
+    return np.asarray(cv2.blur(np.hypot(*slopes), (5, 5))[slices_in(box, around)])
 
 
-def _height_above_ground(labels: Array, box: tuple[slice, slice]) -> Array:
+def _grown(box: Region, reach: int, shape: tuple[int, ...]) -> Region:
+    """The box and what a filter of this reach needs around it."""
+    grown = Region(box.x - reach, box.y - reach, box.width + 2 * reach, box.height + 2 * reach)
+    return common(grown, Region(0, 0, shape[1], shape[0]))
+
+
+@njit(cache=True)
+def _height_above_ground(labels: Array, left: int, top: int, width: int, height: int) -> Array:
     """How many px down to the first that is no object's, (h, w) int32; over H if the frame ends first."""
-    rows, columns = box
-    occupied = labels[rows, columns] > BACKGROUND
-    above = np.zeros(occupied.shape, np.int32)
-    under = labels[rows.stop, columns] > BACKGROUND if rows.stop < len(labels) else np.True_
-    run = np.where(under, len(labels), 0)
-    for row in range(len(occupied) - 1, -1, -1):
-        run = np.where(occupied[row], run + 1, 0)
-        above[row] = run
+    above = np.empty((height, width), np.int32)
+    bottom = top + height
+    for x in range(width):
+        ends = bottom == len(labels) or labels[bottom, left + x] > BACKGROUND
+        run = len(labels) if ends else 0
+        for y in range(height - 1, -1, -1):
+            run = run + 1 if labels[top + y, left + x] > BACKGROUND else 0
+            above[y, x] = run
     return above
 
 
@@ -207,28 +257,93 @@ def _and_under(strip: Array, body: Array) -> Array:
     return result
 
 
-def _ground(frame: Array, occupied: Array) -> tuple[Array, Array]:
-    """Mean log colour (H, W, 3) and its variance (H, W) of the free pixels within the nearest reach."""
-    height, width = occupied.shape
-    size = (max(1, width // SHRINK), max(1, height // SHRINK))
-    colour = np.log(cv2.resize(frame, size, interpolation=cv2.INTER_AREA).astype(np.float32) + 1.0)
-    free = (cv2.resize(occupied.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0).astype(
-        np.float32
-    )
-    weighted = [np.dstack([colour * free[..., None], np.square(colour) * free[..., None], free])]
+def _spread_into_objects(colour: Array, free: Array) -> Array:
+    """Mean log colour and its variance, (h, w, 4) float32, of the free pixels within the nearest reach."""
+    weighted = [_moments(colour, free)]
     for _ in range(DOUBLINGS):
         weighted.append(cv2.pyrDown(weighted[-1]))
-    ground: Array | None = None
+    ground = np.zeros((*weighted[-1].shape[:2], 4), np.float32)
+    ground[..., 3] = NO_GROUND
     for level in reversed(weighted):
-        blurred = cv2.GaussianBlur(level, (0, 0), REACH)
-        found = blurred[..., 6] > LEAST_GROUND
-        moments = blurred[..., :6] / np.maximum(blurred[..., 6:], LEAST_GROUND)
-        variance = (moments[..., 3:] - np.square(moments[..., :3])).max(axis=2)
-        variance[~found] = NO_GROUND
-        own = np.dstack([moments[..., :3], variance])
-        if ground is not None:
-            own = np.where(found[..., None], own, cv2.pyrUp(ground, dstsize=found.shape[::-1]))
-        ground = own
-    assert ground is not None
-    ground = cv2.resize(ground, (width, height))
-    return ground[..., :3], ground[..., 3]
+        if ground.shape[:2] != level.shape[:2]:
+            ground = cv2.pyrUp(ground, dstsize=level.shape[1::-1])
+        _take_where_found(cv2.GaussianBlur(level, (0, 0), REACH), ground)
+    return ground
+
+
+@njit(cache=True)
+def _moments(colour: Array, free: Array) -> Array:
+    """Log colour, its square and 1 where a pixel is free, else 0; (h, w, 7) float32."""
+    height, width = free.shape
+    moments = np.zeros((height, width, 7), np.float32)
+    for y in range(height):
+        for x in range(width):
+            if free[y, x]:
+                for c in range(3):
+                    moments[y, x, c] = colour[y, x, c]
+                    moments[y, x, 3 + c] = colour[y, x, c] * colour[y, x, c]
+                moments[y, x, 6] = 1.0
+    return moments
+
+
+@njit(cache=True)
+def _take_where_found(moments: Array, ground: Array) -> None:
+    """Put mean log colour and variance into ``ground`` where there is enough of it within the reach."""
+    height, width, _ = ground.shape
+    for y in range(height):
+        for x in range(width):
+            share = moments[y, x, 6]
+            if share > LEAST_GROUND:
+                variance = np.float32(0.0)
+                for c in range(3):
+                    mean = moments[y, x, c] / share
+                    variance = max(variance, moments[y, x, 3 + c] / share - mean * mean)
+                    ground[y, x, c] = mean
+                ground[y, x, 3] = variance
+
+
+@njit(cache=True)
+def _compared(
+    smooth: Array, ground: Array, top: int, left: int, frame_shape: tuple[int, int], log_of: Array
+) -> tuple[Array, Array, Array, Array]:
+    """The fields of `Darkening` in a box; the ground is interpolated bilinearly."""
+    height, width, _ = smooth.shape
+    mean, spread = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    brightness, variance = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    columns = ground.shape[1]
+    before, after = np.empty(width, np.intp), np.empty(width, np.intp)
+    right = np.empty(width, np.float32)
+    for x in range(width):
+        before[x], after[x], right[x] = _between(x + left, columns / frame_shape[1], columns)
+    row = np.empty((columns, 4), np.float32)
+    third, here = np.float32(1.0 / 3.0), np.empty(4, np.float32)
+    for y in range(height):
+        above, below, down = _between(y + top, ground.shape[0] / frame_shape[0], ground.shape[0])
+        for column in range(columns):
+            for c in range(4):
+                step = ground[below, column, c] - ground[above, column, c]
+                row[column, c] = ground[above, column, c] + down * step
+        for x in range(width):
+            for c in range(4):
+                here[c] = row[before[x], c] + right[x] * (row[after[x], c] - row[before[x], c])
+            blue = log_of[smooth[y, x, 0]] - here[0]
+            green = log_of[smooth[y, x, 1]] - here[1]
+            red = log_of[smooth[y, x, 2]] - here[2]
+            mean[y, x] = (blue + green + red) * third
+            spread[y, x] = max(blue, green, red) - min(blue, green, red)
+            total = np.int32(smooth[y, x, 0]) + np.int32(smooth[y, x, 1]) + np.int32(smooth[y, x, 2])
+            brightness[y, x] = np.float32(total) * third + np.float32(1.0)
+            variance[y, x] = here[3]
+    return mean, spread, brightness, variance
+
+
+@njit(cache=True)
+def _between(pixel: int, ratio: float, count: int) -> tuple[int, int, float]:
+    """The two pixels of a shrunk row of ``count`` next to a pixel of the row, and the share of the second."""
+    place = min(max((pixel + 0.5) * ratio - 0.5, 0.0), count - 1.0)
+    first = int(place)
+    return first, min(first + 1, count - 1), place - first
+
+
+#: Log of a channel's value + 1.
+_LOG = np.log(np.arange(1, 257, dtype=np.float32))

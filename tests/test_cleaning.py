@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mlbs_actors.cleaning import clean_labels
-from mlbs_actors.messages import Array
+from mlbs_actors.messages import Array, Region
 
 
 def drawn(*rows: str) -> Array:
@@ -14,8 +14,12 @@ def drawn(*rows: str) -> Array:
     return np.array([[0 if mark == "." else int(mark) for mark in row] for row in rows])
 
 
+def cleaned(labels: Array, speck_px: float, hole_px: float) -> Array:
+    return clean_labels(labels, Region(0, 0, labels.shape[1], labels.shape[0]), speck_px, hole_px)
+
+
 def assert_cleaned(before: Array, after: Array, speck_px: float, hole_px: float) -> None:
-    np.testing.assert_array_equal(clean_labels(before, speck_px, hole_px), after)
+    np.testing.assert_array_equal(cleaned(before, speck_px, hole_px), after)
 
 
 def test_a_speck_goes_to_what_surrounds_it() -> None:
@@ -121,7 +125,7 @@ def test_pixels_that_touch_at_a_corner_only_are_two_parts() -> None:
         "..1...",
         "......",
     )
-    kept = clean_labels(before, speck_px=2, hole_px=0)
+    kept = cleaned(before, speck_px=2, hole_px=0)
     assert kept[:2, :2].all()
     assert kept[2, 2] == 0
 
@@ -157,12 +161,34 @@ def test_parts_of_just_the_limit_stay() -> None:
 def test_the_given_map_is_left_as_it_was() -> None:
     before = drawn("1.11", "..11", "....")
     labels = before.copy()
-    cleaned = clean_labels(labels, speck_px=3, hole_px=0)
+    after = cleaned(labels, speck_px=3, hole_px=0)
     np.testing.assert_array_equal(labels, before)
-    assert cleaned[0, 0] == 0
-    assert cleaned.dtype == labels.dtype
+    assert after[0, 0] == 0
+    assert after.dtype == labels.dtype
 
 
 @pytest.mark.parametrize("labels", [np.zeros((4, 5), int), np.full((4, 5), 3), np.zeros((1, 1), int)])
 def test_a_map_of_one_label_stays(labels: Array) -> None:
     assert_cleaned(labels, labels, speck_px=100, hole_px=100)
+
+
+@pytest.mark.parametrize("corner", [(0, 0), (0, 12), (10, 0), (9, 5)])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_box_is_cleaned_as_in_the_whole_frame(seed: int, corner: tuple[int, int]) -> None:
+    rng = np.random.default_rng(seed)
+    blobs = rng.integers(0, 4, (10, 14)) * (rng.random((10, 14)) < 0.6)
+    before = np.zeros((24, 32), np.uint16)
+    before[corner[0] : corner[0] + 10, corner[1] : corner[1] + 14] = blobs
+    y, x = max(corner[0] - 1, 0), max(corner[1] - 1, 0)
+    box = Region(x, y, corner[1] + 15 - x, corner[0] + 11 - y)
+    after = cleaned(before, speck_px=4, hole_px=12)
+    assert (after != before).any()
+    np.testing.assert_array_equal(clean_labels(before, box, 4, 12), after[box.slices])
+
+
+def test_background_that_goes_on_outside_the_box_is_no_hole() -> None:
+    before = np.zeros((12, 12), np.uint16)
+    before[2:6, :] = 1
+    before[0, 3:5] = 1
+    box = Region(0, 0, 12, 7)
+    assert not clean_labels(before, box, speck_px=0, hole_px=20)[6].any()

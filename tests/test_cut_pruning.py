@@ -11,10 +11,17 @@ from mlbs_actors.cut_pruning import (
     UNDECIDED,
     LabelCostEnergy,
     movable,
-    neighbour_weights,
     prune,
 )
 from mlbs_actors.messages import Array
+
+
+def laid_out(right: Array, down: Array, down_right: Array, down_left: Array) -> Array:
+    """Weights by pixel and direction, from those of the four kinds of pairs."""
+    weights = np.zeros((right.shape[0], down.shape[1], 4), np.int32)
+    weights[:, :-1, 0], weights[:-1, :, 1] = right, down
+    weights[:-1, :-1, 2], weights[:-1, 1:, 3] = down_right, down_left
+    return weights
 
 
 def random_energy(seed: int, shape: tuple[int, int, int], label_cost: int) -> LabelCostEnergy:
@@ -22,7 +29,7 @@ def random_energy(seed: int, shape: tuple[int, int, int], label_cost: int) -> La
     rng = np.random.default_rng(seed)
     label_count, height, width = shape
     reach = int(rng.integers(1, 6))
-    weights = neighbour_weights(
+    weights = laid_out(
         rng.integers(0, reach, (height, width - 1)),
         rng.integers(0, reach, (height - 1, width)),
         rng.integers(0, reach, (height - 1, width - 1)),
@@ -56,7 +63,7 @@ def slow_energies(whole: LabelCostEnergy, labellings: Array) -> Array:
         for k, (dy, dx) in enumerate(NEIGHBOUR_OFFSETS):
             if 0 <= y + dy < height and 0 <= x + dx < width and k < 4:
                 there = labellings[:, (y + dy) * width + x + dx]
-                energies += whole.neighbour_weights[y, x, k] * (here != there)
+                energies += whole.weights[y, x, k] * (here != there)
     for label in range(label_count):
         energies += whole.label_costs[label] * (labellings == label).any(axis=1)
     return energies
@@ -131,7 +138,7 @@ def test_no_best_expansion_moves_a_pixel_that_is_left_out(label_cost: int) -> No
 
 def flat_energy(unary: Array, weight: int, label_costs: list[int]) -> LabelCostEnergy:
     _, height, width = unary.shape
-    weights = neighbour_weights(
+    weights = laid_out(
         np.full((height, width - 1), weight),
         np.full((height - 1, width), weight),
         np.full((height - 1, width - 1), weight),
@@ -164,12 +171,3 @@ def test_a_single_label_is_decided_everywhere() -> None:
     pruning = prune(flat_energy(np.ones((1, 2, 3)), 5, [1000]))
     assert (pruning.labels == 0).all()
     assert pruning.rest.pixels.size == 0
-
-
-def test_neighbour_weights_are_symmetric_and_end_at_the_border() -> None:
-    weights = random_energy(3, (2, 4, 5), 0).neighbour_weights
-    for (y, x), (k, (dy, dx)) in itertools.product(np.ndindex(4, 5), enumerate(NEIGHBOUR_OFFSETS)):
-        if 0 <= y + dy < 4 and 0 <= x + dx < 5:
-            assert weights[y, x, k] == weights[y + dy, x + dx, (k + 4) % 8]
-        else:
-            assert weights[y, x, k] == 0

@@ -65,7 +65,7 @@ def uniform(layer: int, knowledge: tuple[int, int], cost: int = 64) -> LayerPost
 
 def costs(*knowledge: tuple[int, int]) -> list[int]:
     """Fused cost of each layer, all else being equal."""
-    cost, _ = fused_costs([uniform(k, own) for k, own in enumerate(knowledge)], SHAPE, WEIGHT, HALF)
+    cost = fused_costs([uniform(k, own) for k, own in enumerate(knowledge)], WHOLE, WEIGHT, HALF).cost
     assert all(np.ptp(one) == 0 for one in cost)
     return [int(one[0, 0]) for one in cost]
 
@@ -93,7 +93,7 @@ def plain(posteriors: list[LayerPosterior], y: int, x: int, fallback: float) -> 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_fallback_is_the_trusted_mean_of_what_is_known_but_never_below_chance(seed: int) -> None:
     posteriors = random_posteriors(seed)
-    _, fallback = fused_costs(posteriors, SHAPE, WEIGHT, HALF)
+    fallback = fused_costs(posteriors, WHOLE, WEIGHT, HALF).fallback
     assert fallback.dtype == np.int8
     chance = 0
     for y in range(SHAPE[0]):
@@ -114,13 +114,46 @@ def test_the_fallback_is_the_trusted_mean_of_what_is_known_but_never_below_chanc
 @pytest.mark.parametrize("seed", range(3))
 def test_the_fused_costs_are_those_of_plain_loops(seed: int) -> None:
     posteriors = random_posteriors(seed)
-    cost, fallback = fused_costs(posteriors, SHAPE, WEIGHT, HALF)
+    fused = fused_costs(posteriors, WHOLE, WEIGHT, HALF)
+    cost, fallback = fused.cost, fused.fallback
     assert cost.shape == (len(posteriors), *SHAPE)
     assert cost.dtype == np.uint8
     for y in range(SHAPE[0]):
         for x in range(SHAPE[1]):
             expected = plain(posteriors, y, x, int(fallback[y, x]) * RATIO_STEP)
             np.testing.assert_allclose(cost[:, y, x], expected, atol=0.5 + 1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_normaliser_is_that_of_plain_loops(seed: int) -> None:
+    posteriors = random_posteriors(seed)
+    fused = fused_costs(posteriors, WHOLE, WEIGHT, HALF)
+    assert fused.normaliser.dtype == np.uint8
+    for y in range(SHAPE[0]):
+        for x in range(SHAPE[1]):
+            having_a_say = [k for k, one in enumerate(posteriors) if place(one, y, x) is not None]
+            total = sum(exp(-COST_STEP * int(fused.cost[k, y, x])) for k in having_a_say)
+            expected = min(max(-log(total) / COST_STEP, 0.0), 255.0)
+            assert abs(float(fused.normaliser[y, x]) - expected) <= 0.5 + 1e-3
+
+
+@pytest.mark.parametrize("box", [Region(0, 0, 12, 9), Region(5, 3, 14, 12), Region(20, 10, 4, 8)])
+def test_a_box_is_fused_as_the_whole_frame_is(box: Region) -> None:
+    posteriors = random_posteriors(1)
+    whole, part = fused_costs(posteriors, WHOLE, WEIGHT, HALF), fused_costs(posteriors, box, WEIGHT, HALF)
+    np.testing.assert_array_equal(part.cost, whole.cost[(slice(None), *box.slices)])
+    np.testing.assert_array_equal(part.normaliser, whole.normaliser[box.slices])
+    np.testing.assert_array_equal(part.fallback, whole.fallback[box.slices])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_layer_finds_its_fused_cost_again_from_the_fallback(seed: int) -> None:
+    posteriors = random_posteriors(seed)
+    fused = fused_costs(posteriors, WHOLE, WEIGHT, HALF)
+    for one, cost in zip(posteriors, fused.cost, strict=True):
+        others = fused.fallback[one.region.slices]
+        own = with_appearance(one.cost, one.log_ratio, one.samples, others, WEIGHT, HALF)
+        np.testing.assert_array_equal(own, cost[one.region.slices])
 
 
 def test_where_one_layer_matches_what_the_other_does_not_know_it_is_a_tie() -> None:
@@ -154,12 +187,15 @@ def test_outside_its_region_a_layer_keeps_its_outside_cost_and_tells_nothing() -
     matched = posterior(
         2, region, np.full((7, 6), 64, np.uint8), np.full((7, 6), 40, np.int8), np.full((7, 6), 20, np.uint8)
     )
-    cost, fallback = fused_costs([uniform(BACKGROUND, UNKNOWN), matched], SHAPE, WEIGHT, HALF)
+    fused = fused_costs([uniform(BACKGROUND, UNKNOWN), matched], WHOLE, WEIGHT, HALF)
+    cost, fallback = fused.cost, fused.fallback
     inside = np.zeros(SHAPE, bool)
     inside[region.slices] = True
     assert (cost[1][~inside] == 255).all()
     assert (cost[0][~inside] == 64).all()
     np.testing.assert_array_equal(fallback > 0, inside)
+    assert (fused.normaliser[~inside] == 64).all()
+    assert (fused.normaliser[inside] < 64).all()
 
 
 def test_with_a_fallback_of_chance_a_layer_is_judged_by_its_own_confidence() -> None:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from mlbs_actors.config import Config
+from mlbs_actors.cut_pruning import LabelCostEnergy
 from mlbs_actors.errors import FrameError
 from mlbs_actors.fusion import fused_costs
+from mlbs_actors.graph_cut import COST_QUANTUM, MAX_COST, contrast_weights, minimise
 from mlbs_actors.messages import (
     BACKGROUND,
     COST_STEP,
@@ -105,22 +107,55 @@ def segmented(
 
 
 def cost_at(one: LayerPosterior, y: int, x: int) -> int:
-    region = one.region
-    if region.y <= y < region.y + region.height and region.x <= x < region.x + region.width:
-        return int(one.cost[y - region.y, x - region.x])
+    if has_a_say(one, y, x):
+        return int(one.cost[y - one.region.y, x - one.region.x])
     return one.outside_cost
 
 
+def has_a_say(one: LayerPosterior, y: int, x: int) -> bool:
+    region = one.region
+    return region.y <= y < region.y + region.height and region.x <= x < region.x + region.width
+
+
 @pytest.mark.parametrize("seed", range(3))
-def test_the_normaliser_is_that_of_plain_loops(seed: int) -> None:
+def test_the_normaliser_is_that_of_plain_loops_where_an_object_has_a_say(seed: int) -> None:
     posteriors = random_posteriors(seed)
     result = segmented(posteriors, configured())
     for y in range(SHAPE[0]):
         for x in range(SHAPE[1]):
-            total = sum(exp(-COST_STEP * cost_at(one, y, x)) for one in posteriors)
+            total = sum(exp(-COST_STEP * cost_at(one, y, x)) for one in posteriors if has_a_say(one, y, x))
             expected = min(max(-log(total) / COST_STEP, 0.0), 255.0)
-            assert abs(float(result.normaliser[y, x]) - expected) <= 0.5 + 1e-3
+            if any(has_a_say(one, y, x) for one in posteriors[1:]):
+                assert abs(float(result.normaliser[y, x]) - expected) <= 0.5 + 1e-3
+            else:  # the background's posterior, exp(normaliser − cost) but at most 1, is 1
+                assert float(result.normaliser[y, x]) >= expected - 0.5 - 1e-3
     assert result.normaliser.dtype == np.uint8
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("label_cost", [0.0, 30.0])
+def test_groups_of_regions_are_labelled_as_one_problem_of_the_whole_frame(
+    seed: int, label_cost: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    regions = {0: WHOLE, 2: Region(1, 2, 9, 9), 5: Region(14, 0, 10, 8), 6: Region(20, 6, 9, 12)}
+    posteriors = []
+    for layer, region in regions.items():
+        cost = rng.integers(20, 60, (region.height, region.width)).astype(np.uint8)
+        if layer:
+            cost[2:-2, 2:-2] -= 15
+        posteriors.append(posterior(layer, cost, region))
+    area = SHAPE[0] * SHAPE[1] / (640 * 480)
+    config = configured(contrast_strength=1.0, contrast_scale=5e3, label_cost=label_cost / area)
+    result = segmented(posteriors, config)
+    unary = np.full((4, *SHAPE), MAX_COST, np.int32)
+    for own, one in zip(unary, posteriors, strict=True):
+        own[one.region.slices] = one.cost.astype(np.int32) * round(COST_STEP / COST_QUANTUM)
+    label_costs = np.array([0, *[round(label_cost / COST_QUANTUM)] * 3])
+    whole = LabelCostEnergy(unary, contrast_weights(frame(), 1.0, 5e3), label_costs)
+    labels = np.searchsorted(list(regions), result.labels)
+    assert labels.any()
+    assert whole.energy(labels) == minimise(whole).energy
 
 
 def test_every_pixel_gets_the_id_of_the_layer_that_costs_least() -> None:
@@ -142,13 +177,13 @@ def test_colours_that_only_one_layer_knows_decide_only_where_they_are_contradict
     other = replace(posterior(3, 40), log_ratio=ratio, samples=known)
     posteriors = [posterior(0, 41), other]  # a little dearer
     result = segmented(posteriors, config)
-    expected, fallback = fused_costs(
-        posteriors, SHAPE, config.posterior.appearance, config.appearance.half_confidence_samples
+    fused = fused_costs(
+        posteriors, WHOLE, config.posterior.appearance, config.appearance.half_confidence_samples
     )
-    np.testing.assert_array_equal(result.fallback, fallback)
+    np.testing.assert_array_equal(result.fallback, fused.fallback)
     assert (result.labels[:, :16] == 3).all()
     assert not result.labels[:, 16:].any()
-    np.testing.assert_array_equal(result.labels, np.array([0, 3])[expected.argmin(axis=0)])
+    np.testing.assert_array_equal(result.labels, np.array([0, 3])[fused.cost.argmin(axis=0)])
 
 
 def test_in_a_shadow_an_object_is_dearer_than_the_background_and_elsewhere_it_is_not() -> None:
@@ -291,7 +326,8 @@ def test_a_layer_without_pixels_has_no_summary() -> None:
 def test_the_background_alone_labels_everything() -> None:
     result = segmented([posterior(0, 130)], configured(contrast_strength=1.0, label_cost=20.0, speck_px=50.0))
     assert not result.labels.any()
-    np.testing.assert_array_equal(result.normaliser, 130)
+    assert not result.fallback.any()
+    np.testing.assert_array_equal(result.normaliser, 255)
 
 
 def test_what_the_evidence_knows_is_passed_on() -> None:

@@ -6,13 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence
+from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region
 from mlbs_actors.shadows import (
     CONTACT_DARK,
     CONTACT_WIDTH,
     Darkening,
     contact_shadow,
     darkening,
+    ground_colour,
     shadow_likelihood,
 )
 
@@ -68,10 +69,17 @@ def labels() -> Array:
     return previous
 
 
+def darkened(
+    image: Array, given: FrameEvidence, previous: Array = NO_LABELS, scale: float = SCALE
+) -> Darkening:
+    """On the whole frame."""
+    ground = ground_colour(image, given, previous, scale)
+    assert ground is not None
+    return darkening(image, ground, Region(0, 0, image.shape[1], image.shape[0]))
+
+
 def likelihood(image: Array, previous: Array = NO_LABELS) -> Array:
-    dark = darkening(image, evidence(), previous, SCALE)
-    assert dark is not None
-    return shadow_likelihood(dark)
+    return shadow_likelihood(darkened(image, evidence(), previous))
 
 
 @pytest.mark.parametrize("factor", [0.7, 0.5, 0.3])
@@ -119,9 +127,9 @@ def test_without_an_object_there_is_nothing_that_could_cast_one() -> None:
     image = picture(0.5)
     none = np.zeros((0, 2), np.float32)
     for previous in (NO_LABELS, np.zeros(SHAPE, np.uint16)):
-        assert darkening(image, evidence(BACKGROUND), previous, SCALE) is None
-        assert darkening(image, evidence(1, none), previous, SCALE) is None
-    assert darkening(image, evidence(1, none), labels(), SCALE) is not None
+        assert ground_colour(image, evidence(BACKGROUND), previous, SCALE) is None
+        assert ground_colour(image, evidence(1, none), previous, SCALE) is None
+    assert ground_colour(image, evidence(1, none), labels(), SCALE) is not None
 
 
 def test_equal_input_gives_equal_bytes_and_is_only_read() -> None:
@@ -133,9 +141,7 @@ def test_equal_input_gives_equal_bytes_and_is_only_read() -> None:
 def test_a_frame_without_any_ground_has_no_shadow() -> None:
     x, y = np.meshgrid(np.arange(0, SHAPE[1], 8), np.arange(0, SHAPE[0], 8))
     everywhere = np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
-    dark = darkening(picture(0.5), evidence(1, everywhere), NO_LABELS, SCALE)
-    assert dark is not None
-    assert not shadow_likelihood(dark).any()
+    assert not shadow_likelihood(darkened(picture(0.5), evidence(1, everywhere))).any()
 
 
 # The dark strip between an object and the ground
@@ -148,9 +154,7 @@ EDGE = 3
 
 
 def strip_found(image: Array, found: Array) -> Array:
-    dark = darkening(image, evidence(), found, SCALE)
-    assert dark is not None
-    return contact_shadow(found, image, dark, SCALE, RISE)
+    return contact_shadow(found, image, darkened(image, evidence(), found), SCALE, RISE)
 
 
 def with_strip(strip: tuple[slice, slice] = STRIP, grey: int = 9) -> tuple[Array, Array]:
@@ -212,8 +216,7 @@ def test_the_lighter_rim_under_the_strip_goes_with_it() -> None:
     image, found = with_strip()
     image[rim] = 100
     image, found = (one.repeat(2, axis=0).repeat(2, axis=1) for one in (image, found))
-    dark = darkening(image, evidence(), found, 2 * SCALE)
-    assert dark is not None
+    dark = darkened(image, evidence(), found, 2 * SCALE)
     assert dark.mean[258:260, 264:336].min() > CONTACT_DARK
     assert contact_shadow(found, image, dark, 2 * SCALE, RISE)[258:260, 264:336].all()
 
@@ -232,16 +235,51 @@ def test_what_does_not_stand_on_the_ground_has_no_contact_shadow(below: str) -> 
         found[130:160, 120:180] = 2
         assert not strip_found(image, found)[STRIP].any()
     else:
-        dark = darkening(image, evidence(), found, SCALE)
-        assert dark is not None
+        dark = darkened(image, evidence(), found)
         cut = Darkening(dark.mean[:130], dark.spread[:130], dark.brightness[:130], dark.variance[:130])
         assert not contact_shadow(found[:130], image[:130], cut, SCALE, RISE).any()
 
 
 def test_the_ground_of_a_mirrored_frame_is_mirrored() -> None:
     image, found = picture(0.5, road() * np.linspace(0.5, 1.5, SHAPE[1])[:, None]), labels()
-    one = darkening(image, evidence(BACKGROUND), found, SCALE)
-    other = darkening(image[:, ::-1], evidence(BACKGROUND), found[:, ::-1], SCALE)
-    assert one is not None
-    assert other is not None
+    one = darkened(image, evidence(BACKGROUND), found)
+    other = darkened(image[:, ::-1], evidence(BACKGROUND), found[:, ::-1])
     np.testing.assert_allclose(other.mean[:, ::-1], one.mean, atol=0.05)
+
+
+# Boxes
+
+
+@pytest.mark.parametrize("box", [Region(100, 60, 101, 111), Region(0, 0, 50, 40), Region(291, 203, 29, 37)])
+def test_a_box_is_darkened_as_the_whole_frame_is(box: Region) -> None:
+    image = picture(0.5)
+    ground = ground_colour(image, evidence(), labels(), SCALE)
+    assert ground is not None
+    whole, part = darkened(image, evidence(), labels()), darkening(image, ground, box)
+    for name in ("mean", "spread", "brightness", "variance"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[box.slices])
+    np.testing.assert_array_equal(shadow_likelihood(part), shadow_likelihood(whole)[box.slices])
+
+
+def test_darkening_is_the_log_of_the_colour_over_that_of_the_enlarged_ground() -> None:
+    image = picture(0.5)
+    ground = ground_colour(image, evidence(), labels(), SCALE)
+    assert ground is not None
+    dark = darkened(image, evidence(), labels())
+    enlarged = cv2.resize(ground, SHAPE[::-1])
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float32) + 1.0
+    channels = np.log(smooth) - enlarged[..., :3]
+    np.testing.assert_allclose(dark.mean, channels.mean(axis=2), atol=1e-5)
+    np.testing.assert_allclose(dark.spread, np.ptp(channels, axis=2), atol=1e-5)
+    np.testing.assert_allclose(dark.brightness, smooth.mean(axis=2), rtol=1e-6)
+    np.testing.assert_allclose(dark.variance, enlarged[..., 3], rtol=1e-5, atol=1e-6)
+
+
+def test_a_contact_shadow_is_found_in_a_box_as_in_the_whole_frame() -> None:
+    image, found = with_strip()
+    ground = ground_colour(image, evidence(), found, SCALE)
+    assert ground is not None
+    box = Region(100, 60, 100, 100)
+    part = np.ascontiguousarray(image[box.slices])
+    strip = contact_shadow(found[box.slices], part, darkening(image, ground, box), SCALE, RISE)
+    np.testing.assert_array_equal(strip, strip_found(image, found)[box.slices])

@@ -8,7 +8,7 @@ import numpy as np
 from layer_fakes import CAR, SHAPE, WHOLE, frame_of, grid, owned, published, tracks
 
 from mlbs_actors.messages import BACKGROUND, Region
-from mlbs_actors.regions import contested, object_region
+from mlbs_actors.object_regions import contested, object_region
 
 NOTHING = np.zeros((0, 2), np.float32)
 
