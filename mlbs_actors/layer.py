@@ -1,9 +1,9 @@
 """One layer: motion field, prediction, likelihood, posterior, update — the "processing block" (§5, §6).
 
 :meth:`Layer.step` is called once a frame: it finishes frame t−1 with the published labels, then predicts and
-evaluates frame t. The layer works on the region of its object (:mod:`mlbs_actors.object_regions`). The background's
-is the frame: it moves and learns all of it, but is evaluated only where an object can be. Elsewhere its cost
-is the offset of all costs, its colours say nothing and have no samples.
+evaluates frame t. The layer works on the region of its object (:mod:`mlbs_actors.object_regions`). The
+background's is the frame: it moves and learns all of it, but is evaluated only where an object can be. Elsewhere
+its cost is the offset of all costs, its colours say nothing and have no samples.
 
 The negative logarithm of a pixel's unnormalised posterior is a weighted sum of five terms (weights in
 :class:`~mlbs_actors.config.PosteriorConfig`, nats), cut to 0 … 15.9:
@@ -54,8 +54,8 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
-from mlbs_actors.photometric import FramePart, photometric_advantage
 from mlbs_actors.object_regions import contested, object_region
+from mlbs_actors.photometric import FramePart, photometric_advantage
 from mlbs_actors.trajectory_distance import closed_distance, trajectory_distance
 from mlbs_actors.warp import warp_map
 
