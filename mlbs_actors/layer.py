@@ -2,8 +2,8 @@
 
 :meth:`Layer.step` is called once a frame: it finishes frame t−1 with the published labels, then predicts and
 evaluates frame t. The layer works on the region of its object (:mod:`mlbs_actors.object_regions`). The
-background's is the frame: it moves and learns all of it, but is evaluated only where an object can be. Elsewhere
-its cost is the offset of all costs, its colours say nothing and have no samples.
+background's is the frame: it moves and learns all of it, but is evaluated only where an object can be.
+Elsewhere its cost is the offset of all costs, its colours say nothing and have no samples.
 
 The negative logarithm of a pixel's unnormalised posterior is a weighted sum of five terms (weights in
 :class:`~mlbs_actors.config.PosteriorConfig`, nats), cut to 0 … 15.9:
