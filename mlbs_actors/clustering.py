@@ -39,6 +39,7 @@ __all__ = [
     "merge_by_motion",
     "propagate_labels",
     "split_labels",
+    "split_origins",
 ]
 
 #: Label of a trajectory that belongs to no layer.
@@ -154,6 +155,27 @@ def split_labels(
     return result
 
 
+def split_origins(before: Array, labels: Array) -> dict[int, int]:
+    """Where the labels that are new after :func:`split_labels` come from.
+
+    Parameters
+    ----------
+    before, labels : (n,) int64
+        Labels before and after it.
+
+    Returns
+    -------
+    dict of int to int
+        New label → the label that most of its trajectories had; none for those that had none.
+    """
+    origins = {}
+    for label in np.setdiff1d(labels, before):
+        previous, counts = np.unique(before[labels == label], return_counts=True)
+        if label != UNLABELLED and previous[np.argmax(counts)] != UNLABELLED:
+            origins[int(label)] = int(previous[np.argmax(counts)])
+    return origins
+
+
 def border_motion(
     graph: TrajectoryGraph, labels: Array, quantile: float
 ) -> dict[tuple[int, int], tuple[float, int]]:
@@ -250,8 +272,8 @@ def merge_by_motion(
     to that neighbour. Parts of one object bend and turn against each other, so between objects more is
     allowed, but only where a good part of the younger touches the older: two objects that pass each other
     touch with little. Objects of any age whose motions have been the same, within the noise, all their common
-    life are one, if they touch at all; their border is measured against √n of the younger's n trajectories,
-    for a border grows like the root of what it bounds.
+    life are one, if they touch at all. Borders are measured against √n of the younger's n trajectories, for
+    a border grows like the root of what it bounds.
 
     Parameters
     ----------
@@ -284,7 +306,7 @@ def merge_by_motion(
                 alike = young and distance < config.merge_distance
             else:
                 alike = young and distance < config.object_merge_distance
-                alike &= edges >= config.merge_reach * count
+                alike &= edges >= config.merge_border * np.sqrt(count)
                 alike |= (
                     distance < config.same_motion_distance
                     and edges >= config.same_motion_border * np.sqrt(count)

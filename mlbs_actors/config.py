@@ -122,8 +122,8 @@ class LayersConfig(_Section):
     )
     merge_distance: float = Field(1.2, ge=0, description="Labels below it at that quantile are one.")
     object_merge_distance: float = Field(6.0, ge=0, description="The same between two objects.")
-    merge_reach: float = Field(
-        1.0, ge=0, description="Border edges per trajectory of the younger of two objects to merge."
+    merge_border: float = Field(
+        6.0, ge=0, description="Border edges of two objects to merge, × √(trajectories of the younger)."
     )
     camera_px: float = Field(
         0.6, ge=0, description="A young label moves at least this much against the camera, px/frame."
@@ -144,6 +144,9 @@ class LayersConfig(_Section):
         2.0, description="A moving trajectory counts from this much evidence against the camera, × noise."
     )
     probation_frames: int = Field(2, ge=0, description="Frames a split must last before it becomes a layer.")
+    part_probation_frames: int = Field(
+        12, ge=0, description="The same for what falls off an object; until then it is a part of it."
+    )
     min_tracks: int = Field(5, ge=1, description="A layer with fewer trajectories falls asleep.")
     coast_frames: int = Field(
         10, ge=0, description="Frames a layer without trajectories stays awake while it owns pixels."

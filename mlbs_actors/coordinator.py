@@ -28,6 +28,7 @@ from mlbs_actors.clustering import (
     merge_by_motion,
     propagate_labels,
     split_labels,
+    split_origins,
 )
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.epipolar import forward_motion, static_motion
@@ -259,13 +260,15 @@ class Coordinator:
         with _timed(stage_ms, "clustering"):
             bled = bled_trajectories(state.trajectories, config.layers, scale)
             if state.clustered:
-                labels = propagate_labels(affinity, state.labels, config.affinity)
-                fresh = max(registry.state.next_layer, int(labels.max(initial=0)) + 1)
-                labels = split_labels(affinity, labels, config.affinity, fresh, bled)
+                carried = propagate_labels(affinity, state.labels, config.affinity)
+                fresh = max(registry.state.next_layer, int(carried.max(initial=0)) + 1)
+                labels = split_labels(affinity, carried, config.affinity, fresh, bled)
+                origins = split_origins(carried, labels)
             else:
                 labels = split_labels(affinity, np.full(len(bled), UNLABELLED), config.affinity, 0, bled)
                 spacing = config.trajectories.seed_spacing_px * scale
                 labels = background_first(labels, state.trajectories, scale, spacing)
+                origins = {}
             speeds = label_speeds(state.trajectories, labels)
             least = least_object_speed(state.trajectories, labels == BACKGROUND, config.layers, scale)
             ages = registry.ages(frame_index)
@@ -273,7 +276,7 @@ class Coordinator:
             labels = merge_by_motion(graph, labels, ages, speeds, least, config.layers)
             registry.forget(split - set(np.unique(labels).tolist()))
             # What the first clustering finds has been there since the first frame.
-            labels = registry.admit(labels, frame_index if state.clustered else 0)
+            labels = registry.admit(labels, frame_index if state.clustered else 0, origins)
             at = np.clip(
                 np.rint(state.trajectories.positions).astype(np.intp), 0, np.array(state.shape)[::-1] - 1
             )
@@ -339,9 +342,7 @@ class Coordinator:
         state = self.state
         assert state.shape is not None
         registry = LayerRegistry(self.config.layers, state.shape, state.registry)
-        layer = np.array(
-            [registry.layer_of(int(label)) if label >= 0 else UNLABELLED for label in np.unique(held.labels)]
-        )
+        layer = np.array([registry.layer_of(int(label)) for label in np.unique(held.labels)])
         layer = (
             layer[np.searchsorted(np.unique(held.labels), held.labels)] if len(held.labels) else held.labels
         )

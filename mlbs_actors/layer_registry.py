@@ -6,14 +6,15 @@ life and is what the label map shows. They differ for the objects past the cap, 
 layer "other".
 
 Differs from the paper: it creates a layer whenever the N-cut splits a cluster and drops it with its last
-trajectory; here a split must last a few frames first, a layer that loses its trajectories sleeps for a while
-and is woken when a new cluster of like colours appears where it should be, and the number of layers is
-bounded.
+trajectory; here a split must last a few frames first. What falls off an object (a limb, a head, the body that
+rests while the head turns) stays with it for longer, and is only then taken for another object. A layer that
+loses its trajectories sleeps for a while and is woken when a new cluster of like colours appears where it
+should be, and the number of layers is bounded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +39,8 @@ class RegistryState:
         Ascending; candidates have labels < −1.
     born : (k,) int64
         Frame of birth.
+    origins : (k,) int64
+        Label that a candidate fell off, −1 if it fell off none.
     seen : (k,) int64
         Last frame awake; older than the newest frame = asleep.
     tracked : (k,) int64
@@ -58,6 +61,7 @@ class RegistryState:
 
     labels: Array
     born: Array
+    origins: Array
     seen: Array
     tracked: Array
     centroids: Array
@@ -72,6 +76,7 @@ class RegistryState:
     def empty() -> RegistryState:
         """No object yet."""
         return RegistryState(
+            np.zeros(0, np.int64),
             np.zeros(0, np.int64),
             np.zeros(0, np.int64),
             np.zeros(0, np.int64),
@@ -143,8 +148,13 @@ class LayerRegistry:
         return frozenset(self.layer_of(int(label)) for label in self.state.labels if label > 0)
 
     def layer_of(self, label: int) -> int:
-        """Layer id of a label ≥ 0."""
+        """Layer id of a label, −1 for none.
+
+        A candidate that fell off an object belongs to its layer until it has one of its own.
+        """
         row = np.flatnonzero(self.state.labels == label)
+        if label < BACKGROUND:
+            return self.layer_of(int(self.state.origins[row[0]])) if len(row) else UNLABELLED
         if len(row) and self.state.pooled[row[0]]:
             return self.state.other
         return label
@@ -153,7 +163,7 @@ class LayerRegistry:
         """Drop labels that were merged into others: nothing is left that could wake."""
         self._select(~np.isin(self.state.labels, list(merged)))
 
-    def admit(self, labels: Array, frame_index: int) -> Array:
+    def admit(self, labels: Array, frame_index: int, origins: Mapping[int, int]) -> Array:
         """Give the labels that are new since the last frame their candidate labels.
 
         Parameters
@@ -161,6 +171,8 @@ class LayerRegistry:
         labels : (n,) int64
             Unknown labels ≥ 0 are taken for new clusters.
         frame_index : int
+        origins : mapping of int to int
+            New label → the one it fell off.
 
         Returns
         -------
@@ -176,6 +188,9 @@ class LayerRegistry:
                     state,
                     labels=np.concatenate([[candidate], state.labels]),
                     born=np.concatenate([[frame_index], state.born]),
+                    origins=np.concatenate(
+                        [[self._object(origins.get(int(label), UNLABELLED))], state.origins]
+                    ),
                     seen=np.concatenate([[frame_index], state.seen]),
                     tracked=np.concatenate([[frame_index], state.tracked]),
                     centroids=np.concatenate([np.zeros((1, 2)), state.centroids]),
@@ -187,6 +202,13 @@ class LayerRegistry:
                     next_candidate=candidate - 1,
                 )
         return labels
+
+    def _object(self, label: int) -> int:
+        """The object that a label is, or belongs to as a candidate; −1 if it is none."""
+        row = np.flatnonzero(self.state.labels == label)
+        if len(row) == 0:
+            return UNLABELLED
+        return label if label > BACKGROUND else int(self.state.origins[row[0]])
 
     def observe(
         self,
@@ -210,7 +232,8 @@ class LayerRegistry:
             The frame's colours there.
         frame_index : int
         probation : int
-            Frames that a candidate must have lasted to become a layer.
+            Frames that a candidate must have lasted to become a layer; one that fell off an object must have
+            lasted for ``part_probation_frames``.
         published : collection of int
             Layers that own pixels in the newest label map that may be read. A layer with too few
             trajectories stays awake on them for ``coast_frames``.
@@ -246,8 +269,9 @@ class LayerRegistry:
             self.state = replace(
                 self.state, other=-1
             )  # the next "other" is another layer: ids do not come back
+        awaited = np.where(self.state.origins == UNLABELLED, probation, self.config.part_probation_frames)
         for label in self.state.labels[
-            (self.state.labels < UNLABELLED) & (frame_index - self.state.born >= probation)
+            (self.state.labels < UNLABELLED) & (frame_index - self.state.born >= awaited)
         ][::-1]:
             labels[labels == label] = self._promote(int(label), frame_index)
         self._keep_cap(labels, frame_index)
@@ -259,6 +283,7 @@ class LayerRegistry:
             state,
             labels=state.labels[rows],
             born=state.born[rows],
+            origins=state.origins[rows],
             seen=state.seen[rows],
             tracked=state.tracked[rows],
             centroids=state.centroids[rows],

@@ -19,13 +19,14 @@ from mlbs_actors.clustering import (
     merge_by_motion,
     propagate_labels,
     split_labels,
+    split_origins,
 )
 from mlbs_actors.config import AffinityConfig, LayersConfig, TrajectoriesConfig
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.trajectories import TrajectoryState, empty_trajectories
 
 CUTS = AffinityConfig(cut_threshold=1e-2, cut_side_tracks=5)
-MERGES = LayersConfig(young_frames=6, merge_quantile=0.3, merge_distance=1.2, merge_reach=0.5)
+MERGES = LayersConfig(young_frames=6, merge_quantile=0.3, merge_distance=1.2, merge_border=3.0)
 OLD = 100
 FAST = 1e9
 
@@ -112,6 +113,13 @@ def test_unlabelled_trajectories_are_clustered_too() -> None:
 def test_few_trajectories_that_fall_off_never_make_a_label() -> None:
     labels = split(blocks(12, 3, 4), np.zeros(19, np.int64))
     assert labels.tolist() == [0] * 12 + [UNLABELLED] * 7
+
+
+def test_a_new_label_comes_from_where_most_of_its_trajectories_were() -> None:
+    before = np.array([0, 0, 3, 3, 3, 3, UNLABELLED, UNLABELLED, -5, -5])
+    labels = np.array([0, 7, 7, 7, 3, 3, 8, 8, 9, UNLABELLED])
+    assert split_origins(before, labels) == {7: 3, 9: -5}
+    assert split_origins(before, before) == {}
 
 
 def test_splitting_leaves_the_given_labels_as_they_were() -> None:
@@ -267,6 +275,16 @@ def test_two_objects_that_only_touch_stay_apart() -> None:
     graph, labels = border(2, 5, [0.1] * 4)
     merged = merge_by_motion(graph, labels, {2: 3, 5: 1}, {2: FAST, 5: FAST}, 1.0, MERGES)
     np.testing.assert_array_equal(merged, labels)
+
+
+def test_the_border_of_two_halves_is_measured_against_the_root_of_their_size() -> None:
+    # A border grows like the root of what it bounds: 3 √20 = 13.4 edges for the 20 of the younger.
+    ages, speeds = {2: 3, 5: 1}, {2: FAST, 5: FAST}
+    bent = 0.5 * (MERGES.same_motion_distance + MERGES.object_merge_distance)
+    less, labels = border(2, 5, [bent] * 13)
+    np.testing.assert_array_equal(merge_by_motion(less, labels, ages, speeds, 1.0, MERGES), labels)
+    enough, labels = border(2, 5, [bent] * 14)
+    assert set(merge_by_motion(enough, labels, ages, speeds, 1.0, MERGES).tolist()) == {2}
 
 
 def test_objects_of_any_age_whose_motions_are_the_same_are_one() -> None:

@@ -16,6 +16,7 @@ from mlbs_actors.messages import BACKGROUND, Array
 
 CONFIG = LayersConfig(
     probation_frames=3,
+    part_probation_frames=5,
     min_tracks=4,
     coast_frames=2,
     dormant_frames=6,
@@ -34,6 +35,7 @@ class Thing:
     place: tuple[float, float] = (100.0, 100.0)
     velocity: tuple[float, float] = (0.0, 0.0)
     colour: tuple[int, int, int] = RED
+    part_of: str = ""
 
 
 @dataclass
@@ -65,13 +67,17 @@ class Stream:
                 label, fresh = fresh, fresh + 1
             given.append(label)
         counts = [things[name].tracks for name in names]
+        origins = {
+            label: self.labels.get(things[name].part_of, BACKGROUND)
+            for name, label in zip(names, given, strict=True)
+        }
 
         def spread(values: list[tuple[float, float]]) -> Array:
             return np.repeat(np.array(values, np.float32).reshape(-1, 2), counts, axis=0)
 
         colours = np.array([things[name].colour for name in names], np.uint8).reshape(-1, 3)
         labels = self.registry.observe(
-            self.registry.admit(np.repeat(np.array(given, np.int64), counts), self.frame_index),
+            self.registry.admit(np.repeat(np.array(given, np.int64), counts), self.frame_index, origins),
             spread([things[name].place for name in names]),
             -spread([things[name].velocity for name in names]),
             np.repeat(colours, counts, axis=0),
@@ -87,8 +93,8 @@ class Stream:
 
     def layer_of(self, name: str) -> int | None:
         """The layer of a thing seen in the newest frame, None before its birth."""
-        label = self.labels[name]
-        return self.registry.layer_of(label) if label > BACKGROUND else None
+        layer = self.registry.layer_of(self.labels[name])
+        return layer if layer > BACKGROUND else None
 
     def skip(self, frames: int) -> None:
         for _ in range(frames):
@@ -105,6 +111,39 @@ def test_a_cluster_becomes_a_layer_only_after_its_probation() -> None:
         assert stream.layer_of("car") is None
     assert stream.see({"car": Thing()}) == {1}
     assert stream.layer_of("car") == 1
+
+
+def test_what_falls_off_an_object_is_a_part_of_it_until_its_longer_probation_ends() -> None:
+    stream = Stream()
+    stream.see({"man": Thing()}, at_once=True)
+    parted = {"man": Thing(), "arm": Thing(place=(120.0, 100.0), colour=BLUE, part_of="man")}
+    for _ in range(CONFIG.part_probation_frames):
+        assert stream.see(parted) == {1}
+        assert stream.layer_of("arm") == stream.layer_of("man") == 1
+    assert stream.see(parted) == {1, 2}
+    assert stream.layer_of("arm") == 2
+
+
+def test_what_falls_off_a_part_belongs_to_the_same_object() -> None:
+    stream = Stream()
+    stream.see({"man": Thing()}, at_once=True)
+    stream.see({"man": Thing(), "arm": Thing(part_of="man")})
+    stream.see({"man": Thing(), "arm": Thing(), "hand": Thing(part_of="arm")})
+    assert stream.layer_of("hand") == 1
+
+
+def test_a_part_of_an_object_that_shares_the_layer_other_is_in_that_layer_too() -> None:
+    stream = Stream(CONFIG.model_copy(update={"max_layers": 3}))
+    pair = {"large": Thing(tracks=30), "small": Thing(place=(300.0, 100.0)), "tiny": Thing(tracks=5)}
+    stream.see(pair, at_once=True)
+    stream.see({**pair, "limb": Thing(tracks=4, part_of="tiny")})
+    assert stream.layer_of("limb") == stream.layer_of("tiny") == stream.registry.state.other
+
+
+def test_what_falls_off_the_background_belongs_to_no_layer_at_first() -> None:
+    stream = Stream()
+    assert stream.see({"car": Thing(part_of="road")}) == set()
+    assert stream.layer_of("car") is None
 
 
 def test_a_cluster_that_breaks_its_probation_begins_again() -> None:
