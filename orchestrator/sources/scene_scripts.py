@@ -359,7 +359,7 @@ def _crowd(stage: Stage) -> None:
 
 
 def _steady_crowd(stage: Stage) -> None:
-    """Each object circles in a cell of its own, so that none hides another; the cells fill in a fixed order."""
+    """Each object circles in a cell of its own, so that none hides another."""
     stage.pan(1.0)
     stage.background(props=3)
     columns, rows = 7, 5
