@@ -138,6 +138,7 @@ def test_several_sequences_are_followed_by_the_means_of_each_method() -> None:
         (["--peers", "yolo"], "composite"),
         (["--frames", "5", "--warm", "5"], "more frames"),
         (["--measure", "speed"], "births"),
+        (["--measure", ","], "names nothing"),
         (["--sequences", "nowhere"], "--data"),
         (["--set", "flow.scal=1"], "flow"),
     ],

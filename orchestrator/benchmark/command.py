@@ -47,7 +47,7 @@ what can be measured (on --sequences where no scene is named):
   births    the longest frame in which an object enters, in process and through Ray (late-entry, crowd)
   ray       the pipeline through Ray: rate, CPU time of all its processes, the share of Ray, start-up
   streams   1, 2, 4 and 8 streams at once through Ray, against what the cores could do
-  memory    private memory of each kind of process
+  memory    private memory of each kind of process (the driver is this program, larger than that of a run)
 """
 
 METHODS = "methods"
@@ -124,8 +124,9 @@ def _check(options: argparse.Namespace) -> None:
     if options.measure == ["all"]:
         options.measure = list(known)
     unknown = sorted(set(options.measure) - set(known))
-    if unknown:
-        raise ConfigError(f"--measure knows no {unknown[0]!r}; choose from {', '.join(known)}, or write all.")
+    if unknown or not options.measure:
+        asked = f"knows no {unknown[0]!r}" if unknown else "names nothing"
+        raise ConfigError(f"--measure {asked}; choose from {', '.join(known)}, or write all.")
     if options.plots:
         require_matplotlib()
 
