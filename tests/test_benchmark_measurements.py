@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -271,37 +271,60 @@ def test_without_matplotlib_a_sentence_says_how_to_get_it(monkeypatch: pytest.Mo
         require_matplotlib()
 
 
+SMALL = "synthetic:demo?frames=8&width=96&height=64"
+
+#: The command with fewer and smaller runs, in a program of its own: Ray's settings come before its import.
+PROGRAM = """\
+import sys
+from functools import partial
+from orchestrator.ray_session import ray_settings
+with ray_settings(None) as scratch:
+    from orchestrator.benchmark import command
+    command.measure_streams = partial(command.measure_streams, streams=(1,))
+    command.measure_births = partial(command.measure_births, scenes=("late-entry",), size=(96, 64))
+    sys.exit(command.main(sys.argv[1:], scratch))
+"""
+
+
+def measured(name: str, folder: Path) -> Any:
+    """Run one measurement; return its figures."""
+    flags = ["--measure", name, "--sequences", SMALL, "--frames", "14", "--warm", "6"]
+    flags += ["--json", str(folder / "figures.json"), "--plots", str(folder)]
+    command = [sys.executable, "-c", PROGRAM, *flags]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=220)
+    assert ended.returncode == 0, ended.stderr
+    assert name in ended.stderr
+    assert ended.stdout
+    assert list(folder.glob(f"{name}*.png"))
+    return json.loads((folder / "figures.json").read_text())[name]
+
+
 @pytest.mark.ray
 @pytest.mark.long
-def test_all_that_runs_through_ray_gives_its_tables_figures_and_plots(tmp_path: Path) -> None:
-    """In a program of its own, since Ray's settings come before its import."""
-    uri = "synthetic:demo?frames=8&width=96&height=64"
-    program = (
-        "import sys, functools\n"
-        "from orchestrator.ray_session import ray_settings\n"
-        "with ray_settings(None) as scratch:\n"
-        "    from orchestrator.benchmark import command\n"
-        "    command.measure_streams = functools.partial(command.measure_streams, streams=(1, 2))\n"
-        "    command.measure_births = functools.partial(\n"
-        "        command.measure_births, scenes=('late-entry',), size=(96, 64))\n"
-        "    sys.exit(command.main(sys.argv[1:], scratch))\n"
-    )
-    flags = ["--measure", "births,ray,streams,memory", "--sequences", uri, "--frames", "16", "--warm", "6"]
-    flags += ["--json", str(tmp_path / "figures.json"), "--plots", str(tmp_path / "plots")]
-    ended = subprocess.run(
-        [sys.executable, "-c", program, *flags], capture_output=True, text=True, timeout=220
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert "streams" in ended.stderr
-    assert "all processes" in ended.stdout
-    figures = json.loads((tmp_path / "figures.json").read_text())
-    assert set(figures) == {"births", "ray", "streams", "memory"}
-    of_ray = figures["ray"][uri]
-    assert of_ray["engine"]["all_cpu_ms"] > of_ray["empty"]["all_cpu_ms"] > 0
-    assert 0 < of_ray["engine"]["start_up"]["ray"] < of_ray["engine"]["start_up"]["first"]
-    assert set(figures["streams"][uri]["streams"]) == {"1", "2"}
+def test_the_pipeline_is_measured_beside_empty_methods(tmp_path: Path) -> None:
+    figures = measured("ray", tmp_path)[SMALL]
+    assert figures["engine"]["all_cpu_ms"] > figures["empty"]["all_cpu_ms"] > 0
+    assert 0 < figures["engine"]["start_up"]["ray"] < figures["engine"]["start_up"]["first"]
+
+
+@pytest.mark.ray
+@pytest.mark.long
+def test_the_memory_of_each_kind_of_process_is_measured(tmp_path: Path) -> None:
     kinds = {"reader", "coordinator", "segmenter", "background layer", "sink", "pool", "driver", "Ray's own"}
-    assert kinds <= set(figures["memory"][uri])
-    assert set(figures["births"]["late-entry"]) == {"in process", "through Ray"}
-    drawn = {path.name for path in (tmp_path / "plots").iterdir()}
-    assert drawn == {"births-late-entry.png", "ray.png", "streams.png", "memory.png"}
+    assert kinds <= set(measured("memory", tmp_path)[SMALL])
+
+
+@pytest.mark.ray
+@pytest.mark.long
+def test_streams_at_once_are_measured(tmp_path: Path) -> None:
+    figures = measured("streams", tmp_path)[SMALL]
+    assert figures["most_frames_a_second"] > 0
+    assert figures["streams"]["1"]["frames_a_second"] > 0
+
+
+@pytest.mark.ray
+@pytest.mark.long
+def test_births_are_measured_in_both_ways_to_run(tmp_path: Path) -> None:
+    figures = measured("births", tmp_path)["late-entry"]
+    assert [time["frame"] for time in figures["in process"]["frames"]] == [*range(6, 14)]
+    assert [time["frame"] for time in figures["through Ray"]["frames"]] == [*range(6, 14)]

@@ -9,6 +9,7 @@ in.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -257,6 +258,7 @@ def pipeline(config: Config, scratch: Path, parts: PartFactory | None = None) ->
         What the actors run; by default the engine.
     """
     started = time.monotonic()
+    at_sigterm = signal.getsignal(signal.SIGTERM)
     # Ray prints its own warnings; standard output belongs to the tables.
     with (
         redirect_stdout(sys.stderr),
@@ -264,6 +266,7 @@ def pipeline(config: Config, scratch: Path, parts: PartFactory | None = None) ->
         ray_session(None, scratch),
     ):
         ready = time.monotonic()
+        signal.signal(signal.SIGTERM, at_sigterm)  # Ray replaces it, and would end without the block's exits
         folder = Path(name)
         (folder / "layers").mkdir()
         node = Node(parts=_NotingParts(parts or EngineParts(), folder / "layers"))
