@@ -13,6 +13,7 @@ from mlbs_actors import Config
 from mlbs_actors.messages import Array
 from orchestrator.benchmark import command
 from orchestrator.benchmark.measurement import ENGINE, frame_order, measure
+from orchestrator.benchmark.methods import methods_table
 from orchestrator.benchmark.peers import PEERS, Peer
 from orchestrator.evaluation.datasets import SceneSequence
 from orchestrator.sources.synthetic import scene
@@ -109,7 +110,7 @@ def test_the_command_prints_a_row_for_each_method_and_writes_the_figures(
         "--json",
         str(path),
     ]
-    assert command.main(flags) == 0
+    assert command.main(flags, tmp_path) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[1] for line in lines[1:3]] == [ENGINE, "composite"]
     assert lines[2].split()[-1] == "1.00"
@@ -124,7 +125,7 @@ def test_several_sequences_are_followed_by_the_means_of_each_method() -> None:
         name: measure(demo(frames), peers, Config(), frames=6, warm=5)
         for name, frames in (("a", 5), ("b", 6))
     }
-    rows = [line.split() for line in command.methods_table(measured).splitlines()]
+    rows = [line.split() for line in methods_table(measured).splitlines()]
     assert [row[:2] for row in rows[-2:]] == [["mean", ENGINE], ["mean", "composite"]]
     for column in range(2, 6):
         values = [float(row[column]) for row in rows if row[1] == "composite"]
@@ -136,15 +137,21 @@ def test_several_sequences_are_followed_by_the_means_of_each_method() -> None:
     [
         (["--peers", "yolo"], "composite"),
         (["--frames", "5", "--warm", "5"], "more frames"),
+        (["--measure", "speed"], "births"),
+        (["--measure", ","], "names nothing"),
         (["--sequences", "nowhere"], "--data"),
         (["--set", "flow.scal=1"], "flow"),
     ],
 )
 def test_wrong_usage_ends_with_status_2_and_says_what_to_do(
-    flags: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    flags: list[str],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delenv("MLBS_DATA", raising=False)
     with pytest.raises(SystemExit) as ended:
-        command.main(flags)
+        command.main(flags, tmp_path)
     assert ended.value.code == 2
     assert said in capsys.readouterr().err

@@ -181,6 +181,26 @@ def test_the_crowd_grows_from_one_object_to_32_and_shrinks_to_one() -> None:
     assert present[-1] == {1}
 
 
+@pytest.mark.parametrize("objects", [1, 5, 32])
+def test_the_steady_crowd_shows_as_many_objects_as_asked_for_of_one_percent_each_all_the_time(
+    objects: int,
+) -> None:
+    made = scene_from_uri(f"synthetic:steady-crowd?frames=40&objects={objects}")
+    for index in (0, 13, 39):
+        area = np.bincount(made.labels(index).ravel(), minlength=objects + 1)[1:] / (320 * 240)
+        assert len(area) == objects
+        assert area.min() > 0.008
+        assert area.max() < 0.012
+
+
+def test_the_number_of_objects_is_asked_for_only_where_it_is_left_open() -> None:
+    assert len(set(np.unique(scene("steady-crowd", frames=1).labels(0)).tolist())) == 9
+    with pytest.raises(ConfigError, match="steady-crowd"):
+        scene("demo", objects=3)
+    with pytest.raises(ConfigError, match="objects"):
+        scene("steady-crowd", objects=33)
+
+
 def test_late_entrants_are_absent_first_and_stay_once_there() -> None:
     present = objects_by_frame("late-entry", 60)
     assert present[0] == {1}

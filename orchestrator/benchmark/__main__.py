@@ -1,8 +1,19 @@
 """``python -m orchestrator.benchmark``: the same as ``scripts/bench``."""
 
+import signal
 import sys
 
-from orchestrator.benchmark.command import main
+from orchestrator.ray_session import ray_settings
+
+
+def _exit(number: int, frame: object) -> None:
+    sys.exit(128 + number)
+
 
 if __name__ == "__main__":
-    sys.exit(main())
+    signal.signal(signal.SIGTERM, _exit)  # unwinds, so that a Ray that is running is ended too
+    with ray_settings(None) as scratch:
+        # Imported here, because it imports Ray, which reads its settings then.
+        from orchestrator.benchmark.command import main
+
+        sys.exit(main(None, scratch))

@@ -1,43 +1,67 @@
-"""The command ``scripts/bench``: time the engine beside what else one could use, with what each finds."""
+"""The command ``scripts/bench``: what frames cost, in the engine and in the whole pipeline."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, MlbsError
-from orchestrator.benchmark.measurement import ENGINE, Measurement, measure
+from orchestrator.benchmark.births import measure_births
+from orchestrator.benchmark.finding import Finding
+from orchestrator.benchmark.layers import measure_layers
+from orchestrator.benchmark.memory import measure_memory
+from orchestrator.benchmark.methods import measure_methods
 from orchestrator.benchmark.peers import PEERS
+from orchestrator.benchmark.plots import draw, require_matplotlib
+from orchestrator.benchmark.ray_cost import measure_ray
+from orchestrator.benchmark.setting import Setting
+from orchestrator.benchmark.sizes import measure_sizes
+from orchestrator.benchmark.streams import measure_streams
 from orchestrator.evaluation import datasets
-from orchestrator.evaluation.figures import format_number, format_table, mean_of_sequences, write_figures
+from orchestrator.evaluation.figures import write_figures
 
 __all__ = ["main"]
 
 DESCRIPTION = """\
-Time the engine and OpenCV subtractors on the same frames, in one process and one thread.
+Time the engine and OpenCV subtractors on the same frames, in one process and one thread; with --measure, tell
+what else decides how large a machine must be.
 
   scripts/bench                                             a built-in scene of 640×480 with three objects
   scripts/bench --data data --sequences mlbs/cars4          a sequence with truth, played back and forth
+  scripts/bench --measure ray,memory                        the pipeline as users run it, a process a layer
+  scripts/bench --measure all --json all.json --plots plots
 
 Wall time is the median, CPU time the mean of a frame in steady state. Only ratios within one run compare;
 keep the machine free of other work.
 """
 
-#: The peer that the others are held against.
-REFERENCE = "composite"
+EPILOG = """\
+what can be measured (on --sequences where no scene is named):
+  methods   the engine beside OpenCV's subtractors, and the engine's stages
+  sizes     wall and CPU time of a frame, and the stages, from 320×240 to 1920×1080 (scene demo)
+  layers    CPU time of a frame with 1 to 32 objects of 1 % of a 640×480 frame each (scene steady-crowd)
+  births    the longest frame in which an object enters, in process and through Ray (late-entry, crowd)
+  ray       the pipeline through Ray: rate, CPU time of all its processes, the share of Ray, start-up
+  streams   1, 2, 4 and 8 streams at once through Ray, against what the cores could do
+  memory    private memory of each kind of process (the driver is this program, larger than that of a run)
+"""
+
+METHODS = "methods"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None, scratch: Path) -> int:
     """Run the command.
 
     Parameters
     ----------
     arguments : sequence of str or None
         Without the program's name; None: those of this process.
+    scratch : Path
+        Folder for files of the measurements and of Ray, from :func:`orchestrator.ray_session.ray_settings`.
 
     Returns
     -------
@@ -47,29 +71,89 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     try:
-        measured = _measure(options)
+        _check(options)
+        setting = Setting(
+            sequences={name: datasets.open_sequence(name, options.data) for name in options.sequences},
+            config=load_config(None, options.set),
+            frames=options.frames,
+            warm=options.warm,
+            folder=scratch,
+        )
+        _measure_all(setting, options)
     except MlbsError as error:
         parser.error(str(error))
-    print(methods_table(measured))
-    print()
-    print(stages_table(measured))
-    if options.json:
-        try:
-            write_figures(options.json, as_json(measured))
-        except MlbsError as error:
-            parser.error(str(error))
     return 0
+
+
+def _measurements(peers: Sequence[str]) -> dict[str, Callable[[Setting], Finding]]:
+    return {
+        METHODS: partial(measure_methods, peers=peers),
+        "sizes": measure_sizes,
+        "layers": measure_layers,
+        "births": measure_births,
+        "ray": measure_ray,
+        "streams": measure_streams,
+        "memory": measure_memory,
+    }
+
+
+def _measure_all(setting: Setting, options: argparse.Namespace) -> None:
+    """Measure one after the other; what is measured is printed and written before the next begins."""
+    figures: dict[str, Any] = {}
+    measurements = _measurements(options.peers)
+    for number, name in enumerate(options.measure):
+        finding = measurements[name](setting)
+        print(("\n" if number else "") + "\n\n".join(finding.tables), flush=True)
+        figures |= finding.figures if name == METHODS else {name: finding.figures}
+        if options.json:
+            write_figures(options.json, figures)
+        if options.plots:
+            for file, plot in finding.plots.items():
+                draw(plot, options.plots / f"{file}.png")
+
+
+def _check(options: argparse.Namespace) -> None:
+    if not 0 <= options.warm < options.frames:
+        raise ConfigError(
+            f"--warm {options.warm} leaves nothing of --frames {options.frames} to time; give more frames."
+        )
+    unknown = sorted(set(options.peers) - set(PEERS))
+    if unknown:
+        raise ConfigError(f"There is no peer {unknown[0]!r}; there are {', '.join(PEERS)}.")
+    known = _measurements(options.peers)
+    if options.measure == ["all"]:
+        options.measure = list(known)
+    unknown = sorted(set(options.measure) - set(known))
+    if unknown or not options.measure:
+        asked = f"knows no {unknown[0]!r}" if unknown else "names nothing"
+        raise ConfigError(f"--measure {asked}; choose from {', '.join(known)}, or write all.")
+    if options.plots:
+        require_matplotlib()
+
+
+def _names(text: str) -> list[str]:
+    return [name for name in text.split(",") if name]
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="scripts/bench", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="scripts/bench",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
+    add(
+        "--measure",
+        type=_names,
+        default=[METHODS],
+        metavar="NAME,...",
+        help=f"what to measure, or all; see below (default: {METHODS})",
+    )
     add("--data", type=Path, metavar="ROOT", help="folder of sequences with truth, as for scripts/evaluate")
     add(
         "--sequences",
-        type=lambda text: [name for name in text.split(",") if name],
+        type=_names,
         default=["synthetic:demo?frames=60&width=640&height=480"],
         metavar="NAME,...",
         help="folders relative to ROOT, as in mlbs/cars4, or synthetic:NAME?frames=60&seed=1",
@@ -84,83 +168,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     add(
         "--peers",
-        type=lambda text: [name for name in text.split(",") if name],
+        type=_names,
         default=list(PEERS),
         metavar="NAME,...",
         help=f"which of {', '.join(PEERS)} (default: all)",
     )
     add("--set", action="append", default=[], metavar="KEY=VALUE", help="override a parameter of the engine")
     add("--json", type=Path, metavar="FILE", help="write all figures there")
+    add(
+        "--plots",
+        type=Path,
+        metavar="FOLDER",
+        help="draw a PNG of each measurement there (needs matplotlib: scripts/setup bench)",
+    )
     return parser
-
-
-def _measure(options: argparse.Namespace) -> dict[str, list[Measurement]]:
-    if not 0 <= options.warm < options.frames:
-        raise ConfigError(
-            f"--warm {options.warm} leaves nothing of --frames {options.frames} to time; give more frames."
-        )
-    unknown = sorted(set(options.peers) - set(PEERS))
-    if unknown:
-        raise ConfigError(f"There is no peer {unknown[0]!r}; there are {', '.join(PEERS)}.")
-    config = load_config(None, options.set)
-    sequences = [datasets.open_sequence(name, options.data) for name in options.sequences]
-    measured = {}
-    for name, sequence in zip(options.sequences, sequences, strict=True):
-        print(f"{name}: {options.frames} frames", file=sys.stderr)
-        peers = {peer: PEERS[peer] for peer in options.peers}
-        measured[name] = measure(sequence, peers, config, options.frames, options.warm)
-    return measured
-
-
-def methods_table(measured: dict[str, list[Measurement]]) -> str:
-    """A row for each sequence and method: what it finds, what it takes, CPU time against the composite's.
-
-    Several sequences are followed by a row for each method with the means of its columns.
-    """
-    figures: dict[str, list[list[float]]] = {}
-    rows = []
-    for name, methods in measured.items():
-        reference = next((one.cpu_ms for one in methods if one.method == REFERENCE), float("nan"))
-        for one in methods:
-            score, ratio = one.score.all_frames, one.cpu_ms / reference
-            row = [100 * score.two_label_f, 100 * score.object_f, one.wall_ms, one.cpu_ms, ratio]
-            figures.setdefault(one.method, []).append(row)
-            rows.append([name, one.method, *_cells(row)])
-    if len(measured) > 1:
-        for method, of_sequences in figures.items():
-            means = [mean_of_sequences(column) for column in zip(*of_sequences, strict=True)]
-            rows.append(["mean", method, *_cells(means)])
-    headings = ["sequence", "method", "two_label_f", "object_f", "wall ms", "cpu ms", f"× {REFERENCE}"]
-    return format_table(headings, rows)
-
-
-def _cells(row: list[float]) -> list[str]:
-    return [*(format_number(figure) for figure in row[:-1]), f"{row[-1]:.2f}"]
-
-
-def stages_table(measured: dict[str, list[Measurement]]) -> str:
-    """The engine's stages, ms a frame: a row for each stage, a column for each sequence."""
-    columns = {name: methods[0].stage_ms for name, methods in measured.items()}
-    stages = dict.fromkeys(stage for column in columns.values() for stage in column)
-    rows = [
-        [stage, *(format_number(column.get(stage, 0.0)) for column in columns.values())] for stage in stages
-    ]
-    rows.append(["together", *(format_number(sum(column.values())) for column in columns.values())])
-    return format_table([f"{ENGINE}: ms", *columns], rows)
-
-
-def as_json(measured: dict[str, list[Measurement]]) -> dict[str, Any]:
-    """The figures by sequence and method, percent and ms."""
-    return {
-        name: {
-            one.method: {
-                "two_label_f": 100 * one.score.all_frames.two_label_f,
-                "object_f": 100 * one.score.all_frames.object_f,
-                "wall_ms": one.wall_ms,
-                "cpu_ms": one.cpu_ms,
-                "stage_ms": dict(one.stage_ms),
-            }
-            for one in methods
-        }
-        for name, methods in measured.items()
-    }

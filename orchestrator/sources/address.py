@@ -125,5 +125,7 @@ def _synthetic_address(text: str) -> SourceAddress:
             raise ConfigError(
                 f"{parameter}={value} is no parameter of a scene; there are, each once, {known}"
             )
+        if parameter == "objects" and SCRIPTS[name].objects is None:
+            raise ConfigError(f"the scene {name!r} has its own objects; leave out objects={value}")
         seen.add(parameter)
     return SourceAddress(SourceKind.SYNTHETIC, text, name)

@@ -51,10 +51,19 @@ class Surface:
 
 @dataclass(frozen=True)
 class Script:
-    """A scene's meaning in a sentence, and the function that sets it up."""
+    """A scene's meaning in a sentence, and the function that sets it up.
+
+    Attributes
+    ----------
+    description : str
+    set_up : callable
+    objects : int, optional
+        Number of objects unless another is asked for; None: it is the scene's own affair.
+    """
 
     description: str
     set_up: Callable[[Stage], None]
+    objects: int | None = None
 
 
 @dataclass
@@ -62,12 +71,14 @@ class Stage:
     """A scene while it is set up: the camera first, then what it sees.
 
     All paths are arrays with one entry a frame. ``x``, ``y``: the camera's translation, units; ``roll``: rad.
+    ``objects``: how many there are in a scene that leaves it open.
     """
 
     frames: int
     rng: np.random.Generator
     width: int
     height: int
+    objects: int
     x: Array = field(init=False)
     y: Array = field(init=False)
     roll: Array = field(init=False)
@@ -347,6 +358,18 @@ def _crowd(stage: Stage) -> None:
         stage.thing(label, path, (stage.rng.uniform(11, 14), stage.rng.uniform(10, 13)))
 
 
+def _steady_crowd(stage: Stage) -> None:
+    """Each object circles in a cell of its own, so that none hides another."""
+    stage.pan(1.0)
+    stage.background(props=3)
+    columns, rows = 7, 5
+    for label in range(1, stage.objects + 1):
+        column, row = divmod(label * 17 % (columns * rows), rows)
+        place = CANVAS / columns * (column - columns // 2), 0.75 * CANVAS / rows * (row - rows // 2)
+        angle = stage.time * 2 * np.pi / stage.rng.uniform(26, 34) + stage.rng.uniform(0, 2 * np.pi)
+        stage.thing(label, (place[0] + 6 * np.cos(angle), place[1] + 9 * np.sin(angle)), (16.5, 15.5))
+
+
 def _small_object(stage: Stage) -> None:
     stage.pan(1.4)
     stage.background()
@@ -368,12 +391,15 @@ SCRIPTS: dict[str, Script] = {
     "static-empty": Script("still camera, nothing moves: only sensor noise", _static_empty),
     "parallax": Script("strong parallax and many near bushes; one object", _parallax),
     "crowd": Script("objects come and go: 1, then 32, then 1", _crowd),
+    "steady-crowd": Script(
+        "objects of 1 % of the picture each, all there all the time; objects=N of them", _steady_crowd, 8
+    ),
     "small-object": Script("one object of about 280 px (at 320×240)", _small_object),
 }
 
 
 def build_surfaces(
-    name: str, frames: int, rng: np.random.Generator, width: int, height: int
+    name: str, frames: int, rng: np.random.Generator, width: int, height: int, objects: int | None = None
 ) -> tuple[Surface, ...]:
     """Set a scene up.
 
@@ -386,12 +412,15 @@ def build_surfaces(
         For textures and outlines.
     width, height : int
         Size of the picture, px.
+    objects : int, optional
+        How many objects, for a scene that leaves it open.
 
     Returns
     -------
     tuple of Surface
         Back to front.
     """
-    stage = Stage(frames, rng, width, height)
-    SCRIPTS[name].set_up(stage)
+    script = SCRIPTS[name]
+    stage = Stage(frames, rng, width, height, objects or script.objects or 0)
+    script.set_up(stage)
     return stage.surfaces()

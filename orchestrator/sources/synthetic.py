@@ -33,11 +33,23 @@ SCHEME = "synthetic:"
 LENS_BLUR = 0.6  # standard deviation, px
 SENSOR_NOISE = 2.0  # standard deviation, grey levels
 #: Least and largest value of each parameter of a scene.
-LIMITS = {"frames": (1, 100_000), "seed": (0, 2**32 - 1), "width": (32, 4096), "height": (32, 4096)}
+LIMITS = {
+    "frames": (1, 100_000),
+    "seed": (0, 2**32 - 1),
+    "width": (32, 4096),
+    "height": (32, 4096),
+    "objects": (1, 32),
+}
 
 
 def scene(
-    name: str, *, frames: int = 60, seed: int = 0, width: int = 320, height: int = 240
+    name: str,
+    *,
+    frames: int = 60,
+    seed: int = 0,
+    width: int = 320,
+    height: int = 240,
+    objects: int | None = None,
 ) -> SyntheticScene:
     """Make a scene by name.
 
@@ -51,6 +63,8 @@ def scene(
         Other textures, outlines and noise, same events; 0 … 2³² − 1.
     width, height : int
         Size, px, 32 … 4096.
+    objects : int, optional
+        How many objects, 1 … 32; only for a scene that leaves it open.
 
     Returns
     -------
@@ -59,19 +73,26 @@ def scene(
     Raises
     ------
     ConfigError
-        If there is no such scene or a value is out of its range.
+        If there is no such scene, a value is out of its range, or ``objects`` is not for this scene.
     """
     if name not in SCRIPTS:
         raise ConfigError(
             f"There is no synthetic scene {name!r}; choose one of {', '.join(sorted(SCRIPTS))}."
         )
     given = {"frames": frames, "seed": seed, "width": width, "height": height}
+    if objects is not None:
+        if SCRIPTS[name].objects is None:
+            choosable = ", ".join(scene for scene, script in SCRIPTS.items() if script.objects is not None)
+            raise ConfigError(
+                f"The synthetic scene {name!r} has its own objects; leave objects out, or take {choosable}."
+            )
+        given["objects"] = objects
     for parameter, value in given.items():
         low, high = LIMITS[parameter]
         if not low <= value <= high:
             raise ConfigError(f"{parameter} of a synthetic scene is {value}; it must be {low} to {high}.")
     key = zlib.crc32(name.encode())
-    surfaces = build_surfaces(name, frames, np.random.default_rng([seed, key]), width, height)
+    surfaces = build_surfaces(name, frames, np.random.default_rng([seed, key]), width, height, objects)
     return SyntheticScene(name, frames, seed, width, height, surfaces, SENSOR_NOISE)
 
 

@@ -1,0 +1,277 @@
+"""Streams through Ray as users run them, watched from the driver: a session, a node, readers, real records.
+
+The source is a video file, so that its reader does what a user's does. A *steady window* begins when every
+stream has read its warm frames and no layer process is starting any more. What is noted on the way (which
+process is which layer, when each label map came to the sink) goes to small files of the processes it happens
+in.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, wait
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from mlbs_actors import Config
+from mlbs_actors.actors import Node, StreamActors
+from mlbs_actors.actors.parts import CoordinatorPart, EngineParts, LayerPart, PartFactory, SegmenterPart
+from mlbs_actors.actors.stream_protocol import FrameReader, GapStatus, SourceFrame, StreamSink, StreamSpec
+from mlbs_actors.messages import LayerKind, Segmentation
+from orchestrator.benchmark.process_costs import Process, kinds_of, private_bytes, process_tree
+from orchestrator.command_line import SAVABLE
+from orchestrator.ray_session import ray_session
+from orchestrator.sinks.record import StreamRecord
+
+__all__ = ["Arrival", "Pipeline", "SteadyWindow", "pipeline", "record_in"]
+
+#: Between two looks at whether the layer processes have started, s.
+_LOOK_SECONDS = 0.2
+
+#: What a layer process is as long as it has been no layer.
+SPARE = "spare layer"
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A label map that has come to the sink.
+
+    Attributes
+    ----------
+    seconds : float
+        When, on the machine's monotonic clock, s.
+    frame : int
+        Index of the frame.
+    objects : frozenset of int
+        Its objects.
+    """
+
+    seconds: float
+    frame: int
+    objects: frozenset[int]
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyWindow:
+    """The session between two moments in steady state.
+
+    Attributes
+    ----------
+    begin, end : float
+        On the machine's monotonic clock, s.
+    frames : int
+        Label maps of all streams that came to the sink between them.
+    before, after : dict of int to Process
+        The session's processes then.
+    kinds : dict of int to str
+        Kind of each process of ``after``.
+    memory : dict of int to int
+        Private memory of each at the end, bytes.
+    """
+
+    begin: float
+    end: float
+    frames: int
+    before: dict[int, Process]
+    after: dict[int, Process]
+    kinds: dict[int, str]
+    memory: dict[int, int]
+
+    @property
+    def frames_a_second(self) -> float:
+        """Of all streams together."""
+        return self.frames / (self.end - self.begin)
+
+
+@dataclass(frozen=True)
+class _NotingParts:
+    """Other parts, and a file for each layer process that says what it is."""
+
+    parts: PartFactory
+    folder: Path
+
+    def coordinator(self, config: Config) -> CoordinatorPart:
+        return self.parts.coordinator(config)
+
+    def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
+        self._note("background layer" if kind == "background" else "object layer")
+        return self.parts.layer(config, layer, kind)
+
+    def segmenter(self, config: Config) -> SegmenterPart:
+        return self.parts.segmenter(config)
+
+    def warm_layer(self) -> None:
+        self.parts.warm_layer()
+        self._note(SPARE)
+
+    def _note(self, kind: str) -> None:
+        (self.folder / str(os.getpid())).write_text(kind, encoding="utf-8")
+
+
+class _NotingSink:
+    """Another sink, and a line for each label map that came to it."""
+
+    def __init__(self, open_sink: Callable[[], StreamSink], notes: Path) -> None:
+        self._sink = open_sink()
+        self._notes = notes.open("w", encoding="ascii", buffering=1)
+
+    def write(self, segmentation: Segmentation, frame: SourceFrame) -> int:
+        """See :class:`StreamSink`."""
+        objects = " ".join(str(layer.layer) for layer in segmentation.layers)
+        self._notes.write(f"{time.monotonic()} {frame.index} {objects}\n")
+        return self._sink.write(segmentation, frame)
+
+    def gap(self, index: int, pts: float, status: GapStatus) -> int:
+        """See :class:`StreamSink`."""
+        return self._sink.gap(index, pts, status)
+
+    def close(self) -> int:
+        """See :class:`StreamSink`."""
+        self._notes.close()
+        return self._sink.close()
+
+
+def record_in(folder: Path) -> StreamSink:
+    """Open a record with all its parts, as a run without ``--save`` has it."""
+    return StreamRecord(folder, folder.name, frozenset(SAVABLE))
+
+
+@dataclass
+class Pipeline:
+    """A node of a Ray session on this machine; made by :func:`pipeline`.
+
+    Attributes
+    ----------
+    started : float
+        When the session began to start, s.
+    ready : float
+        When Ray was up, s.
+    """
+
+    started: float
+    ready: float
+    _node: Node
+    _config: Config
+    _folder: Path
+    _streams: list[StreamActors] = field(default_factory=list)
+
+    def start(
+        self,
+        open_reader: Callable[[], FrameReader],
+        open_record: Callable[[Path], StreamSink] = record_in,
+        max_frames: int | None = None,
+    ) -> int:
+        """Start a stream; return its number, by which :meth:`arrivals` knows it."""
+        number = len(self._streams)
+        open_sink = partial(
+            _NotingSink, partial(open_record, self._folder / f"record-{number}"), self._notes(number)
+        )
+        spec = StreamSpec(f"stream {number}", self._config, open_reader, open_sink, max_frames)
+        self._streams.append(self._node.start(spec))
+        return number
+
+    def run_to_end(self) -> None:
+        """Drive the newest stream until it is done, and stop it."""
+        stream = self._streams[-1]
+        while not stream.advance().result().done:
+            continue
+        stream.stop(drain=False)
+
+    def settle(self) -> None:
+        """Wait until no layer process is starting any more."""
+        while not self._settled():
+            time.sleep(_LOOK_SECONDS)
+
+    def steady_window(self, warm: int, frames: int) -> SteadyWindow:
+        """Drive all streams, which must not end; stop them.
+
+        Parameters
+        ----------
+        warm : int
+            Frames that each stream has read at least when the window begins.
+        frames : int
+            Label maps of each stream that the window holds at least.
+        """
+        bursts = {stream.advance(): number for number, stream in enumerate(self._streams)}
+        begin, before = 0.0, dict[int, Process]()
+        counts = dict.fromkeys(bursts.values(), 0)
+        while True:
+            ready, _ = wait(bursts, return_when=FIRST_COMPLETED)
+            for burst in ready:
+                number = bursts.pop(burst)
+                counts[number] = burst.result().read
+                bursts[self._streams[number].advance()] = number
+            if not before:
+                if min(counts.values()) >= warm and self._settled():
+                    begin, before = time.monotonic(), process_tree(os.getpid())
+            elif min(map(self._arrived_since(begin), counts)) >= frames:
+                break
+        end, after = time.monotonic(), process_tree(os.getpid())
+        memory = {pid: private_bytes(pid) for pid in after}
+        kinds = kinds_of(after, os.getpid(), self._layer_kinds())
+        for stream in self._streams:
+            stream.stop(drain=False)
+        arrived = sum(begin < one.seconds <= end for number in counts for one in self.arrivals(number))
+        return SteadyWindow(begin, end, arrived, before, after, kinds, memory)
+
+    def arrivals(self, number: int) -> list[Arrival]:
+        """All label maps of a stream that have come to the sink, in order."""
+        notes = self._notes(number)
+        lines = notes.read_text(encoding="ascii").splitlines(keepends=True) if notes.exists() else []
+        words = [line.split() for line in lines if line.endswith("\n")]  # the last may not be whole
+        return [Arrival(float(line[0]), int(line[1]), frozenset(map(int, line[2:]))) for line in words]
+
+    def _arrived_since(self, begin: float) -> Callable[[int], int]:
+        return lambda number: sum(one.seconds > begin for one in self.arrivals(number))
+
+    def _notes(self, number: int) -> Path:
+        return self._folder / f"arrivals-{number}"
+
+    def _settled(self) -> bool:
+        census = self._node.census()
+        started = self._layer_kinds().keys() & process_tree(os.getpid()).keys()
+        return len(started) >= census.idle + census.busy
+
+    def _layer_kinds(self) -> dict[int, str]:
+        notes = (self._folder / "layers").iterdir()
+        return {int(note.name): note.read_text(encoding="utf-8") or SPARE for note in notes}
+
+
+@contextmanager
+def pipeline(config: Config, scratch: Path, parts: PartFactory | None = None) -> Iterator[Pipeline]:
+    """Have a Ray session with one node while the ``with`` block runs; its streams end with it.
+
+    Parameters
+    ----------
+    config : Config
+        Of every stream.
+    scratch : Path
+        From :func:`orchestrator.ray_session.ray_settings`.
+    parts : PartFactory, optional
+        What the actors run; by default the engine.
+    """
+    started = time.monotonic()
+    at_sigterm = signal.getsignal(signal.SIGTERM)
+    # Ray prints its own warnings; standard output belongs to the tables.
+    with (
+        redirect_stdout(sys.stderr),
+        TemporaryDirectory(prefix="mlbs-bench-") as name,
+        ray_session(None, scratch),
+    ):
+        ready = time.monotonic()
+        signal.signal(signal.SIGTERM, at_sigterm)  # Ray replaces it, and would end without the block's exits
+        folder = Path(name)
+        (folder / "layers").mkdir()
+        node = Node(parts=_NotingParts(parts or EngineParts(), folder / "layers"))
+        made = Pipeline(started, ready, node, config, folder)
+        try:
+            yield made
+        finally:
+            node.close()
