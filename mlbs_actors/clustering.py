@@ -63,7 +63,7 @@ def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConf
     Returns
     -------
     (n,) int64
-        −1 where no labelled trajectory can be reached.
+        −1 where no labelled trajectory can be reached, or only by so long a walk that next to none get there.
     """
     if config.propagation == "soft":
         return _decided(partial(propagate_soft, restart=config.restart), affinity, labels)

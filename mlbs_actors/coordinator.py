@@ -272,9 +272,10 @@ class Coordinator:
             speeds = label_speeds(state.trajectories, labels)
             least = least_object_speed(state.trajectories, labels == BACKGROUND, config.layers, scale)
             ages = registry.ages(frame_index)
-            split = set(np.unique(labels).tolist())
-            labels = merge_by_motion(graph, labels, ages, speeds, least, config.layers)
-            registry.forget(split - set(np.unique(labels).tolist()))
+            split = labels
+            labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)
+            gone = np.setdiff1d(split, labels)
+            registry.forget({int(label): int(labels[split == label][0]) for label in gone})
             # What the first clustering finds has been there since the first frame.
             labels = registry.admit(labels, frame_index if state.clustered else 0, origins)
             at = np.clip(

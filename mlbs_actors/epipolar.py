@@ -47,11 +47,11 @@ class EpipolarGeometry:
 def forward_motion(
     positions: Array, motions: Array, homography: Array, shape: tuple[int, int]
 ) -> EpipolarGeometry | None:
-    """Epipolar geometry of a camera that drives forwards (or backwards) through a scene of many depths.
+    """Epipolar geometry of a camera that drives forwards through a scene of many depths.
 
-    It is told from all else by three things together: the homography fails for a great part of the frame, one
-    epipolar geometry explains what it does not, and the epipole is in the frame. A camera that turns or moves
-    sideways has it far outside, and there anything that moves along with the parallax would look static.
+    It is told from all else by three things together: the homography fails for a great part of the frame,
+    static points in one epipolar geometry explain it, and the epipole is in the frame. A camera that turns or
+    moves sideways has it far outside, and there whatever moves along with the parallax would look static.
 
     Parameters
     ----------
@@ -84,7 +84,10 @@ def forward_motion(
         epipoles = [after[2, :2] / after[2, 2], before[:2, 2] / before[2, 2]]
     if not all((one >= 0).all() and (one < shape[::-1]).all() for one in epipoles):
         return None
-    return EpipolarGeometry(matrix, *epipoles)
+    geometry = EpipolarGeometry(matrix, *epipoles)
+    # A camera that drives backwards has the same epipolar lines, but its points come from farther out.
+    error = np.hypot(*(motions - static_motion(geometry, positions, motions)).T)
+    return geometry if (error < inlier).mean() >= LEAST_EPIPOLAR else None
 
 
 def static_motion(geometry: EpipolarGeometry, positions: Array, motions: Array) -> Array:

@@ -159,8 +159,16 @@ class LayerRegistry:
             return self.state.other
         return label
 
-    def forget(self, merged: Collection[int]) -> None:
-        """Drop labels that were merged into others: nothing is left that could wake."""
+    def forget(self, merged: Mapping[int, int]) -> None:
+        """Drop labels that were merged into others: nothing is left that could wake.
+
+        Parameters
+        ----------
+        merged : mapping of int to int
+            Label → the one that it was merged into; its parts now belong to that.
+        """
+        origins = [self._object(merged.get(int(one), int(one))) for one in self.state.origins]
+        self.state = replace(self.state, origins=np.array(origins, np.int64))
         self._select(~np.isin(self.state.labels, list(merged)))
 
     def admit(self, labels: Array, frame_index: int, origins: Mapping[int, int]) -> Array:
@@ -279,11 +287,13 @@ class LayerRegistry:
 
     def _select(self, rows: Array) -> None:
         state = self.state
+        labels, origins = state.labels[rows], state.origins[rows]
         self.state = replace(
             state,
-            labels=state.labels[rows],
+            labels=labels,
             born=state.born[rows],
-            origins=state.origins[rows],
+            # Parts of what is forgotten are parts of nothing.
+            origins=np.where(np.isin(origins, labels), origins, UNLABELLED),
             seen=state.seen[rows],
             tracked=state.tracked[rows],
             centroids=state.centroids[rows],

@@ -88,7 +88,7 @@ def photometric_advantage(
     return advantage
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")  # where the camera's horizon lies in the frame, a depth can be 0
 def _find_sources(
     motion: Array, camera: Array, x0: int, y0: int, last_x0: int, last_y0: int, last: Array, sources: Array,
     known: Array,
@@ -105,17 +105,17 @@ def _find_sources(
             sources[0, 0, v, u], sources[0, 1, v, u] = own_x, own_y
             sources[1, 0, v, u], sources[1, 1, v, u] = camera_x, camera_y
             known[v, u] = (
-                min(own_x, camera_x) >= 0
-                and min(own_y, camera_y) >= 0
-                and max(own_x, camera_x) <= right
-                and max(own_y, camera_y) <= bottom
+                0 <= own_x <= right
+                and 0 <= own_y <= bottom
+                and 0 <= camera_x <= right
+                and 0 <= camera_y <= bottom
             )
 
 
 @njit(cache=True)
 def _compare(
     own_error: Array, camera_error: Array, noise: np.float32, own: Array, known: Array,
-    largest: np.float32,    advantage: Array,
+    largest: np.float32, advantage: Array,
 ) -> None:  # fmt: skip
     zero, one = np.float32(0), np.float32(1)
     for y in range(known.shape[0]):

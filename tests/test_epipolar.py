@@ -91,6 +91,12 @@ def test_a_camera_that_turns_or_moves_sideways_does_not_drive(drive: tuple[float
     assert geometry_of(*seen(street(), np.array(drive))) is None
 
 
+@pytest.mark.parametrize("back", [-1.5, -2.5, -4.0])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_camera_that_backs_off_does_not_drive_forwards(back: float, seed: int) -> None:
+    assert geometry_of(*seen(street(600, seed), np.array([0.0, 0.0, back]))) is None
+
+
 def test_a_scene_that_a_homography_explains_needs_no_depths() -> None:
     road = street()
     road[:, 1] = 1.5

@@ -140,6 +140,34 @@ def test_a_part_of_an_object_that_shares_the_layer_other_is_in_that_layer_too() 
     assert stream.layer_of("limb") == stream.layer_of("tiny") == stream.registry.state.other
 
 
+def test_when_an_object_is_merged_into_another_its_parts_go_with_it() -> None:
+    stream = Stream()
+    things = {"van": Thing(), "man": Thing(place=(200.0, 100.0))}
+    stream.see(things, at_once=True)
+    stream.see({**things, "arm": Thing(tracks=5, part_of="man")})
+    van, man = stream.layer_of("van"), stream.layer_of("man")
+    assert van is not None
+    assert man is not None
+    assert stream.layer_of("arm") == man
+    stream.registry.forget({man: van})
+    assert stream.layer_of("arm") == van
+
+
+@pytest.mark.parametrize("pooled", [False, True])
+def test_a_part_of_an_object_that_became_background_brings_no_old_id_back(pooled: bool) -> None:
+    stream = Stream(CONFIG.model_copy(update={"max_layers": 3}) if pooled else CONFIG)
+    things = {
+        "large": Thing(tracks=30),
+        "van": Thing(tracks=20, place=(300.0, 100.0)),
+        "man": Thing(tracks=6),
+    }
+    stream.see(things, at_once=True)
+    stream.see({**things, "arm": Thing(tracks=4, part_of="man")})
+    assert (stream.layer_of("man") == stream.registry.state.other) == pooled
+    stream.registry.forget({stream.labels["man"]: BACKGROUND})
+    assert stream.layer_of("arm") is None
+
+
 def test_what_falls_off_the_background_belongs_to_no_layer_at_first() -> None:
     stream = Stream()
     assert stream.see({"car": Thing(part_of="road")}) == set()

@@ -107,6 +107,14 @@ def test_out_of_the_frame_before_nothing_is_said() -> None:
     np.testing.assert_array_equal(found[: MOVE[1]], 0.0)
 
 
+def test_where_the_cameras_horizon_lies_in_the_frame_nothing_is_said() -> None:
+    image = FramePart(WHOLE, texture(0)[: SHAPE[0], : SHAPE[1]])
+    horizon = np.array([[1.0, 0, 0], [0, 1, 0], [-0.01, 0, 1]])  # a depth of exactly 0 at x = 100
+    found = photometric_advantage(image, image, backward(MOVE), horizon, np.ones(SHAPE, bool), LARGEST)
+    np.testing.assert_array_equal(found[:, 100:], 0.0)
+    assert np.isfinite(found).all()
+
+
 def test_the_regions_of_the_two_frames_may_differ() -> None:
     before, now = frames(texture(0), texture(1))
     then, region = Region(20, 10, 80, 70), Region(34, 22, 60, 50)

@@ -113,9 +113,9 @@ def _measure_all(setting: Setting, options: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    if not 0 <= options.warm < options.frames:
+    if not 0 <= options.warm <= options.frames - 2:
         raise ConfigError(
-            f"--warm {options.warm} leaves nothing of --frames {options.frames} to time; give more frames."
+            f"--warm {options.warm} leaves fewer than two of --frames {options.frames} to time; give more."
         )
     unknown = sorted(set(options.peers) - set(PEERS))
     if unknown:
