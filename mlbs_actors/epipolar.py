@@ -20,9 +20,9 @@ from mlbs_actors.messages import Array
 
 __all__ = ["EpipolarGeometry", "forward_motion", "static_motion"]
 
-#: The camera drives if at most this share of the points obeys its homography, and at least that share one
-#: epipolar geometry.
-MOST_PLANAR, LEAST_EPIPOLAR = 0.6, 0.7
+#: The camera drives forwards if at most this share of the points obeys its homography, at least that share one
+#: epipolar geometry, and at least that share moves in it as static points do.
+MOST_PLANAR, LEAST_EPIPOLAR, LEAST_STATIC = 0.6, 0.7, 0.5
 #: How sure to be that the best geometry was found, and most samples drawn for it.
 CONFIDENCE, MOST_SAMPLES = 0.999, 2000
 
@@ -87,7 +87,7 @@ def forward_motion(
     geometry = EpipolarGeometry(matrix, *epipoles)
     # A camera that drives backwards has the same epipolar lines, but its points come from farther out.
     error = np.hypot(*(motions - static_motion(geometry, positions, motions)).T)
-    return geometry if (error < inlier).mean() >= LEAST_EPIPOLAR else None
+    return geometry if (error < inlier).mean() >= LEAST_STATIC else None
 
 
 def static_motion(geometry: EpipolarGeometry, positions: Array, motions: Array) -> Array:
