@@ -20,8 +20,8 @@ from mlbs_actors.messages import Array
 
 __all__ = ["EpipolarGeometry", "forward_motion", "static_motion"]
 
-#: The camera drives forwards if at most this share of the points obeys its homography, at least that share one
-#: epipolar geometry, and at least that share moves in it as static points do.
+#: The camera drives forwards if at most this share of the points obeys its homography, at least that share
+#: one epipolar geometry, and at least that share moves in it as static points do.
 MOST_PLANAR, LEAST_EPIPOLAR, LEAST_STATIC = 0.6, 0.7, 0.5
 #: How sure to be that the best geometry was found, and most samples drawn for it.
 CONFIDENCE, MOST_SAMPLES = 0.999, 2000
