@@ -134,7 +134,7 @@ def fused_costs(
         strength = weight / COST_STEP
         _add_appearance(part.cost, part.log_ratio, part.samples, others, trust, _EXP, strength, fused)
         own[part.place] = fused
-        total[part.place] += _LIKELIHOOD[fused]
+        total[part.place] += LIKELIHOOD[fused]
     normaliser = np.clip(np.rint(-np.log(total) / np.float32(COST_STEP)), 0, 255).astype(np.uint8)
     return FusedCosts(cost, normaliser, fallback)
 
@@ -207,6 +207,9 @@ def _add_appearance(
     height, width = cost.shape
     for y in range(height):
         for x in range(width):
+            if samples[y, x] == 0 and fallback[y, x] == 0:
+                fused[y, x] = cost[y, x]  # nobody knows anything: log r' = 0
+                continue
             own = trust[samples[y, x]]
             ratio = own * ratio_of[log_ratio[y, x]] + (np.float32(1.0) - own) * ratio_of[fallback[y, x]]
             value = np.rint(np.float32(cost[y, x]) - np.float32(strength) * np.log(ratio))
@@ -216,4 +219,4 @@ def _add_appearance(
 #: exp of all 256 values of log r, by their bits as an unsigned byte.
 _EXP = np.exp(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32) * np.float32(RATIO_STEP))
 #: exp(−cost) of all 256 costs.
-_LIKELIHOOD = np.exp(np.arange(256, dtype=np.float32) * np.float32(-COST_STEP))
+LIKELIHOOD = np.exp(np.arange(256, dtype=np.float32) * np.float32(-COST_STEP))

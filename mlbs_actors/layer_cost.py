@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from mlbs_actors.config import Config, length_scale
-from mlbs_actors.fusion import RATIO_STEP
+from mlbs_actors.fusion import LIKELIHOOD, RATIO_STEP, with_appearance
 from mlbs_actors.messages import (
     COST_STEP,
     UNEXPLAINED_STEP,
@@ -31,10 +31,6 @@ LOG_UNIFORM = -3.0 * float(np.log(256.0))
 _DISTANCE_STEPS = 128
 #: Steps of the prior's table.
 _PRIOR_STEPS = 4096
-#: exp(−q) for q = 0 … 255 quanta of the cost.
-_LIKELIHOOD = np.exp(np.arange(256) * -COST_STEP).astype(np.float32)
-#: exp of all 256 values of a quantised log ratio, by their bits as an unsigned byte.
-_RATIO = np.exp(np.arange(256, dtype=np.uint8).view(np.int8) * RATIO_STEP).astype(np.float32)
 
 
 def uncontested_cost(config: Config) -> int:
@@ -226,37 +222,26 @@ def finished_posterior(
     (h, w) float32
         In [0, 1].
     """
-    posterior = np.empty(cost.shape, np.float32)
-    count = np.arange(256, dtype=np.float32)
-    trust = count / (count + np.float32(config.appearance.half_confidence_samples))
-    _finished_posterior(
+    fused = with_appearance(
         cost,
         log_ratio,
         samples,
-        np.ascontiguousarray(published.normaliser[region.slices]),
         np.ascontiguousarray(published.fallback[region.slices]),
-        mask,
-        trust,
-        np.float32(config.posterior.appearance / COST_STEP),
-        posterior,
+        config.posterior.appearance,
+        config.appearance.half_confidence_samples,
     )
+    posterior = np.empty(cost.shape, np.float32)
+    normaliser = np.ascontiguousarray(published.normaliser[region.slices])
+    _finished_posterior(fused, normaliser, mask, LIKELIHOOD, posterior)
     return posterior
 
 
 @njit(cache=True)
 def _finished_posterior(
-    cost: Array, log_ratio: Array, samples: Array, normaliser: Array, fallback: Array, mask: Array,
-    trust: Array, weight: np.float32, posterior: Array,
-) -> None:  # fmt: skip
-    one, half = np.float32(1), np.float32(0.5)
-    for y in range(cost.shape[0]):
-        for x in range(cost.shape[1]):
-            whole = int(cost[y, x])
-            if samples[y, x] > 0 or fallback[y, x] != 0:
-                known = trust[samples[y, x]]
-                ratio = known * _RATIO[np.uint8(log_ratio[y, x])]
-                ratio += (one - known) * _RATIO[np.uint8(fallback[y, x])]
-                fused = np.rint(np.float32(cost[y, x]) - weight * np.log(ratio))
-                whole = int(min(max(fused, np.float32(0)), np.float32(255)))
-            above = max(whole - int(normaliser[y, x]), 0)
-            posterior[y, x] = half * _LIKELIHOOD[above] + (half if mask[y, x] else np.float32(0))
+    fused: Array, normaliser: Array, mask: Array, likelihood: Array, posterior: Array
+) -> None:
+    half = np.float32(0.5)
+    for y in range(fused.shape[0]):
+        for x in range(fused.shape[1]):
+            above = int(max(np.int64(fused[y, x]) - np.int64(normaliser[y, x]), np.int64(0)))
+            posterior[y, x] = half * likelihood[above] + (half if mask[y, x] else np.float32(0))
