@@ -136,7 +136,7 @@ def test_several_sequences_are_followed_by_the_means_of_each_method() -> None:
     ("flags", "said"),
     [
         (["--peers", "yolo"], "composite"),
-        (["--frames", "5", "--warm", "5"], "more frames"),
+        (["--frames", "5", "--warm", "5"], "give more"),
         (["--measure", "speed"], "births"),
         (["--measure", ","], "names nothing"),
         (["--sequences", "nowhere"], "--data"),
