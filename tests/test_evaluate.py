@@ -19,7 +19,7 @@ from mlbs_actors.errors import ConfigError, FrameError, SourceError
 from mlbs_actors.messages import Array, Region, Segmentation
 from orchestrator.evaluation import scoring
 from orchestrator.evaluation.command import main
-from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, label_colour, spread_evenly
+from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, spread_evenly
 from orchestrator.evaluation.datasets import (
     FolderSequence,
     SceneSequence,
@@ -30,6 +30,7 @@ from orchestrator.evaluation.datasets import (
 )
 from orchestrator.evaluation.figures import format_table, mean_of_sequences
 from orchestrator.evaluation.scoring import EngineLabelling, score_sequence
+from orchestrator.sinks.layer_colours import layer_colour
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
 TINY_CROSSING = "synthetic:crossing?frames=8&width=96&height=72"
@@ -272,7 +273,7 @@ def test_contact_sheets_show_labels_truth_and_differences(tmp_path: Path) -> Non
     assert missed.argmax() == 0
     assert np.ptp(open_) == 0
     tint = sheet[4 + 38, 4 + 22].astype(float) - image[0, 0]
-    assert np.dot(tint, np.array(label_colour(3), float) - 100) > 0
+    assert np.dot(tint, np.array(layer_colour(3), float) - 100) > 0
     assert (sheet[4 + 10, 4 + 84 + 70] == 100).all()  # where nothing is labelled the input stays
 
 

@@ -7,7 +7,6 @@ found, red false, blue missed, grey not judged. Layers that lie off the truth ge
 
 from __future__ import annotations
 
-import colorsys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -17,8 +16,10 @@ import numpy as np
 from mlbs_actors.messages import Array
 from orchestrator.evaluation.metrics import IGNORE
 from orchestrator.evaluation.sequence_scorer import ExtraLayer
+from orchestrator.sinks.drawing import draw_labels
+from orchestrator.sinks.layer_colours import layer_colour
 
-__all__ = ["SheetFrame", "contact_sheet", "extra_layer_sheet", "label_colour", "overlay", "spread_evenly"]
+__all__ = ["SheetFrame", "contact_sheet", "extra_layer_sheet", "overlay", "spread_evenly"]
 
 SHEET_WIDTH = 1800  # px, the widest a sheet gets
 FRAMES_A_ROW = 2
@@ -58,12 +59,6 @@ def spread_evenly(indices: Sequence[int], wanted: int) -> list[int]:
     return [indices[position] for position in positions]
 
 
-def label_colour(label: int) -> tuple[int, int, int]:
-    """A vivid BGR colour of a label id; neighbouring ids differ clearly (hues a golden ratio apart)."""
-    red, green, blue = colorsys.hsv_to_rgb((label * 0.618034 + 0.35) % 1.0, 0.85, 1.0)
-    return round(255 * blue), round(255 * green), round(255 * red)
-
-
 def overlay(image: Array, labels: Array, width: int) -> Array:
     """The image at the given width with each label tinted, outlined and named.
 
@@ -82,15 +77,7 @@ def overlay(image: Array, labels: Array, width: int) -> Array:
     size = (width, round(image.shape[0] * width / image.shape[1]))
     picture = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     small = cv2.resize(labels.astype(np.uint16), size, interpolation=cv2.INTER_NEAREST)
-    for label in np.unique(small[small > 0]).tolist():
-        mask = (small == label).astype(np.uint8)
-        colour = label_colour(label)
-        tinted = cv2.addWeighted(picture, 0.55, np.full_like(picture, colour), 0.45, 0)
-        np.copyto(picture, tinted, where=mask[:, :, None] > 0)
-        outlines, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-        cv2.drawContours(picture, outlines, -1, colour, 1)
-        _write_inside(picture, str(label), mask)
-    return picture
+    return draw_labels(picture, small)
 
 
 def contact_sheet(frames: Sequence[SheetFrame]) -> Array:
@@ -159,7 +146,7 @@ def _crop(extra: ExtraLayer, image: Array) -> Array:
     picture = cv2.resize(image[y : y + side, x : x + side], (CROP, CROP), interpolation=cv2.INTER_AREA)
     small = cv2.resize(mask[y : y + side, x : x + side], (CROP, CROP), interpolation=cv2.INTER_NEAREST)
     outlines, _ = cv2.findContours(small, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(picture, outlines, -1, label_colour(extra.layer), 1)
+    cv2.drawContours(picture, outlines, -1, layer_colour(extra.layer), 1)
     framed = np.zeros((CROP + 2 * CAPTION, CROP, 3), np.uint8)
     framed[:CROP] = picture
     _write(framed, f"layer {extra.layer}, frame {extra.example_frame}", (4, CROP + 13))
@@ -176,14 +163,6 @@ def _grid(cells: Sequence[Array], columns: int) -> Array:
         y, x = GAP + row * (height + GAP), GAP + column * (width + GAP)
         sheet[y : y + height, x : x + width] = cell
     return sheet
-
-
-def _write_inside(picture: Array, text: str, mask: Array) -> None:
-    """Write the text where the mask is widest, so that it lies on its own label."""
-    padded = cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
-    distance = cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1]
-    y, x = np.unravel_index(int(distance.argmax()), distance.shape)
-    _write(picture, text, (int(x) - 4 * len(text), int(y) + 5))
 
 
 def _write(picture: Array, text: str, origin: tuple[int, int]) -> None:

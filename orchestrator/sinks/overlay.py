@@ -11,57 +11,16 @@ import cv2
 import numpy as np
 from av.video.frame import VideoFrame
 
-from mlbs_actors.messages import BACKGROUND, Array
+from mlbs_actors.messages import Array
 from orchestrator.durable_files import publish, temporary_path
-from orchestrator.sinks.label_image import voc_colours
+from orchestrator.sinks.drawing import draw_caption, draw_labels
 
-__all__ = ["OverlayVideo", "draw_labels"]
+__all__ = ["OverlayVideo"]
 
-_OPACITY = 0.5
 _TIME_BASE = Fraction(1, 90_000)
 _NOMINAL_RATE = 25  # only a hint to the encoder; every frame carries its own time
 _SMALLEST_SIDE = 16  # of what H.264 encoders take, px
-_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-
-
-def _colour_of_id() -> Array:
-    """BGR colour of every 16-bit id; the background alone is black: 256, 512 … take the colour of 255."""
-    ids = np.arange(2**16) % 256
-    ids[256::256] = 255
-    return np.ascontiguousarray(voc_colours()[ids, ::-1])
-
-
-_COLOUR_OF_ID = _colour_of_id()
-
-
-def draw_labels(image: Array, labels: Array) -> Array:
-    """Tint each layer with its colour and draw its outline.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        BGR; not changed.
-    labels : (H, W) uint16
-        The colours of ids up to 21 are those of the mask files; from 256 on they repeat.
-
-    Returns
-    -------
-    (H, W, 3) uint8
-    """
-    drawn = image.copy()
-    x, y, width, height = cv2.boundingRect((labels != BACKGROUND).view(np.uint8))
-    # A pixel more on each side, so that the outline sees the background around.
-    region = (slice(max(y - 1, 0), y + height + 1), slice(max(x - 1, 0), x + width + 1))
-    ids, canvas = labels[region], drawn[region]
-    if width == 0:
-        return drawn
-    colours = _COLOUR_OF_ID[ids]
-    inside = ids != BACKGROUND
-    tinted = cv2.addWeighted(canvas, 1 - _OPACITY, colours, _OPACITY, 0)
-    cv2.copyTo(tinted, inside.view(np.uint8), canvas)
-    outline = inside & (cv2.erode(ids, _CROSS) != ids)
-    cv2.copyTo(colours, outline.view(np.uint8), canvas)
-    return drawn
+_KEY_FRAMES = 32  # distance of frames that decode by themselves: players and reports go to them at once
 
 
 class OverlayVideo:
@@ -83,14 +42,16 @@ class OverlayVideo:
         self._failed = False
         self._last_pts = -1
 
-    def add(self, image: Array, labels: Array, pts: float) -> None:
-        """Append a frame shown at ``pts`` seconds; times that do not advance are moved on by 1/90,000 s."""
+    def add(self, image: Array, labels: Array, index: int, pts: float) -> None:
+        """Append frame ``index``, shown at ``pts`` seconds; times that do not advance go on by 1/90,000 s."""
         if self._failed:
             return
         try:
             container, stream = self._opened(image.shape)
             size = (stream.width, stream.height)
-            drawn = _padded(draw_labels(image, labels))
+            drawn = draw_labels(image, labels)
+            draw_caption(drawn, f"frame {index}")
+            drawn = _padded(drawn)
             if (drawn.shape[1], drawn.shape[0]) != size:
                 drawn = cv2.resize(drawn, size, interpolation=cv2.INTER_AREA)
             frame = VideoFrame.from_ndarray(np.ascontiguousarray(drawn), format="bgr24")
@@ -121,7 +82,7 @@ class OverlayVideo:
             self._stream.codec_context.time_base = _TIME_BASE
             # One thread: the cores belong to the segmentation.
             self._stream.codec_context.thread_count = 1
-            self._stream.options = {"preset": "superfast", "crf": "23"}
+            self._stream.options = {"preset": "superfast", "crf": "23", "g": str(_KEY_FRAMES)}
         return self._container, self._stream
 
     def _give_up(self, error: Exception) -> None:

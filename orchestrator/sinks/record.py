@@ -1,8 +1,10 @@
 """The record of one stream: what survives a kill.
 
-Frames are collected in groups of :data:`GROUP_FRAMES`. A group is committed in this order: its files are
+Frames are collected in groups: the first :data:`FIRST_COMMIT` frames, so that there is something to look at
+soon, then up to every multiple of :data:`GROUP_FRAMES`. A group is committed in this order: its files are
 written under temporary names, synced together, renamed, and then one line in ``commits.jsonl`` says that
-they count. The size of a group is fixed, so the parts do not depend on how fast the stream ran.
+they count. Where a group ends follows from the frame's index alone, so the parts do not depend on how fast
+the stream ran.
 """
 
 from __future__ import annotations
@@ -18,11 +20,14 @@ from orchestrator.sinks.label_image import encode_label_image
 from orchestrator.sinks.overlay import OverlayVideo
 from orchestrator.sinks.tables import FrameRow, ResultRow, write_frames, write_layers
 
-__all__ = ["COMMIT_LOG", "GROUP_FRAMES", "StreamRecord", "recorded_frames"]
+__all__ = ["COMMIT_LOG", "FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "recorded_frames"]
 
 COMMIT_LOG = "commits.jsonl"
 
-#: Rows of one commit.
+#: Frames of the first commit.
+FIRST_COMMIT = 8
+
+#: A commit ends before each multiple of this.
 GROUP_FRAMES = 32
 
 
@@ -71,7 +76,7 @@ class StreamRecord:
         except OSError as error:
             raise self._unwritable(error) from None
         if self._overlay is not None and frame.image is not None:
-            self._overlay.add(frame.image, segmentation.labels, frame.pts)
+            self._overlay.add(frame.image, segmentation.labels, frame.index, frame.pts)
         return self._committed
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
@@ -94,7 +99,8 @@ class StreamRecord:
 
     def _add(self, row: FrameRow) -> None:
         self._rows.append(row)
-        if len(self._rows) == GROUP_FRAMES:
+        following = row.frame + 1
+        if following == FIRST_COMMIT or following % GROUP_FRAMES == 0:
             self._commit()
 
     def _commit(self) -> None:
