@@ -27,7 +27,7 @@ or a made scene, synthetic:demo?frames=60&seed=1
 output:
   DIR/run.json                   what was asked for, with versions and hashes
   DIR/status.json                how each stream stands, while running too
-  DIR/report.html                how each stream ended
+  DIR/report.html                pictures, objects over time, faults; one page, no server needed
   DIR/ray.log                    warnings of Ray itself
   DIR/NAME/masks/FRAME.png       a pixel's value is its layer's id, 0 is the background
   DIR/NAME/layers-*.parquet      a row per frame and layer
@@ -72,6 +72,28 @@ class Arguments:
     address: str | None
     save: frozenset[str]
     max_frames: int | None
+
+    def command(self, output: str) -> list[str]:
+        """The words that ask for the same from any folder, with another folder for the results."""
+        words = [
+            "python",
+            "-m",
+            "orchestrator",
+            "--streams",
+            str(self.streams.absolute()),
+            "--output",
+            output,
+        ]
+        if self.config is not None:
+            words += ["--config", str(self.config.absolute())]
+        if self.overrides:
+            words += ["--set", *self.overrides]
+        if self.address is not None:
+            words += ["--address", self.address]
+        words += ["--save", ",".join(part for part in SAVABLE if part in self.save)]
+        if self.max_frames is not None:
+            words += ["--max-frames", str(self.max_frames)]
+        return words
 
 
 def parse(argv: Sequence[str]) -> Arguments:

@@ -19,7 +19,7 @@ from orchestrator.durable_files import replace_file
 from orchestrator.interruption import Interruption
 from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
-from orchestrator.report import render_report
+from orchestrator.report.page import render_report
 from orchestrator.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.sinks.record import StreamRecord, recorded_frames
 from orchestrator.sources.opening import open_reader
@@ -61,7 +61,8 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
         )
         for stream in streams
     ]
-    description = describe_run(streams, config, arguments.save, arguments.max_frames)
+    command = arguments.command(f"{folder.path}-again")
+    description = describe_run(streams, config, arguments.save, arguments.max_frames, command)
     limit = places(available_memory(), cores())
     _say(f"Starting Ray; {len(specs)} streams, up to {limit} at a time.")
     with ray_session(arguments.address, scratch):
@@ -71,8 +72,7 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
     states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
     try:
         status.finish(states, exit_status)
-        report = render_report(description, states, exit_status)
-        replace_file(folder.path / "report.html", report.encode())
+        replace_file(folder.path / "report.html", render_report(folder.path).encode())
     except OSError as error:
         raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
     _say(_closing_words(folder, states, arguments.save))

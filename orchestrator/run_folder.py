@@ -144,9 +144,16 @@ class StatusFile:
 
 
 def describe_run(
-    streams: Sequence[ListedStream], config: Config, save: frozenset[str], max_frames: int | None
+    streams: Sequence[ListedStream],
+    config: Config,
+    save: frozenset[str],
+    max_frames: int | None,
+    command: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Content of ``run.json``: everything that the results depend on, without credentials."""
+    """Content of ``run.json``: everything that the results depend on, without credentials.
+
+    ``command`` is what asks for the same once more.
+    """
     parameters = config.model_dump(mode="json")
     sources = {stream.name: str(stream.source) for stream in streams}
     return {
@@ -155,6 +162,7 @@ def describe_run(
         "sources": sources,
         "save": sorted(save),
         "max_frames": max_frames,
+        "command": [mask(word) for word in command],
         "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
         "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
         "machine": {"cpu": _cpu(), "system": platform.platform()},

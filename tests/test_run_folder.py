@@ -12,7 +12,6 @@ from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator import durable_files
 from orchestrator.durable_files import append_line, replace_file
-from orchestrator.report import render_report
 from orchestrator.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.sources.address import parse_address
 from orchestrator.stream_list import ListedStream
@@ -177,14 +176,3 @@ def test_lines_are_appended_whole_and_in_order(tmp_path: Path) -> None:
     for number in range(3):
         append_line(tmp_path / "log", str(number))
     assert (tmp_path / "log").read_text() == "0\n1\n2\n"
-
-
-def test_the_report_names_every_stream_its_state_and_faults_and_trusts_no_name() -> None:
-    streams = [listed("yard", "yard.mp4")]
-    description = describe_run(streams, Config(), frozenset({"masks"}), None)
-    page = render_report(description, STATES, 1)
-    assert "1 of 2 streams complete" in page
-    assert 'href="yard/"' in page
-    assert "1 frame &lt;is&gt; bad." in page
-    assert "<b>" not in page
-    assert "a%3Cb%3E/" in page

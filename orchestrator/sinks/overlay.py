@@ -15,12 +15,33 @@ from mlbs_actors.messages import Array
 from orchestrator.durable_files import publish, temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels
 
-__all__ = ["OverlayVideo"]
+__all__ = ["TICK", "OverlayVideo", "presentation_times"]
 
 _TIME_BASE = Fraction(1, 90_000)
+#: Least time between two frames, s.
+TICK = float(_TIME_BASE)
+
 _NOMINAL_RATE = 25  # only a hint to the encoder; every frame carries its own time
 _SMALLEST_SIDE = 16  # of what H.264 encoders take, px
 _KEY_FRAMES = 32  # distance of frames that decode by themselves: players and reports go to them at once
+
+
+def presentation_times(pts: Array) -> Array:
+    """When the frames of an overlay are shown.
+
+    Parameters
+    ----------
+    pts : (n,) float64
+        Times of all its frames in the source, s.
+
+    Returns
+    -------
+    (n,) float64
+        s; a time that does not advance is one :data:`TICK` after the one before it.
+    """
+    step = np.arange(len(pts))
+    ticks = np.maximum.accumulate(np.round(pts / TICK) - step) + step
+    return np.asarray(ticks * TICK)
 
 
 class OverlayVideo:

@@ -18,11 +18,10 @@ from mlbs_actors.messages import Segmentation
 from orchestrator.durable_files import append_line, publish, temporary_path
 from orchestrator.sinks.label_image import encode_label_image
 from orchestrator.sinks.overlay import OverlayVideo
+from orchestrator.sinks.record_tables import COMMIT_LOG, committed_groups
 from orchestrator.sinks.tables import FrameRow, ResultRow, write_frames, write_layers
 
-__all__ = ["COMMIT_LOG", "FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "recorded_frames"]
-
-COMMIT_LOG = "commits.jsonl"
+__all__ = ["FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "recorded_frames"]
 
 #: Frames of the first commit.
 FIRST_COMMIT = 8
@@ -136,8 +135,4 @@ class StreamRecord:
 
 def recorded_frames(folder: Path) -> int:
     """Number of the source's frames that a stream's commit log holds, those without a label map included."""
-    log = folder / COMMIT_LOG
-    if not log.exists():
-        return 0
-    lines = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
-    return sum(line["last"] - line["first"] + 1 for line in lines)
+    return sum(group["last"] - group["first"] + 1 for group in committed_groups(folder))

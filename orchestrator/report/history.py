@@ -1,0 +1,168 @@
+"""The course of a stream from its record: its frames, the lives of its layers, the time of each stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from mlbs_actors.messages import Array
+from orchestrator.sinks.record_tables import read_table
+
+__all__ = ["LayerLife", "StageTimes", "StreamHistory", "frame_ranges", "read_history"]
+
+#: Stages in the order in which a frame passes them; others come after these.
+_ORDER = (
+    "flow",
+    "tracking",
+    "affinity",
+    "clustering",
+    "update",
+    "gabp",
+    "posterior",
+    "fusion",
+    "cut",
+    "cleaning",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LayerLife:
+    """When one object was seen.
+
+    Attributes
+    ----------
+    layer : int
+    kind : str
+    spans : tuple of (int, int)
+        First and last frame of every unbroken stretch; between them it was hidden, or not found.
+    frames : int
+        Frames in which it owns pixels.
+    mean_area : float
+        px, over these.
+    """
+
+    layer: int
+    kind: str
+    spans: tuple[tuple[int, int], ...]
+    frames: int
+    mean_area: float
+
+
+@dataclass(frozen=True, slots=True)
+class StageTimes:
+    """Wall time of one stage, ms: over the frames that had it, and frame by frame (0 where it had none)."""
+
+    stage: str
+    mean: float
+    percentile_95: float
+    by_frame: Array
+
+
+@dataclass(frozen=True, slots=True)
+class StreamHistory:
+    """The course of a stream, as far as it is committed.
+
+    Attributes
+    ----------
+    frames : (n,) int64
+        Those with a label map.
+    pts : (n,) float64
+        s.
+    objects : (n,) int32
+        Objects in each of them.
+    latency_frames : (n,) int32
+    lost : tuple of (str, tuple of int)
+        By status, the frames without a label map.
+    lives : tuple of LayerLife
+        In ascending id, which is the order of their births.
+    stages : tuple of StageTimes
+    """
+
+    frames: Array
+    pts: Array
+    objects: Array
+    latency_frames: Array
+    lost: tuple[tuple[str, tuple[int, ...]], ...]
+    lives: tuple[LayerLife, ...]
+    stages: tuple[StageTimes, ...]
+
+    def objects_in(self, frame: int) -> list[int]:
+        """Ids of the objects that are seen in a frame."""
+        return [
+            life.layer for life in self.lives if any(first <= frame <= last for first, last in life.spans)
+        ]
+
+
+def read_history(folder: Path) -> StreamHistory | None:
+    """Read a stream's tables; None if they were not saved, or nothing is committed.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the stream.
+    """
+    table = read_table(folder, "frames")
+    if not table.num_rows:
+        return None
+    frames, status = table["frame"].to_numpy(), np.asarray(table["status"].to_pylist())
+    ok = status == "ok"
+    lost = tuple((name, tuple(frames[status == name].tolist())) for name in np.unique(status[~ok]).tolist())
+    layers = read_table(folder, "layers", ["frame", "layer", "kind", "area"])
+    return StreamHistory(
+        frames=frames[ok],
+        pts=table["pts"].to_numpy()[ok],
+        objects=_numbers(table, "layers")[ok].astype(np.int32),
+        latency_frames=_numbers(table, "latency_frames")[ok].astype(np.int32),
+        lost=lost,
+        lives=_lives(layers, frames[ok]),
+        stages=_stages(table.filter(pa.array(ok))),
+    )
+
+
+def frame_ranges(frames: tuple[int, ...]) -> list[tuple[int, int]]:
+    """First and last of every stretch of consecutive frames, given in ascending order."""
+    numbers = np.asarray(frames)
+    breaks = np.flatnonzero(np.diff(numbers) > 1) + 1
+    return [(int(run[0]), int(run[-1])) for run in np.split(numbers, breaks) if len(run)]
+
+
+def _numbers(table: pa.Table, column: str) -> Array:
+    """A column as float64, nan where it is null."""
+    numbers: Array = table[column].cast(pa.float64()).to_numpy()
+    return numbers
+
+
+def _lives(table: pa.Table, frames: Array) -> tuple[LayerLife, ...]:
+    if not table.num_rows:
+        return ()
+    layer, frame = table["layer"].to_numpy(), table["frame"].to_numpy()
+    area, kind = table["area"].to_numpy(), np.asarray(table["kind"].to_pylist())
+    order = np.lexsort((frame, layer))
+    starts = np.flatnonzero(np.diff(layer[order], prepend=-1))
+    lives = []
+    for rows in np.split(order, starts[1:]):
+        # Counted in frames that have a label map: an undecodable one hides nobody.
+        place = np.searchsorted(frames, frame[rows])
+        pieces = np.split(frame[rows], np.flatnonzero(np.diff(place) > 1) + 1)
+        spans = tuple((int(piece[0]), int(piece[-1])) for piece in pieces)
+        first = rows[0]
+        lives.append(
+            LayerLife(int(layer[first]), str(kind[first]), spans, len(rows), float(area[rows].mean()))
+        )
+    return tuple(lives)
+
+
+def _stages(table: pa.Table) -> tuple[StageTimes, ...]:
+    names = [name.removeprefix("ms_") for name in table.column_names if name.startswith("ms_")]
+    names.sort(key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
+    stages = []
+    for name in names:
+        times = _numbers(table, f"ms_{name}")
+        known = times[~np.isnan(times)]
+        if known.any():
+            by_frame = np.nan_to_num(times)
+            stages.append(StageTimes(name, float(known.mean()), float(np.percentile(known, 95)), by_frame))
+    return tuple(stages)

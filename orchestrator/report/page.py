@@ -1,0 +1,134 @@
+"""The page itself: the run's own files and its streams' records, put into the template."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from mlbs_actors.errors import ConfigError
+from orchestrator.report import charts
+from orchestrator.report.history import LayerLife, StreamHistory, frame_ranges, read_history
+from orchestrator.report.pictures import StripPicture, overlay_strip
+
+__all__ = ["render_report"]
+
+#: Pictures of all streams together, so that the page of many streams stays small.
+_PICTURES = 150
+_PICTURES_OF_A_STREAM = 8
+
+#: Layers with a row of their own; of more, those that were seen longest.
+_LAYERS = 40
+
+#: Streams that are shown unfolded; of more, only those that are not whole.
+_UNFOLDED = 4
+
+_RANGES = 20  # of lost frames
+
+
+@dataclass(frozen=True, slots=True)
+class _Stream:
+    """One stream as the template shows it; ``status`` holds its keys in ``status.json``."""
+
+    name: str
+    source: str
+    status: dict[str, Any]
+    overlay_error: str | None
+    has_overlay: bool
+    history: StreamHistory | None
+    lives: list[LayerLife]
+    strip: list[StripPicture]
+    lost: list[str]
+
+
+def render_report(folder: Path) -> str:
+    """Make the page of a run, ended or not.
+
+    Parameters
+    ----------
+    folder : Path
+        The run's output folder.
+
+    Raises
+    ------
+    ConfigError
+        If it holds no run.
+    """
+    try:
+        run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+        status = json.loads((folder / "status.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise ConfigError(
+            f"{folder} holds no run that has begun; name the folder given to --output."
+        ) from None
+    names = list(status["streams"])
+    pictures = max(1, min(_PICTURES_OF_A_STREAM, _PICTURES // max(len(names), 1)))
+    streams = [
+        _stream(folder / name, run["sources"][name], status["streams"][name], pictures) for name in names
+    ]
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    environment.globals |= {"charts": charts, "stage_colours": _stage_colours}
+    return environment.get_template("report.html").render(
+        run=run,
+        status=status,
+        streams=streams,
+        whole=sum(stream.status["state"] == "done" for stream in streams),
+        seconds=_seconds(run["started"], status["updated"]),
+        unfold_all=len(streams) <= _UNFOLDED,
+        command=shlex.join(run["command"]),
+        parameters=[
+            (section, name, value)
+            for section, values in run["config"].items()
+            for name, value in values.items()
+        ],
+    )
+
+
+def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) -> _Stream:
+    history = read_history(folder)
+    overlay, error = folder / "overlay.mp4", folder / "overlay.error"
+    lives: list[LayerLife] = []
+    strip: list[StripPicture] = []
+    lost: list[str] = []
+    if history is not None:
+        longest = sorted(history.lives, key=lambda life: -life.frames)[:_LAYERS]
+        lives = sorted(longest, key=lambda life: life.layer)
+        lost = [f"{name}: frames {_ranges(frames)}" for name, frames in history.lost]
+        if len(history.frames):
+            strip = overlay_strip(overlay, history, pictures)
+    return _Stream(
+        name=folder.name,
+        source=source,
+        status=status,
+        overlay_error=error.read_text(encoding="utf-8").strip() if error.exists() else None,
+        has_overlay=overlay.exists(),
+        history=history,
+        lives=lives,
+        strip=strip,
+        lost=lost,
+    )
+
+
+def _ranges(frames: tuple[int, ...]) -> str:
+    ranges = frame_ranges(frames)
+    shown = [str(first) if first == last else f"{first}–{last}" for first, last in ranges[:_RANGES]]
+    return ", ".join(shown) + (f" and {len(ranges) - _RANGES} more" if len(ranges) > _RANGES else "")
+
+
+def _stage_colours(count: int) -> list[str]:
+    return [f"hsl({round(360 * number / count)} 60% {(62, 48)[number % 2]}%)" for number in range(count)]
+
+
+def _seconds(started: str, ended: str) -> float:
+    return (datetime.fromisoformat(ended) - datetime.fromisoformat(started)).total_seconds()

@@ -1,0 +1,85 @@
+"""A few pictures out of an overlay video, small enough to stand in a page."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import av.error
+import cv2
+import numpy as np
+
+from mlbs_actors.messages import Array
+from orchestrator.report.history import StreamHistory
+from orchestrator.sinks.overlay import TICK, presentation_times
+
+__all__ = ["StripPicture", "overlay_strip"]
+
+_WIDTH = 320  # px
+_JPEG_QUALITY = 75
+
+
+@dataclass(frozen=True, slots=True)
+class StripPicture:
+    """One picture.
+
+    Attributes
+    ----------
+    frame : int
+    seconds : float
+        Since the first frame.
+    width, height : int
+        px.
+    data : str
+        A ``data:`` address that holds the JPEG.
+    """
+
+    frame: int
+    seconds: float
+    width: int
+    height: int
+    data: str
+
+
+def overlay_strip(path: Path, history: StreamHistory, count: int) -> list[StripPicture]:
+    """Take up to ``count`` pictures, evenly spread, first and last among them.
+
+    Parameters
+    ----------
+    path : Path
+        The overlay of the whole stream.
+    history : StreamHistory
+    count : int
+
+    Returns
+    -------
+    list of StripPicture
+        Empty if the overlay is not there or cannot be read.
+    """
+    seconds = presentation_times(history.pts)
+    places = np.unique(np.linspace(0, len(seconds) - 1, min(count, len(seconds))).round().astype(int))
+    pictures = []
+    try:
+        with av.open(str(path)) as container:
+            stream = container.streams.video[0]
+            for place in places.tolist():
+                container.seek(int(seconds[place] * av.time_base))  # to the key frame before it
+                for frame in container.decode(stream):
+                    if frame.time is not None and frame.time >= seconds[place] - TICK / 2:
+                        image = frame.to_ndarray(format="bgr24")
+                        pictures.append(_picture(image, int(history.frames[place]), history.pts[place]))
+                        break
+    except (av.error.FFmpegError, OSError, IndexError):
+        return pictures
+    return pictures
+
+
+def _picture(image: Array, frame: int, seconds: float) -> StripPicture:
+    width = min(_WIDTH, image.shape[1])
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    data = "data:image/jpeg;base64," + b64encode(jpeg.tobytes()).decode("ascii")
+    return StripPicture(frame, float(seconds), width, height, data)
