@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
+from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 
 __all__ = ["SAVABLE", "Arguments", "parse"]
 
@@ -61,6 +62,8 @@ class Arguments:
         Ray cluster to join; None for one of this run's own.
     save : frozenset of str
         Parts of :data:`SAVABLE`.
+    monitor : MonitorAddress, optional
+        Where to serve the live page.
     max_frames : int, optional
         Frames to read of each stream.
     """
@@ -71,6 +74,7 @@ class Arguments:
     overrides: tuple[str, ...]
     address: str | None
     save: frozenset[str]
+    monitor: MonitorAddress | None
     max_frames: int | None
 
     def command(self, output: str) -> list[str]:
@@ -109,8 +113,6 @@ def parse(argv: Sequence[str]) -> Arguments:
     given = _parser().parse_args(argv)
     if given.resume:
         raise ConfigError("--resume is not available yet; give a new folder with --output instead.")
-    if given.monitor is not None:
-        raise ConfigError("--monitor is not available yet; read status.json in the output folder instead.")
     if given.address is not None and given.address.startswith("ray://"):
         raise ConfigError(
             "--address cannot be a ray:// proxy; run on a machine of the cluster and give HOST:PORT or auto."
@@ -122,6 +124,7 @@ def parse(argv: Sequence[str]) -> Arguments:
         overrides=tuple(given.overrides),
         address=given.address,
         save=_parts(given.save),
+        monitor=None if given.monitor is None else _monitor_address(given.monitor),
         max_frames=given.max_frames,
     )
 
@@ -134,6 +137,14 @@ def _parts(text: str) -> frozenset[str]:
         if part not in SAVABLE:
             raise ConfigError(f"--save knows no {part!r}; choose from {', '.join(SAVABLE)}.")
     return frozenset(parts)
+
+
+def _monitor_address(text: str) -> MonitorAddress:
+    """Read ``[HOST:]PORT``; empty for any free port of this machine."""
+    host, _, port = text.rpartition(":")
+    if text and not (port.isascii() and port.isdecimal() and int(port) < 2**16):
+        raise ConfigError(f"--monitor takes PORT or HOST:PORT, not {text!r}.")
+    return MonitorAddress(host or "127.0.0.1", int(port or 0))
 
 
 def _positive(text: str) -> int:
@@ -182,7 +193,12 @@ def _parser() -> argparse.ArgumentParser:
         help="which of masks, parquet, overlay to write, with commas (default: all three)",
     )
     parser.add_argument(
-        "--monitor", nargs="?", const=0, type=int, metavar="PORT", help="serve a live page (not yet)"
+        "--monitor",
+        nargs="?",
+        const="",
+        metavar="[HOST:]PORT",
+        help="serve a live page on this machine; at another HOST whoever looks must know the token in the "
+        f"environment variable {TOKEN_VARIABLE} (default PORT: any that is free)",
     )
     parser.add_argument(
         "--max-frames", type=_positive, metavar="N", help="stop each stream after its first N frames"

@@ -71,7 +71,8 @@ class JsonLines:
         """Nothing is held back."""
 
     def _write(self, state: StreamState) -> None:
-        fields = asdict(state) | {"frames_per_second": round(state.frames_per_second, 2)}
+        fields = asdict(state)
+        fields |= {name: round(fields[name], 2) for name in ("frames_per_second", "latency_ms")}
         self._output.write(json.dumps({"stream": fields.pop("name")} | fields) + "\n")
         self._output.flush()
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from contextlib import redirect_stdout
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
 from functools import partial
 from pathlib import Path
 
@@ -14,13 +14,17 @@ from mlbs_actors.config import Config
 from mlbs_actors.errors import SinkError
 from orchestrator.admission import available_memory, cores, places
 from orchestrator.command_line import Arguments
-from orchestrator.driver import Driver
+from orchestrator.driver import Driver, Observer
 from orchestrator.durable_files import replace_file
 from orchestrator.interruption import Interruption
+from orchestrator.monitor.address import MonitorAddress
+from orchestrator.monitor.board import Board
+from orchestrator.monitor.server import serving
 from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
 from orchestrator.report.page import render_report
 from orchestrator.run_folder import RunFolder, StatusFile, describe_run
+from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.record import StreamRecord, recorded_frames
 from orchestrator.sources.opening import open_reader
 from orchestrator.stream_list import ListedStream
@@ -50,13 +54,21 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
         If Ray cannot be started, or the run's own files cannot be written.
     """
     folder = RunFolder(arguments.output.absolute())
-    folder.refuse_if_used([stream.name for stream in streams])
+    names = [stream.name for stream in streams]
+    folder.refuse_if_used(names)
+    pictures = {name: scratch / "live" / f"{name}.jpg" for name in names} if arguments.monitor else {}
     specs = [
         StreamSpec(
             name=stream.name,
             config=config,
             open_reader=partial(open_reader, stream.source),
-            open_sink=partial(StreamRecord, folder.stream(stream.name), stream.name, arguments.save),
+            open_sink=partial(
+                StreamRecord,
+                folder.stream(stream.name),
+                stream.name,
+                arguments.save,
+                LivePicture(pictures[stream.name]) if pictures else None,
+            ),
             max_frames=arguments.max_frames,
         )
         for stream in streams
@@ -65,10 +77,10 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
     description = describe_run(streams, config, arguments.save, arguments.max_frames, command)
     limit = places(available_memory(), cores())
     _say(f"Starting Ray; {len(specs)} streams, up to {limit} at a time.")
-    with ray_session(arguments.address, scratch):
+    with _monitored(arguments.monitor, pictures) as boards, ray_session(arguments.address, scratch):
         folder.claim(description)
         status = StatusFile(folder.path / "status.json")
-        states, exit_status = _drive(specs, limit, status, folder.path / "ray.log")
+        states, exit_status = _drive(specs, limit, [status, *boards], folder.path / "ray.log")
     states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
     try:
         status.finish(states, exit_status)
@@ -79,8 +91,21 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
     return exit_status
 
 
+@contextmanager
+def _monitored(address: MonitorAddress | None, pictures: Mapping[str, Path]) -> Iterator[list[Board]]:
+    """Serve the monitor's page if it is asked for; what it shows is to observe the driver."""
+    if address is None:
+        yield []
+        return
+    board = Board(pictures)
+    with serving(address, board) as url:
+        next(iter(pictures.values())).parent.mkdir()
+        _say(f"Look on at {url}")
+        yield [board]
+
+
 def _drive(
-    specs: Sequence[StreamSpec], limit: int, status: StatusFile, ray_log: Path
+    specs: Sequence[StreamSpec], limit: int, observers: Sequence[Observer], ray_log: Path
 ) -> tuple[tuple[StreamState, ...], int]:
     output = sys.stdout
     # Ray prints its own warnings; standard output belongs to the progress.
@@ -88,7 +113,9 @@ def _drive(
         progress = progress_for(output)
         try:
             node = Node()
-            driver = Driver(specs, node, limit=limit, observers=[status, progress], interruption=interruption)
+            driver = Driver(
+                specs, node, limit=limit, observers=[*observers, progress], interruption=interruption
+            )
             exit_status = driver.run()
             node.close()
         finally:

@@ -41,6 +41,8 @@ class StreamState:
         Live layers, the background included.
     frames_per_second : float
         Recent rate at which frames were read; 0 when not running.
+    latency_ms : float
+        For how long a frame was worked on lately, the sum of its stages, ms; 0 as long as it is unknown.
     error : str, optional
         A sentence, without credentials.
     """
@@ -53,7 +55,13 @@ class StreamState:
     quarantined: int = 0
     layers: int = 0
     frames_per_second: float = 0.0
+    latency_ms: float = 0.0
     error: str | None = None
+
+    @property
+    def queued(self) -> int:
+        """Frames that were read and are neither committed nor lost."""
+        return max(self.read - self.committed - self.dropped - self.quarantined, 0)
 
 
 def after_progress(state: StreamState, progress: StreamProgress, frames_per_second: float) -> StreamState:
@@ -67,6 +75,7 @@ def after_progress(state: StreamState, progress: StreamProgress, frames_per_seco
         quarantined=progress.quarantined,
         layers=progress.layers,
         frames_per_second=frames_per_second,
+        latency_ms=sum(progress.stage_ms.values()) or state.latency_ms,
         error=None if progress.problem is None else mask(progress.problem),
     )
 

@@ -19,6 +19,7 @@ from PIL import Image
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.command_line import SAVABLE, parse
+from orchestrator.monitor.address import MonitorAddress
 from orchestrator.ray_session import ray_settings
 from orchestrator.sources.synthetic import scene
 
@@ -52,6 +53,32 @@ def test_the_defaults_are_those_of_the_help() -> None:
     assert (arguments.address, arguments.config, arguments.max_frames) == (None, None, None)
 
 
+@pytest.mark.parametrize(
+    ("flags", "address"),
+    [
+        ([], None),
+        (["--monitor"], MonitorAddress("127.0.0.1", 0)),
+        (["--monitor", "8080"], MonitorAddress("127.0.0.1", 8080)),
+        (["--monitor", "0.0.0.0:8080"], MonitorAddress("0.0.0.0", 8080)),
+    ],
+)
+def test_the_monitor_stays_on_this_machine_unless_asked(
+    flags: list[str], address: MonitorAddress | None
+) -> None:
+    assert parse(["--streams", "l", *flags]).monitor == address
+
+
+def test_the_command_of_a_run_asks_for_the_same(tmp_path: Path) -> None:
+    flags = ["--streams", "l", "--set", "a.b=1", "c.d=2", "--save", "masks", "--max-frames", "3"]
+    given = parse(flags)
+    python, module, name, *again = given.command("elsewhere")
+    assert (python, module, name) == ("python", "-m", "orchestrator")
+    asked = parse(again)
+    assert asked.output == Path("elsewhere")
+    assert asked.streams == Path("l").absolute()
+    assert (asked.overrides, asked.save, asked.max_frames) == (given.overrides, given.save, given.max_frames)
+
+
 def test_set_may_be_given_once_or_often() -> None:
     arguments = parse(["--streams", "l", "--set", "a.b=1", "c.d=2", "--set", "e.f=3"])
     assert arguments.overrides == ("a.b=1", "c.d=2", "e.f=3")
@@ -61,8 +88,8 @@ def test_set_may_be_given_once_or_often() -> None:
     ("flags", "words"),
     [
         (["--resume"], "not available yet"),
-        (["--monitor"], "not available yet"),
-        (["--monitor", "8080"], "not available yet"),
+        (["--monitor", "web"], "PORT or HOST:PORT"),
+        (["--monitor", "0.0.0.0:70000"], "PORT or HOST:PORT"),
         (["--save", "masks,background"], "background is not available yet"),
         (["--save", "mask"], "knows no 'mask'"),
         (["--save", ""], "knows no ''"),

@@ -117,6 +117,7 @@ def test_the_status_file_says_how_each_stream_stands(tmp_path: Path) -> None:
         "quarantined": 1,
         "layers": 0,
         "frames_per_second": 0.0,
+        "latency_ms": 0.0,
         "error": "1 frame <is> bad.",
     }
 

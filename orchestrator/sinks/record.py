@@ -17,6 +17,7 @@ from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Segmentation
 from orchestrator.durable_files import append_line, publish, temporary_path
 from orchestrator.sinks.label_image import encode_label_image
+from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.overlay import OverlayVideo
 from orchestrator.sinks.record_tables import COMMIT_LOG, committed_groups
 from orchestrator.sinks.tables import FrameRow, ResultRow, write_frames, write_layers
@@ -41,6 +42,8 @@ class StreamRecord:
         The stream's name.
     save : frozenset of str
         Which of ``"masks"``, ``"parquet"``, ``"overlay"`` to write.
+    live : LivePicture, optional
+        Shown every frame, for the monitor.
 
     Raises
     ------
@@ -48,10 +51,13 @@ class StreamRecord:
         Here and from every method, if the record cannot be written.
     """
 
-    def __init__(self, folder: Path, name: str, save: frozenset[str]) -> None:
+    def __init__(
+        self, folder: Path, name: str, save: frozenset[str], live: LivePicture | None = None
+    ) -> None:
         self._folder = folder
         self._name = name
         self._save = save
+        self._live = live
         self._rows: list[FrameRow] = []
         self._unpublished: list[Path] = []
         self._committed = 0
@@ -76,6 +82,8 @@ class StreamRecord:
             raise self._unwritable(error) from None
         if self._overlay is not None and frame.image is not None:
             self._overlay.add(frame.image, segmentation.labels, frame.index, frame.pts)
+        if self._live is not None and frame.image is not None:
+            self._live.show(frame.image, segmentation.labels, frame.index)
         return self._committed
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:

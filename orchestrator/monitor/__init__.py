@@ -1,0 +1,1 @@
+"""``--monitor``: one page that shows a run while it goes on."""

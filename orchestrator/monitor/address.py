@@ -1,0 +1,35 @@
+"""Where the monitor's page is served, and the name of what others must know to see it."""
+
+from __future__ import annotations
+
+import ipaddress
+from dataclasses import dataclass
+
+__all__ = ["TOKEN_VARIABLE", "MonitorAddress"]
+
+#: Environment variable that holds the token; a command line would show it to every user of the machine.
+TOKEN_VARIABLE = "MLBS_MONITOR_TOKEN"
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorAddress:
+    """Where the page is served.
+
+    Attributes
+    ----------
+    host : str
+        Name or IP address to listen at.
+    port : int
+        0 for any that is free.
+    """
+
+    host: str
+    port: int
+
+    @property
+    def is_loopback(self) -> bool:
+        """Whether only this machine can reach it."""
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"

@@ -1,0 +1,87 @@
+"""What the monitor shows: the newest states of the streams, and how their layers came and went."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from orchestrator.stream_state import StreamState
+
+__all__ = ["Board"]
+
+#: Points kept of a stream's past; at more, every second one is dropped, so that they span the whole run.
+_POINTS = 240
+
+
+class Board:
+    """An observer of the driver that answers from other threads.
+
+    Parameters
+    ----------
+    pictures : mapping of str to Path
+        Stream name → where its newest picture is, if there is one.
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(self, pictures: Mapping[str, Path], clock: Callable[[], float] = time.monotonic) -> None:
+        self._pictures = dict(pictures)
+        self._clock = clock
+        self._started = clock()
+        self._lock = threading.Lock()
+        self._states: tuple[StreamState, ...] = tuple(StreamState(name) for name in pictures)
+        self._past: dict[str, list[tuple[int, int]]] = {name: [] for name in pictures}
+
+    def update(self, states: Sequence[StreamState]) -> None:
+        """Take the states of all streams."""
+        with self._lock:
+            self._states = tuple(states)
+            for state in states:
+                past = self._past[state.name]
+                if state.layers and (not past or past[-1][0] != state.read):
+                    past.append((state.read, state.layers))
+                    if len(past) > _POINTS:
+                        del past[1::2]
+
+    def status(self) -> dict[str, Any]:
+        """Everything the page shows, as JSON takes it.
+
+        Returns
+        -------
+        dict
+            ``seconds`` since the start; ``streams``, in the order of the list: those of ``status.json`` and
+            ``name``, ``queued``, ``picture`` (changes with the picture, null if there is none),
+            ``layers_over_time`` (pairs of frames read and layers).
+        """
+        with self._lock:
+            states, past = self._states, {name: list(points) for name, points in self._past.items()}
+        return {
+            "seconds": round(self._clock() - self._started, 1),
+            "streams": [
+                asdict(state)
+                | {
+                    "queued": state.queued,
+                    "picture": self._version(state.name),
+                    "layers_over_time": past[state.name],
+                }
+                for state in states
+            ],
+        }
+
+    def picture(self, number: int) -> bytes | None:
+        """Newest picture (JPEG) of the stream at this place in the list; None if there is none."""
+        paths = list(self._pictures.values())
+        try:
+            return paths[number].read_bytes()
+        except (IndexError, OSError):
+            return None
+
+    def _version(self, name: str) -> str | None:
+        try:
+            return str(self._pictures[name].stat().st_mtime_ns)
+        except OSError:
+            return None

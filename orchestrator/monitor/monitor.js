@@ -1,0 +1,82 @@
+"use strict";
+// Asks for the status once a second and writes into a card a stream what has changed.
+
+const SECOND = 1000;
+const summary = document.getElementById("summary");
+const pause = document.getElementById("pause");
+const cards = [];
+
+function write(element, text) {
+  if (element.textContent !== text) element.textContent = text; // else a screen reader would repeat it
+}
+
+function card(number) {
+  if (!cards[number]) {
+    const copy = document.getElementById("stream").content.cloneNode(true).firstElementChild;
+    copy.querySelector("h2").id = `name-${number}`;
+    copy.setAttribute("aria-labelledby", `name-${number}`);
+    document.getElementById("streams").append(copy);
+    cards[number] = copy;
+  }
+  return cards[number];
+}
+
+function shownNumber(stream, key) {
+  const value = stream[key];
+  if (key === "frames_per_second") return value ? value.toFixed(1) : "–";
+  if (key === "latency_ms") return value ? value.toFixed(0) : "–";
+  return String(value);
+}
+
+function drawLayers(svg, name, points) {
+  svg.toggleAttribute("hidden", points.length < 2);
+  svg.style.display = points.length < 2 ? "none" : "";
+  if (points.length < 2) return;
+  const [first, last] = [points[0][0], points[points.length - 1][0]];
+  const most = Math.max(...points.map((point) => point[1]));
+  const places = points.map(([read, layers]) =>
+    `${(240 * (read - first) / Math.max(last - first, 1)).toFixed(1)},${(39 - 37 * layers / most).toFixed(1)}`);
+  svg.firstElementChild.setAttribute("d", `M0,39L${places.join("L")}L240,39Z`);
+  svg.setAttribute("aria-label", `Layers of ${name} over time: now ${points[points.length - 1][1]}, at most ${most}`);
+}
+
+function show(stream, number) {
+  const element = card(number);
+  element.dataset.state = stream.state;
+  write(element.querySelector("h2"), stream.name);
+  write(element.querySelector(".state"), stream.state);
+  const error = element.querySelector(".error");
+  error.hidden = !stream.error;
+  write(error, stream.error || "");
+  for (const figure of element.querySelectorAll("dd")) write(figure, shownNumber(stream, figure.dataset.key));
+  const image = element.querySelector("img");
+  if (stream.picture && image.dataset.picture !== stream.picture) {
+    image.dataset.picture = stream.picture;
+    image.src = `/pictures/${number}.jpg?${stream.picture}`;
+    image.alt = `Newest frame of ${stream.name} with its objects outlined and numbered`;
+    image.hidden = false;
+  }
+  drawLayers(element.querySelector("svg"), stream.name, stream.layers_over_time);
+}
+
+async function refresh() {
+  if (pause.getAttribute("aria-pressed") === "false") {
+    try {
+      const answer = await fetch("/status.json");
+      const status = await answer.json();
+      status.streams.forEach(show);
+      const counts = new Map();
+      for (const stream of status.streams) counts.set(stream.state, (counts.get(stream.state) || 0) + 1);
+      write(summary, [...counts].map(([state, count]) => `${count} ${state}`).join(", "));
+    } catch {
+      write(summary, "The run has ended, or cannot be reached; this is how it stood last.");
+    }
+  }
+  setTimeout(refresh, SECOND);
+}
+
+pause.addEventListener("click", () => {
+  const paused = pause.getAttribute("aria-pressed") === "false";
+  pause.setAttribute("aria-pressed", String(paused));
+});
+refresh();

@@ -1,0 +1,164 @@
+"""Serves the monitor's page: on this machine only, or elsewhere for those who know the token.
+
+The page is static and asks for ``/status.json`` once a second; pictures are files that the sink writes at
+most once a second. So nobody who looks on, nor how many, slows a frame.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+from mlbs_actors.errors import ConfigError
+from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
+from orchestrator.monitor.board import Board
+
+__all__ = ["serving"]
+
+_LEAST_TOKEN = 16  # characters
+_COOKIE = "mlbs-monitor"
+_FOLDER = Path(__file__).parent
+_FILES = {
+    "/": ("page.html", "text/html; charset=utf-8"),
+    "/monitor.js": ("monitor.js", "text/javascript; charset=utf-8"),
+    "/monitor.css": ("monitor.css", "text/css; charset=utf-8"),
+}
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+@contextmanager
+def serving(address: MonitorAddress, board: Board) -> Iterator[str]:
+    """Serve the page while the ``with`` block runs.
+
+    Yields
+    ------
+    str
+        The page's address, without the token.
+
+    Raises
+    ------
+    ConfigError
+        If the address cannot be listened at, or others could reach it and there is no token.
+    """
+    token = os.environ.get(TOKEN_VARIABLE, "")
+    if (token or not address.is_loopback) and len(token) < _LEAST_TOKEN:
+        raise ConfigError(
+            f"--monitor at {address.host} needs a token: set {TOKEN_VARIABLE} to at least {_LEAST_TOKEN} "
+            "characters, for example with openssl rand -hex 16."
+        )
+    try:
+        server = _Server(address, board, token)
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(
+            f"--monitor cannot listen at {address.host}:{address.port}: {reason}. Choose another address."
+        ) from None
+    thread = threading.Thread(target=server.serve_forever, args=(0.1,), name="monitor", daemon=True)
+    thread.start()
+    try:
+        yield f"http://{address.host}:{server.server_port}/" + ("?token=…" if token else "")
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False  # a reader who is slow must not hold up the end of the run
+
+    def __init__(self, address: MonitorAddress, board: Board, token: str) -> None:
+        self.board = board
+        self.token = token
+        super().__init__((address.host, address.port), _Handler)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _Server
+    server_version = "mlbs-monitor"
+    sys_version = ""
+    timeout = 10  # s without a word from the other side
+
+    def do_GET(self) -> None:
+        """Answer with a file of the page, the status, or a picture."""
+        url = urlsplit(self.path)
+        if self.server.token:
+            given = parse_qs(url.query).get("token", [""])[0]
+            if given and self._is_token(given):
+                # From here on a cookie knows it, so that it is not in the browser's history.
+                cookie = f"{_COOKIE}={given}; HttpOnly; SameSite=Strict; Path=/"
+                self._answer(HTTPStatus.SEE_OTHER, b"", "text/plain", {"Location": "/", "Set-Cookie": cookie})
+                return
+            if not self._is_token(self._bearer()) and not self._is_token(self._cookie()):
+                self._refuse(HTTPStatus.UNAUTHORIZED, "Open this page with ?token=… in its address.")
+                return
+        elif not self._is_for_loopback():
+            # Another site's name may have been pointed at this machine to read the page.
+            self._refuse(HTTPStatus.FORBIDDEN, "Open this page at 127.0.0.1 or localhost.")
+            return
+        if url.path in _FILES:
+            name, kind = _FILES[url.path]
+            self._answer(HTTPStatus.OK, (_FOLDER / name).read_bytes(), kind)
+        elif url.path == "/status.json":
+            self._answer(HTTPStatus.OK, json.dumps(self.server.board.status()).encode(), "application/json")
+        elif (picture := self._picture(url.path)) is not None:
+            self._answer(HTTPStatus.OK, picture, "image/jpeg")
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND, "There is nothing here.")
+
+    def log_message(self, format: str, *arguments: object) -> None:
+        """Say nothing: the terminal belongs to the progress, and a line could hold the token."""
+
+    def _picture(self, path: str) -> bytes | None:
+        number = path.removeprefix("/pictures/").removesuffix(".jpg")
+        if path != f"/pictures/{number}.jpg" or not (number.isascii() and number.isdecimal()):
+            return None
+        return self.server.board.picture(int(number[:9]))
+
+    def _is_token(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode(), self.server.token.encode())
+
+    def _bearer(self) -> str:
+        return self.headers.get("Authorization", "").removeprefix("Bearer ")
+
+    def _cookie(self) -> str:
+        try:
+            cookie = SimpleCookie(self.headers.get("Cookie", "")).get(_COOKIE)
+        except CookieError:
+            return ""
+        return cookie.value if cookie else ""
+
+    def _is_for_loopback(self) -> bool:
+        host = urlsplit(f"//{self.headers.get('Host', '')}").hostname or ""
+        return MonitorAddress(host, 0).is_loopback
+
+    def _refuse(self, status: HTTPStatus, sentence: str) -> None:
+        self._answer(status, f"{sentence}\n".encode(), "text/plain; charset=utf-8")
+
+    def _answer(
+        self, status: HTTPStatus, content: bytes, kind: str, headers: dict[str, str] | None = None
+    ) -> None:
+        self.send_response(status)
+        own = {"Content-Type": kind, "Content-Length": str(len(content))}
+        for name, value in (_HEADERS | own | (headers or {})).items():
+            self.send_header(name, value)
+        self.end_headers()
+        try:
+            self.wfile.write(content)
+        except ConnectionError:
+            self.close_connection = True  # whoever asked is gone

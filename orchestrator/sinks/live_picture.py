@@ -1,0 +1,55 @@
+"""The newest overlay of a stream as a small JPEG file, for whoever looks on; never part of the record."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import cv2
+
+from mlbs_actors.messages import Array
+from orchestrator.durable_files import temporary_path
+from orchestrator.sinks.drawing import draw_caption, draw_labels
+
+__all__ = ["LivePicture"]
+
+_WIDTH = 640  # px, at most
+_JPEG_QUALITY = 75
+_SECONDS = 1.0  # least time between two pictures: what it costs does not grow with the speed
+
+
+class LivePicture:
+    """Replaces one file now and then.
+
+    Parameters
+    ----------
+    path : Path
+        The JPEG file; its folder is there.
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self._path = path
+        self._clock = clock
+        self._written: float | None = None
+
+    def show(self, image: Array, labels: Array, index: int) -> None:
+        """Show frame ``index`` if the last picture is a second old; a disk that refuses it stops nothing."""
+        now = self._clock()
+        if self._written is not None and now - self._written < _SECONDS:
+            return
+        self._written = now
+        height, width = labels.shape
+        if width > _WIDTH:
+            size = (_WIDTH, max(1, round(height * _WIDTH / width)))
+            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+            labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
+        drawn = draw_labels(image, labels)
+        draw_caption(drawn, f"frame {index}")
+        _, jpeg = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        with suppress(OSError):
+            temporary_path(self._path).write_bytes(jpeg.tobytes())
+            temporary_path(self._path).replace(self._path)
