@@ -16,9 +16,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 import numpy.typing as npt
+
+from mlbs_actors.errors import MlbsError
+
+if TYPE_CHECKING:
+    from supervision import Detections
 
 __all__ = [
     "BACKGROUND",
@@ -237,3 +243,36 @@ class Segmentation:
     camera_motion: tuple[float, float]
     latency_frames: int
     stage_ms: Mapping[str, float] = field(default_factory=dict)
+
+    def to_supervision(self) -> Detections:
+        """Return the objects as detections of the package supervision, for its annotators and tools.
+
+        Returns
+        -------
+        supervision.Detections
+            In ascending layer id: ``xyxy`` (n, 4) px, ``mask`` (n, H, W) bool, ``confidence`` (n,),
+            ``tracker_id`` (n,) the layer ids, ``class_id`` (n,) 0, for all that moves is of one class, and
+            ``data["velocity"]`` (n, 2) px/frame.
+
+        Raises
+        ------
+        MlbsError
+            If the package is not installed.
+        """
+        try:
+            import supervision
+        except ImportError:
+            raise MlbsError(
+                "to_supervision needs the package supervision; pip install 'mlbs-actors[supervision]'."
+            ) from None
+        regions = [layer.region for layer in self.layers]
+        boxes = [(one.x, one.y, one.x + one.width, one.y + one.height) for one in regions]
+        ids = np.array([layer.layer for layer in self.layers], np.int64)
+        return supervision.Detections(
+            xyxy=np.array(boxes, np.float32).reshape(-1, 4),
+            mask=self.labels == ids[:, None, None],
+            confidence=np.array([layer.confidence for layer in self.layers], np.float32),
+            class_id=np.zeros(len(ids), np.int64),
+            tracker_id=ids,
+            data={"velocity": np.array([layer.velocity for layer in self.layers], np.float32).reshape(-1, 2)},
+        )

@@ -77,7 +77,7 @@ class StreamRecord:
                 path = self._folder / "masks" / f"{frame.name}.png"
                 temporary_path(path).write_bytes(encode_label_image(segmentation.labels))
                 self._unpublished.append(path)
-            self._add(FrameRow(frame.index, frame.pts, "ok", ResultRow.of(segmentation)))
+            self._add(FrameRow(frame.index, frame.pts, "ok", ResultRow.of(segmentation), frame.name))
         except OSError as error:
             raise self._unwritable(error) from None
         if self._overlay is not None and frame.image is not None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-__all__ = ["COMMIT_LOG", "committed_groups", "read_table"]
+__all__ = ["COMMIT_LOG", "committed_groups", "part_path", "read_table"]
 
 COMMIT_LOG = "commits.jsonl"
 
@@ -30,6 +30,11 @@ def committed_groups(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in whole]
 
 
+def part_path(folder: Path, name: Literal["frames", "layers"], group: Mapping[str, Any]) -> Path:
+    """Where a group's rows of a table are."""
+    return folder / f"{name}-{group['first']:08d}.parquet"
+
+
 def read_table(
     folder: Path, name: Literal["frames", "layers"], columns: Sequence[str] | None = None
 ) -> pa.Table:
@@ -43,7 +48,7 @@ def read_table(
     columns : sequence of str, optional
         Those wanted, all by default; those that a part lacks are left out.
     """
-    parts = [folder / f"{name}-{group['first']:08d}.parquet" for group in committed_groups(folder)]
+    parts = [part_path(folder, name, group) for group in committed_groups(folder)]
     tables = []
     for part in parts:
         if part.exists():

@@ -84,13 +84,15 @@ class FrameRow:
         Seconds since the source's first frame.
     status : {"ok", "dropped", "gap", "quarantined"}
     result : ResultRow, optional
-        None unless ``status`` is ``"ok"``.
+    name : str, optional
+        File name of the mask, without extension. Both are None unless ``status`` is ``"ok"``.
     """
 
     frame: int
     pts: float
     status: Literal["ok"] | GapStatus
     result: ResultRow | None = None
+    name: str | None = None
 
 
 def run_length_code(mask: Array) -> str:
@@ -135,6 +137,7 @@ def frame_schema(stages: Sequence[str]) -> pa.Schema:
             ("camera_dy", pa.float32()),
             ("height", pa.int32()),
             ("width", pa.int32()),
+            ("name", pa.string()),
             *((f"ms_{stage}", pa.float32()) for stage in (*stages, OTHER_STAGES)),
         ]
     )
@@ -170,7 +173,7 @@ def write_layers(path: Path, stream: str, rows: Sequence[FrameRow]) -> None:
 def write_frames(path: Path, stream: str, rows: Sequence[FrameRow], stages: Sequence[str]) -> None:
     """Write one part of ``frames``; see :func:`frame_schema` for ``stages``."""
     records = [
-        {"stream": stream, "frame": row.frame, "pts": row.pts, "status": row.status}
+        {"stream": stream, "frame": row.frame, "pts": row.pts, "status": row.status, "name": row.name}
         | ({} if row.result is None else _result_columns(row.result, stages))
         for row in rows
     ]

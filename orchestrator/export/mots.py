@@ -1,0 +1,42 @@
+"""MOTS: a text file for each stream, a line for each frame and object."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mlbs_actors.errors import ConfigError
+from orchestrator.export.recorded_stream import recorded_stream, streams_of
+
+__all__ = ["CLASS", "write_mots"]
+
+#: The class that every object is given; the format knows 1 = car and 2 = pedestrian.
+CLASS = 1
+
+_OBJECTS_OF_A_CLASS = 1000  # an object's id holds its class in the thousands
+
+
+def write_mots(run: Path, out: Path) -> None:
+    """Write ``STREAM.txt`` with the lines ``frame id class height width run-length-code``.
+
+    Parameters
+    ----------
+    run : Path
+    out : Path
+        A folder that is there.
+
+    Raises
+    ------
+    ConfigError
+        If a layer's id has no place in the format.
+    """
+    for name in streams_of(run):
+        with (out / f"{name}.txt").open("w", encoding="utf-8") as file:
+            for frame in recorded_stream(run / name):
+                for one in frame.objects:
+                    if one.layer >= _OBJECTS_OF_A_CLASS:
+                        raise ConfigError(
+                            f"MOTS has no place for layer {one.layer} of {name!r}, only for ids up to "
+                            f"{_OBJECTS_OF_A_CLASS - 1}; export to coco."
+                        )
+                    number = CLASS * _OBJECTS_OF_A_CLASS + one.layer
+                    file.write(f"{frame.index} {number} {CLASS} {frame.height} {frame.width} {one.code}\n")

@@ -1,0 +1,98 @@
+"""A stream as its record holds it, frame by frame: what every export is made of."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+from pycocotools import mask as coco_mask
+
+from mlbs_actors.errors import ConfigError
+from mlbs_actors.messages import Array, Region
+from orchestrator.sinks.record_tables import committed_groups, part_path
+
+__all__ = ["RecordedFrame", "RecordedObject", "recorded_stream", "streams_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedObject:
+    """One object in one frame; ``code`` is its mask as COCO's compressed run-length code."""
+
+    layer: int
+    region: Region
+    area: int
+    confidence: float
+    code: str
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFrame:
+    """One frame that has a label map.
+
+    Attributes
+    ----------
+    index : int
+        Counts every frame of the source.
+    name : str
+        Of its mask file, without extension.
+    height, width : int
+        px.
+    objects : tuple of RecordedObject
+        In ascending layer id.
+    """
+
+    index: int
+    name: str
+    height: int
+    width: int
+    objects: tuple[RecordedObject, ...]
+
+    def labels(self) -> Array:
+        """The label map, (H, W) uint16."""
+        labels = np.zeros((self.height, self.width), np.uint16)
+        for one in self.objects:
+            code = {"size": [self.height, self.width], "counts": one.code.encode("ascii")}
+            labels[np.asarray(coco_mask.decode(code), dtype=bool)] = one.layer
+        return labels
+
+
+def streams_of(run: Path) -> list[str]:
+    """Names of a run's streams, in the order of its list.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds no run, or its tables were not saved.
+    """
+    try:
+        description = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise ConfigError(f"{run} holds no run; name the folder given to --output.") from None
+    if "parquet" not in description["save"]:
+        raise ConfigError(f"The run in {run} has no tables to export; run it again with parquet in --save.")
+    return list(description["sources"])
+
+
+def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
+    """Committed frames that have a label map, in order, a part of the tables at a time.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the stream; one that is not there has no frames.
+    """
+    for group in committed_groups(folder):
+        objects: dict[int, list[RecordedObject]] = {}
+        for row in pq.read_table(part_path(folder, "layers", group)).to_pylist():
+            region = Region(row["x"], row["y"], row["w"], row["h"])
+            one = RecordedObject(row["layer"], region, row["area"], row["confidence"], row["rle"])
+            objects.setdefault(row["frame"], []).append(one)
+        for row in pq.read_table(part_path(folder, "frames", group)).to_pylist():
+            if row["status"] == "ok":
+                index = row["frame"]
+                found = tuple(objects.get(index, ()))
+                yield RecordedFrame(index, row["name"], row["height"], row["width"], found)
