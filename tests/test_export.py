@@ -142,7 +142,7 @@ def test_duckdb_reads_the_tables(run: Path) -> None:
     query = (
         f"SELECT stream, layer, count(*), max(area) FROM '{run}/*/layers-*.parquet' GROUP BY ALL ORDER BY ALL"
     )
-    assert duckdb.sql(query).fetchall() == [
+    assert duckdb.execute(query).fetchall() == [
         ("gate", 3, 39, 80),
         ("gate", 5, 34, 80),
         ("yard", 3, 39, 80),
