@@ -25,7 +25,15 @@ from numba import njit
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.warp import nearest_sources
 
-__all__ = ["SPREAD_STEP", "AppearanceModel", "empty_model", "read_image", "update", "warp_model"]
+__all__ = [
+    "SPREAD_STEP",
+    "AppearanceModel",
+    "empty_model",
+    "median_colours",
+    "read_image",
+    "update",
+    "warp_model",
+]
 
 #: Unit of ``AppearanceModel.spread``, grey levels.
 SPREAD_STEP = 1.0 / 8.0
@@ -208,3 +216,35 @@ def _update(
             samples[y, x, 2, slot] = np.uint8(np.int32(colour[2] + half))
             newest[y, x] = np.uint8(slot)
             count[y, x] = np.uint8(min(known + 1, capacity))
+
+
+def median_colours(model: AppearanceModel) -> Array:
+    """Median of each pixel's samples, channel by channel: the lower one of two; 0 where there are none.
+
+    Returns
+    -------
+    (h, w, 3) uint8
+        BGR.
+    """
+    colours = np.zeros(model.samples.shape[:3], np.uint8)
+    _medians(model.samples, model.count, colours)
+    return colours
+
+
+@njit(cache=True)
+def _medians(samples: Array, count: Array, colours: Array) -> None:
+    ordered = np.empty(samples.shape[3], np.uint8)
+    for y in range(count.shape[0]):
+        for x in range(count.shape[1]):
+            known = np.int64(count[y, x])  # signed: a place counts down to 0
+            if known == 0:
+                continue
+            for channel in range(3):
+                for number in range(known):
+                    sample = samples[y, x, channel, number]
+                    place = number
+                    while place > 0 and ordered[place - 1] > sample:
+                        ordered[place] = ordered[place - 1]
+                        place -= 1
+                    ordered[place] = sample
+                colours[y, x, channel] = ordered[(known - 1) // 2]

@@ -38,7 +38,7 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from mlbs_actors.appearance import AppearanceModel, empty_model, update
+from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import LayerError
 from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_positions
@@ -48,6 +48,7 @@ from mlbs_actors.messages import (
     UNEXPLAINED_STEP,
     Array,
     FrameEvidence,
+    LayerAppearance,
     LayerEvidence,
     LayerKind,
     LayerPosterior,
@@ -257,6 +258,12 @@ class Layer:
                 "posterior": 1e3 * (evaluated - moved),
             },
         )
+
+    def appearance(self) -> LayerAppearance:
+        """What is remembered at the frame evaluated last; nothing is changed."""
+        state = self.state
+        known = state.model.count > 0
+        return LayerAppearance(self.layer, state.last_frame, state.region, median_colours(state.model), known)
 
     def _finish(self, previous: Segmentation | None) -> Array:
         """Learn frame t−1; return this layer's normalised posterior of it, empty if it had no part in it."""

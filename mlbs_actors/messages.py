@@ -30,6 +30,7 @@ __all__ = [
     "BACKGROUND",
     "Array",
     "FrameEvidence",
+    "LayerAppearance",
     "LayerEvidence",
     "LayerKind",
     "LayerPosterior",
@@ -172,6 +173,27 @@ class LayerPosterior:
     confidence: float
     velocity: Array
     stage_ms: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class LayerAppearance:
+    """What a layer remembers of its looks, at the frame it was evaluated last (layer → sink).
+
+    Attributes
+    ----------
+    layer, frame_index : int
+    region : Region
+    colours : (region.height, region.width, 3) uint8
+        BGR; medians of the remembered colours, that frame's own not among them.
+    known : (region.height, region.width) bool
+        Where anything is remembered.
+    """
+
+    layer: int
+    frame_index: int
+    region: Region
+    colours: Array
+    known: Array
 
 
 #: Quantum of ``FrameEvidence.unexplained``, × the frame's noise.

@@ -13,10 +13,7 @@ from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 __all__ = ["SAVABLE", "Arguments", "parse"]
 
 #: The parts of a record that ``--save`` can name.
-SAVABLE = ("masks", "parquet", "overlay")
-
-#: Parts that belong to the contract but cannot be made yet.
-_LATER = ("background",)
+SAVABLE = ("masks", "parquet", "overlay", "background", "cutouts")
 
 _EPILOG = """\
 the list of streams, one a line (shell quoting, # comments, relative paths count from the list's folder):
@@ -34,6 +31,8 @@ output:
   DIR/NAME/layers-*.parquet      a row per frame and layer
   DIR/NAME/frames-*.parquet      a row per frame
   DIR/NAME/overlay.mp4           the labels over the video
+  DIR/NAME/background/FRAME.png  the background without objects, now and then; with --save background
+  DIR/NAME/cutouts/FRAME-ID.png  each object by itself; with --save cutouts
   DIR/NAME/commits.jsonl         what is safely written: nothing counts before its line here
 
 exit status:
@@ -132,8 +131,6 @@ def parse(argv: Sequence[str]) -> Arguments:
 def _parts(text: str) -> frozenset[str]:
     parts = [part.strip() for part in text.split(",")]
     for part in parts:
-        if part in _LATER:
-            raise ConfigError(f"--save {part} is not available yet; choose from {', '.join(SAVABLE)}.")
         if part not in SAVABLE:
             raise ConfigError(f"--save knows no {part!r}; choose from {', '.join(SAVABLE)}.")
     return frozenset(parts)
@@ -190,7 +187,7 @@ def _parser() -> argparse.ArgumentParser:
         "--save",
         default="masks,parquet,overlay",
         metavar="PARTS",
-        help="which of masks, parquet, overlay to write, with commas (default: all three)",
+        help=f"which of {', '.join(SAVABLE)} to write, with commas (default: the first three)",
     )
     parser.add_argument(
         "--monitor",

@@ -25,7 +25,7 @@ from orchestrator.ray_session import ray_session
 from orchestrator.report.page import render_report
 from orchestrator.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.sinks.live_picture import LivePicture
-from orchestrator.sinks.record import StreamRecord, recorded_frames
+from orchestrator.sinks.record import StreamRecord, ends_group, recorded_frames
 from orchestrator.sources.opening import open_reader
 from orchestrator.stream_list import ListedStream
 from orchestrator.stream_state import StreamState, with_record
@@ -70,6 +70,7 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
                 LivePicture(pictures[stream.name]) if pictures else None,
             ),
             max_frames=arguments.max_frames,
+            wants_background=ends_group if "background" in arguments.save else None,
         )
         for stream in streams
     ]

@@ -30,6 +30,7 @@ from mlbs_actors.errors import SinkError, SourceError
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
+    LayerAppearance,
     LayerEvidence,
     LayerKind,
     LayerPosterior,
@@ -126,6 +127,7 @@ class _Layer:
     def __init__(self, layer: int, kind: LayerKind, slow_seconds: float) -> None:
         self._layer, self._kind, self._slow_seconds = layer, kind, slow_seconds
         self._memory = layer + 1
+        self._frame = -1
 
     def step(
         self,
@@ -134,7 +136,7 @@ class _Layer:
         frame: Array,
         previous: Segmentation | None,
     ) -> LayerPosterior:
-        t = frame_evidence.frame_index
+        t = self._frame = frame_evidence.frame_index
         if frame[DEATHS["layer"]][0] == self._layer > 0:
             os._exit(1)
         assert (previous.frame_index if previous else -1) == t - 1
@@ -155,6 +157,12 @@ class _Layer:
             confidence=1.0,
             velocity=np.zeros(2, np.float32),
             stage_ms={"layer": 1.0},
+        )
+
+    def appearance(self) -> LayerAppearance:
+        region = Region(0, 0, SHAPE[1], SHAPE[0])
+        return LayerAppearance(
+            self._layer, self._frame, region, np.zeros((*SHAPE, 3), np.uint8), np.zeros(SHAPE, bool)
         )
 
 
@@ -271,9 +279,14 @@ class FakeSink:
     def opened(self) -> StreamSink:
         return self
 
-    def write(self, segmentation: Segmentation, frame: SourceFrame) -> int:
+    def write(
+        self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
+    ) -> int:
         if frame.index == self.dies_at:
             os._exit(1)
+        if background is not None:
+            with (self.folder / "backgrounds").open("a") as told:
+                told.write(f"{frame.index} {background.layer} {background.frame_index}\n")
         self._row(frame.index, f"{segmentation.frame_index} {zlib.crc32(segmentation.labels.tobytes())}")
         self.rows += 1
         return self.rows

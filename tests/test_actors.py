@@ -35,6 +35,7 @@ from mlbs_actors.actors.processes import end, spawn
 from mlbs_actors.actors.sink import SinkActor
 from mlbs_actors.actors.stream_protocol import StreamProgress
 from mlbs_actors.errors import LayerError, SinkError, SourceError
+from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import scene
 
 pytestmark = pytest.mark.ray
@@ -64,6 +65,21 @@ def test_layers_born_dormant_and_retired_while_running_give_the_same_bytes_as_in
     [progress] = run_to_end(node.start(spec("crowd", FakeReader([*pictures], tmp_path))))
     assert rows(tmp_path) == rows_in_one_process(parts, pictures)
     assert progress == StreamProgress(30, 30, 0, 0, 0, True, None, progress.stage_ms)
+
+
+def test_the_sink_gets_the_background_s_memory_of_just_the_frames_it_wants(
+    node: Node, tmp_path: Path
+) -> None:
+    pictures: list[Array | None] = [*crowd(20, 2)]
+    pictures[9] = None  # from here on the engine's frames are counted apart from the source's
+    asked = replace(spec("plates", FakeReader(pictures, tmp_path)), wants_background=_seventh)
+    run_to_end(node.start(asked))
+    # source index, layer, the engine's frame index: each is asked for after its own frame
+    assert (tmp_path / "backgrounds").read_text().splitlines() == ["6 0 6", "13 0 12"]
+
+
+def _seventh(index: int) -> bool:
+    return index % 7 == 6
 
 
 def test_streams_at_once_and_a_video_twice_give_the_bytes_each_gives_in_one_process(

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, empty_model, update, warp_model
+from mlbs_actors.appearance import (
+    SPREAD_STEP,
+    AppearanceModel,
+    empty_model,
+    median_colours,
+    update,
+    warp_model,
+)
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.warp import nearest_sources
 
@@ -102,3 +109,13 @@ def test_the_spread_follows_the_noise_and_ignores_single_outliers() -> None:
         update(model, np.clip(np.rint(noisy), 0, 255).astype(np.uint8), mask)
     bandwidth = float(np.median(model.spread)) * SPREAD_STEP
     assert 5.0 < bandwidth < 8.5
+
+
+def test_the_median_colours_are_the_lower_medians_of_the_samples() -> None:
+    model = learnt_model(9)
+    found = median_colours(model)
+    for (y, x), known in np.ndenumerate(model.count):
+        samples = np.sort(model.samples[y, x, :, :known], axis=1)
+        expected = samples[:, (known - 1) // 2] if known else np.zeros(3)
+        assert found[y, x].tolist() == expected.tolist()
+    assert len(np.unique(model.count)) > 2

@@ -49,7 +49,7 @@ def stream_list(folder: Path, *lines: str) -> Path:
 def test_the_defaults_are_those_of_the_help() -> None:
     arguments = parse(["--streams", "list.txt"])
     assert arguments.output == Path("out")
-    assert arguments.save == frozenset({"masks", "parquet", "overlay"}) == frozenset(SAVABLE)
+    assert arguments.save == frozenset({"masks", "parquet", "overlay"}) == frozenset(SAVABLE[:3])
     assert (arguments.address, arguments.config, arguments.max_frames) == (None, None, None)
 
 
@@ -90,7 +90,6 @@ def test_set_may_be_given_once_or_often() -> None:
         (["--resume"], "not available yet"),
         (["--monitor", "web"], "PORT or HOST:PORT"),
         (["--monitor", "0.0.0.0:70000"], "PORT or HOST:PORT"),
-        (["--save", "masks,background"], "background is not available yet"),
         (["--save", "mask"], "knows no 'mask'"),
         (["--save", ""], "knows no ''"),
         (["--address", "ray://head:10001"], "HOST:PORT"),

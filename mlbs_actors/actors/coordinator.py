@@ -155,7 +155,7 @@ class CoordinatorActor:
 
     def _label(self, evidence: FrameEvidence) -> None:
         """Start all the work on one frame whose evidence is complete."""
-        frame, _ = self._waiting.popleft()
+        frame, delivered = self._waiting.popleft()
         self._layers.follow(evidence)
         index = evidence.frame_index
         by_reference = ray.put(evidence)
@@ -163,7 +163,9 @@ class CoordinatorActor:
         segmentation = self._links.segmenter.step.remote(by_reference, frame, *posteriors)
         self._segmentations[index] = segmentation
         self._segmentations.pop(index - 2, None)
-        self._record.write(segmentation, frame)
+        wanted = self._spec.wants_background
+        background = self._layers.background() if wanted is not None and wanted(delivered.index) else None
+        self._record.write(segmentation, frame, background)
         self._write_gaps()
 
     def _write_gaps(self) -> None:

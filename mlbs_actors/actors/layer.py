@@ -13,7 +13,14 @@ from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import LayerError
-from mlbs_actors.messages import FrameEvidence, LayerKind, LayerPosterior, Segmentation
+from mlbs_actors.messages import (
+    BACKGROUND,
+    FrameEvidence,
+    LayerAppearance,
+    LayerKind,
+    LayerPosterior,
+    Segmentation,
+)
 
 __all__ = ["LayerActor", "LiveLayers"]
 
@@ -45,6 +52,11 @@ class LayerActor:
         own = next(own for own in evidence.layers if own.layer == self._layer)
         with self._order.step(evidence.frame_index, after=own.last_frame):
             return self._part.step(own, evidence, frame.image, previous)
+
+    def appearance(self) -> LayerAppearance:
+        """Return what the layer remembers at the frame it did last."""
+        assert self._part is not None  # asked for by whoever asked for that frame
+        return self._part.appearance()
 
     def release(self) -> None:
         """Forget the layer, and with it its memory."""
@@ -100,6 +112,11 @@ class LiveLayers:
         return [
             self._handles[own.layer].step.remote(by_reference, frame, previous) for own in evidence.layers
         ]
+
+    def background(self) -> Reference:
+        """Ask the background for its :class:`LayerAppearance` at the frame whose work was started last."""
+        appearance: Reference = self._handles[BACKGROUND].appearance.remote()
+        return appearance
 
     def release_all(self) -> None:
         """Give all processes back, each once its last step is done."""

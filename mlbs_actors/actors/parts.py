@@ -19,6 +19,7 @@ from mlbs_actors.config import Config
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
+    LayerAppearance,
     LayerEvidence,
     LayerKind,
     LayerPosterior,
@@ -55,6 +56,9 @@ class LayerPart(Protocol):
         previous: Segmentation | None,
     ) -> LayerPosterior:
         """Finish frame t−1 with its labels, then predict and evaluate frame t."""
+
+    def appearance(self) -> LayerAppearance:
+        """Return what is remembered at the frame evaluated last; nothing is changed."""
 
 
 class SegmenterPart(Protocol):

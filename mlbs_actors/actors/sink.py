@@ -13,7 +13,7 @@ from mlbs_actors.actors.processes import Handle, Reference
 from mlbs_actors.actors.stream_protocol import GapStatus, SourceFrame, StreamSink
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import SinkError
-from mlbs_actors.messages import Segmentation
+from mlbs_actors.messages import LayerAppearance, Segmentation
 
 __all__ = ["Record", "SinkActor"]
 
@@ -37,11 +37,13 @@ class SinkActor:
         self._records[run] = open_sink(), FrameOrder()
         return 0
 
-    def write(self, run: int, segmentation: Segmentation, frame: SourceFrame) -> int:
+    def write(
+        self, run: int, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None
+    ) -> int:
         """Take one result; return how many label maps are committed by now."""
         sink, order = self._record(run)
         with order.step(frame.index, after=frame.index - 1):
-            return sink.write(segmentation, frame)
+            return sink.write(segmentation, frame, background)
 
     def gap(self, run: int, index: int, pts: float, status: GapStatus) -> int:
         """Record a frame without label map; return how many label maps are committed by now."""
@@ -84,9 +86,9 @@ class Record:
         self._pending: deque[Reference] = deque([sink.open.remote(run, open_sink)])
         self.committed = 0
 
-    def write(self, segmentation: Reference, frame: Reference) -> None:
-        """Hand over one result, both by reference; raises what an earlier row raised."""
-        self._pending.append(self._sink.write.remote(self._run, segmentation, frame))
+    def write(self, segmentation: Reference, frame: Reference, background: Reference | None) -> None:
+        """Hand over one result, all by reference; raises what an earlier row raised."""
+        self._pending.append(self._sink.write.remote(self._run, segmentation, frame, background))
         self._hold_back()
 
     def gap(self, index: int, pts: float, status: GapStatus) -> None:

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from mlbs_actors.config import Config
-from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 
 __all__ = [
     "FrameReader",
@@ -103,9 +103,13 @@ class StreamSink(Protocol):
     cannot be written; the stream then fails.
     """
 
-    def write(self, segmentation: Segmentation, frame: SourceFrame) -> int:
+    def write(
+        self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
+    ) -> int:
         """Take one result; return how many label maps of this stream are committed by now.
 
+        ``background`` is what the background remembers at that frame, if
+        :attr:`StreamSpec.wants_background` asked for it.
         A label map is committed once it would survive a kill, which may be some frames later.
         """
 
@@ -131,6 +135,9 @@ class StreamSpec:
         Picklable; called once, in the sink process. Raises SinkError.
     max_frames : int, optional
         The stream ends after this many frames of the source, quarantined ones included.
+    wants_background : callable, optional
+        Picklable; takes a source index and tells whether the sink wants the background's appearance with
+        that frame. By default it never does.
     """
 
     name: str
@@ -138,6 +145,7 @@ class StreamSpec:
     open_reader: Callable[[], FrameReader]
     open_sink: Callable[[], StreamSink]
     max_frames: int | None = None
+    wants_background: Callable[[int], bool] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,15 +9,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, SegmenterPart
 from mlbs_actors.actors.stream_protocol import GapStatus, SourceFrame
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
+    LayerAppearance,
     LayerEvidence,
     LayerKind,
     LayerPosterior,
+    Region,
     Segmentation,
 )
 from mlbs_actors.segmenter import Segmenter
@@ -91,6 +95,10 @@ class _EmptyLayer:
     ) -> LayerPosterior:
         return replace(self.posterior, frame_index=frame_evidence.frame_index)
 
+    def appearance(self) -> LayerAppearance:
+        nothing = np.zeros((0, 0, 3), np.uint8)
+        return LayerAppearance(0, 0, Region(0, 0, 0, 0), nothing, np.zeros((0, 0), np.bool_))
+
 
 @dataclass
 class _EmptySegmenter:
@@ -145,7 +153,9 @@ class EmptySink:
 
     rows: int = 0
 
-    def write(self, segmentation: Segmentation, frame: SourceFrame) -> int:
+    def write(
+        self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
+    ) -> int:
         """Count the row."""
         self.rows += 1
         return self.rows

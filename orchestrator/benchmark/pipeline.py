@@ -24,7 +24,7 @@ from mlbs_actors import Config
 from mlbs_actors.actors import Node, StreamActors
 from mlbs_actors.actors.parts import CoordinatorPart, EngineParts, LayerPart, PartFactory, SegmenterPart
 from mlbs_actors.actors.stream_protocol import FrameReader, GapStatus, SourceFrame, StreamSink, StreamSpec
-from mlbs_actors.messages import LayerKind, Segmentation
+from mlbs_actors.messages import LayerAppearance, LayerKind, Segmentation
 from orchestrator.benchmark.process_costs import Process, kinds_of, private_bytes, process_tree
 from orchestrator.command_line import SAVABLE
 from orchestrator.ray_session import ray_session
@@ -122,11 +122,13 @@ class _NotingSink:
         self._sink = open_sink()
         self._notes = notes.open("w", encoding="ascii", buffering=1)
 
-    def write(self, segmentation: Segmentation, frame: SourceFrame) -> int:
+    def write(
+        self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
+    ) -> int:
         """See :class:`StreamSink`."""
         objects = " ".join(str(layer.layer) for layer in segmentation.layers)
         self._notes.write(f"{time.monotonic()} {frame.index} {objects}\n")
-        return self._sink.write(segmentation, frame)
+        return self._sink.write(segmentation, frame, background)
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
         """See :class:`StreamSink`."""

@@ -1,15 +1,16 @@
-"""Label maps as PNG files: a pixel's value is its layer's id."""
+"""PNG files: label maps, in which a pixel's value is its layer's id, and pictures with opacity."""
 
 from __future__ import annotations
 
 import io
 
+import cv2
 import numpy as np
 from PIL import Image
 
 from mlbs_actors.messages import Array
 
-__all__ = ["LARGEST_INDEXED_LABEL", "davis_palette", "encode_label_image", "voc_colours"]
+__all__ = ["LARGEST_INDEXED_LABEL", "davis_palette", "encode_label_image", "encode_picture", "voc_colours"]
 
 #: Larger ids are stored in 16-bit grey; 255 is left out because it means "ignore" in DAVIS and PASCAL VOC.
 LARGEST_INDEXED_LABEL = 254
@@ -76,3 +77,9 @@ def encode_label_image(labels: Array) -> bytes:
     buffer = io.BytesIO()
     image.save(buffer, format="PNG", compress_level=_COMPRESSION)
     return buffer.getvalue()
+
+
+def encode_picture(picture: Array) -> bytes:
+    """Encode a picture, (H, W, 4) uint8 BGR and opacity, as PNG; the same picture gives the same bytes."""
+    _, encoded = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, _COMPRESSION])
+    return bytes(encoded.tobytes())

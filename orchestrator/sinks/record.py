@@ -14,21 +14,32 @@ from pathlib import Path
 
 from mlbs_actors.actors.stream_protocol import GapStatus, SourceFrame
 from mlbs_actors.errors import SinkError
-from mlbs_actors.messages import Segmentation
+from mlbs_actors.messages import LayerAppearance, Segmentation
 from orchestrator.durable_files import append_line, publish, temporary_path
-from orchestrator.sinks.label_image import encode_label_image
+from orchestrator.sinks.background import background_plate
+from orchestrator.sinks.cutouts import cutouts
+from orchestrator.sinks.label_image import encode_label_image, encode_picture
 from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.overlay import OverlayVideo
 from orchestrator.sinks.record_tables import COMMIT_LOG, committed_groups
 from orchestrator.sinks.tables import FrameRow, ResultRow, write_frames, write_layers
 
-__all__ = ["FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "recorded_frames"]
+__all__ = ["FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "ends_group", "recorded_frames"]
 
 #: Frames of the first commit.
 FIRST_COMMIT = 8
 
 #: A commit ends before each multiple of this.
 GROUP_FRAMES = 32
+
+
+#: Parts that are folders of pictures.
+_FOLDERS = frozenset({"masks", "background", "cutouts"})
+
+
+def ends_group(index: int) -> bool:
+    """Whether a group is committed after this frame of the source; a background plate belongs to each."""
+    return index + 1 == FIRST_COMMIT or (index + 1) % GROUP_FRAMES == 0
 
 
 class StreamRecord:
@@ -41,7 +52,7 @@ class StreamRecord:
     name : str
         The stream's name.
     save : frozenset of str
-        Which of ``"masks"``, ``"parquet"``, ``"overlay"`` to write.
+        Which of ``"masks"``, ``"parquet"``, ``"overlay"``, ``"background"``, ``"cutouts"`` to write.
     live : LivePicture, optional
         Shown every frame, for the monitor.
 
@@ -65,18 +76,24 @@ class StreamRecord:
         self._overlay = OverlayVideo(folder / "overlay.mp4") if "overlay" in save else None
         try:
             folder.mkdir(parents=True)
-            if "masks" in save:
-                (folder / "masks").mkdir()
+            for part in _FOLDERS & save:
+                (folder / part).mkdir()
         except OSError as error:
             raise self._unwritable(error) from None
 
-    def write(self, segmentation: Segmentation, frame: SourceFrame) -> int:
+    def write(
+        self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
+    ) -> int:
         """Take one result; return how many label maps are committed."""
         try:
             if "masks" in self._save:
-                path = self._folder / "masks" / f"{frame.name}.png"
-                temporary_path(path).write_bytes(encode_label_image(segmentation.labels))
-                self._unpublished.append(path)
+                self._put(f"masks/{frame.name}.png", encode_label_image(segmentation.labels))
+            if "cutouts" in self._save and frame.image is not None:
+                for layer, picture in cutouts(segmentation, frame.image):
+                    self._put(f"cutouts/{frame.name}-{layer}.png", encode_picture(picture))
+            if "background" in self._save and background is not None and frame.image is not None:
+                plate = background_plate(background, frame.image, segmentation.labels)
+                self._put(f"background/{frame.name}.png", encode_picture(plate))
             self._add(FrameRow(frame.index, frame.pts, "ok", ResultRow.of(segmentation), frame.name))
         except OSError as error:
             raise self._unwritable(error) from None
@@ -104,10 +121,15 @@ class StreamRecord:
             self._overlay.close()
         return self._committed
 
+    def _put(self, name: str, content: bytes) -> None:
+        """Write a file that counts from the next commit on."""
+        path = self._folder / name
+        temporary_path(path).write_bytes(content)
+        self._unpublished.append(path)
+
     def _add(self, row: FrameRow) -> None:
         self._rows.append(row)
-        following = row.frame + 1
-        if following == FIRST_COMMIT or following % GROUP_FRAMES == 0:
+        if ends_group(row.frame):
             self._commit()
 
     def _commit(self) -> None:

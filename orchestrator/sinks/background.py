@@ -1,0 +1,43 @@
+"""The background plate: what a frame would show without the objects that move in it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from mlbs_actors.messages import BACKGROUND, Array, LayerAppearance
+
+__all__ = ["background_plate"]
+
+
+def background_plate(appearance: LayerAppearance, image: Array, labels: Array) -> Array:
+    """Put the plate of a frame together.
+
+    A pixel's colour is, the first that is known of these: the median of the colours that the background has
+    remembered there; the frame's own colour if the pixel is labelled background; the colour of the nearest
+    pixel of those two kinds. Only what is filled in the last way is transparent.
+
+    Parameters
+    ----------
+    appearance : LayerAppearance
+        The background's, of the same frame.
+    image : (H, W, 3) uint8
+        BGR.
+    labels : (H, W) uint16
+
+    Returns
+    -------
+    (H, W, 4) uint8
+        BGR and opacity, 255 or 0.
+    """
+    remembered: Array = np.zeros(labels.shape, np.bool_)
+    remembered[appearance.region.slices] = appearance.known
+    colours = image.copy()
+    colours[remembered] = appearance.colours[appearance.known]
+    known = remembered | (labels == BACKGROUND)
+    if known.any() and not known.all():
+        rows, columns = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+        colours = colours[rows, columns]
+    plate: Array = cv2.merge([*cv2.split(colours), np.where(known, np.uint8(255), np.uint8(0))])
+    return plate
