@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mlbs_actors.messages import BACKGROUND, Array
+from orchestrator.sources.street import Piece, balloon, facades, road, tree, vehicle
 from orchestrator.sources.textures import blob, capsule, patchwork
 
 __all__ = ["SCRIPTS", "Script", "Surface", "build_surfaces"]
@@ -182,6 +183,26 @@ class Stage:
         limb(shoulder, still, trunk, 0.09 * tall, shirt)
         limb(shoulder - (0.0, 0.17 * tall), still, 0.03 * tall, 0.07 * tall, (110.0, 140.0, 180.0))
 
+    def street(self, trees: int = 6) -> None:
+        """Houses, a road before them, and trees on the pavement, in the place of :meth:`background`."""
+        side = round(TILE * self.unit)
+        houses = facades(self.texture_rng(), TILE, self.unit, HORIZON)
+        self._unbounded(houses, 1.0, 0.0, None)
+        self._unbounded(
+            road(self.texture_rng(), side, self.unit), 1.0 - self.slope * HORIZON, self.slope, HORIZON
+        )
+        for place in np.linspace(-1.6, 1.6, trees):
+            size, foot = self.rng.uniform(12, 18), HORIZON + self.rng.uniform(8, 20)
+            centre = (place * CANVAS / 2 + self.rng.uniform(-15, 15), foot - 1.4 * size)
+            path = np.tile(centre, (self.frames, 1))
+            self._piece(BACKGROUND, tree(self.texture_rng(), size, self.unit), path, self.nearness(foot))
+
+    def painted(self, label: int, piece: Piece, path: tuple[Array | float, Array | float]) -> None:
+        """A moving object that is painted already; its path is in the view."""
+        centre = self._path(path)
+        nearness = self.nearness(float(centre[0, 1]) + piece[1].shape[0] / 2 / self.unit)
+        self._piece(label, piece, centre + nearness * np.stack([self.x, self.y], axis=1), nearness)
+
     def surfaces(self) -> tuple[Surface, ...]:
         """All that was placed, far to near; equally near things in the order they were placed."""
         return tuple(surface for _, surface in sorted(self.placed, key=lambda entry: entry[0]))
@@ -190,13 +211,16 @@ class Stage:
         x, y = (np.broadcast_to(np.asarray(axis, np.float64), (self.frames,)) for axis in path)
         return np.stack([x, y * self.tallness], axis=1)
 
-    def _texture_rng(self) -> np.random.Generator:
+    def texture_rng(self) -> np.random.Generator:
         """One for each texture: a larger texture draws more numbers, which must not alter outlines."""
         return np.random.default_rng(self.rng.integers(2**63))
 
     def _plane(self, colour: tuple[float, ...], nearness: float, slope: float, top: float | None) -> None:
         side = round(TILE * self.unit)
-        texture = patchwork(self._texture_rng(), (side, side), colour, self.unit)
+        self._unbounded(patchwork(self.texture_rng(), (side, side), colour, self.unit), nearness, slope, top)
+
+    def _unbounded(self, texture: Array, nearness: float, slope: float, top: float | None) -> None:
+        side = len(texture)
         maps = self._maps((side, side), np.zeros((self.frames, 2)), 0.0, nearness, slope)
         top_row = None if top is None else top * self.unit + (side - 1) / 2
         self.placed.append((1.0, Surface(BACKGROUND, texture, None, top_row, maps)))
@@ -211,7 +235,14 @@ class Stage:
         turn: Array | float = 0.0,
     ) -> None:
         height, width = opacity.shape
-        texture = patchwork(self._texture_rng(), (height, width), colour, self.unit * 0.6, contrast=30.0)
+        texture = patchwork(self.texture_rng(), (height, width), colour, self.unit * 0.6, contrast=30.0)
+        self._piece(label, (texture, opacity), centre, nearness, turn)
+
+    def _piece(
+        self, label: int, piece: Piece, centre: Array, nearness: float, turn: Array | float = 0.0
+    ) -> None:
+        texture, opacity = piece
+        height, width = opacity.shape
         maps = self._maps((height, width), centre, turn, nearness, 0.0)
         self.placed.append((nearness, Surface(label, texture, opacity, None, maps)))
 
@@ -260,6 +291,21 @@ def _demo(stage: Stage) -> None:
     stage.thing(1, (100 * _to_and_fro(time, 120), 62 + 3 * np.sin(time / 9)), (34, 19))
     stage.thing(2, (-105 * _to_and_fro(time, 100), 34 + 2 * np.sin(time / 7)), (27, 17))
     stage.thing(3, (80 * np.cos(time / 15), -62 + 22 * np.sin(time / 11)), (15, 13), turn=time / 18)
+
+
+def _street(stage: Stage) -> None:
+    time = stage.time
+    stage.pan(1.0)
+    stage.zoom = 1.0 + 0.03 * np.sin(time / 40)
+    stage.street()
+    unit = stage.unit
+    near = vehicle(stage.texture_rng(), (84, 38), (60, 62, 196), unit, faces_right=True)
+    stage.painted(1, near, (95 * _to_and_fro(time, 130), 62.0))
+    far = vehicle(stage.texture_rng(), (66, 32), (196, 128, 52), unit)
+    stage.painted(2, far, (-100 * _to_and_fro(time, 110), 18.0))
+    stage.painted(
+        3, balloon(stage.texture_rng(), 17, unit), (75 * np.cos(time / 18), -82 + 10 * np.sin(time / 11))
+    )
 
 
 def _pan(stage: Stage) -> None:
@@ -379,6 +425,7 @@ def _small_object(stage: Stage) -> None:
 #: Every scene by name.
 SCRIPTS: dict[str, Script] = {
     "demo": Script("moving camera; three objects, two of which pass each other", _demo),
+    "street": Script("a street: two cars that pass each other, a balloon; the camera follows", _street),
     "pan": Script("panning camera; two objects that go along with it", _pan),
     "roll-zoom": Script("camera that rolls ±6° and zooms ±15 %; two objects", _roll_zoom),
     "crossing": Script("two equally fast objects meet; one hides the other, again and again", _crossing),

@@ -7,14 +7,14 @@ from scipy import fft, ndimage
 
 from mlbs_actors.messages import Array
 
-__all__ = ["blob", "capsule", "patchwork"]
+__all__ = ["blob", "capsule", "grain", "patchwork"]
 
 PATCH_WAVELENGTH, DETAIL_WAVELENGTH = 24.0, 7.0  # canvas units
 GRAIN_WAVELENGTH = 3.5  # px: a picture of any size has detail to follow
 PATCH_TONES = 5
 
 
-def _periodic_noise(rng: np.random.Generator, shape: tuple[int, int], wavelength: float) -> Array:
+def grain(rng: np.random.Generator, shape: tuple[int, int], wavelength: float) -> Array:
     """Gaussian noise without waves much shorter than ``wavelength`` (px); it tiles; mean 0, deviation 1."""
     spectrum = fft.rfft2(rng.standard_normal(shape, dtype=np.float32))
     frequency = np.hypot(fft.fftfreq(shape[0])[:, None], fft.rfftfreq(shape[1])[None, :])
@@ -50,13 +50,13 @@ def patchwork(
     -------
     (h, w, 3) uint8
     """
-    fields = [_periodic_noise(rng, shape, PATCH_WAVELENGTH * unit) for _ in range(PATCH_TONES)]
+    fields = [grain(rng, shape, PATCH_WAVELENGTH * unit) for _ in range(PATCH_TONES)]
     tones = np.asarray(colour) + rng.uniform(-contrast, contrast, (PATCH_TONES, 1))
     tones += rng.uniform(-0.3, 0.3, (PATCH_TONES, 3)) * contrast
     texture = tones.astype(np.float32)[np.argmax(fields, axis=0)]
     texture = ndimage.gaussian_filter(texture, (0.7, 0.7, 0), mode="wrap", truncate=3.0)
-    shading = 12 * _periodic_noise(rng, shape, DETAIL_WAVELENGTH * unit)
-    shading += 8 * _periodic_noise(rng, shape, GRAIN_WAVELENGTH)
+    shading = 12 * grain(rng, shape, DETAIL_WAVELENGTH * unit)
+    shading += 8 * grain(rng, shape, GRAIN_WAVELENGTH)
     texture += shading[:, :, None]
     return np.clip(texture + 0.5, 0, 255).astype(np.uint8)
 
