@@ -20,6 +20,7 @@ from mlbs_actors.actors.stream_protocol import StreamProgress
 from mlbs_actors.errors import ConfigError
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.monitor.board import Board
+from orchestrator.monitor.metrics import metrics_text
 from orchestrator.monitor.server import serving
 from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.record import StreamRecord
@@ -93,6 +94,20 @@ def test_pictures_are_those_of_the_stream_at_that_place(url: str) -> None:
         "/run.json",
     ):
         assert get(url, path)[0].status == 404
+
+
+def test_prometheus_gets_a_sample_for_every_stream_and_metric(url: str) -> None:
+    answer, body = get(url, "/metrics")
+    assert (answer.getheader("Content-Type") or "").startswith("text/plain; version=0.0.4")
+    samples = dict(line.rsplit(" ", 1) for line in body.decode().splitlines() if not line.startswith("#"))
+    assert samples['mlbs_stream_read_frames_total{stream="yard"}'] == "20.0"
+    assert samples['mlbs_stream_queued_frames{stream="yard"}'] == "12.0"
+    assert float(samples['mlbs_stream_latency_seconds{stream="yard"}']) == pytest.approx(0.3124)
+    assert samples['mlbs_stream_state{stream="<b>",state="failed"}'] == "1"
+    kinds = [line.split()[2] for line in body.decode().splitlines() if line.startswith("# TYPE")]
+    assert len(kinds) == len(set(kinds)) == len(samples) / 3
+    hostile = metrics_text([StreamState('a"b\\c')])
+    assert 'stream="a\\"b\\\\c"' in hostile
 
 
 def test_the_past_of_a_long_run_keeps_its_span_in_bounded_room(tmp_path: Path) -> None:

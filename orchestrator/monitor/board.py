@@ -47,6 +47,12 @@ class Board:
                     if len(past) > _POINTS:
                         del past[1::2]
 
+    @property
+    def states(self) -> tuple[StreamState, ...]:
+        """The newest states, in the order of the list."""
+        with self._lock:
+            return self._states
+
     def status(self) -> dict[str, Any]:
         """Everything the page shows, as JSON takes it.
 

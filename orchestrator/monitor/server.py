@@ -21,6 +21,7 @@ from urllib.parse import parse_qs, urlsplit
 from mlbs_actors.errors import ConfigError
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.monitor.board import Board
+from orchestrator.monitor.metrics import CONTENT_TYPE, metrics_text
 
 __all__ = ["serving"]
 
@@ -116,6 +117,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.OK, (_FOLDER / name).read_bytes(), kind)
         elif url.path == "/status.json":
             self._answer(HTTPStatus.OK, json.dumps(self.server.board.status()).encode(), "application/json")
+        elif url.path == "/metrics":
+            self._answer(HTTPStatus.OK, metrics_text(self.server.board.states).encode(), CONTENT_TYPE)
         elif (picture := self._picture(url.path)) is not None:
             self._answer(HTTPStatus.OK, picture, "image/jpeg")
         else:
