@@ -99,7 +99,7 @@ class LiveTable:
         self._live.stop()
 
     def _table(self, states: Sequence[StreamState]) -> Table:
-        rows = max(3, self._console.height - 6)
+        rows = max(3, self._console.height - 7)
         shown = list(states)
         if len(shown) > rows:
             shown = sorted(shown, key=_interest)[:rows]
@@ -136,4 +136,7 @@ def _summary(states: Sequence[StreamState], shown: int) -> str:
     counts = Counter(state.state for state in states)
     parts = ", ".join(f"{count} {name}" for name, count in counts.items())
     hidden = len(states) - shown
-    return f"{parts} ({hidden} not shown)" if hidden else parts
+    frames = sum(state.read for state in states), sum(state.committed for state in states)
+    rate = sum(state.frames_per_second for state in states)
+    totals = f"{frames[0]} frames read, {frames[1]} committed, {rate:.1f} frames/s"
+    return f"{parts}{f' ({hidden} not shown)' if hidden else ''}\n{totals}"

@@ -60,6 +60,17 @@ def test_the_table_shows_frames_rate_layers_state_and_faults() -> None:
         assert text in shown
 
 
+def test_the_table_adds_up_what_all_streams_have_done() -> None:
+    shown = table(
+        [
+            StreamState("a", "running", read=120, committed=96, frames_per_second=4.25),
+            StreamState("b", "running", read=30, committed=8, frames_per_second=2.0),
+            StreamState("c"),
+        ]
+    )
+    assert "150 frames read, 104 committed, 6.2 frames/s" in shown
+
+
 def test_a_table_of_more_streams_than_fit_shows_those_at_work_and_counts_the_others() -> None:
     states = [StreamState(f"w{number}") for number in range(200)]
     states[150] = StreamState("busy", "running", read=5)
