@@ -1,7 +1,7 @@
 """Which trajectories belong together: propagate, split, merge (§4).
 
-Each frame the labels of the last frame are carried on by a random walk, every cluster is put to the N-cut
-test again, and what falls apart is kept apart only if it *moves* apart.
+Every few frames the labels are carried on to new trajectories by a random walk, every cluster is put to the
+N-cut test again, and what falls apart is kept apart only if it *moves* apart.
 
 Differs from the paper, which trusts the N-cut alone:
 

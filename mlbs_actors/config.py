@@ -116,6 +116,9 @@ class LayersConfig(_Section):
     max_layers: int = Field(
         33, ge=2, description="Most layers of a stream with the background; smaller objects share 'other'."
     )
+    clustering_period: int = Field(
+        3, ge=1, description="Trajectories are clustered anew every so many frames (at first in each)."
+    )
     young_frames: int = Field(6, ge=0, description="Age below which a label can be merged by motion.")
     merge_quantile: float = Field(
         0.3, ge=0, le=1, description="Quantile of motion distances across a border."

@@ -204,9 +204,13 @@ class Coordinator:
             state.held = (self._first_frame(state.held[0], flow, gray, camera),)
         state.next_frame, state.shape, state.gray = frame_index + 1, shape, gray
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
-        if state.clustered or frame_index + 1 >= config.layers.init_frames:
-            published = [] if feedback is None else [one.layer for one in feedback.layers]
+        published = [] if feedback is None else [one.layer for one in feedback.layers]
+        if self._clustering_due(frame_index):
             self._cluster(frame, frame_index, published, stage_ms)
+        elif state.clustered:
+            with _timed(stage_ms, "clustering"):
+                registry = LayerRegistry(config.layers, shape, state.registry)
+                self._observe(registry, labels, frame, frame_index, published)
         state.held = (*state.held, self._hold(frame_index, camera, flow, against_camera, stage_ms))
         return self._emit(frame_index - config.layers.lookahead) if state.clustered else []
 
@@ -239,6 +243,13 @@ class Coordinator:
                 f"Frame {frame_index} is {frame.shape[1]}×{frame.shape[0]} px but the stream is "
                 f"{self.state.shape[1]}×{self.state.shape[0]}; frames of another size are another stream."
             )
+
+    def _clustering_due(self, frame_index: int) -> bool:
+        """Often at first, while objects are told apart; then trajectories keep their labels for some frames."""
+        layers = self.config.layers
+        if not self.state.clustered:
+            return frame_index + 1 >= layers.init_frames
+        return frame_index < 2 * layers.init_frames or frame_index % layers.clustering_period == 0
 
     def _graph(self) -> TrajectoryGraph:
         state, history = self.state, self.config.trajectories.history_frames
@@ -278,21 +289,33 @@ class Coordinator:
             registry.forget({int(label): int(labels[split == label][0]) for label in gone})
             # What the first clustering finds has been there since the first frame.
             labels = registry.admit(labels, frame_index if state.clustered else 0, origins)
-            at = np.clip(
-                np.rint(state.trajectories.positions).astype(np.intp), 0, np.array(state.shape)[::-1] - 1
-            )
-            state.labels = registry.observe(
-                labels,
-                state.trajectories.positions,
-                state.trajectories.motions,
-                frame[at[:, 1], at[:, 0]],
-                frame_index,
-                config.layers.probation_frames if state.clustered else 0,
-                published,
-            )
-        state.registry = registry.state
+            self._observe(registry, labels, frame, frame_index, published)
+            probation = config.layers.probation_frames if state.clustered else 0
+            state.labels = registry.promote(state.labels, frame_index, probation)
+            state.registry = registry.state
         state.clustered = True
         state.held = relabelled(state.held, state.trajectories, state.labels)
+
+    def _observe(
+        self,
+        registry: LayerRegistry,
+        labels: Array,
+        frame: Array,
+        frame_index: int,
+        published: Collection[int],
+    ) -> None:
+        state = self.state
+        limits = np.array(frame.shape[1::-1]) - 1
+        at = np.clip(np.rint(state.trajectories.positions).astype(np.intp), 0, limits)
+        state.labels = registry.observe(
+            labels,
+            state.trajectories.positions,
+            state.trajectories.motions,
+            frame[at[:, 1], at[:, 0]],
+            frame_index,
+            published,
+        )
+        state.registry = registry.state
 
     def _first_frame(self, held: HeldFrame, flow: DenseFlow, following: Array, camera: Array) -> HeldFrame:
         """Before the first frame there was none: it takes its motion from the second, backwards in time."""

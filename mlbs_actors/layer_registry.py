@@ -225,10 +225,9 @@ class LayerRegistry:
         motions: Array,
         colours: Array,
         frame_index: int,
-        probation: int,
         published: Collection[int],
     ) -> Array:
-        """Take note of a frame's clusters: promote, put to sleep, forget, and keep the cap.
+        """Take note of where a frame's labels are: put to sleep and forget.
 
         Parameters
         ----------
@@ -239,9 +238,6 @@ class LayerRegistry:
         colours : (n, 3) uint8
             The frame's colours there.
         frame_index : int
-        probation : int
-            Frames that a candidate must have lasted to become a layer; one that fell off an object must have
-            lasted for ``part_probation_frames``.
         published : collection of int
             Layers that own pixels in the newest label map that may be read. A layer with too few
             trajectories stays awake on them for ``coast_frames``.
@@ -249,7 +245,7 @@ class LayerRegistry:
         Returns
         -------
         (n,) int64
-            The labels after promotion; trajectories of clusters that are too few are −1.
+            Trajectories of labels that have too few are −1.
         """
         labels = labels.copy()
         state = self.state
@@ -277,6 +273,25 @@ class LayerRegistry:
             self.state = replace(
                 self.state, other=-1
             )  # the next "other" is another layer: ids do not come back
+        return labels
+
+    def promote(self, labels: Array, frame_index: int, probation: int) -> Array:
+        """Make layers of the candidates that have lasted, and keep the cap.
+
+        Parameters
+        ----------
+        labels : (n,) int64
+            From :meth:`observe`, after a clustering: it is what a candidate has to last.
+        frame_index : int
+        probation : int
+            Frames that a candidate must have lasted to become a layer; one that fell off an object must have
+            lasted for ``part_probation_frames``.
+
+        Returns
+        -------
+        (n,) int64
+        """
+        labels = labels.copy()
         awaited = np.where(self.state.origins == UNLABELLED, probation, self.config.part_probation_frames)
         for label in self.state.labels[
             (self.state.labels < UNLABELLED) & (frame_index - self.state.born >= awaited)

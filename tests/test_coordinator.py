@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from mlbs_actors.clustering import UNLABELLED
 from mlbs_actors.config import Config
 from mlbs_actors.coordinator import Coordinator
 from mlbs_actors.determinism import single_threaded
@@ -348,6 +349,30 @@ def test_past_the_cap_objects_share_a_layer_of_their_own_kind() -> None:
 
 
 # Always the same
+
+
+def test_between_two_clusterings_trajectories_keep_their_labels_and_new_ones_wait() -> None:
+    config = configured(init_frames=2, clustering_period=4)
+    coordinator = Coordinator(config)
+    clustered = []
+    for t, picture in enumerate(movie(13, CAR)):
+        before = dict(zip(coordinator.state.trajectories.ids, coordinator.state.labels, strict=True))
+        evidence = coordinator.step(t, picture, None)
+        after = dict(zip(coordinator.state.trajectories.ids, coordinator.state.labels, strict=True))
+        if any("affinity" in one.stage_ms for one in evidence):
+            clustered.append(t)
+        elif t > 0:
+            assert all(after[track] == before[track] for track in after if track in before)
+            assert all(after[track] == UNLABELLED for track in after if track not in before)
+    assert clustered == [1, 2, 3, 4, 8, 12]
+
+
+def test_what_begins_to_move_between_two_clusterings_is_a_layer_soon_after_the_next() -> None:
+    config = configured(init_frames=2, clustering_period=4, probation_frames=2)
+    evidence = run(movie(16, Square(20, 30, 4, first=5)), config)
+    found = [one.frame_index for one in evidence if len(one.layers) > 1]
+    assert found
+    assert found[0] in (8, 12)
 
 
 def test_equal_streams_give_equal_bytes() -> None:

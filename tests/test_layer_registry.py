@@ -82,9 +82,10 @@ class Stream:
             -spread([things[name].velocity for name in names]),
             np.repeat(colours, counts, axis=0),
             self.frame_index,
-            0 if at_once else self.config.probation_frames,
             published,
         )
+        probation = 0 if at_once else self.config.probation_frames
+        labels = self.registry.promote(labels, self.frame_index, probation)
         starts = np.cumsum([0, *counts])
         self.labels = {name: int(labels[start]) for name, start in zip(names, starts, strict=False)}
         for name, start, count in zip(names, starts, counts, strict=False):
