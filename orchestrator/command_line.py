@@ -38,7 +38,8 @@ output:
 exit status:
   0    every stream was segmented to its end
   1    a stream failed, or is partial (damaged or cut off; what could be read is kept)
-  2    the command, the configuration or the list cannot be used; nothing was started
+  2    the command, the configuration or the list cannot be used, or no stream has a source;
+       nothing was started
   130, 143  interrupted by SIGINT or SIGTERM; what was read is kept. A second signal ends it at once.
 """
 

@@ -10,8 +10,10 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, Protocol
 
 from mlbs_actors.actors.stream_protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
@@ -57,6 +59,8 @@ class Driver:
     observers : sequence of Observer
     interruption : Interruption
         Looked at between events.
+    missing : mapping of str to str
+        Streams known to have no source → what is wrong; they are never started.
     clock : callable
         Monotonic time, s.
     """
@@ -69,10 +73,13 @@ class Driver:
         limit: int,
         observers: Sequence[Observer],
         interruption: Interruption,
+        missing: Mapping[str, str] = MappingProxyType({}),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._specs = {spec.name: spec for spec in specs}
-        self._states = {spec.name: StreamState(spec.name) for spec in specs}
+        self._states = {spec.name: StreamState(spec.name, line=spec.line) for spec in specs}
+        for name, error in missing.items():
+            self._states[name] = after_failure(self._states[name], error)
         self._host = host
         self._limit = limit
         self._observers = observers
@@ -104,7 +111,7 @@ class Driver:
         # One at a time: a stream that fails at once frees its place for the next.
         while names := streams_to_start(self.states, self._limit - len(self._endings)):
             name = names[0]
-            self._set(StreamState(name, "starting"))
+            self._set(replace(self._states[name], state="starting"))
             try:
                 self._streams[name] = self._host.start(self._specs[name])
                 self._advance(name)

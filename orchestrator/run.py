@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,13 @@ from orchestrator.stream_state import StreamState, with_record
 __all__ = ["run"]
 
 
-def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, scratch: Path) -> int:
+def run(
+    arguments: Arguments,
+    streams: Sequence[ListedStream],
+    missing: Mapping[str, str],
+    config: Config,
+    scratch: Path,
+) -> int:
     """Segment all streams; return the exit status.
 
     Parameters
@@ -37,6 +43,8 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
     arguments : Arguments
     streams : sequence of ListedStream
         What ``arguments.streams`` lists.
+    missing : mapping of str to str
+        Streams without a source → what is wrong; they fail, the others run.
     config : Config
         What ``arguments`` asks for.
     scratch : Path
@@ -58,16 +66,21 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
             open_reader=partial(open_reader, stream.source),
             open_sink=partial(StreamRecord, folder.stream(stream.name), stream.name, arguments.save),
             max_frames=arguments.max_frames,
+            source=str(stream.source),
+            line=stream.line,
         )
         for stream in streams
     ]
     description = describe_run(streams, config, arguments.save, arguments.max_frames)
     limit = places(available_memory(), cores())
-    _say(f"Starting Ray; {len(specs)} streams, up to {limit} at a time.")
+    for stream in streams:
+        if stream.name in missing:
+            _say(f"{arguments.streams}, line {stream.line}: {missing[stream.name]}")
+    _say(f"Starting Ray; {len(specs) - len(missing)} streams, up to {limit} at a time.")
     with ray_session(arguments.address, scratch):
         folder.claim(description)
         status = StatusFile(folder.path / "status.json")
-        states, exit_status = _drive(specs, limit, status, folder.path / "ray.log")
+        states, exit_status = _drive(specs, missing, limit, status, folder.path / "ray.log")
     states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
     try:
         status.finish(states, exit_status)
@@ -80,7 +93,11 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
 
 
 def _drive(
-    specs: Sequence[StreamSpec], limit: int, status: StatusFile, ray_log: Path
+    specs: Sequence[StreamSpec],
+    missing: Mapping[str, str],
+    limit: int,
+    status: StatusFile,
+    ray_log: Path,
 ) -> tuple[tuple[StreamState, ...], int]:
     output = sys.stdout
     # Ray prints its own warnings; standard output belongs to the progress.
@@ -88,7 +105,14 @@ def _drive(
         progress = progress_for(output)
         try:
             node = Node()
-            driver = Driver(specs, node, limit=limit, observers=[status, progress], interruption=interruption)
+            driver = Driver(
+                specs,
+                node,
+                limit=limit,
+                observers=[status, progress],
+                interruption=interruption,
+                missing=missing,
+            )
             exit_status = driver.run()
             node.close()
         finally:
@@ -99,7 +123,11 @@ def _drive(
 def _closing_words(folder: RunFolder, states: Sequence[StreamState], save: frozenset[str]) -> str:
     done = sum(state.state == "done" for state in states)
     lines = [f"{done} of {len(states)} streams are complete. Results: {folder.path}"]
-    lines += [f"  {state.name} ({state.state}): {state.error}" for state in states if state.error is not None]
+    lines += [
+        f"  line {state.line}, {state.name} ({state.state}): {state.error}"
+        for state in states
+        if state.error is not None
+    ]
     lines += [
         f"  {state.name}: {error.read_text(encoding='utf-8').strip()}"
         for state in states

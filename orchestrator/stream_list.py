@@ -13,11 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mlbs_actors.errors import ConfigError
+from mlbs_actors.errors import ConfigError, SourceError
 from orchestrator.credentials import mask
 from orchestrator.sources.address import SourceAddress, parse_address
+from orchestrator.sources.presence import require_source
 
-__all__ = ["MAX_BYTES", "MAX_STREAMS", "ListedStream", "read_stream_list"]
+__all__ = ["MAX_BYTES", "MAX_STREAMS", "ListedStream", "missing_sources", "read_stream_list"]
 
 MAX_BYTES = 8 * 2**20
 MAX_STREAMS = 10_000
@@ -92,6 +93,38 @@ def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
     if len(streams) > MAX_STREAMS:
         raise ConfigError(f"The list {path} holds more than {MAX_STREAMS} streams; split it.")
     return tuple(streams)
+
+
+def missing_sources(path: Path, streams: Sequence[ListedStream]) -> dict[str, str]:
+    """Look which streams have no source at all.
+
+    Parameters
+    ----------
+    path : Path
+        The list, for messages.
+    streams : sequence of ListedStream
+        What it holds.
+
+    Returns
+    -------
+    dict of str to str
+        Stream name → what is wrong, a sentence without credentials.
+
+    Raises
+    ------
+    ConfigError
+        If none has a source.
+    """
+    missing: dict[str, str] = {}
+    for stream in streams:
+        try:
+            require_source(stream.source)
+        except SourceError as error:
+            missing[stream.name] = str(error)
+    if len(missing) == len(streams):
+        faults = {stream.line: missing[stream.name].rstrip(".") for stream in streams}
+        raise ConfigError(_fault_report(path, faults))
+    return missing
 
 
 def _lines(path: Path) -> list[bytes]:

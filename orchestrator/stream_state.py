@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from mlbs_actors.actors.stream_protocol import StreamProgress
+from mlbs_actors.actors.stream_protocol import SourceSilence, StreamProgress
 from orchestrator.credentials import mask
 
 __all__ = [
@@ -35,14 +35,16 @@ class StreamState:
     ----------
     name : str
     state : StateName
-    read, committed, dropped, quarantined : int
-        Frames; see :class:`mlbs_actors.actors.stream_protocol.StreamProgress`.
+    read, committed, dropped, quarantined, gaps : int
+        See :class:`mlbs_actors.actors.stream_protocol.StreamProgress`.
     layers : int
         Live layers, the background included.
     frames_per_second : float
         Recent rate at which frames were read; 0 when not running.
     error : str, optional
         A sentence, without credentials.
+    line : int, optional
+        Where the stream stands in the list, from 1.
     """
 
     name: str
@@ -51,23 +53,28 @@ class StreamState:
     committed: int = 0
     dropped: int = 0
     quarantined: int = 0
+    gaps: int = 0
     layers: int = 0
     frames_per_second: float = 0.0
     error: str | None = None
+    line: int | None = None
 
 
 def after_progress(state: StreamState, progress: StreamProgress, frames_per_second: float) -> StreamState:
     """State after a burst of frames, the stream going on."""
+    silence = progress.silence or SourceSilence(None)
+    error = silence.note or progress.problem
     return replace(
         state,
-        state="running" if progress.read else "starting",
+        state=silence.state or ("running" if progress.read else "starting"),
         read=progress.read,
         committed=progress.committed,
         dropped=progress.dropped,
         quarantined=progress.quarantined,
+        gaps=progress.gaps,
         layers=progress.layers,
         frames_per_second=frames_per_second,
-        error=None if progress.problem is None else mask(progress.problem),
+        error=None if error is None else mask(error),
     )
 
 
@@ -95,12 +102,13 @@ def with_record(state: StreamState, recorded: int) -> StreamState:
     ----------
     state : StreamState
     recorded : int
-        Frames in the stream's commit log, those without a label map included.
+        Rows in the stream's commit log, those without a label map included.
     """
     if state.state != "failed":
         return state
-    committed = max(state.committed, recorded - state.quarantined - state.dropped)
-    return replace(state, committed=committed, read=max(state.read, recorded))
+    frames = recorded - state.gaps
+    committed = max(state.committed, frames - state.quarantined - state.dropped)
+    return replace(state, committed=committed, read=max(state.read, frames))
 
 
 def after_interruption(state: StreamState, progress: StreamProgress | None) -> StreamState:

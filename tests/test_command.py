@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -103,9 +104,10 @@ def test_the_help_names_every_flag_source_output_and_exit_status(capsys: pytest.
     ("lines", "flags", "words"),
     [
         ([], [], "holds no stream"),
+        (["# mine", "gone.mp4", "away none/*.png"], [], "line 2: There is no file or folder"),
         (["a.mp4", "http://x/y", "a b c"], [], "line 2:"),
-        (["a.mp4"], ["--set", "layers.nothing=1"], "nothing"),
-        (["a.mp4"], ["--config", "none.yaml"], "none.yaml"),
+        (["synthetic:demo"], ["--set", "layers.nothing=1"], "nothing"),
+        (["synthetic:demo"], ["--config", "none.yaml"], "none.yaml"),
         (["a.mp4", "yard rtsp://bob:hunter2@x/y z"], [], "line 2:"),
     ],
 )
@@ -127,10 +129,46 @@ def test_a_missing_list_ends_with_status_2() -> None:
     assert "/nowhere/list.txt" in ended.stderr
 
 
+def _with_stubs(folder: Path) -> Path:
+    """A copy of scripts/run beside stubs of what it calls; its Python prints its arguments, a line each."""
+    for stub, does in (("scripts/setup", ""), (".venv/bin/python", "printf '%s\\n' \"$@\"")):
+        (folder / stub).parent.mkdir(parents=True)
+        (folder / stub).write_text(f"#!/bin/sh\n{does}\n")
+        (folder / stub).chmod(0o755)
+    return Path(shutil.copy(REPOSITORY / "scripts/run", folder / "scripts/run"))
+
+
+@pytest.mark.parametrize(
+    ("flags", "there", "expected"),
+    [
+        ([], [], ["--streams", "DEMO", "--output", "out"]),
+        ([], ["out", "out-2"], ["--streams", "DEMO", "--output", "out-3"]),
+        (["--max-frames", "3"], ["out"], ["--streams", "DEMO", "--output", "out-2", "--max-frames", "3"]),
+        (["--output=x"], [], ["--streams", "DEMO", "--output=x"]),
+        (["--streams", "l", "--max-frames", "3"], ["out"], ["--streams", "l", "--max-frames", "3"]),
+        (["--streams=l"], [], ["--streams=l"]),
+        (["--help"], [], ["--help"]),
+    ],
+)
+def test_the_main_script_takes_the_demo_list_where_no_list_is_given(
+    tmp_path: Path, flags: list[str], there: list[str], expected: list[str]
+) -> None:
+    root, elsewhere = tmp_path / "root", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for name in there:
+        (elsewhere / name).mkdir()
+    ended = subprocess.run(
+        [_with_stubs(root), *flags], cwd=elsewhere, capture_output=True, text=True, timeout=20, check=True
+    )
+    demo = str(root / "configs/streams.txt")
+    arguments = ["-m", "orchestrator", *(demo if word == "DEMO" else word for word in expected)]
+    assert ended.stdout.splitlines() == arguments
+
+
 def test_an_output_folder_that_holds_a_run_is_refused_untouched(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out/run.json").write_text("{}")
-    ended = command("--streams", stream_list(tmp_path, "a.mp4"), "--output", tmp_path / "out")
+    ended = command("--streams", stream_list(tmp_path, "synthetic:demo"), "--output", tmp_path / "out")
     assert ended.returncode == 2
     assert "holds a run already" in ended.stderr
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["run.json"]
@@ -211,6 +249,10 @@ def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(
         "door": ("failed", 0, 0, 0),
     }
     assert list(_masks(output / "demo")) == [f"{index:05d}.png" for index in range(12)]
+    assert status["gone"]["line"] == 4
+    before_ray, _, _ = ended.stderr.partition("Starting Ray")
+    assert f"line 4: There is no file or folder {tmp_path / 'none.mp4'}" in before_ray
+    assert "line 5, door (failed): " in ended.stderr
     assert _masks(output / "demo") == _masks(output / "twin")
     assert len(_masks(output / "folder")) == 11
     assert "p4.png" not in _masks(output / "folder")
