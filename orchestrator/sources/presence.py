@@ -8,15 +8,21 @@ from __future__ import annotations
 import glob
 import os
 import re
+from collections.abc import Collection
 from pathlib import Path
 
 from mlbs_actors.errors import SourceError
 from orchestrator.sources.address import SourceAddress, SourceKind, has_wildcards
 
-__all__ = ["holds_images", "images_of", "require_source"]
+__all__ = ["holds_images", "images_of", "require_source", "videos_of"]
 
 _IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
+)
+
+_VIDEO_SUFFIXES = frozenset(
+    {".3gp", ".avi", ".flv", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv", ".ts"}
+    | {".webm", ".wmv"}
 )
 
 
@@ -61,6 +67,28 @@ def holds_images(address: SourceAddress) -> bool:
     return path.is_dir() or is_glob or (path.is_file() and path.suffix.lower() in _IMAGE_SUFFIXES)
 
 
+def videos_of(location: str) -> list[Path]:
+    """List the videos of a folder, or those that match a glob, in natural order; empty if there are none.
+
+    Raises
+    ------
+    SourceError
+        If there are images too, so that nobody knows which are meant.
+    """
+    try:
+        if not (Path(location).is_dir() or has_wildcards(location)):
+            return []
+    except OSError:
+        return []  # such as a name that is too long; whoever opens it tells
+    videos = _files_of(location, _VIDEO_SUFFIXES)
+    if videos and (images := _files_of(location, _IMAGE_SUFFIXES)):
+        raise SourceError(
+            f"{location} holds videos and images, such as {videos[0].name} and {images[0].name}; "
+            f"name one kind by a glob such as 'folder/*{videos[0].suffix}'."
+        )
+    return videos
+
+
 def images_of(location: str) -> list[Path]:
     """List the images of a folder, or those that match a glob, in natural order.
 
@@ -69,15 +97,7 @@ def images_of(location: str) -> list[Path]:
     SourceError
         If there are none, or two would give their masks the same name.
     """
-    folder = Path(location)
-    try:
-        # Path.glob takes no absolute patterns.
-        names = folder.iterdir() if folder.is_dir() else glob.iglob(location)  # noqa: PTH207
-        found = [Path(name) for name in names]
-    except OSError as error:
-        raise SourceError(f"The images of {location} cannot be listed: {error.strerror}.") from None
-    images = [path for path in found if path.suffix.lower() in _IMAGE_SUFFIXES and path.is_file()]
-    visible = sorted((path for path in images if not path.name.startswith(".")), key=_natural_order)
+    visible = _files_of(location, _IMAGE_SUFFIXES)
     if not visible:
         raise SourceError(f"There are no images at {location}; check the path ({_suffix_list()} are read).")
     first_of: dict[str, Path] = {}
@@ -89,6 +109,18 @@ def images_of(location: str) -> list[Path]:
                 "name one kind of file by a glob such as 'folder/*.jpg'."
             )
     return visible
+
+
+def _files_of(location: str, suffixes: Collection[str]) -> list[Path]:
+    folder = Path(location)
+    try:
+        # Path.glob takes no absolute patterns.
+        names = folder.iterdir() if folder.is_dir() else glob.iglob(location)  # noqa: PTH207
+        found = [Path(name) for name in names]
+    except OSError as error:
+        raise SourceError(f"The files of {location} cannot be listed: {error.strerror}.") from None
+    fitting = (path for path in found if path.suffix.lower() in suffixes and path.is_file())
+    return sorted((path for path in fitting if not path.name.startswith(".")), key=_natural_order)
 
 
 def _natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
