@@ -23,6 +23,7 @@ the list of streams, one a line (shell quoting, # comments, relative paths count
   NAME URI
 a URI is a video file, a folder or a glob of images, rtsp://HOST/PATH, rtsps://HOST/PATH, /dev/videoN
 or a made scene, synthetic:demo?frames=60&seed=1
+a folder or a glob of videos is a stream for each of them, named after the file, or NAME-FILE
 
 output:
   DIR/run.json                   what was asked for, with versions and hashes
@@ -64,6 +65,10 @@ class Arguments:
         Parts of :data:`SAVABLE`.
     max_frames : int, optional
         Frames to read of each stream.
+    max_side : int, optional
+        Longest side of the pictures that are worked on, px.
+    watch : bool
+        Whether the list is read again when it changes.
     """
 
     streams: Path
@@ -73,6 +78,8 @@ class Arguments:
     address: str | None
     save: frozenset[str]
     max_frames: int | None
+    max_side: int | None
+    watch: bool
 
 
 def parse(argv: Sequence[str]) -> Arguments:
@@ -102,6 +109,8 @@ def parse(argv: Sequence[str]) -> Arguments:
         address=given.address,
         save=_parts(given.save),
         max_frames=given.max_frames,
+        max_side=given.max_side,
+        watch=given.watch,
     )
 
 
@@ -165,5 +174,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--max-frames", type=_positive, metavar="N", help="stop each stream after its first N frames"
+    )
+    parser.add_argument(
+        "--max-side",
+        type=_positive,
+        metavar="N",
+        help="shrink pictures whose longer side has more than N px for the work; all results come in full "
+        "size, with outlines as coarse as the smaller picture (default: work on them as they are)",
+    )
+    parser.add_argument(
+        "--watch",
+        action="store_true",
+        help="read the list again whenever it changes: new names start, removed ones are finished, bad lines "
+        "are told and ignored until they are mended; the run goes on until a signal",
     )
     return parser

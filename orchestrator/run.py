@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from mlbs_actors.actors import Node
-from mlbs_actors.actors.stream_protocol import StreamSpec
+from mlbs_actors.actors.stream_protocol import FrameReader, StreamSink, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import SinkError
 from orchestrator.admission import available_memory, cores, places
 from orchestrator.command_line import Arguments
-from orchestrator.driver import Driver
+from orchestrator.credentials import mask
+from orchestrator.driver import Driver, SpecChange
 from orchestrator.durable_files import replace_file
 from orchestrator.interruption import Interruption
+from orchestrator.list_watch import ListWatch
 from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
 from orchestrator.report import render_report
@@ -25,6 +28,7 @@ from orchestrator.sinks.record import StreamRecord, recorded_frames
 from orchestrator.sources.opening import open_reader
 from orchestrator.stream_list import ListedStream
 from orchestrator.stream_state import StreamState, with_record
+from orchestrator.working_size import FullSizeSink, ShrinkingReader
 
 __all__ = ["run"]
 
@@ -59,32 +63,23 @@ def run(
     """
     folder = RunFolder(arguments.output.absolute())
     folder.refuse_if_used([stream.name for stream in streams])
-    specs = [
-        StreamSpec(
-            name=stream.name,
-            config=config,
-            open_reader=partial(open_reader, stream.source),
-            open_sink=partial(StreamRecord, folder.stream(stream.name), stream.name, arguments.save),
-            max_frames=arguments.max_frames,
-            source=str(stream.source),
-            line=stream.line,
-        )
-        for stream in streams
-    ]
-    description = describe_run(streams, config, arguments.save, arguments.max_frames)
-    limit = places(available_memory(), cores())
     for stream in streams:
         if stream.name in missing:
             _say(f"{arguments.streams}, line {stream.line}: {missing[stream.name]}")
-    _say(f"Starting Ray; {len(specs) - len(missing)} streams, up to {limit} at a time.")
+    if arguments.watch:  # their lines are ignored until they are mended
+        streams, missing = [stream for stream in streams if stream.name not in missing], {}
+    job = _Job(streams, arguments, config, folder)
+    limit = places(available_memory(), cores())
+    _say(f"Starting Ray; {len(streams) - len(missing)} streams, up to {limit} at a time.")
     with ray_session(arguments.address, scratch):
-        folder.claim(description)
+        folder.claim(job.description)
         status = StatusFile(folder.path / "status.json")
-        states, exit_status = _drive(specs, missing, limit, status, folder.path / "ray.log")
+        changes = job.changes if arguments.watch else None
+        states, exit_status = _drive(job, missing, changes, limit, status, folder.path / "ray.log")
     states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
     try:
         status.finish(states, exit_status)
-        report = render_report(description, states, exit_status)
+        report = render_report(job.description, states, exit_status)
         replace_file(folder.path / "report.html", report.encode())
     except OSError as error:
         raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
@@ -92,9 +87,69 @@ def run(
     return exit_status
 
 
+class _Job:
+    """What the streams of this run are to do, and those that the list gets while it is watched."""
+
+    def __init__(
+        self, streams: Sequence[ListedStream], arguments: Arguments, config: Config, folder: RunFolder
+    ) -> None:
+        self._streams = list(streams)
+        self._arguments = arguments
+        self._config = config
+        self._folder = folder
+        self.description = self._described()
+        self._watch = ListWatch(
+            arguments.streams,
+            streams,
+            lambda name: folder.stream(name).exists(),
+            lambda text: _say(mask(text)),
+        )
+
+    @property
+    def specs(self) -> list[StreamSpec]:
+        """All streams, as the driver needs them."""
+        return [self._spec(stream) for stream in self._streams]
+
+    def changes(self) -> SpecChange | None:
+        """Follow the list."""
+        change = self._watch.look()
+        if change is None:
+            return None
+        self._streams += change.added
+        self.description = self._described() | {"started": self.description["started"]}
+        try:
+            self._folder.redescribe(self.description)
+        except OSError as error:
+            _say(f"{self._folder.path}/run.json cannot be written: {error.strerror}; free some space.")
+        return SpecChange(tuple(self._spec(stream) for stream in change.added), change.removed)
+
+    def _described(self) -> dict[str, Any]:
+        given = self._arguments
+        return describe_run(self._streams, self._config, given.save, given.max_frames, given.max_side)
+
+    def _spec(self, stream: ListedStream) -> StreamSpec:
+        save, max_side = self._arguments.save, self._arguments.max_side
+        reader: Callable[[], FrameReader] = partial(open_reader, stream.source)
+        sink: Callable[[], StreamSink] = partial(
+            StreamRecord, self._folder.stream(stream.name), stream.name, save
+        )
+        if max_side is not None:
+            reader, sink = partial(ShrinkingReader, reader, max_side), partial(FullSizeSink, sink)
+        return StreamSpec(
+            name=stream.name,
+            config=self._config,
+            open_reader=reader,
+            open_sink=sink,
+            max_frames=self._arguments.max_frames,
+            source=str(stream.source),
+            line=stream.line,
+        )
+
+
 def _drive(
-    specs: Sequence[StreamSpec],
+    job: _Job,
     missing: Mapping[str, str],
+    changes: Callable[[], SpecChange | None] | None,
     limit: int,
     status: StatusFile,
     ray_log: Path,
@@ -106,12 +161,13 @@ def _drive(
         try:
             node = Node()
             driver = Driver(
-                specs,
+                job.specs,
                 node,
                 limit=limit,
                 observers=[status, progress],
                 interruption=interruption,
                 missing=missing,
+                changes=changes,
             )
             exit_status = driver.run()
             node.close()

@@ -93,6 +93,10 @@ class RunFolder:
         except OSError as error:
             raise ConfigError(f"Cannot write to {self.path}: {error.strerror}.") from None
 
+    def redescribe(self, description: dict[str, Any]) -> None:
+        """Replace ``run.json`` by what the run has become; OSError if it cannot be written."""
+        replace_file(self.path / "run.json", (json.dumps(description, indent=2) + "\n").encode())
+
 
 class StatusFile:
     """Keeps ``status.json`` up to date; an observer of the driver.
@@ -144,7 +148,11 @@ class StatusFile:
 
 
 def describe_run(
-    streams: Sequence[ListedStream], config: Config, save: frozenset[str], max_frames: int | None
+    streams: Sequence[ListedStream],
+    config: Config,
+    save: frozenset[str],
+    max_frames: int | None,
+    max_side: int | None = None,
 ) -> dict[str, Any]:
     """Content of ``run.json``: everything that the results depend on, without credentials."""
     parameters = config.model_dump(mode="json")
@@ -155,6 +163,7 @@ def describe_run(
         "sources": sources,
         "save": sorted(save),
         "max_frames": max_frames,
+        "max_side": max_side,
         "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
         "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
         "machine": {"cpu": _cpu(), "system": platform.platform()},

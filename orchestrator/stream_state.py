@@ -17,6 +17,7 @@ __all__ = [
     "after_failure",
     "after_interruption",
     "after_progress",
+    "after_removal",
     "exit_code",
     "with_record",
 ]
@@ -117,6 +118,16 @@ def after_interruption(state: StreamState, progress: StreamProgress | None) -> S
     kept = "what was read is kept" if progress is not None else "what was committed is kept"
     sentence = f"Interrupted after {counted.read} frames; {kept}."
     return replace(counted, state="partial", layers=0, frames_per_second=0.0, error=sentence)
+
+
+def after_removal(state: StreamState, progress: StreamProgress | None) -> StreamState:
+    """State of a stream that was taken from the list, after it was drained to ``progress``."""
+    if progress is not None and progress.committed:
+        return after_end(state, progress)
+    sentence = "Removed from the list before it had a result."
+    if state.committed:
+        sentence = "Removed from the list; what was committed is kept."
+    return replace(state, state="partial", layers=0, frames_per_second=0.0, error=sentence)
 
 
 def exit_code(states: Iterable[StreamState], signal_number: int | None) -> int:

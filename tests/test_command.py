@@ -89,7 +89,18 @@ def test_the_help_names_every_flag_source_output_and_exit_status(capsys: pytest.
         parse(["--help"])
     assert end.value.code == 0
     text = capsys.readouterr().out
-    flags = ("streams", "output", "config", "set", "address", "resume", "save", "monitor", "max-frames")
+    flags = (
+        "streams",
+        "output",
+        "config",
+        "set",
+        "address",
+        "resume",
+        "save",
+        "monitor",
+        "max-frames",
+        "max-side",
+    )
     for word in (
         *(f"--{flag}" for flag in flags),
         *("rtsp://", "/dev/videoN", "synthetic:", "status.json", "commits.jsonl", "overlay.mp4", "130"),

@@ -66,6 +66,8 @@ class SourceFrame:
         and nobody had time for it. ``"gap"``: no frame but a time, beginning at ``pts``, in which a camera
         sent none. They never reach the engine; the conductor tells the sink of them
         (:meth:`StreamSink.gap`) in their place.
+    original : (H', W', 3) uint8, optional
+        The picture as it was before its reader shrunk it, for the record; None if ``image`` is that.
     """
 
     index: int
@@ -73,6 +75,7 @@ class SourceFrame:
     pts: float
     name: str
     status: SourceStatus = "ok"
+    original: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
