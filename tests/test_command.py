@@ -11,11 +11,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from camera_server import PASSWORD, camera, free_port, needs_rtsp_server
 from PIL import Image
 
 from mlbs_actors.errors import ConfigError
@@ -321,3 +323,64 @@ def test_a_signal_ends_a_run_cleanly_with_all_that_was_read_committed(
     assert len(_masks(output / "demo")) == status["committed"]
     assert [row["frame"] for row in _frames(output / "demo")] == list(range(status["read"]))
     assert _session_folders() <= before
+
+
+@needs_rtsp_server
+@pytest.mark.ray
+@pytest.mark.long
+def test_a_watched_list_with_a_camera_that_goes_away_and_comes_back(tmp_path: Path) -> None:
+    port, output = free_port(), tmp_path / "out"
+    door = f"door rtsp://bob:{PASSWORD}@127.0.0.1:{port}/door"
+    path = stream_list(tmp_path, "endless 'synthetic:demo?frames=5000&width=160&height=120'", door)
+
+    def streams() -> dict[str, dict[str, object]]:
+        status: dict[str, dict[str, dict[str, object]]] = json.loads((output / "status.json").read_text())
+        return status["streams"]
+
+    def is_in(name: str, state: str, least: int = 0) -> Callable[[], bool]:
+        return lambda: streams()[name]["state"] == state and cast(int, streams()[name]["committed"]) >= least
+
+    run = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "orchestrator", "--watch", "--max-side", "80"),
+            *("--streams", str(path), "--output", str(output)),
+        ],
+        cwd=REPOSITORY,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    with run:
+        with camera(port):
+            _wait_for((output / "door/commits.jsonl").exists, 200)
+            stream_list(tmp_path, "late 'synthetic:demo?frames=6&width=64&height=48'", "x y z", door)
+            _wait_for(lambda: "late" in streams(), 60)
+            assert streams()["endless"]["state"] == "running"
+            stream_list(tmp_path, "late 'synthetic:demo?frames=6&width=64&height=48'", door)
+            _wait_for(is_in("endless", "done"), 60)
+            _wait_for(is_in("late", "done", 6), 60)
+        _wait_for(is_in("door", "reconnecting"), 60)
+        assert "is away" in str(streams()["door"]["error"])
+        with camera(port):
+            _wait_for(is_in("door", "running"), 60)
+            time.sleep(2.0)
+            run.send_signal(signal.SIGINT)
+            shown, _ = run.communicate(timeout=60)
+    assert run.returncode == 130, shown
+    assert "line 2: has 3 words" in shown
+    last = streams()
+    for name in ("endless", "late", "door"):
+        counts = [cast(int, last[name][key]) for key in ("read", "committed", "dropped", "quarantined")]
+        assert counts[0] == sum(counts[1:])
+        rows = [row["status"] for row in _frames(output / name)]
+        assert [rows.count(status) for status in ("ok", "dropped", "gap")] == [
+            counts[1],
+            counts[2],
+            last[name]["gaps"],
+        ]
+    assert last["door"]["gaps"] == 1
+    masks = _masks(output / "door")
+    assert np.asarray(Image.open(output / "door/masks" / min(masks))).shape == (120, 160)
+    assert list(json.loads((output / "run.json").read_text())["sources"]) == ["endless", "door", "late"]
+    everything = shown + "".join(file.read_text() for file in output.glob("*.*"))
+    assert PASSWORD not in everything

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import queue
-import socket
-import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from camera_server import camera, free_port, needs_rtsp_server
 
 from mlbs_actors.actors.stream_protocol import SourceFrame, SourceSilence
 from mlbs_actors.errors import SourceError
@@ -282,38 +280,6 @@ def test_no_error_of_a_camera_shows_its_password(scheme: str) -> None:
     assert "127.0.0.1:9/door" in shown
 
 
-def _has_rtsp_server() -> bool:
-    probe = "import gi; gi.require_version('GstRtspServer', '1.0')"
-    try:
-        return (
-            subprocess.run(["/usr/bin/python3", "-c", probe], capture_output=True, check=False).returncode
-            == 0
-        )
-    except OSError:
-        return False
-
-
-@contextmanager
-def _camera(port: int) -> Iterator[None]:
-    program = Path(__file__).with_name("rtsp_camera.py")
-    camera = subprocess.Popen(
-        ["/usr/bin/python3", program, str(port), "bob", "hunter2"], stdout=subprocess.PIPE, text=True
-    )
-    with camera:
-        try:
-            assert camera.stdout is not None
-            assert camera.stdout.readline() == "ready\n"
-            yield
-        finally:
-            camera.kill()
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def _wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
@@ -332,19 +298,16 @@ def _frames(reader: LiveReader, pictures: int) -> list[SourceFrame]:
     return frames
 
 
-@pytest.mark.skipif(
-    not _has_rtsp_server(),
-    reason="needs GStreamer's RTSP server (Debian: gir1.2-gst-rtsp-server-1.0 gstreamer1.0-plugins-good)",
-)
+@needs_rtsp_server
 def test_an_rtsp_camera_that_goes_away_and_comes_back_is_read_again_and_its_password_never_shown() -> None:
-    port = _free_port()
+    port = free_port()
     address = parse_address(f"rtsp://bob:hunter2@127.0.0.1:{port}/door", Path("/"))
-    with _camera(port):
+    with camera(port):
         reader = LiveReader.of(address)
         before = _frames(reader, 10)
     while not (isinstance(said := reader.read(), SourceSilence) and said.state == "reconnecting"):
         before += [said] if isinstance(said, SourceFrame) else []
-    with _camera(port):
+    with camera(port):
         after = _frames(reader, 10)
     reader.close()
     assert after[0].status == "gap"
