@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Protocol
 
 from mlbs_actors.actors.stream_protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
@@ -68,10 +67,10 @@ class Driver:
     observers : sequence of Observer
     interruption : Interruption
         Looked at between events.
+    ended : mapping of str to StreamState, optional
+        Streams that are known to have no source; they are not started.
     changes : callable, optional
         Asked again and again for streams to add and names to end; with it the run goes on until a signal.
-    missing : mapping of str to str
-        Streams known to have no source → what is wrong; they are never started.
     clock : callable
         Monotonic time, s.
     """
@@ -84,14 +83,14 @@ class Driver:
         limit: int,
         observers: Sequence[Observer],
         interruption: Interruption,
-        missing: Mapping[str, str] = MappingProxyType({}),
+        ended: Mapping[str, StreamState] | None = None,
         changes: Callable[[], SpecChange | None] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._specs = {spec.name: spec for spec in specs}
-        self._states = {spec.name: StreamState(spec.name, line=spec.line) for spec in specs}
-        for name, error in missing.items():
-            self._states[name] = after_failure(self._states[name], error)
+        self._states = {spec.name: StreamState(spec.name, line=spec.line) for spec in specs} | dict(
+            ended or {}
+        )
         self._host = host
         self._limit = limit
         self._observers = observers

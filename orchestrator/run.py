@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mlbs_actors.actors import Node
-from mlbs_actors.actors.stream_protocol import FrameReader, StreamSink, StreamSpec
+from mlbs_actors.actors.stream_protocol import FrameReader, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import SinkError
 from orchestrator.admission import available_memory, cores, places
@@ -27,8 +27,8 @@ from orchestrator.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.sinks.record import StreamRecord, recorded_frames
 from orchestrator.sources.opening import open_reader
 from orchestrator.stream_list import ListedStream
-from orchestrator.stream_state import StreamState, with_record
-from orchestrator.working_size import FullSizeSink, ShrinkingReader
+from orchestrator.stream_state import StreamState, after_failure, with_record
+from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
 __all__ = ["run"]
 
@@ -63,19 +63,23 @@ def run(
     """
     folder = RunFolder(arguments.output.absolute())
     folder.refuse_if_used([stream.name for stream in streams])
-    for stream in streams:
-        if stream.name in missing:
-            _say(f"{arguments.streams}, line {stream.line}: {missing[stream.name]}")
+    sourceless = [stream for stream in streams if stream.name in missing]
+    for stream in sourceless:
+        _say(f"{arguments.streams}, line {stream.line}: {missing[stream.name]}")
     if arguments.watch:  # their lines are ignored until they are mended
-        streams, missing = [stream for stream in streams if stream.name not in missing], {}
+        streams, sourceless = [stream for stream in streams if stream.name not in missing], []
+    ended = {
+        stream.name: after_failure(StreamState(stream.name, line=stream.line), missing[stream.name])
+        for stream in sourceless
+    }
     job = _Job(streams, arguments, config, folder)
     limit = places(available_memory(), cores())
-    _say(f"Starting Ray; {len(streams) - len(missing)} streams, up to {limit} at a time.")
+    _say(f"Starting Ray; {len(streams) - len(ended)} streams, up to {limit} at a time.")
     with ray_session(arguments.address, scratch):
         folder.claim(job.description)
         status = StatusFile(folder.path / "status.json")
         changes = job.changes if arguments.watch else None
-        states, exit_status = _drive(job, missing, changes, limit, status, folder.path / "ray.log")
+        states, exit_status = _drive(job, ended, changes, limit, status, folder.path / "ray.log")
     states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
     try:
         status.finish(states, exit_status)
@@ -130,16 +134,14 @@ class _Job:
     def _spec(self, stream: ListedStream) -> StreamSpec:
         save, max_side = self._arguments.save, self._arguments.max_side
         reader: Callable[[], FrameReader] = partial(open_reader, stream.source)
-        sink: Callable[[], StreamSink] = partial(
-            StreamRecord, self._folder.stream(stream.name), stream.name, save
-        )
+        record = StreamRecord
         if max_side is not None:
-            reader, sink = partial(ShrinkingReader, reader, max_side), partial(FullSizeSink, sink)
+            reader, record = partial(ShrinkingReader, reader, max_side), FullSizeRecord
         return StreamSpec(
             name=stream.name,
             config=self._config,
             open_reader=reader,
-            open_sink=sink,
+            open_sink=partial(record, self._folder.stream(stream.name), stream.name, save),
             max_frames=self._arguments.max_frames,
             source=str(stream.source),
             line=stream.line,
@@ -148,7 +150,7 @@ class _Job:
 
 def _drive(
     job: _Job,
-    missing: Mapping[str, str],
+    ended: Mapping[str, StreamState],
     changes: Callable[[], SpecChange | None] | None,
     limit: int,
     status: StatusFile,
@@ -166,7 +168,7 @@ def _drive(
                 limit=limit,
                 observers=[status, progress],
                 interruption=interruption,
-                missing=missing,
+                ended=ended,
                 changes=changes,
             )
             exit_status = driver.run()

@@ -13,10 +13,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from mlbs_actors.actors.stream_protocol import FrameReader, GapStatus, SourceFrame, SourceSilence, StreamSink
+from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.messages import Array, LayerSummary, Region, Segmentation
+from orchestrator.sinks.record import StreamRecord
 
-__all__ = ["FullSizeSink", "ShrinkingReader", "enlarged", "shrunk"]
+__all__ = ["FullSizeRecord", "ShrinkingReader", "enlarged", "shrunk"]
 
 
 class ShrinkingReader:
@@ -50,33 +51,15 @@ class ShrinkingReader:
         self._reader.close()
 
 
-class FullSizeSink:
-    """A sink that records what was found in shrunk pictures in the size of the source.
-
-    Parameters
-    ----------
-    open_sink : callable
-        Opens the record.
-    """
-
-    def __init__(self, open_sink: Callable[[], StreamSink]) -> None:
-        self._sink = open_sink()
+class FullSizeRecord(StreamRecord):
+    """Records what was found in shrunk pictures in the size of the source."""
 
     def write(self, segmentation: Segmentation, frame: SourceFrame) -> int:
         """Take one result; return how many label maps are committed."""
-        assert frame.original is not None  # both wrap one stream
+        assert frame.original is not None  # from a ShrinkingReader
         height, width = frame.original.shape[:2]
-        return self._sink.write(
-            enlarged(segmentation, (height, width)), replace(frame, image=frame.original, original=None)
-        )
-
-    def gap(self, index: int, pts: float, status: GapStatus) -> int:
-        """Record a frame that has no label map; return how many label maps are committed."""
-        return self._sink.gap(index, pts, status)
-
-    def close(self) -> int:
-        """Commit what is left; return how many label maps are committed."""
-        return self._sink.close()
+        whole = replace(frame, image=frame.original, original=None)
+        return super().write(enlarged(segmentation, (height, width)), whole)
 
 
 def shrunk(image: Array, max_side: int) -> Array:

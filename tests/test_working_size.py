@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import av
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 
 from mlbs_actors import MultilayerSubtractor, Segmentation
-from mlbs_actors.actors.stream_protocol import FrameReader, GapStatus, SourceFrame, SourceSilence, StreamSink
+from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourceSilence, StreamSink
 from mlbs_actors.messages import Array, LayerSummary, Region
 from orchestrator.sources.opening import SceneReader
 from orchestrator.sources.synthetic import scene
-from orchestrator.working_size import FullSizeSink, ShrinkingReader, enlarged, shrunk
+from orchestrator.working_size import FullSizeRecord, ShrinkingReader, enlarged, shrunk
 
 
 def segmentation(labels: Array) -> Segmentation:
@@ -62,55 +67,32 @@ def test_no_side_is_longer_than_asked_and_none_is_enlarged(
     assert shrunk(np.zeros((*shape, 3), np.uint8), most).shape == (*expected, 3)
 
 
-class Rows:
-    """A sink that keeps what it is given."""
-
-    def __init__(self) -> None:
-        self.written: list[tuple[Segmentation, SourceFrame]] = []
-        self.gaps: list[int] = []
-
-    def write(self, segmentation: Segmentation, frame: SourceFrame) -> int:
-        self.written.append((segmentation, frame))
-        return len(self.written)
-
-    def gap(self, index: int, pts: float, status: GapStatus) -> int:
-        self.gaps.append(index)
-        return len(self.written)
-
-    def close(self) -> int:
-        return len(self.written)
-
-
-def test_a_stream_is_worked_on_small_and_recorded_in_full_size() -> None:
+def test_a_stream_is_worked_on_small_and_recorded_in_full_size(tmp_path: Path) -> None:
     video = scene("pan", frames=60, width=320, height=240)
-
-    class Source(SceneReader):
-        def read(self) -> SourceFrame | None:
-            frame = super().read()
-            return None if frame is None or frame.index == 8 else frame
-
-    reader: FrameReader = ShrinkingReader(lambda: Source(video), 160)
-    rows = Rows()
-    sink: StreamSink = FullSizeSink(lambda: rows)
+    reader: FrameReader = ShrinkingReader(lambda: SceneReader(video), 160)
+    record: StreamSink = FullSizeRecord(tmp_path / "pan", "pan", frozenset({"masks", "parquet", "overlay"}))
     subtractor = MultilayerSubtractor()
     frames: list[SourceFrame] = []
-    while isinstance(frame := reader.read(), SourceFrame):
+    while len(frames) < 8 and isinstance(frame := reader.read(), SourceFrame):
         assert frame.image is not None
         assert frame.image.shape == (120, 160, 3)
         frames.append(frame)
         for result in subtractor.apply(frame.image):
-            sink.write(result, frames[result.frame_index])
-    assert sink.gap(8, 0.32, "quarantined") == sink.close() == 8
-    for t, (result, recorded) in enumerate(rows.written):
-        assert recorded.image is not None
-        np.testing.assert_array_equal(recorded.image, video.frame(t))
-        assert result.labels.shape == (240, 320)
-        assert {layer.layer for layer in result.layers} == set(np.unique(result.labels).tolist()) - {0}
-        for layer in result.layers:
-            assert layer.area == (result.labels == layer.layer).sum()
-    truth = video.labels(7) > 0
-    found = rows.written[7][0].labels > 0
+            record.write(result, frames[result.frame_index])
+    record.gap(8, 0.32, "quarantined")
+    assert record.close() == 8
+    labels = np.asarray(Image.open(tmp_path / "pan/masks/00007.png"))
+    truth, found = video.labels(7) > 0, labels > 0
     assert (truth & found).sum() / (truth | found).sum() > 0.6
+    rows = pq.read_table(next((tmp_path / "pan").glob("frames-*"))).to_pylist()
+    assert [(row["height"], row["width"]) for row in rows] == [(240, 320)] * 8 + [(None, None)]
+    layers = pq.read_table(next((tmp_path / "pan").glob("layers-*"))).to_pylist()
+    last = [row for row in layers if row["frame"] == 7]
+    assert {row["layer"]: row["area"] for row in last} == {
+        int(layer): int((labels == layer).sum()) for layer in np.unique(labels[found])
+    }
+    with av.open(str(tmp_path / "pan/overlay.mp4")) as overlay:
+        assert (overlay.streams.video[0].height, overlay.streams.video[0].width) == (240, 320)
 
 
 def test_silence_and_undecodable_frames_pass_through() -> None:
