@@ -178,6 +178,18 @@ def test_a_camera_that_refuses_four_times_is_read_all_the_same() -> None:
     bench.reader.close()
 
 
+def test_an_error_that_nobody_foresaw_is_a_lost_connection_and_its_text_is_not_shown() -> None:
+    class Odd(FakeConnection):
+        def pictures(self) -> Iterator[Picture]:
+            yield picture(1, 0.0)
+            raise RuntimeError("rtsp://bob:hunter2@door")
+
+    bench = Bench([Odd(), Odd()])
+    assert [bench.read().status for _ in range(3)] == ["ok", "gap", "ok"]
+    assert "hunter2" not in str(bench.silence("reconnecting"))
+    bench.reader.close()
+
+
 def test_a_camera_that_never_gives_a_picture_is_given_up_with_a_sentence() -> None:
     bench = Bench([])
     with pytest.raises(SourceError, match=r"rtsp://door gave no picture in 6 tries: .*refused\. Check"):

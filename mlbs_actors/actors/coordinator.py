@@ -181,6 +181,7 @@ class CoordinatorActor:
             self._record.gap(frame.index, frame.pts, status)
 
     def _finish(self) -> StreamProgress:
+        self._silence = None  # of a stream that ends it is no fault
         for evidence in self._coordinator.flush():
             self._label(evidence)
         self._segmentations.clear()

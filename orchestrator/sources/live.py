@@ -185,10 +185,12 @@ class LiveReader:
             connected = self._clock()
             try:
                 connection = self._connect()
+                lost = self._listen(line, connection)
             except SourceError as error:
                 lost = str(error)
-            else:
-                lost = self._listen(line, connection)
+            except Exception as error:
+                # Only its type: its text may hold the address, and with it a password.
+                lost = f"it failed with {type(error).__name__}"
             with self._changed:
                 if line != self._line:
                     return
@@ -206,7 +208,7 @@ class LiveReader:
             self._sleep(pause)
 
     def _listen(self, line: int, connection: Connection) -> str:
-        """Take what one connection gives; return why it ended."""
+        """Take what one connection gives; return or raise why it ended."""
         with self._changed:
             if line == self._line:
                 self._absence, self._heard = None, self._clock()
@@ -217,8 +219,6 @@ class LiveReader:
                 if not self._take(line, picture, returned):
                     break
                 returned = False
-        except SourceError as error:
-            return str(error)
         finally:
             connection.close()
         return "it ended the connection"
