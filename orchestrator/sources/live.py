@@ -187,7 +187,7 @@ class LiveReader:
                 connection = self._connect()
                 lost = self._listen(line, connection)
             except SourceError as error:
-                lost = str(error)
+                lost = str(error).removeprefix(f"Cannot open {self._name}: ")
             except Exception as error:
                 # Only its type: its text may hold the address, and with it a password.
                 lost = f"it failed with {type(error).__name__}"
