@@ -5,7 +5,8 @@ evidence for every layer.
 
 Differs from the paper: the first frames, whose motion nobody can know yet, are held and labelled
 backwards along their trajectories once the first clustering is done, so that every frame gets its label
-map; with ``lookahead`` every frame waits for later ones in the same way.
+map; with ``lookahead`` every frame waits for later ones in the same way. Frames of another size begin a new
+*epoch*: what was held comes out, and all starts anew but the count of frames and of layer ids.
 """
 
 from __future__ import annotations
@@ -66,6 +67,8 @@ class CoordinatorState:
     ----------
     next_frame : int
         Index of the frame that :meth:`Coordinator.step` takes next.
+    epoch : int
+        First frame of the present size.
     shape : (H, W) or None
     gray : (h, w) uint8
         The last frame as the flow sees it.
@@ -84,6 +87,7 @@ class CoordinatorState:
     """
 
     next_frame: int
+    epoch: int
     shape: tuple[int, int] | None
     gray: Array
     trajectories: TrajectoryState
@@ -93,6 +97,23 @@ class CoordinatorState:
     clustered: bool
     held: tuple[HeldFrame, ...]
     evaluated: dict[int, int]
+
+    @staticmethod
+    def beginning(config: Config) -> CoordinatorState:
+        """Before the first frame."""
+        return CoordinatorState(
+            next_frame=0,
+            epoch=0,
+            shape=None,
+            gray=np.zeros((0, 0), np.uint8),
+            trajectories=empty_trajectories(config.trajectories),
+            labels=np.zeros(0, np.int64),
+            spreads=np.zeros(0),
+            registry=RegistryState.empty(),
+            clustered=False,
+            held=(),
+            evaluated={},
+        )
 
 
 class Coordinator:
@@ -107,23 +128,12 @@ class Coordinator:
 
     def __init__(self, config: Config, state: CoordinatorState | None = None) -> None:
         self.config = config
-        self.state = state or CoordinatorState(
-            next_frame=0,
-            shape=None,
-            gray=np.zeros((0, 0), np.uint8),
-            trajectories=empty_trajectories(config.trajectories),
-            labels=np.zeros(0, np.int64),
-            spreads=np.zeros(0),
-            registry=RegistryState.empty(),
-            clustered=False,
-            held=(),
-            evaluated={},
-        )
+        self.state = state or CoordinatorState.beginning(config)
 
     def feedback_index(self, frame_index: int) -> int | None:
         """Frame whose segmentation :meth:`step` reads: two before the newest it will emit, or None."""
-        newest = frame_index - self.config.layers.lookahead
-        if frame_index + 1 <= self.config.layers.init_frames or newest - 2 < 0:
+        newest, epoch = frame_index - self.config.layers.lookahead, self.state.epoch
+        if frame_index + 1 <= epoch + self.config.layers.init_frames or newest - 2 < epoch:
             return None
         return newest - 2 if self._emitted(newest - 2) else None
 
@@ -139,7 +149,7 @@ class Coordinator:
         frame_index : int
             The next one, counting from 0.
         frame : (H, W, 3) uint8
-            BGR; all of one size.
+            BGR; one of another size than the last begins an epoch.
         feedback : Segmentation or None
             Of :meth:`feedback_index`.
 
@@ -151,18 +161,23 @@ class Coordinator:
         Raises
         ------
         FrameError
-            If the frame is not the next one, or has another type or size.
+            If the frame is not the next one, or has another type.
         """
-        state, config = self.state, self.config
         self._check(frame_index, frame)
         shape = (int(frame.shape[0]), int(frame.shape[1]))
+        if self.state.shape not in (None, shape):
+            # They have waited for this frame, which says that there is no other like them.
+            ended = [replace(one, latency_frames=one.latency_frames + 1) for one in self.flush()]
+            self._begin_epoch(frame_index)
+            return ended + self.step(frame_index, frame, None)
+        state, config = self.state, self.config
         scale = length_scale(*shape)
         stage_ms: dict[str, float] = {}
 
         with _timed(stage_ms, "flow"):
             gray = flow_gray(frame, config.flow)
             flow = None
-            if frame_index > 0:
+            if frame_index > state.epoch:
                 flow = dense_flow(state.gray, gray, shape, config.flow, config.trajectories)
 
         with _timed(stage_ms, "tracking"):
@@ -200,7 +215,7 @@ class Coordinator:
             spread = displacement_spread(trajectories, config.affinity, scale)
             spreads = np.concatenate([[spread], state.spreads])[: config.trajectories.history_frames]
 
-        if flow is not None and state.held and state.held[0].frame_index == 0 and frame_index == 1:
+        if flow is not None and state.held and state.held[0].frame_index == state.epoch == frame_index - 1:
             state.held = (self._first_frame(state.held[0], flow, gray, camera),)
         state.next_frame, state.shape, state.gray = frame_index + 1, shape, gray
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
@@ -238,18 +253,23 @@ class Coordinator:
                 f"A frame must be a (height, width, 3) uint8 BGR image, not {frame.shape} {frame.dtype}; "
                 "convert it first."
             )
-        if self.state.shape not in (None, frame.shape[:2]):
-            raise FrameError(
-                f"Frame {frame_index} is {frame.shape[1]}×{frame.shape[0]} px but the stream is "
-                f"{self.state.shape[1]}×{self.state.shape[0]}; frames of another size are another stream."
-            )
+
+    def _begin_epoch(self, frame_index: int) -> None:
+        before = self.state
+        self.state = replace(
+            CoordinatorState.beginning(self.config),
+            next_frame=frame_index,
+            epoch=frame_index,
+            registry=replace(RegistryState.empty(), next_layer=before.registry.next_layer),
+            evaluated=before.evaluated,  # whose processes are to be given back
+        )
 
     def _clustering_due(self, frame_index: int) -> bool:
         """Often at first, while objects are told apart; then trajectories keep their labels for some frames."""
-        layers = self.config.layers
+        layers, age = self.config.layers, frame_index - self.state.epoch
         if not self.state.clustered:
-            return frame_index + 1 >= layers.init_frames
-        return frame_index < 2 * layers.init_frames or frame_index % layers.clustering_period == 0
+            return age + 1 >= layers.init_frames
+        return age < 2 * layers.init_frames or age % layers.clustering_period == 0
 
     def _graph(self) -> TrajectoryGraph:
         state, history = self.state, self.config.trajectories.history_frames
@@ -288,7 +308,7 @@ class Coordinator:
             gone = np.setdiff1d(split, labels)
             registry.forget({int(label): int(labels[split == label][0]) for label in gone})
             # What the first clustering finds has been there since the first frame.
-            labels = registry.admit(labels, frame_index if state.clustered else 0, origins)
+            labels = registry.admit(labels, frame_index if state.clustered else state.epoch, origins)
             self._observe(registry, labels, frame, frame_index, published)
             probation = config.layers.probation_frames if state.clustered else 0
             state.labels = registry.promote(state.labels, frame_index, probation)
@@ -375,6 +395,10 @@ class Coordinator:
         # Where the camera's motion explains the image as well, a trajectory says nothing for an object: flow
         # bleeds from an object over the smooth road beside it.
         telling = held.evidence >= self.config.layers.least_evidence
+        retired = set(state.evaluated) - set(live)
+        if held.frame_index == state.epoch:
+            # The models of another size; the background's is one of them.
+            retired, state.evaluated = set(state.evaluated), {}
         layers = []
         for one in live:
             kind: LayerKind = (
@@ -385,10 +409,7 @@ class Coordinator:
             layers.append(
                 LayerEvidence(one, kind, last_frame, held.positions[members], held.motions[members])
             )
-            state.evaluated[one] = held.frame_index
-        gone = sorted(set(state.evaluated) - set(live))
-        for one in gone:
-            del state.evaluated[one]
+        state.evaluated = dict.fromkeys(live, held.frame_index)
         return FrameEvidence(
             frame_index=held.frame_index,
             shape=state.shape,
@@ -397,9 +418,10 @@ class Coordinator:
             flow_reliable=held.flow_reliable,
             unexplained=held.unexplained,
             layers=tuple(layers),
-            retired=tuple(gone),
+            retired=tuple(sorted(retired)),
             latency_frames=state.next_frame - 1 - held.frame_index,
             stage_ms=held.stage_ms,
+            epoch=state.epoch,
         )
 
 

@@ -164,7 +164,7 @@ class Layer:
             Of the same frame: camera and dense flow.
         frame : (H, W, 3) uint8
         previous : Segmentation or None
-            Published result of t−1; None for the first frame.
+            Published result of t−1; None for the first frame. Of another epoch it does not count.
 
         Returns
         -------
@@ -183,6 +183,8 @@ class Layer:
                 "restart the stream from its last snapshot."
             )
         start = perf_counter()
+        if frame_evidence.frame_index == frame_evidence.epoch:
+            previous = None
         posterior = self._finish(previous)
         finished = perf_counter()
         shape, margin = frame_evidence.shape, self.config.posterior.region_margin_px
@@ -324,7 +326,7 @@ class Layer:
         near = _surroundings(objects, 2.0 * weights.keep_off_px * scale, shape)
         own, others = trajectory_distance([evidence], near), trajectory_distance(objects, near)
         trusted[near.slices] = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
-        if frame_evidence.frame_index > 0:
+        if frame_evidence.frame_index > frame_evidence.epoch:
             still = unexplained[near.slices] < 0.5 * self.config.layers.unexplained_noise / UNEXPLAINED_STEP
             trusted[near.slices] |= still & (others > weights.learn_px * scale)
         return trusted

@@ -114,12 +114,15 @@ class FrameEvidence:
     layers : tuple of LayerEvidence
         The live layers in ascending id; the background (id 0) is always first.
     retired : tuple of int
-        Layers without a part in this frame that had one in the last: asleep or ended. Their processes may
-        be given back; a layer that wakes starts with a new model under its old id.
+        Layers whose models end before this frame: those that had a part in the last frame and have none
+        in this one (asleep or ended), and at the start of an epoch all, the background's too. Their processes
+        may be given back; a layer that wakes starts with a new model under its old id.
     latency_frames : int
         How many frames later than its own decoding this frame's evidence was complete.
     stage_ms : mapping of str to float
         Wall time of the coordinator's stages, ms.
+    epoch : int
+        First frame of this size: nothing that came before it counts.
     """
 
     frame_index: int
@@ -132,6 +135,7 @@ class FrameEvidence:
     retired: tuple[int, ...]
     latency_frames: int
     stage_ms: Mapping[str, float] = field(default_factory=dict)
+    epoch: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,7 @@ class SegmenterState:
     next_frame : int
         Index of the frame that :meth:`Segmenter.step` takes next.
     labels : (H, W) uint16
-        Last published label map; empty before the first.
+        Last published label map; empty before the first of an epoch.
     """
 
     next_frame: int
@@ -99,6 +99,8 @@ class Segmenter:
                 "restart the stream from its last snapshot."
             )
         start = perf_counter()
+        if evidence.frame_index == evidence.epoch:
+            self.state.labels = np.zeros((0, 0), np.uint16)
         settings = self.config.segmentation
         ground = None
         if settings.shadow > 0 or settings.contact_shadow > 0:

@@ -44,7 +44,7 @@ class MultilayerSubtractor:
         Parameters
         ----------
         frame : (H, W, 3) uint8
-            BGR; every frame of one size.
+            BGR. With a frame of another size all starts anew, but for the ids: none is given again.
 
         Returns
         -------
@@ -54,7 +54,7 @@ class MultilayerSubtractor:
         Raises
         ------
         FrameError
-            If the frame has another type or size.
+            If the frame has another type.
         """
         index = self._coordinator.state.next_frame
         with single_threaded():

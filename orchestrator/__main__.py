@@ -12,7 +12,7 @@ from orchestrator.command_line import parse
 from orchestrator.credentials import mask
 from orchestrator.interruption import StopAtOnce
 from orchestrator.ray_session import ray_settings
-from orchestrator.stream_list import read_stream_list
+from orchestrator.stream_list import missing_sources, read_stream_list
 
 __all__ = ["main"]
 
@@ -27,11 +27,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = parse(sys.argv[1:] if argv is None else argv)
         streams = read_stream_list(arguments.streams)
         config = load_config(arguments.config, arguments.overrides)
+        missing = missing_sources(arguments.streams, streams)
         with ray_settings(arguments.address) as scratch:
             # Imported here, because it imports Ray, which reads its settings then.
             from orchestrator.run import run
 
-            return run(arguments, streams, config, scratch)
+            return run(arguments, streams, missing, config, scratch)
     except ConfigError as error:
         print(mask(str(error)), file=sys.stderr)
         return 2

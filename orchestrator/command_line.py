@@ -21,6 +21,8 @@ the list of streams, one a line (shell quoting, # comments, relative paths count
   NAME URI
 a URI is a video file, a folder or a glob of images, rtsp://HOST/PATH, rtsps://HOST/PATH, /dev/videoN
 or a made scene, synthetic:demo?frames=60&seed=1
+a folder or a glob of videos is a stream for each of them, named after the file, or NAME-FILE
+a camera is read until --max-frames or a signal; one that goes away is tried again until it is back
 
 output:
   DIR/run.json                   what was asked for, with versions and hashes
@@ -38,7 +40,8 @@ output:
 exit status:
   0    every stream was segmented to its end
   1    a stream failed, or is partial (damaged or cut off; what could be read is kept)
-  2    the command, the configuration or the list cannot be used; nothing was started
+  2    the command, the configuration or the list cannot be used, or no stream has a source;
+       nothing was started
   130, 143  interrupted by SIGINT or SIGTERM; what was read is kept. A second signal ends it at once.
 """
 
@@ -65,6 +68,10 @@ class Arguments:
         Where to serve the live page.
     max_frames : int, optional
         Frames to read of each stream.
+    max_side : int, optional
+        Longest side of the pictures that are worked on, px.
+    watch : bool
+        Whether the list is read again when it changes.
     """
 
     streams: Path
@@ -75,6 +82,8 @@ class Arguments:
     save: frozenset[str]
     monitor: MonitorAddress | None
     max_frames: int | None
+    max_side: int | None
+    watch: bool
 
     def command(self, output: str) -> list[str]:
         """The words that ask for the same from any folder, with another folder for the results."""
@@ -96,6 +105,10 @@ class Arguments:
         words += ["--save", ",".join(part for part in SAVABLE if part in self.save)]
         if self.max_frames is not None:
             words += ["--max-frames", str(self.max_frames)]
+        if self.max_side is not None:
+            words += ["--max-side", str(self.max_side)]
+        if self.watch:
+            words.append("--watch")
         return words
 
 
@@ -125,6 +138,8 @@ def parse(argv: Sequence[str]) -> Arguments:
         save=_parts(given.save),
         monitor=None if given.monitor is None else _monitor_address(given.monitor),
         max_frames=given.max_frames,
+        max_side=given.max_side,
+        watch=given.watch,
     )
 
 
@@ -199,5 +214,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--max-frames", type=_positive, metavar="N", help="stop each stream after its first N frames"
+    )
+    parser.add_argument(
+        "--max-side",
+        type=_positive,
+        metavar="N",
+        help="shrink pictures whose longer side has more than N px for the work; all results come in full "
+        "size, with outlines as coarse as the smaller picture (default: work on them as they are)",
+    )
+    parser.add_argument(
+        "--watch",
+        action="store_true",
+        help="read the list again whenever it changes: new names start, removed ones are finished, bad lines "
+        "are told and ignored until they are mended; the run goes on until a signal",
     )
     return parser

@@ -10,8 +10,9 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from mlbs_actors.actors.stream_protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
@@ -24,10 +25,11 @@ from orchestrator.stream_state import (
     after_failure,
     after_interruption,
     after_progress,
+    after_removal,
     exit_code,
 )
 
-__all__ = ["Driver", "Observer"]
+__all__ = ["Driver", "Observer", "SpecChange"]
 
 #: Longest time until a signal is noticed, s.
 _WAKE_SECONDS = 0.2
@@ -41,6 +43,14 @@ class Observer(Protocol):
 
     def update(self, states: Sequence[StreamState]) -> None:
         """Take the states of all streams, in the order of the list; called after every change."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpecChange:
+    """Streams that come to a run, and names that are to end."""
+
+    added: tuple[StreamSpec, ...]
+    removed: tuple[str, ...]
 
 
 class Driver:
@@ -57,6 +67,10 @@ class Driver:
     observers : sequence of Observer
     interruption : Interruption
         Looked at between events.
+    ended : mapping of str to StreamState, optional
+        Streams that are known to have no source; they are not started.
+    changes : callable, optional
+        Asked again and again for streams to add and names to end; with it the run goes on until a signal.
     clock : callable
         Monotonic time, s.
     """
@@ -69,15 +83,22 @@ class Driver:
         limit: int,
         observers: Sequence[Observer],
         interruption: Interruption,
+        ended: Mapping[str, StreamState] | None = None,
+        changes: Callable[[], SpecChange | None] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._specs = {spec.name: spec for spec in specs}
-        self._states = {spec.name: StreamState(spec.name) for spec in specs}
+        self._states = {spec.name: StreamState(spec.name, line=spec.line) for spec in specs} | dict(
+            ended or {}
+        )
         self._host = host
         self._limit = limit
         self._observers = observers
         self._interruption = interruption
+        self._changes = changes
+        self._clock = clock
         self._rates = {spec.name: _Rate(clock) for spec in specs}
+        self._removed: set[str] = set()  # taken from the list, and not ended yet
         self._streams: dict[str, RunningStream] = {}
         self._bursts: dict[Future[StreamProgress], str] = {}
         # A stream that ended holds its place until its processes are gone.
@@ -92,19 +113,35 @@ class Driver:
         """Run all streams to their ends, or until a signal; return the run's exit status."""
         self._show()
         while self._interruption.signal_number is None:
+            self._follow_list()
             self._admit()
-            if not self._bursts and not self._endings:
+            if self._changes is None and not self._bursts and not self._endings:
                 break
             self._await_next()
         else:
             self._drain()
         return exit_code(self.states, self._interruption.signal_number)
 
+    def _follow_list(self) -> None:
+        change = None if self._changes is None else self._changes()
+        if change is None:
+            return
+        for spec in change.added:
+            self._specs[spec.name] = spec
+            self._rates[spec.name] = _Rate(self._clock)
+            self._states[spec.name] = StreamState(spec.name, line=spec.line)
+        for name in change.removed:
+            if self._states[name].state == "waiting":
+                del self._states[name]
+            elif name in self._streams:
+                self._removed.add(name)  # it is ended when its burst is over
+        self._show()
+
     def _admit(self) -> None:
         # One at a time: a stream that fails at once frees its place for the next.
         while names := streams_to_start(self.states, self._limit - len(self._endings)):
             name = names[0]
-            self._set(StreamState(name, "starting"))
+            self._set(replace(self._states[name], state="starting"))
             try:
                 self._streams[name] = self._host.start(self._specs[name])
                 self._advance(name)
@@ -113,13 +150,15 @@ class Driver:
 
     def _await_next(self) -> None:
         pending: list[Future[Any]] = [*self._bursts, *self._endings]
+        if not pending:
+            time.sleep(_WAKE_SECONDS)
         ready, _ = wait(pending, timeout=_WAKE_SECONDS, return_when=FIRST_COMPLETED)
         self._show()  # who stores the states may have been too busy for the last change
         # In the order they were asked for, not in that of a set.
         for burst in [future for future in self._bursts if future in ready]:
             self._take_burst(burst)
         for ending in [future for future in self._endings if future in ready]:
-            del self._endings[ending]
+            self._take_ending(ending)
 
     def _take_burst(self, burst: Future[StreamProgress]) -> None:
         name = self._bursts.pop(burst)
@@ -129,18 +168,29 @@ class Driver:
             self._fail(name, error)
             return
         if progress.done:
+            self._removed.discard(name)
             self._set(after_end(self._states[name], progress))
             self._end(name, drain=False)
             return
         rate = self._rates[name].after(progress.read)
         self._set(after_progress(self._states[name], progress, rate))
-        if self._interruption.signal_number is None:
+        if name in self._removed:
+            self._end(name, drain=True)
+        elif self._interruption.signal_number is None:
             self._advance(name)
+
+    def _take_ending(self, ending: Future[StreamProgress | None]) -> None:
+        name = self._endings.pop(ending)
+        if name in self._removed:
+            self._removed.remove(name)
+            progress = None if ending.exception() else ending.result()
+            self._set(after_removal(self._states[name], progress))
 
     def _advance(self, name: str) -> None:
         self._bursts[self._streams[name].advance()] = name
 
     def _fail(self, name: str, error: Exception) -> None:
+        self._removed.discard(name)
         self._set(after_failure(self._states[name], _sentence(error)))
         if name in self._streams:
             self._end(name, drain=False)
@@ -159,7 +209,7 @@ class Driver:
         while self._endings:
             ready, _ = wait(self._endings, timeout=_WAKE_SECONDS, return_when=FIRST_COMPLETED)
             for ending in ready:
-                del self._endings[ending]
+                self._take_ending(ending)
                 if ending in endings:
                     name = endings[ending]
                     progress = None if ending.exception() else ending.result()

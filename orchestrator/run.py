@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from mlbs_actors.actors import Node
-from mlbs_actors.actors.stream_protocol import StreamSpec
+from mlbs_actors.actors.stream_protocol import FrameReader, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import SinkError
 from orchestrator.admission import available_memory, cores, places
 from orchestrator.command_line import Arguments
-from orchestrator.driver import Driver, Observer
+from orchestrator.credentials import mask
+from orchestrator.driver import Driver, Observer, SpecChange
 from orchestrator.durable_files import replace_file
 from orchestrator.interruption import Interruption
+from orchestrator.list_watch import ListWatch
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.monitor.board import Board
 from orchestrator.monitor.server import serving
@@ -24,16 +27,23 @@ from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
 from orchestrator.report.page import render_report
 from orchestrator.run_folder import RunFolder, StatusFile, describe_run
-from orchestrator.sinks.live_picture import LivePicture
+from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.record import StreamRecord, ends_group, recorded_frames
 from orchestrator.sources.opening import open_reader
 from orchestrator.stream_list import ListedStream
-from orchestrator.stream_state import StreamState, with_record
+from orchestrator.stream_state import StreamState, after_failure, with_record
+from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
 __all__ = ["run"]
 
 
-def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, scratch: Path) -> int:
+def run(
+    arguments: Arguments,
+    streams: Sequence[ListedStream],
+    missing: Mapping[str, str],
+    config: Config,
+    scratch: Path,
+) -> int:
     """Segment all streams; return the exit status.
 
     Parameters
@@ -41,6 +51,8 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
     arguments : Arguments
     streams : sequence of ListedStream
         What ``arguments.streams`` lists.
+    missing : mapping of str to str
+        Streams without a source → what is wrong; they fail, the others run.
     config : Config
         What ``arguments`` asks for.
     scratch : Path
@@ -54,34 +66,27 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
         If Ray cannot be started, or the run's own files cannot be written.
     """
     folder = RunFolder(arguments.output.absolute())
-    names = [stream.name for stream in streams]
-    folder.refuse_if_used(names)
-    pictures = {name: scratch / "live" / f"{name}.jpg" for name in names} if arguments.monitor else {}
-    specs = [
-        StreamSpec(
-            name=stream.name,
-            config=config,
-            open_reader=partial(open_reader, stream.source),
-            open_sink=partial(
-                StreamRecord,
-                folder.stream(stream.name),
-                stream.name,
-                arguments.save,
-                LivePicture(pictures[stream.name]) if pictures else None,
-            ),
-            max_frames=arguments.max_frames,
-            wants_background=ends_group if "background" in arguments.save else None,
-        )
-        for stream in streams
-    ]
-    command = arguments.command(f"{folder.path}-again")
-    description = describe_run(streams, config, arguments.save, arguments.max_frames, command)
+    folder.refuse_if_used([stream.name for stream in streams])
+    sourceless = [stream for stream in streams if stream.name in missing]
+    for stream in sourceless:
+        _say(f"{arguments.streams}, line {stream.line}: {missing[stream.name]}")
+    if arguments.watch:  # their lines are ignored until they are mended
+        streams, sourceless = [stream for stream in streams if stream.name not in missing], []
+    ended = {
+        stream.name: after_failure(StreamState(stream.name, line=stream.line), missing[stream.name])
+        for stream in sourceless
+    }
+    live = scratch / "live" if arguments.monitor else None
+    job = _Job(streams, arguments, config, folder, live)
     limit = places(available_memory(), cores())
-    _say(f"Starting Ray; {len(specs)} streams, up to {limit} at a time.")
-    with _monitored(arguments.monitor, pictures) as boards, ray_session(arguments.address, scratch):
-        folder.claim(description)
+    _say(f"Starting Ray; {len(streams) - len(ended)} streams, up to {limit} at a time.")
+    with _monitored(arguments.monitor, live) as boards, ray_session(arguments.address, scratch):
+        folder.claim(job.description)
         status = StatusFile(folder.path / "status.json")
-        states, exit_status = _drive(specs, limit, [status, *boards], folder.path / "ray.log")
+        changes = job.changes if arguments.watch else None
+        states, exit_status = _drive(
+            job, ended, changes, limit, [status, *boards], folder.path / "ray.log"
+        )
     states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
     try:
         status.finish(states, exit_status)
@@ -93,20 +98,93 @@ def run(arguments: Arguments, streams: Sequence[ListedStream], config: Config, s
 
 
 @contextmanager
-def _monitored(address: MonitorAddress | None, pictures: Mapping[str, Path]) -> Iterator[list[Board]]:
+def _monitored(address: MonitorAddress | None, live: Path | None) -> Iterator[list[Board]]:
     """Serve the monitor's page if it is asked for; what it shows is to observe the driver."""
-    if address is None:
+    if address is None or live is None:
         yield []
         return
-    board = Board(pictures)
+    board = Board(live)
     with serving(address, board) as url:
-        next(iter(pictures.values())).parent.mkdir()
+        live.mkdir()
         _say(f"Look on at {url}")
         yield [board]
 
 
+class _Job:
+    """What the streams of this run are to do, and those that the list gets while it is watched."""
+
+    def __init__(
+        self,
+        streams: Sequence[ListedStream],
+        arguments: Arguments,
+        config: Config,
+        folder: RunFolder,
+        live: Path | None,
+    ) -> None:
+        self._streams = list(streams)
+        self._arguments = arguments
+        self._config = config
+        self._folder = folder
+        self._live = live
+        self.description = self._described()
+        self._watch = ListWatch(
+            arguments.streams,
+            streams,
+            lambda name: folder.stream(name).exists(),
+            lambda text: _say(mask(text)),
+        )
+
+    @property
+    def specs(self) -> list[StreamSpec]:
+        """All streams, as the driver needs them."""
+        return [self._spec(stream) for stream in self._streams]
+
+    def changes(self) -> SpecChange | None:
+        """Follow the list."""
+        change = self._watch.look()
+        if change is None:
+            return None
+        self._streams += change.added
+        self.description = self._described() | {"started": self.description["started"]}
+        try:
+            self._folder.redescribe(self.description)
+        except OSError as error:
+            _say(f"{self._folder.path}/run.json cannot be written: {error.strerror}; free some space.")
+        return SpecChange(tuple(self._spec(stream) for stream in change.added), change.removed)
+
+    def _described(self) -> dict[str, Any]:
+        given = self._arguments
+        command = given.command(f"{self._folder.path}-again")
+        return describe_run(
+            self._streams, self._config, given.save, given.max_frames, given.max_side, command
+        )
+
+    def _spec(self, stream: ListedStream) -> StreamSpec:
+        save, max_side = self._arguments.save, self._arguments.max_side
+        reader: Callable[[], FrameReader] = partial(open_reader, stream.source)
+        record = StreamRecord
+        if max_side is not None:
+            reader, record = partial(ShrinkingReader, reader, max_side), FullSizeRecord
+        picture = None if self._live is None else LivePicture(live_picture_path(self._live, stream.name))
+        return StreamSpec(
+            name=stream.name,
+            config=self._config,
+            open_reader=reader,
+            open_sink=partial(record, self._folder.stream(stream.name), stream.name, save, picture),
+            max_frames=self._arguments.max_frames,
+            wants_background=ends_group if "background" in save else None,
+            source=str(stream.source),
+            line=stream.line,
+        )
+
+
 def _drive(
-    specs: Sequence[StreamSpec], limit: int, observers: Sequence[Observer], ray_log: Path
+    job: _Job,
+    ended: Mapping[str, StreamState],
+    changes: Callable[[], SpecChange | None] | None,
+    limit: int,
+    observers: Sequence[Observer],
+    ray_log: Path,
 ) -> tuple[tuple[StreamState, ...], int]:
     output = sys.stdout
     # Ray prints its own warnings; standard output belongs to the progress.
@@ -115,7 +193,13 @@ def _drive(
         try:
             node = Node()
             driver = Driver(
-                specs, node, limit=limit, observers=[*observers, progress], interruption=interruption
+                job.specs,
+                node,
+                limit=limit,
+                observers=[*observers, progress],
+                interruption=interruption,
+                ended=ended,
+                changes=changes,
             )
             exit_status = driver.run()
             node.close()
@@ -127,7 +211,11 @@ def _drive(
 def _closing_words(folder: RunFolder, states: Sequence[StreamState], save: frozenset[str]) -> str:
     done = sum(state.state == "done" for state in states)
     lines = [f"{done} of {len(states)} streams are complete. Results: {folder.path}"]
-    lines += [f"  {state.name} ({state.state}): {state.error}" for state in states if state.error is not None]
+    lines += [
+        f"  line {state.line}, {state.name} ({state.state}): {state.error}"
+        for state in states
+        if state.error is not None
+    ]
     lines += [
         f"  {state.name}: {error.read_text(encoding='utf-8').strip()}"
         for state in states

@@ -93,6 +93,10 @@ class RunFolder:
         except OSError as error:
             raise ConfigError(f"Cannot write to {self.path}: {error.strerror}.") from None
 
+    def redescribe(self, description: dict[str, Any]) -> None:
+        """Replace ``run.json`` by what the run has become; OSError if it cannot be written."""
+        replace_file(self.path / "run.json", (json.dumps(description, indent=2) + "\n").encode())
+
 
 class StatusFile:
     """Keeps ``status.json`` up to date; an observer of the driver.
@@ -148,6 +152,7 @@ def describe_run(
     config: Config,
     save: frozenset[str],
     max_frames: int | None,
+    max_side: int | None = None,
     command: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Content of ``run.json``: everything that the results depend on, without credentials.
@@ -162,6 +167,7 @@ def describe_run(
         "sources": sources,
         "save": sorted(save),
         "max_frames": max_frames,
+        "max_side": max_side,
         "command": [mask(word) for word in command],
         "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
         "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},

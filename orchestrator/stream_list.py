@@ -1,5 +1,7 @@
 """The list of streams: a line a stream, ``URI`` or ``NAME URI``, shell quoting, ``#`` comments.
 
+A folder or glob of videos is a stream for each of them.
+
 The list may come from elsewhere, so it is read with distrust: bounded in size, only the addresses of
 :mod:`orchestrator.sources.address`, names that stay inside the output folder. All bad lines are reported
 together, before anything starts.
@@ -13,11 +15,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mlbs_actors.errors import ConfigError
+from mlbs_actors.errors import ConfigError, SourceError
 from orchestrator.credentials import mask
-from orchestrator.sources.address import SourceAddress, parse_address
+from orchestrator.sources.address import SourceAddress, SourceKind, parse_address
+from orchestrator.sources.presence import require_source, videos_of
 
-__all__ = ["MAX_BYTES", "MAX_STREAMS", "ListedStream", "read_stream_list"]
+__all__ = [
+    "MAX_BYTES",
+    "MAX_STREAMS",
+    "ListedStream",
+    "missing_sources",
+    "parse_stream_list",
+    "read_stream_list",
+]
 
 MAX_BYTES = 8 * 2**20
 MAX_STREAMS = 10_000
@@ -66,32 +76,79 @@ def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
         If the file cannot be read, is too long, holds no stream, or has bad lines: then the message
         names every one of them.
     """
-    lines = _lines(path)
+    streams, faults = parse_stream_list(path)
+    if faults:
+        raise ConfigError(_fault_report(path, faults))
+    return streams
+
+
+def parse_stream_list(path: Path) -> tuple[tuple[ListedStream, ...], dict[int, str]]:
+    """Read a list of streams as far as it can be used.
+
+    Returns
+    -------
+    streams : tuple of ListedStream
+        Those of the good lines.
+    faults : dict of int to str
+        Number of each bad line → what is wrong with it, without credentials.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is too long, or holds neither streams nor bad lines.
+    """
     streams: list[ListedStream] = []
     first_line: dict[str, int] = {}
     faults: dict[int, str] = {}
-    for number, raw in enumerate(lines, start=1):
+    for number, raw in enumerate(_lines(path), start=1):
         try:
-            stream = _parse_line(raw, number, path.parent)
-            if stream is None:
-                continue
-            if stream.name in first_line:
-                raise ConfigError(
-                    f"the name {stream.name!r} is taken by line {first_line[stream.name]}; "
-                    "give this stream another one by writing NAME URI"
-                )
-        except ConfigError as error:
-            faults[number] = mask(str(error))
-            continue
-        first_line[stream.name] = number
-        streams.append(stream)
-    if faults:
-        raise ConfigError(_fault_report(path, faults))
-    if not streams:
+            for stream in _parse_line(raw, number, path.parent):
+                if stream.name in first_line:
+                    raise ConfigError(
+                        f"the name {stream.name!r} is taken by line {first_line[stream.name]}; "
+                        "give this stream another one by writing NAME URI"
+                    )
+                first_line[stream.name] = number
+                streams.append(stream)
+        except (ConfigError, SourceError) as error:
+            faults[number] = mask(str(error)).rstrip(".")
+    if not streams and not faults:
         raise ConfigError(f"The list {path} holds no stream; write one a line, as NAME URI.")
     if len(streams) > MAX_STREAMS:
         raise ConfigError(f"The list {path} holds more than {MAX_STREAMS} streams; split it.")
-    return tuple(streams)
+    return tuple(streams), faults
+
+
+def missing_sources(path: Path, streams: Sequence[ListedStream]) -> dict[str, str]:
+    """Look which streams have no source at all.
+
+    Parameters
+    ----------
+    path : Path
+        The list, for messages.
+    streams : sequence of ListedStream
+        What it holds.
+
+    Returns
+    -------
+    dict of str to str
+        Stream name → what is wrong, a sentence without credentials.
+
+    Raises
+    ------
+    ConfigError
+        If none has a source.
+    """
+    missing: dict[str, str] = {}
+    for stream in streams:
+        try:
+            require_source(stream.source)
+        except SourceError as error:
+            missing[stream.name] = str(error)
+    if len(missing) == len(streams):
+        faults = {stream.line: missing[stream.name].rstrip(".") for stream in streams}
+        raise ConfigError(_fault_report(path, faults))
+    return missing
 
 
 def _lines(path: Path) -> list[bytes]:
@@ -111,7 +168,7 @@ def _lines(path: Path) -> list[bytes]:
     return content.removeprefix(b"\xef\xbb\xbf").split(b"\n")
 
 
-def _parse_line(raw: bytes, number: int, folder: Path) -> ListedStream | None:
+def _parse_line(raw: bytes, number: int, folder: Path) -> list[ListedStream]:
     try:
         text = raw.decode("utf-8").strip()
     except UnicodeDecodeError:
@@ -123,12 +180,22 @@ def _parse_line(raw: bytes, number: int, folder: Path) -> ListedStream | None:
     except ValueError:
         raise ConfigError("has a quote or backslash without its partner") from None
     if not words:
-        return None
+        return []
     if len(words) > 2:
         raise ConfigError(f"has {len(words)} words, not URI or NAME URI; quote a path that holds spaces")
     source = parse_address(words[-1], folder)
-    name = words[0] if len(words) == 2 else source.default_name
-    _check_name(name, given=len(words) == 2)
+    given = words[0] if len(words) == 2 else None
+    videos = videos_of(source.location) if source.kind is SourceKind.PATH else []
+    if not videos:
+        name = source.default_name if given is None else given
+        return [_named(name, source, number, is_given=given is not None)]
+    sources = [SourceAddress(SourceKind.PATH, str(video), video.stem) for video in videos]
+    prefix = "" if given is None else f"{given}-"
+    return [_named(prefix + one.default_name, one, number, is_given=False) for one in sources]
+
+
+def _named(name: str, source: SourceAddress, number: int, *, is_given: bool) -> ListedStream:
+    _check_name(name, given=is_given)
     return ListedStream(name, source, number)
 
 

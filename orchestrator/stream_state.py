@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from mlbs_actors.actors.stream_protocol import StreamProgress
+from mlbs_actors.actors.stream_protocol import SourceSilence, StreamProgress
 from orchestrator.credentials import mask
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "after_failure",
     "after_interruption",
     "after_progress",
+    "after_removal",
     "exit_code",
     "with_record",
 ]
@@ -35,8 +36,8 @@ class StreamState:
     ----------
     name : str
     state : StateName
-    read, committed, dropped, quarantined : int
-        Frames; see :class:`mlbs_actors.actors.stream_protocol.StreamProgress`.
+    read, committed, dropped, quarantined, gaps : int
+        See :class:`mlbs_actors.actors.stream_protocol.StreamProgress`.
     layers : int
         Live layers, the background included.
     frames_per_second : float
@@ -45,6 +46,8 @@ class StreamState:
         For how long a frame was worked on lately, the sum of its stages, ms; 0 as long as it is unknown.
     error : str, optional
         A sentence, without credentials.
+    line : int, optional
+        Where the stream stands in the list, from 1.
     """
 
     name: str
@@ -53,10 +56,12 @@ class StreamState:
     committed: int = 0
     dropped: int = 0
     quarantined: int = 0
+    gaps: int = 0
     layers: int = 0
     frames_per_second: float = 0.0
     latency_ms: float = 0.0
     error: str | None = None
+    line: int | None = None
 
     @property
     def queued(self) -> int:
@@ -66,17 +71,20 @@ class StreamState:
 
 def after_progress(state: StreamState, progress: StreamProgress, frames_per_second: float) -> StreamState:
     """State after a burst of frames, the stream going on."""
+    silence = progress.silence or SourceSilence(None)
+    error = silence.note or progress.problem
     return replace(
         state,
-        state="running" if progress.read else "starting",
+        state=silence.state or ("running" if progress.read else "starting"),
         read=progress.read,
         committed=progress.committed,
         dropped=progress.dropped,
         quarantined=progress.quarantined,
+        gaps=progress.gaps,
         layers=progress.layers,
         frames_per_second=frames_per_second,
         latency_ms=sum(progress.stage_ms.values()) or state.latency_ms,
-        error=None if progress.problem is None else mask(progress.problem),
+        error=None if error is None else mask(error),
     )
 
 
@@ -104,12 +112,13 @@ def with_record(state: StreamState, recorded: int) -> StreamState:
     ----------
     state : StreamState
     recorded : int
-        Frames in the stream's commit log, those without a label map included.
+        Rows in the stream's commit log, those without a label map included.
     """
     if state.state != "failed":
         return state
-    committed = max(state.committed, recorded - state.quarantined - state.dropped)
-    return replace(state, committed=committed, read=max(state.read, recorded))
+    frames = recorded - state.gaps
+    committed = max(state.committed, frames - state.quarantined - state.dropped)
+    return replace(state, committed=committed, read=max(state.read, frames))
 
 
 def after_interruption(state: StreamState, progress: StreamProgress | None) -> StreamState:
@@ -118,6 +127,16 @@ def after_interruption(state: StreamState, progress: StreamProgress | None) -> S
     kept = "what was read is kept" if progress is not None else "what was committed is kept"
     sentence = f"Interrupted after {counted.read} frames; {kept}."
     return replace(counted, state="partial", layers=0, frames_per_second=0.0, error=sentence)
+
+
+def after_removal(state: StreamState, progress: StreamProgress | None) -> StreamState:
+    """State of a stream that was taken from the list, after it was drained to ``progress``."""
+    if progress is not None and progress.committed:
+        return after_end(state, progress)
+    sentence = "Removed from the list before it had a result."
+    if state.committed:
+        sentence = "Removed from the list; what was committed is kept."
+    return replace(state, state="partial", layers=0, frames_per_second=0.0, error=sentence)
 
 
 def exit_code(states: Iterable[StreamState], signal_number: int | None) -> int:

@@ -21,6 +21,7 @@ from mlbs_actors.actors.stream_protocol import (
     GapStatus,
     RunningStream,
     SourceFrame,
+    SourceSilence,
     StreamProgress,
     StreamSink,
     StreamSpec,
@@ -267,6 +268,26 @@ class FakeReader:
 
 
 @dataclass
+class FakeCamera:
+    """Answers what it is told to, then ends."""
+
+    answers: list[SourceFrame | SourceSilence]
+    folder: Path
+    problem: str | None = None
+
+    def opened(self) -> FrameReader:
+        return self
+
+    def read(self) -> SourceFrame | SourceSilence | None:
+        with (self.folder / "reads").open("a") as reads:
+            reads.write("\n")
+        return self.answers.pop(0) if self.answers else None
+
+    def close(self) -> None:
+        (self.folder / "reader-closed").touch()
+
+
+@dataclass
 class FakeSink:
     """Writes a line for each row: source index, what it is, and a checksum of the labels."""
 
@@ -311,7 +332,7 @@ class FakeSink:
 
 
 def spec(
-    name: str, reader: FakeReader, sink: FakeSink | None = None, *, max_frames: int | None = None
+    name: str, reader: FakeReader | FakeCamera, sink: FakeSink | None = None, *, max_frames: int | None = None
 ) -> StreamSpec:
     """A stream that reads from memory and writes its rows into the reader's folder."""
     reader.folder.mkdir(parents=True, exist_ok=True)

@@ -13,6 +13,7 @@ import pytest
 import ray
 from actor_fakes import (
     CONFIG,
+    FakeCamera,
     FakeParts,
     FakeReader,
     FakeSink,
@@ -31,9 +32,9 @@ from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.pool import PoolActor
-from mlbs_actors.actors.processes import end, spawn
+from mlbs_actors.actors.processes import end, identity, spawn
 from mlbs_actors.actors.sink import SinkActor
-from mlbs_actors.actors.stream_protocol import StreamProgress
+from mlbs_actors.actors.stream_protocol import SourceFrame, SourceSilence, SourceStatus, StreamProgress
 from mlbs_actors.errors import LayerError, SinkError, SourceError
 from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import scene
@@ -117,6 +118,33 @@ def test_an_undecodable_frame_is_a_row_in_its_place_and_the_others_are_labelled_
     assert (progress.read, progress.committed, progress.quarantined) == (16, 12, 4)
 
 
+def test_drops_and_gaps_are_rows_and_counted_and_a_silent_camera_is_told_at_once(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures = crowd(12, 2)
+    answers: list[SourceFrame | SourceSilence] = []
+    given, expected = [], []
+    statuses: dict[int, SourceStatus] = {2: "dropped", 5: "gap", 6: "dropped"}
+    for t, image in enumerate(pictures):
+        if t in (0, 5):
+            answers.append(SourceSilence("stalled" if t else "reconnecting", f"quiet before {t}"))
+        status = statuses.get(t, "ok")
+        answers.append(SourceFrame(t, image if status == "ok" else None, t / 25, f"{t:05d}", status))
+        given += [image] if status == "ok" else []
+    stream = node.start(spec("camera", FakeCamera(answers, tmp_path), max_frames=10))
+    said = []
+    while not (progress := stream.advance().result(timeout=120)).done:
+        said.append((progress.read, progress.silence and progress.silence.state))
+    stream.stop(drain=False)
+    assert said == [(0, "reconnecting"), (5, "stalled")]
+    assert (progress.read, progress.committed, progress.dropped, progress.gaps) == (10, 8, 2, 1)
+    plain = rows_in_one_process(parts, given[:8])
+    for t in range(11):
+        labelled = t not in statuses
+        expected.append(f"{t} {plain.pop(0).partition(' ')[2]}" if labelled else f"{t} {statuses[t]}")
+    assert rows(tmp_path) == expected
+
+
 def test_a_stream_ends_after_its_most_frames(node: Node, tmp_path: Path) -> None:
     reader = FakeReader([*crowd(30, 1)], tmp_path)
     [progress] = run_to_end(node.start(spec("most", reader, max_frames=7)))
@@ -183,7 +211,7 @@ def test_a_birth_takes_another_process_when_an_idle_one_has_died_unnoticed(
     pool = spawn(PoolActor, parts, PoolPolicy(spare=1), node=ray.get_runtime_context().get_node_id())
     run = ray.get(pool.begin.remote())
     first = ray.get(pool.acquire.remote(run, 1, "object", CONFIG))
-    ray.get(pool.release.remote(run, 1, None))
+    ray.get(pool.release.remote(run, identity(first), None))
     ray.kill(first)
     second = ray.get(pool.acquire.remote(run, 2, "object", CONFIG))
     assert ray.get(second.__ray_ready__.remote())
@@ -248,9 +276,9 @@ def test_the_death_of_the_reader_ends_the_stream_with_its_frames_committed(
     node: Node, tmp_path: Path
 ) -> None:
     reader = FakeReader([*crowd(20, 2)], tmp_path, dies_at=10)
-    [progress] = run_to_end(node.start(spec("damaged", reader)))
+    [progress] = run_to_end(node.start(replace(spec("damaged", reader), source="/films/damaged.mp4")))
     assert progress.problem is not None
-    assert "process that reads stream 'damaged' died after 10 frames" in progress.problem
+    assert "process that reads /films/damaged.mp4 died after 10 frames" in progress.problem
     assert (progress.read, progress.committed, len(rows(tmp_path))) == (10, 10, 10)
 
 
@@ -390,6 +418,27 @@ def test_the_engine_gives_the_same_label_maps_as_actors_and_in_one_process(
         ]
         assert len(results) == len(video)
     assert any(result.labels.any() for result in results), "a scene without a layer proves little"
+
+
+def test_a_change_of_size_gives_the_same_label_maps_as_actors_and_in_one_process(
+    ray_session: RaySession, tmp_path: Path
+) -> None:
+    video = [
+        scene("pan", frames=60, width=width, height=height).frame(t)
+        for width, height in ((160, 120), (120, 160), (160, 120))
+        for t in range(7)
+    ]
+    node = Node(policy=PoolPolicy(spare=1))
+    stream = node.start(replace(spec("turned", FakeReader([*video], tmp_path)), config=Config()))
+    [progress] = run_to_end(stream)
+    assert (progress.committed, node.census().busy) == (21, 0)
+    node.close()
+    subtractor = MultilayerSubtractor()
+    results = [result for frame in video for result in subtractor.apply(frame)] + subtractor.flush()
+    assert rows(tmp_path) == [
+        f"{t} {t} {zlib.crc32(result.labels.tobytes())}" for t, result in enumerate(results)
+    ]
+    assert len({layer.layer for result in results for layer in result.layers}) >= 3
 
 
 def test_a_warmed_process_compiles_nothing_more_when_a_layer_takes_its_frames() -> None:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from camera_server import PASSWORD, camera, free_port, needs_rtsp_server
 from PIL import Image
 
 from mlbs_actors.errors import ConfigError
@@ -114,7 +117,18 @@ def test_the_help_names_every_flag_source_output_and_exit_status(capsys: pytest.
         parse(["--help"])
     assert end.value.code == 0
     text = capsys.readouterr().out
-    flags = ("streams", "output", "config", "set", "address", "resume", "save", "monitor", "max-frames")
+    flags = (
+        "streams",
+        "output",
+        "config",
+        "set",
+        "address",
+        "resume",
+        "save",
+        "monitor",
+        "max-frames",
+        "max-side",
+    )
     for word in (
         *(f"--{flag}" for flag in flags),
         *("rtsp://", "/dev/videoN", "synthetic:", "status.json", "commits.jsonl", "overlay.mp4", "130"),
@@ -129,9 +143,10 @@ def test_the_help_names_every_flag_source_output_and_exit_status(capsys: pytest.
     ("lines", "flags", "words"),
     [
         ([], [], "holds no stream"),
+        (["# mine", "gone.mp4", "away none/*.png"], [], "line 2: There is no file or folder"),
         (["a.mp4", "http://x/y", "a b c"], [], "line 2:"),
-        (["a.mp4"], ["--set", "layers.nothing=1"], "nothing"),
-        (["a.mp4"], ["--config", "none.yaml"], "none.yaml"),
+        (["synthetic:demo"], ["--set", "layers.nothing=1"], "nothing"),
+        (["synthetic:demo"], ["--config", "none.yaml"], "none.yaml"),
         (["a.mp4", "yard rtsp://bob:hunter2@x/y z"], [], "line 2:"),
     ],
 )
@@ -153,10 +168,46 @@ def test_a_missing_list_ends_with_status_2() -> None:
     assert "/nowhere/list.txt" in ended.stderr
 
 
+def _with_stubs(folder: Path) -> Path:
+    """A copy of scripts/run beside stubs of what it calls; its Python prints its arguments, a line each."""
+    for stub, does in (("scripts/setup", ""), (".venv/bin/python", "printf '%s\\n' \"$@\"")):
+        (folder / stub).parent.mkdir(parents=True)
+        (folder / stub).write_text(f"#!/bin/sh\n{does}\n")
+        (folder / stub).chmod(0o755)
+    return Path(shutil.copy(REPOSITORY / "scripts/run", folder / "scripts/run"))
+
+
+@pytest.mark.parametrize(
+    ("flags", "there", "expected"),
+    [
+        ([], [], ["--streams", "DEMO", "--output", "out"]),
+        ([], ["out", "out-2"], ["--streams", "DEMO", "--output", "out-3"]),
+        (["--max-frames", "3"], ["out"], ["--streams", "DEMO", "--output", "out-2", "--max-frames", "3"]),
+        (["--output=x"], [], ["--streams", "DEMO", "--output=x"]),
+        (["--streams", "l", "--max-frames", "3"], ["out"], ["--streams", "l", "--max-frames", "3"]),
+        (["--streams=l"], [], ["--streams=l"]),
+        (["--help"], [], ["--help"]),
+    ],
+)
+def test_the_main_script_takes_the_demo_list_where_no_list_is_given(
+    tmp_path: Path, flags: list[str], there: list[str], expected: list[str]
+) -> None:
+    root, elsewhere = tmp_path / "root", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for name in there:
+        (elsewhere / name).mkdir()
+    ended = subprocess.run(
+        [_with_stubs(root), *flags], cwd=elsewhere, capture_output=True, text=True, timeout=20, check=True
+    )
+    demo = str(root / "configs/streams.txt")
+    arguments = ["-m", "orchestrator", *(demo if word == "DEMO" else word for word in expected)]
+    assert ended.stdout.splitlines() == arguments
+
+
 def test_an_output_folder_that_holds_a_run_is_refused_untouched(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out/run.json").write_text("{}")
-    ended = command("--streams", stream_list(tmp_path, "a.mp4"), "--output", tmp_path / "out")
+    ended = command("--streams", stream_list(tmp_path, "synthetic:demo"), "--output", tmp_path / "out")
     assert ended.returncode == 2
     assert "holds a run already" in ended.stderr
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["run.json"]
@@ -237,6 +288,10 @@ def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(
         "door": ("failed", 0, 0, 0),
     }
     assert list(_masks(output / "demo")) == [f"{index:05d}.png" for index in range(12)]
+    assert status["gone"]["line"] == 4
+    before_ray, _, _ = ended.stderr.partition("Starting Ray")
+    assert f"line 4: There is no file or folder {tmp_path / 'none.mp4'}" in before_ray
+    assert "line 5, door (failed): " in ended.stderr
     assert _masks(output / "demo") == _masks(output / "twin")
     assert len(_masks(output / "folder")) == 11
     assert "p4.png" not in _masks(output / "folder")
@@ -294,3 +349,64 @@ def test_a_signal_ends_a_run_cleanly_with_all_that_was_read_committed(
     assert len(_masks(output / "demo")) == status["committed"]
     assert [row["frame"] for row in _frames(output / "demo")] == list(range(status["read"]))
     assert _session_folders() <= before
+
+
+@needs_rtsp_server
+@pytest.mark.ray
+@pytest.mark.long
+def test_a_watched_list_with_a_camera_that_goes_away_and_comes_back(tmp_path: Path) -> None:
+    port, output = free_port(), tmp_path / "out"
+    door = f"door rtsp://bob:{PASSWORD}@127.0.0.1:{port}/door"
+    path = stream_list(tmp_path, "endless 'synthetic:demo?frames=5000&width=160&height=120'", door)
+
+    def streams() -> dict[str, dict[str, object]]:
+        status: dict[str, dict[str, dict[str, object]]] = json.loads((output / "status.json").read_text())
+        return status["streams"]
+
+    def is_in(name: str, state: str, least: int = 0) -> Callable[[], bool]:
+        return lambda: streams()[name]["state"] == state and cast(int, streams()[name]["committed"]) >= least
+
+    run = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "orchestrator", "--watch", "--max-side", "80"),
+            *("--streams", str(path), "--output", str(output)),
+        ],
+        cwd=REPOSITORY,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    with run:
+        with camera(port):
+            _wait_for((output / "door/commits.jsonl").exists, 200)
+            stream_list(tmp_path, "late 'synthetic:demo?frames=6&width=64&height=48'", "x y z", door)
+            _wait_for(lambda: "late" in streams(), 60)
+            assert streams()["endless"]["state"] == "running"
+            stream_list(tmp_path, "late 'synthetic:demo?frames=6&width=64&height=48'", door)
+            _wait_for(is_in("endless", "done"), 60)
+            _wait_for(is_in("late", "done", 6), 60)
+        _wait_for(is_in("door", "reconnecting"), 60)
+        assert "is away" in str(streams()["door"]["error"])
+        with camera(port):
+            _wait_for(is_in("door", "running"), 60)
+            time.sleep(2.0)
+            run.send_signal(signal.SIGINT)
+            shown, _ = run.communicate(timeout=60)
+    assert run.returncode == 130, shown
+    assert "line 2: has 3 words" in shown
+    last = streams()
+    for name in ("endless", "late", "door"):
+        counts = [cast(int, last[name][key]) for key in ("read", "committed", "dropped", "quarantined")]
+        assert counts[0] == sum(counts[1:])
+        rows = [row["status"] for row in _frames(output / name)]
+        assert [rows.count(status) for status in ("ok", "dropped", "gap")] == [
+            counts[1],
+            counts[2],
+            last[name]["gaps"],
+        ]
+    assert last["door"]["gaps"] == 1
+    masks = _masks(output / "door")
+    assert np.asarray(Image.open(output / "door/masks" / min(masks))).shape == (120, 160)
+    assert list(json.loads((output / "run.json").read_text())["sources"]) == ["endless", "door", "late"]
+    everything = shown + "".join(file.read_text() for file in output.glob("*.*"))
+    assert PASSWORD not in everything

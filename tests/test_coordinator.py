@@ -181,13 +181,6 @@ def test_a_frame_out_of_order_is_refused() -> None:
         coordinator.step(0, picture, None)
 
 
-def test_a_frame_of_another_size_is_refused() -> None:
-    coordinator = Coordinator(configured())
-    coordinator.step(0, movie(1)[0], None)
-    with pytest.raises(FrameError, match=r"Frame 1 is 64×48 px but the stream is 128×96; frames"):
-        coordinator.step(1, np.zeros((48, 64, 3), np.uint8), None)
-
-
 @pytest.mark.parametrize(
     "frame",
     [

@@ -13,19 +13,21 @@ from pathlib import Path
 
 import pytest
 
-from mlbs_actors.actors.stream_protocol import RunningStream, StreamProgress, StreamSpec
+from mlbs_actors.actors.stream_protocol import RunningStream, SourceSilence, StreamProgress, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import SourceError
 from orchestrator.admission import STREAM_BYTES, available_memory, cores, places, streams_to_start
-from orchestrator.driver import Driver
+from orchestrator.driver import Driver, SpecChange
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.stream_state import (
+    ENDED,
     StateName,
     StreamState,
     after_end,
     after_failure,
     after_interruption,
     after_progress,
+    after_removal,
     exit_code,
     with_record,
 )
@@ -378,3 +380,54 @@ def test_a_failed_stream_is_shown_with_what_its_record_holds() -> None:
     assert with_record(failed, 0) == failed
     done = StreamState("b", state="done", read=7, committed=7)
     assert with_record(done, 3) == done
+
+
+def test_streams_that_come_are_run_and_those_that_leave_are_finished_until_a_signal() -> None:
+    streams = {"endless": FakeStream(10**9), "waits": FakeStream(4), "new": FakeStream(8)}
+    host, recorder, interruption = FakeHost(streams), Recorder(), Interruption()
+    left = [SpecChange((), ("waits",)), SpecChange((spec("new"),), ("endless",)), SpecChange((), ("new",))]
+
+    def changes() -> SpecChange | None:
+        """The first two while the endless one runs, the third when all is over, then a signal."""
+        is_over = all(state.state in ENDED for state in recorder.last)
+        if is_over and not left:
+            interruption.signal_number = signal.SIGTERM
+        due = streams["endless"].read >= 20 if len(left) > 1 else is_over
+        return left.pop(0) if left and due else None
+
+    driver = Driver(
+        [spec("endless"), spec("waits")],
+        host,
+        limit=1,
+        observers=[recorder],
+        interruption=interruption,
+        changes=changes,
+    )
+    assert driver.run() == 128 + signal.SIGTERM
+    states = {state.name: state for state in driver.states}
+    assert list(states) == ["endless", "new"]
+    assert (states["endless"].state, states["endless"].committed) == ("done", streams["endless"].read)
+    assert streams["endless"].stops == [True]
+    assert host.started == ["endless", "new"]
+    assert (states["new"].state, states["new"].committed) == ("done", 8)
+
+
+def test_a_stream_that_leaves_with_nothing_to_keep_or_without_an_answer_is_partial() -> None:
+    running = StreamState("a", "running", read=9, committed=5)
+    assert after_removal(running, progress(9, done=True)).state == "done"
+    assert after_removal(running, progress(9, done=True, problem="Damaged.")).error == "Damaged."
+    lost = after_removal(running, None)
+    assert (lost.state, lost.committed) == ("partial", 5)
+    assert "what was committed is kept" in (lost.error or "")
+    assert after_removal(StreamState("a", "starting"), progress(0, done=True)).state == "partial"
+
+
+def test_a_camera_that_is_silent_or_away_is_told_until_it_is_back() -> None:
+    state = StreamState("a", "starting")
+    away = replace(progress(0), silence=SourceSilence("reconnecting", "The camera rtsp://b:pw@c is away."))
+    state = after_progress(state, away, 0.0)
+    assert (state.state, state.error) == ("reconnecting", "The camera rtsp://***@c is away.")
+    state = after_progress(state, replace(progress(0), silence=SourceSilence(None)), 0.0)
+    assert (state.state, state.error) == ("starting", None)
+    state = after_progress(state, replace(progress(8), dropped=2, gaps=1), 4.0)
+    assert (state.state, state.error, state.dropped, state.gaps) == ("running", None, 2, 1)

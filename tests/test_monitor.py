@@ -22,7 +22,7 @@ from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.monitor.board import Board
 from orchestrator.monitor.metrics import metrics_text
 from orchestrator.monitor.server import serving
-from orchestrator.sinks.live_picture import LivePicture
+from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.stream_state import StreamState, after_progress
 
@@ -37,10 +37,11 @@ STATES = [
 
 @pytest.fixture
 def board(tmp_path: Path) -> Board:
-    board = Board({state.name: tmp_path / f"{number}.jpg" for number, state in enumerate(STATES)})
+    board = Board(tmp_path)
     for read in (8, 16, 20):
         board.update([after_progress(STATES[0], progress(read), 4.25), *STATES[1:]])
-    LivePicture(tmp_path / "0.jpg").show(np.zeros((48, 64, 3), np.uint8), np.ones((48, 64), np.uint16), 7)
+    picture = LivePicture(live_picture_path(tmp_path, "yard"))
+    picture.show(np.zeros((48, 64, 3), np.uint8), np.ones((48, 64), np.uint16), 7)
     return board
 
 
@@ -111,7 +112,7 @@ def test_prometheus_gets_a_sample_for_every_stream_and_metric(url: str) -> None:
 
 
 def test_the_past_of_a_long_run_keeps_its_span_in_bounded_room(tmp_path: Path) -> None:
-    board = Board({"a": tmp_path / "a.jpg"})
+    board = Board(tmp_path)
     for read in range(1, 5001):
         board.update([StreamState("a", "running", read=read, layers=2)])
     past = board.status()["streams"][0]["layers_over_time"]

@@ -195,3 +195,29 @@ def test_a_video_or_picture_given_for_the_list_is_told_in_one_sentence(
     given.write_bytes(content)
     with pytest.raises(ConfigError, match="is a video or picture; write a list"):
         read_stream_list(given)
+
+
+def test_a_folder_or_glob_of_videos_is_a_stream_for_each(tmp_path: Path) -> None:
+    folder = tmp_path / "day 1"
+    folder.mkdir()
+    for name in ("b.mp4", "a10.MOV", "a9.mkv", "notes.txt", ".hidden.mp4"):
+        (folder / name).touch()
+    streams = read(tmp_path, "'day 1'\nnight 'day 1/a*'\n")
+    assert [(stream.name, Path(stream.source.location).name, stream.line) for stream in streams] == [
+        ("a9", "a9.mkv", 1),
+        ("a10", "a10.MOV", 1),
+        ("b", "b.mp4", 1),
+        ("night-a9", "a9.mkv", 2),
+        ("night-a10", "a10.MOV", 2),
+    ]
+
+
+def test_a_folder_of_videos_and_images_is_refused_and_two_videos_of_one_name_too(tmp_path: Path) -> None:
+    for name in ("mixed/a.mp4", "mixed/a.png", "twins/a.mp4", "twins/a.avi"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    message = refusal(tmp_path, "mixed\ntwins\nmixed/*.png\n")
+    assert "line 1: " in message
+    assert "holds videos and images, such as a.mp4 and a.png" in message
+    assert "line 2: the name 'a' is taken by line 2" in message
+    assert "line 3" not in message

@@ -206,6 +206,38 @@ def test_a_scene_cut_and_a_frozen_video_are_survived() -> None:
     assert [result.frame_index for result in results] == list(range(15))
 
 
+@pytest.mark.parametrize(("before", "lookahead"), [(6, 0), (2, 2)])
+def test_a_change_of_size_begins_anew_and_no_id_is_given_again(before: int, lookahead: int) -> None:
+    config = Config.model_validate({"layers": {"lookahead": lookahead}})
+    large = pictures_of(scene("pan", frames=60, width=144, height=108), before)
+    small = pictures_of(scene("pan", frames=60, width=120, height=90), 8)
+    results = run([*large, *small, *large], config)
+    assert [one.frame_index for one in results] == list(range(2 * before + 8))
+    used = 0
+    for begin, alone in (
+        (0, run(large, config)),
+        (before, run(small, config)),
+        (before + 8, run(large, config)),
+    ):
+        epoch = results[begin : begin + len(alone)]
+        ids = {layer.layer for one in epoch for layer in one.layers}
+        for here, there in zip(epoch, alone, strict=True):
+            expected = np.where(there.labels > 0, there.labels + used, 0)
+            np.testing.assert_array_equal(here.labels, expected)
+            np.testing.assert_array_equal(here.normaliser, there.normaliser)
+            assert here.camera_motion == there.camera_motion
+        assert all(one > used for one in ids)
+        used = max([used, *ids])
+    assert used > 0, "a scene without a layer proves little"
+
+
+def test_frames_whose_size_changes_all_the_time_are_all_labelled() -> None:
+    sizes = [(48, 64), (40, 64), (48, 64), (48, 63), (1, 5), (48, 64)]
+    results = run([np.full((*size, 3), 90, np.uint8) for size in sizes])
+    assert [one.labels.shape for one in results] == sizes
+    assert [one.latency_frames for one in results] == [1] * 5 + [0]
+
+
 def test_a_refused_frame_is_told_in_a_sentence_and_the_stream_goes_on() -> None:
     video = scene("pan", frames=60, width=160, height=120)
     subtractor = MultilayerSubtractor()
@@ -214,8 +246,6 @@ def test_a_refused_frame_is_told_in_a_sentence_and_the_stream_goes_on() -> None:
         with pytest.raises(FrameError, match="uint8 BGR image"):
             subtractor.apply(video.frame(t)[..., 0])
         results += subtractor.apply(video.frame(t))
-        with pytest.raises(FrameError, match="frames of another size are another stream"):
-            subtractor.apply(np.zeros((48, 64, 3), np.uint8))
     assert as_bytes(results + subtractor.flush()) == as_bytes(run(pictures_of(video, 7)))
 
 

@@ -9,7 +9,7 @@ layers' work on t.
 from __future__ import annotations
 
 import logging
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -22,7 +22,13 @@ from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.processes import Handle, Reference, identity
 from mlbs_actors.actors.reader import ReadAhead
 from mlbs_actors.actors.sink import Record
-from mlbs_actors.actors.stream_protocol import SourceFrame, StreamProgress, StreamSpec
+from mlbs_actors.actors.stream_protocol import (
+    SourceFrame,
+    SourceSilence,
+    SourceStatus,
+    StreamProgress,
+    StreamSpec,
+)
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import MlbsError
 from mlbs_actors.messages import Array, FrameEvidence, Segmentation
@@ -72,8 +78,8 @@ class CoordinatorActor:
         self._record = Record(links.sink, run, spec.open_sink)
         self._waiting: deque[tuple[Reference, SourceFrame]] = deque()  # not yet labelled, in source order
         self._segmentations: dict[int, Reference] = {}  # of the newest frames, by the engine's frame index
-        self._read = 0
-        self._quarantined = 0
+        self._counts: Counter[SourceStatus] = Counter()
+        self._silence: SourceSilence | None = None
         self._problem: str | None = None
         self._stages = _StageTimes()
         self._ended: StreamProgress | MlbsError | None = None
@@ -117,22 +123,24 @@ class CoordinatorActor:
             delivered = self._next_frame()
             if delivered is None:
                 return self._finish()
-            self._read += 1
-            self._waiting.append(delivered)
-            image = delivered[1].image
-            if image is None:
-                self._quarantined += 1
+            reference, frame = delivered
+            self._silence = frame if isinstance(frame, SourceSilence) else None
+            if isinstance(frame, SourceSilence):
+                break
+            self._counts[frame.status] += 1
+            self._waiting.append((reference, frame))
+            if frame.image is None:
                 self._write_gaps()
             else:
-                self._track(image)
+                self._track(frame.image)
         self._record.collect()
         return self._progress(done=False)
 
-    def _next_frame(self) -> tuple[Reference, SourceFrame] | None:
+    def _next_frame(self) -> tuple[Reference, SourceFrame | SourceSilence] | None:
         try:
             return self._source.next()
         except RayError as error:
-            failure = source_failure(error, self._spec.name, self._read)
+            failure = source_failure(error, self._spec.source, self._read)
             if self._read == 0:
                 raise failure from None
             self._problem = str(failure)
@@ -141,7 +149,7 @@ class CoordinatorActor:
 
     def _track(self, image: Array) -> None:
         """Let the engine's coordinator take the next picture, and start the work that it makes possible."""
-        index = self._read - self._quarantined - 1  # the engine counts the frames it is given
+        index = self._counts["ok"] - 1  # the engine counts the frames it is given
         wanted = self._coordinator.feedback_index(index)
         feedback = None if wanted is None else self._labelled(wanted)
         for evidence in self._coordinator.step(index, image, feedback):
@@ -169,12 +177,13 @@ class CoordinatorActor:
         self._write_gaps()
 
     def _write_gaps(self) -> None:
-        """Hand over the rows of undecodable frames that only waited for the label maps before them."""
-        while self._waiting and self._waiting[0][1].image is None:
+        """Hand over the rows without a label map that only waited for the label maps before them."""
+        while self._waiting and (status := self._waiting[0][1].status) != "ok":
             _, frame = self._waiting.popleft()
-            self._record.gap(frame.index, frame.pts, "quarantined")
+            self._record.gap(frame.index, frame.pts, status)
 
     def _finish(self) -> StreamProgress:
+        self._silence = None  # of a stream that ends it is no fault
         for evidence in self._coordinator.flush():
             self._label(evidence)
         self._segmentations.clear()
@@ -184,20 +193,26 @@ class CoordinatorActor:
             try:
                 self._problem = self._source.problem()
             except RayError as error:
-                self._problem = str(source_failure(error, self._spec.name, self._read))
+                self._problem = str(source_failure(error, self._spec.source, self._read))
         return self._progress(done=True)
 
     def _progress(self, *, done: bool) -> StreamProgress:
         return StreamProgress(
             read=self._read,
             committed=self._record.committed,
-            quarantined=self._quarantined,
-            dropped=0,  # no source here ever runs ahead of its stream: a frame is read when it is wanted
+            quarantined=self._counts["quarantined"],
+            dropped=self._counts["dropped"],
+            gaps=self._counts["gap"],
             layers=len(self._layers),
             done=done,
             problem=self._problem,
             stage_ms=self._stages.take_means(),
+            silence=self._silence,
         )
+
+    @property
+    def _read(self) -> int:
+        return self._counts.total() - self._counts["gap"]
 
     def _roles(self) -> dict[str, str]:
         links = self._links

@@ -66,7 +66,7 @@ def explain(error: BaseException, stream: str, roles: Mapping[str, str]) -> Mlbs
     )
 
 
-def source_failure(error: BaseException, stream: str, frames: int) -> SourceError:
+def source_failure(error: BaseException, source: str, frames: int) -> SourceError:
     """Turn any failure of a stream's reader into a SourceError.
 
     Only the type of an unexpected exception is stated: its text may hold the source's address, and with it
@@ -76,8 +76,8 @@ def source_failure(error: BaseException, stream: str, frames: int) -> SourceErro
     ----------
     error : BaseException
         As raised by ``ray.get``.
-    stream : str
-        The stream's name.
+    source : str
+        What was read, without credentials.
     frames : int
         Frames that were read before.
     """
@@ -87,10 +87,10 @@ def source_failure(error: BaseException, stream: str, frames: int) -> SourceErro
     where = f"after {frames} frames" if frames else "before its first frame"
     if isinstance(cause, RayActorError):
         return SourceError(
-            f"The process that reads stream {stream!r} died {where}; the source is probably damaged there. "
+            f"The process that reads {source} died {where}; it is probably damaged there. "
             "Convert it with another program and run it again."
         )
-    return SourceError(f"The source of stream {stream!r} failed {where} with {type(cause).__name__}.")
+    return SourceError(f"Reading {source} failed {where} with {type(cause).__name__}.")
 
 
 def last_line(error: BaseException) -> str:

@@ -126,5 +126,5 @@ class LiveLayers:
     def _release(self, layer: int) -> None:
         # The layer's own answer is an argument of the pool's call, so the pool hears of it only when the
         # process has done all its steps.
-        released = self._handles.pop(layer).release.remote()
-        self._pool.release.remote(self._run, layer, released)
+        handle = self._handles.pop(layer)
+        self._pool.release.remote(self._run, identity(handle), handle.release.remote())

@@ -18,7 +18,7 @@ from ray.exceptions import RayActorError
 from mlbs_actors.actors.failures import last_line
 from mlbs_actors.actors.layer import LayerActor
 from mlbs_actors.actors.parts import PartFactory
-from mlbs_actors.actors.processes import Handle, spawn
+from mlbs_actors.actors.processes import Handle, identity, spawn
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
 from mlbs_actors.messages import LayerKind
@@ -81,7 +81,7 @@ class PoolActor:
         self._policy = policy
         self._node = ray.get_runtime_context().get_node_id()
         self._idle: list[_Idle] = []
-        self._busy: dict[int, dict[int, Handle]] = {}
+        self._busy: dict[int, dict[str, Handle]] = {}  # by stream and process
         self._runs = 0
 
     async def begin(self) -> int:
@@ -109,11 +109,12 @@ class PoolActor:
             if waiting is not None:
                 self._idle.remove(waiting)
             process = waiting or self._start()
-            self._busy[run][layer] = process.handle
+            self._busy[run][identity(process.handle)] = process.handle
             try:
                 await process.ready
                 await process.handle.assign.remote(layer, kind, config)
             except RayActorError as error:
+                self._busy.get(run, {}).pop(identity(process.handle), None)
                 # One that waited may have died unnoticed: the next will do. One that was started for this
                 # very layer would die again.
                 if waiting is None and run in self._busy:
@@ -127,9 +128,12 @@ class PoolActor:
                     return process.handle
         raise LayerError(f"Layer {layer} was to be born in a stream that has ended; start the stream again.")
 
-    async def release(self, run: int, layer: int, released: None) -> None:
-        """Take the process of a retired layer back; ``released`` is that process's own answer."""
-        handle = self._busy.get(run, {}).pop(layer, None)
+    async def release(self, run: int, process: str, released: None) -> None:
+        """Take the process of a retired layer back, by its identity; ``released`` is its own answer.
+
+        Not by its layer: a layer that begins anew can have another process before the old one comes back.
+        """
+        handle = self._busy.get(run, {}).pop(process, None)
         if handle is None:
             return
         ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()

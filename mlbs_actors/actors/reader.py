@@ -8,7 +8,7 @@ from collections.abc import Callable
 import ray
 
 from mlbs_actors.actors.processes import Handle, Reference
-from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame
+from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.determinism import limit_process
 
 __all__ = ["ReadAhead", "ReaderActor"]
@@ -26,8 +26,8 @@ class ReaderActor:
         self._open_reader = open_reader
         self._reader: FrameReader | None = None
 
-    def read(self) -> SourceFrame | None:
-        """Return the next frame, None at the end; raises SourceError."""
+    def read(self) -> SourceFrame | SourceSilence | None:
+        """Return the next frame or that there is none at present, None at the end; raises SourceError."""
         if self._reader is None:
             self._reader = self._open_reader()
         return self._reader.read()
@@ -58,8 +58,8 @@ class ReadAhead:
         self._left = max_frames
         self._asked: deque[Reference] = deque()
 
-    def next(self) -> tuple[Reference, SourceFrame] | None:
-        """Return the next frame, by reference and by value, or None at the end.
+    def next(self) -> tuple[Reference, SourceFrame | SourceSilence] | None:
+        """Return the next frame or silence, by reference and by value, or None at the end.
 
         Raises
         ------
@@ -70,10 +70,13 @@ class ReadAhead:
         if not self._asked:
             return None
         reference = self._asked.popleft()
-        frame: SourceFrame | None = ray.get(reference)
+        frame: SourceFrame | SourceSilence | None = ray.get(reference)
         if frame is None:
             self.stop()
             return None
+        is_frame = isinstance(frame, SourceFrame) and frame.status != "gap"
+        if self._left is not None and not is_frame:
+            self._left += 1
         return reference, frame
 
     def problem(self) -> str | None:

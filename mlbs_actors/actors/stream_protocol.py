@@ -12,9 +12,9 @@ Frames come from a :class:`FrameReader`, built inside the stream's reader proces
 :class:`StreamSink`, built inside the node's sink process. Neither passes through the driver.
 
 Two counts of frames exist. A *source index* (``SourceFrame.index``) counts every frame the source
-has, the undecodable ones too, and is what the record calls a frame. A *frame index* of the engine
+has, those without a picture too, and is what the record calls a frame. A *frame index* of the engine
 (``Segmentation.frame_index``) counts the frames the engine was given, without gaps. They are the same
-until the first frame with status ``"quarantined"``.
+until the first frame whose status is not ``"ok"``.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ __all__ = [
     "GapStatus",
     "RunningStream",
     "SourceFrame",
+    "SourceSilence",
     "SourceStatus",
     "StreamHost",
     "StreamProgress",
@@ -39,11 +40,11 @@ __all__ = [
     "StreamSpec",
 ]
 
-#: What became of a frame on its way from the source.
-SourceStatus = Literal["ok", "quarantined"]
-
 #: Why a frame of the record has no label map.
 GapStatus = Literal["dropped", "gap", "quarantined"]
+
+#: What became of a frame on its way from the source.
+SourceStatus = Literal["ok"] | GapStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,16 +54,20 @@ class SourceFrame:
     Attributes
     ----------
     index : int
-        Source index, from 0 and without gaps; frames that could not be decoded count.
+        Source index, from 0 and without gaps; every status counts.
     image : (H, W, 3) uint8, optional
-        BGR picture; None exactly when ``status`` is ``"quarantined"``.
+        BGR picture; None exactly when ``status`` is not ``"ok"``.
     pts : float
         Time of presentation, seconds from the source's first frame.
     name : str
         File name of the frame's mask, without extension.
-    status : {"ok", "quarantined"}
-        ``"quarantined"``: the frame is there but could not be decoded. It never reaches the engine;
-        the conductor tells the sink of it (:meth:`StreamSink.gap`) in its place.
+    status : {"ok", "quarantined", "dropped", "gap"}
+        ``"quarantined"``: the frame is there but could not be decoded. ``"dropped"``: a camera sent it
+        and nobody had time for it. ``"gap"``: no frame but a time, beginning at ``pts``, in which a camera
+        sent none. They never reach the engine; the conductor tells the sink of them
+        (:meth:`StreamSink.gap`) in their place.
+    original : (H', W', 3) uint8, optional
+        The picture as it was before its reader shrunk it, for the record; None if ``image`` is that.
     """
 
     index: int
@@ -70,6 +75,23 @@ class SourceFrame:
     pts: float
     name: str
     status: SourceStatus = "ok"
+    original: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SourceSilence:
+    """There is no frame at present; ask again.
+
+    Attributes
+    ----------
+    state : {"stalled", "reconnecting"}, optional
+        None if that is nothing unusual.
+    note : str, optional
+        A sentence for the user, without credentials.
+    """
+
+    state: Literal["stalled", "reconnecting"] | None
+    note: str | None = None
 
 
 class FrameReader(Protocol):
@@ -82,8 +104,10 @@ class FrameReader(Protocol):
         Complete once :meth:`read` has returned None.
         """
 
-    def read(self) -> SourceFrame | None:
+    def read(self) -> SourceFrame | SourceSilence | None:
         """Return the next frame, or None at the end (and ever after).
+
+        A camera answers soon in any case: with a :class:`SourceSilence` if it has sent nothing.
 
         Raises
         ------
@@ -134,10 +158,14 @@ class StreamSpec:
     open_sink : callable
         Picklable; called once, in the sink process. Raises SinkError.
     max_frames : int, optional
-        The stream ends after this many frames of the source, quarantined ones included.
+        The stream ends after this many frames of the source, those without a label map included.
     wants_background : callable, optional
         Picklable; takes a source index and tells whether the sink wants the background's appearance with
         that frame. By default it never does.
+    source : str
+        What ``open_reader`` opens, as messages name it: without credentials.
+    line : int, optional
+        Where the stream stands in the list, from 1.
     """
 
     name: str
@@ -146,6 +174,8 @@ class StreamSpec:
     open_sink: Callable[[], StreamSink]
     max_frames: int | None = None
     wants_background: Callable[[int], bool] | None = None
+    source: str = "the source"
+    line: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,11 +185,13 @@ class StreamProgress:
     Attributes
     ----------
     read : int
-        Frames taken from the source, of any status.
+        Frames taken from the source; a ``"gap"`` is none.
     committed : int
         Label maps committed by the sink.
     quarantined, dropped : int
         Frames without a label map. Once ``done``: read = committed + quarantined + dropped.
+    gaps : int
+        Times in which a camera sent nothing.
     layers : int
         Live layers, the background included.
     done : bool
@@ -169,6 +201,8 @@ class StreamProgress:
         death of the reader process after its first frame.
     stage_ms : mapping of str to float
         Mean wall time by stage over the last burst, ms.
+    silence : SourceSilence, optional
+        What ended the burst early.
     """
 
     read: int
@@ -179,6 +213,8 @@ class StreamProgress:
     done: bool
     problem: str | None = None
     stage_ms: Mapping[str, float] = field(default_factory=dict)
+    gaps: int = 0
+    silence: SourceSilence | None = None
 
 
 class RunningStream(Protocol):

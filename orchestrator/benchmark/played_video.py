@@ -61,11 +61,11 @@ class EndlessReader:
     def read(self) -> SourceFrame | None:
         """Return the next frame; never None."""
         frame = None if self._reader is None else self._reader.read()
-        if frame is None:
+        if not isinstance(frame, SourceFrame):
             self.close()
             self._reader = open_video(self.path)
             frame = self._reader.read()
-            assert frame is not None  # a video that was written here holds a frame
+            assert isinstance(frame, SourceFrame)  # a video that was written here holds one
         index, self._next = self._next, self._next + 1
         return replace(frame, index=index, pts=index / _RATE, name=f"{index:05d}")
 

@@ -16,7 +16,8 @@ from PIL import Image
 
 from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.messages import Array
-from orchestrator.sources.images import decode_image, images_of
+from orchestrator.sources.images import decode_image
+from orchestrator.sources.presence import images_of
 from orchestrator.sources.synthetic import SCHEME, SyntheticScene, scene_from_uri
 
 __all__ = [

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from orchestrator.sinks.live_picture import live_picture_path
 from orchestrator.stream_state import StreamState
 
 __all__ = ["Board"]
@@ -22,19 +24,19 @@ class Board:
 
     Parameters
     ----------
-    pictures : mapping of str to Path
-        Stream name → where its newest picture is, if there is one.
+    pictures : Path
+        Folder of the streams' newest pictures.
     clock : callable
         Monotonic time, s.
     """
 
-    def __init__(self, pictures: Mapping[str, Path], clock: Callable[[], float] = time.monotonic) -> None:
-        self._pictures = dict(pictures)
+    def __init__(self, pictures: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self._pictures = pictures
         self._clock = clock
         self._started = clock()
         self._lock = threading.Lock()
-        self._states: tuple[StreamState, ...] = tuple(StreamState(name) for name in pictures)
-        self._past: dict[str, list[tuple[int, int]]] = {name: [] for name in pictures}
+        self._states: tuple[StreamState, ...] = ()
+        self._past: defaultdict[str, list[tuple[int, int]]] = defaultdict(list)
 
     def update(self, states: Sequence[StreamState]) -> None:
         """Take the states of all streams."""
@@ -72,7 +74,7 @@ class Board:
                 | {
                     "queued": state.queued,
                     "picture": self._version(state.name),
-                    "layers_over_time": past[state.name],
+                    "layers_over_time": past.get(state.name, []),
                 }
                 for state in states
             ],
@@ -80,14 +82,13 @@ class Board:
 
     def picture(self, number: int) -> bytes | None:
         """Newest picture (JPEG) of the stream at this place in the list; None if there is none."""
-        paths = list(self._pictures.values())
         try:
-            return paths[number].read_bytes()
+            return live_picture_path(self._pictures, self.states[number].name).read_bytes()
         except (IndexError, OSError):
             return None
 
     def _version(self, name: str) -> str | None:
         try:
-            return str(self._pictures[name].stat().st_mtime_ns)
+            return str(live_picture_path(self._pictures, name).stat().st_mtime_ns)
         except OSError:
             return None

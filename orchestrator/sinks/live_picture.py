@@ -13,11 +13,16 @@ from mlbs_actors.messages import Array
 from orchestrator.durable_files import temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels
 
-__all__ = ["LivePicture"]
+__all__ = ["LivePicture", "live_picture_path"]
 
 _WIDTH = 640  # px, at most
 _JPEG_QUALITY = 75
 _SECONDS = 1.0  # least time between two pictures: what it costs does not grow with the speed
+
+
+def live_picture_path(folder: Path, stream: str) -> Path:
+    """Where the picture of a stream is, in the folder of all of them."""
+    return folder / f"{stream}.jpg"
 
 
 class LivePicture:

@@ -17,9 +17,7 @@ from orchestrator.credentials import mask
 from orchestrator.sources.scene_scripts import SCRIPTS
 from orchestrator.sources.synthetic import LIMITS, SCHEME
 
-__all__ = ["GLOB_CHARACTERS", "SourceAddress", "SourceKind", "parse_address"]
-
-GLOB_CHARACTERS = "*?["
+__all__ = ["SourceAddress", "SourceKind", "has_wildcards", "parse_address"]
 
 _MAX_ADDRESS_BYTES = 4096
 _SCHEME = re.compile(r"([^/:]*):")  # wider than the standard's: libav knows "subfile,,start,0,,:"
@@ -89,12 +87,17 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
             )
 
 
+def has_wildcards(text: str) -> bool:
+    """Whether a path, or a part of one, may be a glob; a file of that very name counts first."""
+    return any(mark in text for mark in "*?[")
+
+
 def _path_address(text: str, folder: Path) -> SourceAddress:
     # Not resolved: the names of links, not of their targets, are the user's.
     path = Path(folder.absolute(), Path(text).expanduser() if text.startswith("~/") else text)
     if _CAMERA.fullmatch(str(path)):
         return SourceAddress(SourceKind.CAMERA, str(path), path.name)
-    plain = [part for part in path.parts if not any(mark in part for mark in GLOB_CHARACTERS)]
+    plain = [part for part in path.parts if not has_wildcards(part)]
     last = Path(plain[-1])
     is_file_name = plain[-1] == path.name
     return SourceAddress(SourceKind.PATH, str(path), last.stem if is_file_name else last.name)

@@ -7,58 +7,20 @@ A file that cannot be decoded stays a frame of the sequence, as quarantined.
 
 from __future__ import annotations
 
-import glob
-import re
-from pathlib import Path
-
 import cv2
 import numpy as np
 
 from mlbs_actors.actors.stream_protocol import SourceFrame, SourceStatus
-from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
+from orchestrator.sources.presence import images_of
 
-__all__ = ["FRAME_RATE", "IMAGE_SUFFIXES", "ImageSequenceReader", "decode_image", "images_of"]
+__all__ = ["FRAME_RATE", "ImageSequenceReader", "decode_image"]
 
 #: Frames a second that a sequence of images is taken to have: files carry no time.
 FRAME_RATE = 25.0
 
-IMAGE_SUFFIXES = frozenset(
-    {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
-)
-
 _TAIL_BYTES = 64
 _END_MARKERS = {b"\xff\xd8\xff": b"\xff\xd9", b"\x89PNG": b"IEND"}
-
-
-def images_of(location: str) -> list[Path]:
-    """List the images of a folder, or those that match a glob, in natural order.
-
-    Raises
-    ------
-    SourceError
-        If there are none, or two would give their masks the same name.
-    """
-    folder = Path(location)
-    try:
-        # Path.glob takes no absolute patterns.
-        names = folder.iterdir() if folder.is_dir() else glob.iglob(location)  # noqa: PTH207
-        found = [Path(name) for name in names]
-    except OSError as error:
-        raise SourceError(f"The images of {location} cannot be listed: {error.strerror}.") from None
-    images = [path for path in found if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()]
-    visible = sorted((path for path in images if not path.name.startswith(".")), key=_natural_order)
-    if not visible:
-        raise SourceError(f"There are no images at {location}; check the path ({_suffix_list()} are read).")
-    first_of: dict[str, Path] = {}
-    for path in visible:
-        other = first_of.setdefault(path.stem, path)
-        if other is not path:
-            raise SourceError(
-                f"{other} and {path} would have the same mask, {path.stem}.png; "
-                "name one kind of file by a glob such as 'folder/*.jpg'."
-            )
-    return visible
 
 
 def decode_image(data: bytes) -> Array | None:
@@ -116,14 +78,3 @@ class ImageSequenceReader:
 
     def close(self) -> None:
         """Nothing is held open."""
-
-
-def _natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
-    """Sort key by which frame10 comes after frame9; equal numbers (1, 01) fall back to the text."""
-    parts = re.split(r"(\d+)", str(path))
-    key = [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts if part]
-    return key, str(path)
-
-
-def _suffix_list() -> str:
-    return ", ".join(sorted(suffix.removeprefix(".") for suffix in IMAGE_SUFFIXES))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame
-from mlbs_actors.errors import SourceError
-from orchestrator.sources.address import GLOB_CHARACTERS, SourceAddress, SourceKind
-from orchestrator.sources.images import FRAME_RATE, IMAGE_SUFFIXES, ImageSequenceReader
+from orchestrator.sources.address import SourceAddress, SourceKind
+from orchestrator.sources.images import FRAME_RATE, ImageSequenceReader
+from orchestrator.sources.live import LiveReader
+from orchestrator.sources.presence import holds_images, require_source
 from orchestrator.sources.synthetic import SyntheticScene, scene_from_uri
 from orchestrator.sources.video import VideoReader
 
@@ -22,21 +21,14 @@ def open_reader(address: SourceAddress) -> FrameReader:
     SourceError
         If it is not there, or cannot be read.
     """
+    require_source(address)
     if address.kind is SourceKind.SYNTHETIC:
         return SceneReader(scene_from_uri(address.location))
     if address.kind is not SourceKind.PATH:
-        return VideoReader(address)
-    path = Path(address.location)
-    if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
+        return LiveReader.of(address)
+    if holds_images(address):
         return ImageSequenceReader(address.location)
-    if path.is_file():
-        return VideoReader(address)
-    if path.exists():
-        # A pipe would keep its reader waiting for ever.
-        raise SourceError(f"{address} is no regular file; name a video file or a folder of images.")
-    if any(mark in address.location for mark in GLOB_CHARACTERS):
-        return ImageSequenceReader(address.location)
-    raise SourceError(f"There is no file or folder {address}; correct its line in the list of streams.")
+    return VideoReader(address)
 
 
 class SceneReader:

@@ -1,0 +1,94 @@
+"""What videos, network streams and cameras share: how libav (PyAV) opens them and what a picture is.
+
+Decoding is single-threaded: its result and its log then belong to the call, and one core serves several
+streams better. A file is opened by libav's ``file:`` protocol alone and as one of the known containers:
+playlists and ``concat:`` lists, which can name any file or address, are no videos here.
+"""
+
+from __future__ import annotations
+
+import av
+import av.error
+import av.logging
+import numpy as np
+from av.container import InputContainer
+from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
+
+from mlbs_actors.errors import SourceError
+from mlbs_actors.messages import Array
+from orchestrator.credentials import mask
+from orchestrator.sources.address import SourceAddress, SourceKind
+
+__all__ = ["open_video", "reason", "upright_bgr"]
+
+_CONTAINERS = (
+    "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,mpegvideo,m4v,h264,hevc,av1,obu,ivf,vc1,flv,asf,"
+    "ogg,mjpeg,mxf,dv,gif,yuv4mpegpipe,nut,rm,wtv"
+)
+_OPTIONS = {
+    SourceKind.PATH: {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS},
+    SourceKind.NETWORK: {
+        "protocol_whitelist": "rtsp,rtp,srtp,udp,tcp,tls,crypto",
+        "format_whitelist": "rtsp,sdp,rtp,mpegts,asf",
+        "rtsp_transport": "tcp",
+    },
+    SourceKind.CAMERA: {"format_whitelist": "video4linux2,v4l2"},
+}
+
+
+def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer, VideoStream]:
+    """Open a source and choose its first video stream.
+
+    Parameters
+    ----------
+    address : SourceAddress
+        Of kind PATH (a file), NETWORK or CAMERA.
+    timeout_s : float
+        Longest wait for an answer, here and in each later read, s.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be opened or holds no video; the message hides credentials.
+    """
+    # Repeated lines are counted too. Whatever is logged goes to captures, here and where frames are read.
+    av.logging.set_level(av.logging.ERROR)
+    av.logging.set_skip_repeated(False)
+    kind, location = address.kind, address.location
+    try:
+        with av.logging.Capture():
+            container = av.open(
+                f"file:{location}" if kind is SourceKind.PATH else location,
+                format="v4l2" if kind is SourceKind.CAMERA else None,
+                options=_OPTIONS[kind],
+                timeout=timeout_s,
+            )
+    except (av.error.FFmpegError, OSError, ValueError) as error:
+        # Neither the message nor the chained error may carry libav's text: it quotes the address.
+        raise SourceError(f"Cannot open {address}: {reason(error)}.") from None
+    if not container.streams.video:
+        container.close()
+        raise SourceError(f"{address} holds no video.")
+    stream = container.streams.video[0]
+    stream.thread_type = "NONE"
+    stream.codec_context.thread_count = 1
+    return container, stream
+
+
+def reason(error: Exception) -> str:
+    """Say in a few words, without credentials, what libav raised."""
+    if isinstance(error, av.error.ExitError):
+        return "no answer in time"
+    text = getattr(error, "strerror", None) or type(error).__name__
+    return mask(str(text)).rstrip(".")
+
+
+def upright_bgr(frame: VideoFrame) -> Array | None:
+    """Convert to (H, W, 3) uint8 BGR and undo the rotation that the source states; None if it cannot be."""
+    try:
+        image = frame.to_ndarray(format="bgr24")
+    except (av.error.FFmpegError, ValueError):
+        return None
+    quarter_turns = round(frame.rotation / 90) % 4
+    return np.ascontiguousarray(np.rot90(image, quarter_turns))

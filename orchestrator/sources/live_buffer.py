@@ -1,0 +1,132 @@
+"""What a camera has delivered and nobody has taken yet: the newest pictures, and a row for every other one.
+
+Pure: the time is an argument. Nothing that a camera sent or failed to send is left out: a picture that had to
+make way is a row ``dropped``, a time without pictures a row ``gap``.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mlbs_actors.actors.stream_protocol import SourceFrame, SourceStatus
+from mlbs_actors.messages import Array
+
+__all__ = ["STALL_SECONDS", "LiveBuffer", "LiveTime", "Picture", "retry_seconds"]
+
+#: Silence that counts as a stall, and as a gap in the record, s.
+STALL_SECONDS = 5.0
+
+#: Pictures kept; few, because the newest are wanted.
+CAPACITY = 2
+
+_FIRST_RETRY_SECONDS, _LONGEST_RETRY_SECONDS = 0.5, 30.0
+
+#: How far a camera's clock may be from this machine's before it is set anew, s.
+_MOST_DRIFT_SECONDS = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One picture as a camera sent it.
+
+    Attributes
+    ----------
+    time : float, optional
+        On the camera's own clock, s.
+    convert : callable
+        Gives the (H, W, 3) uint8 BGR image, None if it cannot be decoded. Called only if it is wanted.
+    """
+
+    time: float | None
+    convert: Callable[[], Array | None]
+
+
+def retry_seconds(failures: int) -> float:
+    """How long to wait before the next try to connect, s.
+
+    It doubles with every failure up to a bound, and is spread at random, so that many cameras behind one
+    switch are not all tried at once.
+    """
+    longest = min(_FIRST_RETRY_SECONDS * 2.0 ** min(failures - 1, 16), _LONGEST_RETRY_SECONDS)
+    return random.uniform(0.5, 1.0) * longest
+
+
+class LiveTime:
+    """Seconds since the first frame, from the camera's own clock, over all its connections."""
+
+    def __init__(self) -> None:
+        self._began: float | None = None
+        self._offset: float | None = None
+        self.last = 0.0
+
+    def reconnected(self) -> None:
+        """A new connection counts from anywhere."""
+        self._offset = None
+
+    def of(self, camera_time: float | None, now: float) -> float:
+        """Time of a picture that arrived at ``now``, by this machine's clock; never before the last one."""
+        if self._began is None:
+            self._began = now
+        arrived = now - self._began
+        if camera_time is None:
+            pts = arrived
+        else:
+            if self._offset is None or abs(camera_time + self._offset - arrived) > _MOST_DRIFT_SECONDS:
+                self._offset = arrived - camera_time
+            pts = camera_time + self._offset
+        self.last = max(self.last, pts)
+        return self.last
+
+
+@dataclass(slots=True)
+class _Row:
+    index: int
+    pts: float
+    status: SourceStatus
+    picture: Picture | None
+
+
+class LiveBuffer:
+    """Rows in the order in which the camera made them."""
+
+    def __init__(self) -> None:
+        self._rows: deque[_Row] = deque()
+        self._pictures: deque[_Row] = deque()
+        self._count = 0
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def put(self, picture: Picture, pts: float) -> None:
+        """Append a picture; the oldest makes way if there are too many."""
+        row = self._append(pts, "ok", picture)
+        self._pictures.append(row)
+        if len(self._pictures) > CAPACITY:
+            oldest = self._pictures.popleft()
+            oldest.status, oldest.picture = "dropped", None
+
+    def gap(self, pts: float) -> None:
+        """Append a row for a time without pictures that began at ``pts``."""
+        self._append(pts, "gap", None)
+
+    def take(self) -> Callable[[], SourceFrame]:
+        """Remove the oldest row; what is returned makes it a frame, which takes some milliseconds."""
+        row = self._rows.popleft()
+        if row.picture is not None:
+            self._pictures.popleft()
+        return lambda: _frame(row)
+
+    def _append(self, pts: float, status: SourceStatus, picture: Picture | None) -> _Row:
+        row = _Row(self._count, pts, status, picture)
+        self._rows.append(row)
+        self._count += 1
+        return row
+
+
+def _frame(row: _Row) -> SourceFrame:
+    image = None if row.picture is None else row.picture.convert()
+    status: SourceStatus = "quarantined" if row.picture is not None and image is None else row.status
+    return SourceFrame(row.index, image, row.pts, f"{row.index:05d}", status)

@@ -1,0 +1,134 @@
+"""What is on the disk at an address, told without opening or decoding anything.
+
+Nothing here imports Ray, so a list of streams can be looked through before anything starts.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from collections.abc import Collection
+from pathlib import Path
+
+from mlbs_actors.errors import SourceError
+from orchestrator.sources.address import SourceAddress, SourceKind, has_wildcards
+
+__all__ = ["holds_images", "images_of", "require_source", "videos_of"]
+
+_IMAGE_SUFFIXES = frozenset(
+    {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
+)
+
+_VIDEO_SUFFIXES = frozenset(
+    {".3gp", ".avi", ".flv", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv", ".ts"}
+    | {".webm", ".wmv"}
+)
+
+
+def require_source(address: SourceAddress) -> None:
+    """Look whether there is something to open; cheap, and nothing is decoded.
+
+    Raises
+    ------
+    SourceError
+        If the file, folder or device is not there, or cannot be one that is read.
+    """
+    if address.kind is SourceKind.PATH:
+        try:
+            _require_path(address)
+        except OSError as error:
+            raise SourceError(f"{address} cannot be read: {error.strerror}; check the path.") from None
+    elif address.kind is SourceKind.CAMERA and not Path(address.location).exists():
+        raise SourceError(f"There is no camera {address}; list those that are there with: ls /dev/video*")
+
+
+def _require_path(address: SourceAddress) -> None:
+    path = Path(address.location)
+    if holds_images(address):
+        images_of(address.location)
+    elif not path.exists():
+        raise SourceError(f"There is no file or folder {address}; correct its line in the list of streams.")
+    elif not path.is_file():
+        # A pipe would keep its reader waiting for ever.
+        raise SourceError(f"{address} is no regular file; name a video file or a folder of images.")
+    elif not os.access(path, os.R_OK):
+        raise SourceError(f"The file {address} cannot be read; change its permissions.")
+    elif path.stat().st_size == 0:
+        raise SourceError(f"The file {address} is empty; copy it again.")
+
+
+def holds_images(address: SourceAddress) -> bool:
+    """Whether the address is a folder, a glob or an image."""
+    path = Path(address.location)
+    if address.kind is not SourceKind.PATH:
+        return False
+    is_glob = has_wildcards(address.location) and not path.exists()
+    return path.is_dir() or is_glob or (path.is_file() and path.suffix.lower() in _IMAGE_SUFFIXES)
+
+
+def videos_of(location: str) -> list[Path]:
+    """List the videos of a folder, or those that match a glob, in natural order; empty if there are none.
+
+    Raises
+    ------
+    SourceError
+        If there are images too, so that nobody knows which are meant.
+    """
+    try:
+        if not (Path(location).is_dir() or has_wildcards(location)):
+            return []
+    except OSError:
+        return []  # such as a name that is too long; whoever opens it tells
+    videos = _files_of(location, _VIDEO_SUFFIXES)
+    if videos and (images := _files_of(location, _IMAGE_SUFFIXES)):
+        raise SourceError(
+            f"{location} holds videos and images, such as {videos[0].name} and {images[0].name}; "
+            f"name one kind by a glob such as 'folder/*{videos[0].suffix}'."
+        )
+    return videos
+
+
+def images_of(location: str) -> list[Path]:
+    """List the images of a folder, or those that match a glob, in natural order.
+
+    Raises
+    ------
+    SourceError
+        If there are none, or two would give their masks the same name.
+    """
+    visible = _files_of(location, _IMAGE_SUFFIXES)
+    if not visible:
+        raise SourceError(f"There are no images at {location}; check the path ({_suffix_list()} are read).")
+    first_of: dict[str, Path] = {}
+    for path in visible:
+        other = first_of.setdefault(path.stem, path)
+        if other is not path:
+            raise SourceError(
+                f"{other} and {path} would have the same mask, {path.stem}.png; "
+                "name one kind of file by a glob such as 'folder/*.jpg'."
+            )
+    return visible
+
+
+def _files_of(location: str, suffixes: Collection[str]) -> list[Path]:
+    folder = Path(location)
+    try:
+        # Path.glob takes no absolute patterns.
+        names = folder.iterdir() if folder.is_dir() else glob.iglob(location)  # noqa: PTH207
+        found = [Path(name) for name in names]
+    except OSError as error:
+        raise SourceError(f"The files of {location} cannot be listed: {error.strerror}.") from None
+    fitting = (path for path in found if path.suffix.lower() in suffixes and path.is_file())
+    return sorted((path for path in fitting if not path.name.startswith(".")), key=_natural_order)
+
+
+def _natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    """Sort key by which frame10 comes after frame9; equal numbers (1, 01) fall back to the text."""
+    parts = re.split(r"(\d+)", str(path))
+    key = [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts if part]
+    return key, str(path)
+
+
+def _suffix_list() -> str:
+    return ", ".join(sorted(suffix.removeprefix(".") for suffix in _IMAGE_SUFFIXES))
