@@ -265,7 +265,7 @@ class Coordinator:
         )
 
     def _clustering_due(self, frame_index: int) -> bool:
-        """Often at first, while objects are told apart; then trajectories keep their labels for some frames."""
+        """Often at first, while objects are told apart; later trajectories keep labels for some frames."""
         layers, age = self.config.layers, frame_index - self.state.epoch
         if not self.state.clustered:
             return age + 1 >= layers.init_frames

@@ -84,9 +84,7 @@ def run(
         folder.claim(job.description)
         status = StatusFile(folder.path / "status.json")
         changes = job.changes if arguments.watch else None
-        states, exit_status = _drive(
-            job, ended, changes, limit, [status, *boards], folder.path / "ray.log"
-        )
+        states, exit_status = _drive(job, ended, changes, limit, [status, *boards], folder.path / "ray.log")
     states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
     try:
         status.finish(states, exit_status)
