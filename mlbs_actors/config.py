@@ -120,6 +120,9 @@ class LayersConfig(_Section):
         3, ge=1, description="Trajectories are clustered anew every so many frames (at first in each)."
     )
     young_frames: int = Field(6, ge=0, description="Age below which a label can be merged by motion.")
+    least_moving: float = Field(
+        0.25, ge=0, le=1, description="Share of its life in which a label must have moved to count as older."
+    )
     merge_quantile: float = Field(
         0.3, ge=0, le=1, description="Quantile of motion distances across a border."
     )

@@ -302,6 +302,7 @@ class Coordinator:
                 origins = {}
             speeds = label_speeds(state.trajectories, labels)
             least = least_object_speed(state.trajectories, labels == BACKGROUND, config.layers, scale)
+            registry.judge(speeds, least)
             ages = registry.ages(frame_index)
             split = labels
             labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)

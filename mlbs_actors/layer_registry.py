@@ -43,6 +43,8 @@ class RegistryState:
         Label that a candidate fell off, −1 if it fell off none.
     seen : (k,) int64
         Last frame awake; older than the newest frame = asleep.
+    judged, moving : (k,) int64
+        Clusterings it has been through, and in how many of them it moved against the camera.
     tracked : (k,) int64
         Last frame with enough trajectories; a layer can stay awake a little longer on its published pixels.
     centroids, velocities : (k, 2) float64
@@ -62,6 +64,8 @@ class RegistryState:
     labels: Array
     born: Array
     origins: Array
+    judged: Array
+    moving: Array
     seen: Array
     tracked: Array
     centroids: Array
@@ -76,6 +80,8 @@ class RegistryState:
     def empty() -> RegistryState:
         """No object yet."""
         return RegistryState(
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
             np.zeros(0, np.int64),
             np.zeros(0, np.int64),
             np.zeros(0, np.int64),
@@ -128,13 +134,35 @@ class LayerRegistry:
         self.shape = shape
         self.state = state or RegistryState.empty()
 
+    def judge(self, speeds: Mapping[int, float], least: float) -> None:
+        """Take note at a clustering of which labels move against the camera.
+
+        Parameters
+        ----------
+        speeds : mapping of int to float
+            Label → its speed against the camera, px/frame; of all labels that have trajectories.
+        least : float
+            Speed of an object, px/frame.
+        """
+        state = self.state
+        moving = [label for label, speed in speeds.items() if speed >= least]
+        self.state = replace(
+            state,
+            judged=state.judged + np.isin(state.labels, list(speeds)),
+            moving=state.moving + np.isin(state.labels, moving),
+        )
+
     def ages(self, frame_index: int) -> dict[int, int]:
-        """Frames since birth of every label, the background being older than all."""
-        ages = {
-            int(label): int(frame_index - born)
-            for label, born in zip(self.state.labels, self.state.born, strict=True)
-        }
-        return {**ages, BACKGROUND: np.iinfo(np.int64).max}
+        """Frames since birth of every label, the background being older than all.
+
+        A label that has hardly moved in all its life is as young as on its first frame: what is nearer to the
+        camera than the rest of a scene can look like an object for a while, and would be one for ever.
+        """
+        state = self.state
+        proven = state.moving >= self.config.least_moving * state.judged
+        ages = np.where(proven, frame_index - state.born, 0)
+        known = {int(label): int(age) for label, age in zip(state.labels, ages, strict=True)}
+        return {**known, BACKGROUND: np.iinfo(np.int64).max}
 
     def live_layers(self, frame_index: int) -> tuple[int, ...]:
         """Layer ids, without the background, awake at the newest frame or one held before it; ascending."""
@@ -199,6 +227,8 @@ class LayerRegistry:
                     origins=np.concatenate(
                         [[self._object(origins.get(int(label), UNLABELLED))], state.origins]
                     ),
+                    judged=np.concatenate([[0], state.judged]),
+                    moving=np.concatenate([[0], state.moving]),
                     seen=np.concatenate([[frame_index], state.seen]),
                     tracked=np.concatenate([[frame_index], state.tracked]),
                     centroids=np.concatenate([np.zeros((1, 2)), state.centroids]),
@@ -309,6 +339,8 @@ class LayerRegistry:
             born=state.born[rows],
             # Parts of what is forgotten are parts of nothing.
             origins=np.where(np.isin(origins, labels), origins, UNLABELLED),
+            judged=state.judged[rows],
+            moving=state.moving[rows],
             seen=state.seen[rows],
             tracked=state.tracked[rows],
             centroids=state.centroids[rows],

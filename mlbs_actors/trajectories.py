@@ -235,8 +235,8 @@ def evenly_spread(positions: Array, spacing: float) -> Array:
     (m,) intp
         Ascending positions in the array; of each square the first.
     """
-    squares = np.floor(positions / np.float32(spacing)).astype(np.int64)
-    _, first = np.unique(squares, axis=0, return_index=True)
+    column, row = np.floor(positions / np.float32(spacing)).astype(np.int64).T
+    _, first = np.unique((row << 32) + column, return_index=True)
     return np.sort(first)
 
 

@@ -442,3 +442,29 @@ def test_a_signature_is_the_share_of_each_colour_bin() -> None:
 
 def test_no_pixels_have_an_empty_signature() -> None:
     assert colour_signature(np.zeros((0, 3), np.uint8)).sum() == 0.0
+
+
+# Objects that hardly move
+
+
+def test_a_label_that_has_hardly_moved_stays_as_young_as_on_its_first_frame() -> None:
+    stream = Stream()
+    for frame in range(12):
+        stream.see({"car": Thing(), "kerb": Thing(place=(300.0, 300.0))})
+        speeds = {stream.labels["car"]: 2.0, stream.labels["kerb"]: 2.0 if frame < 2 else 0.1}
+        stream.registry.judge(speeds, 1.0)
+        ages = stream.registry.ages(frame)
+        assert ages[stream.labels["car"]] == frame
+        moved_in = min(frame + 1, 2) / (frame + 1)
+        assert ages[stream.labels["kerb"]] == (frame if moved_in >= CONFIG.least_moving else 0)
+    assert ages[stream.labels["kerb"]] == 0
+
+
+def test_what_has_no_trajectories_is_not_judged() -> None:
+    stream = Stream()
+    for _ in range(6):
+        stream.see({"car": Thing()})
+        stream.registry.judge({stream.labels["car"]: 2.0}, 1.0)
+    for _ in range(30):
+        stream.registry.judge({}, 1.0)
+    assert stream.registry.ages(6)[stream.labels["car"]] == 6
