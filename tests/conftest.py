@@ -17,6 +17,13 @@ import ray
 _OBJECT_STORE_BYTES = 100_000_000
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave all tests that need Ray to one process, so that they share a session."""
+    for item in items:
+        if item.get_closest_marker("ray"):
+            item.add_marker(pytest.mark.xdist_group("ray"))
+
+
 @dataclass(frozen=True)
 class RaySession:
     """The running session: its folder, and the size of its object store, bytes."""
