@@ -245,7 +245,7 @@ class Coordinator:
             )
 
     def _clustering_due(self, frame_index: int) -> bool:
-        """Often at first, while objects are told apart; then trajectories keep their labels for some frames."""
+        """Often at first, while objects are told apart; later trajectories keep labels for some frames."""
         layers = self.config.layers
         if not self.state.clustered:
             return frame_index + 1 >= layers.init_frames
