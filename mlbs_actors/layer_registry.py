@@ -315,7 +315,8 @@ class LayerRegistry:
         frame_index : int
         probation : int
             Frames that a candidate must have lasted to become a layer; one that fell off an object must have
-            lasted for ``part_probation_frames``.
+            lasted for ``part_probation_frames``. One whose object has lost all other trajectories is that
+            object from now on.
 
         Returns
         -------
@@ -323,6 +324,7 @@ class LayerRegistry:
         """
         labels = labels.copy()
         awaited = np.where(self.state.origins == UNLABELLED, probation, self.config.part_probation_frames)
+        awaited[[self._bereft(row, frame_index) is not None for row in range(len(awaited))]] = 0
         for label in self.state.labels[
             (self.state.labels < UNLABELLED) & (frame_index - self.state.born >= awaited)
         ][::-1]:
@@ -353,17 +355,29 @@ class LayerRegistry:
         """Make a candidate a layer: wake the sleeping one that it is, or else a new one."""
         state = self.state
         row = int(np.flatnonzero(state.labels == candidate)[0])
-        sleeper = self._sleeper_like(row, frame_index)
+        sleeper = self._bereft(row, frame_index)
+        if sleeper is None:
+            sleeper = self._sleeper_like(row, frame_index)
         if sleeper is None:
             label, born, pooled = state.next_layer, state.born[row], False
             state = replace(state, next_layer=state.next_layer + 1)
         else:
             label, born, pooled = int(state.labels[sleeper]), state.born[sleeper], bool(state.pooled[sleeper])
+            state.judged[row] += state.judged[sleeper]
+            state.moving[row] += state.moving[sleeper]
         state.labels[row], state.born[row], state.pooled[row] = label, born, pooled
         self.state = state
         rows = np.argsort(state.labels, kind="stable")
         self._select(rows if sleeper is None else rows[rows != sleeper])
         return label
+
+    def _bereft(self, row: int, frame_index: int) -> int | None:
+        """The object a candidate fell off, if that has no trajectories: it lives on in the candidate."""
+        state = self.state
+        if state.labels[row] > BACKGROUND or state.origins[row] == UNLABELLED:
+            return None
+        origin = int(np.flatnonzero(state.labels == state.origins[row])[0])
+        return origin if state.tracked[origin] < frame_index else None
 
     def _sleeper_like(self, row: int, frame_index: int) -> int | None:
         """The sleeping layer that best explains a candidate by colour and place, if any does."""

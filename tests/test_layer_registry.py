@@ -133,6 +133,22 @@ def test_what_falls_off_a_part_belongs_to_the_same_object() -> None:
     assert stream.layer_of("hand") == 1
 
 
+def test_a_part_that_is_all_that_is_left_of_its_object_is_that_object() -> None:
+    stream = Stream()
+    stream.skip(1)
+    for _ in range(CONFIG.probation_frames + 1):
+        stream.see({"man": Thing(), "car": Thing(place=(400.0, 300.0))})
+    man = stream.layer_of("man")
+    parted = {"man": Thing(), "body": Thing(colour=BLUE, part_of="man"), "car": Thing(place=(400.0, 300.0))}
+    stream.see(parted)
+    assert stream.layer_of("body") == man
+    before = stream.labels["body"]
+    stream.see({name: thing for name, thing in parted.items() if name != "man"})
+    assert stream.labels["body"] == man != before
+    for _ in range(3 * CONFIG.part_probation_frames):
+        assert man in stream.see({"body": Thing(colour=BLUE)})
+
+
 def test_a_part_of_an_object_that_shares_the_layer_other_is_in_that_layer_too() -> None:
     stream = Stream(CONFIG.model_copy(update={"max_layers": 3}))
     pair = {"large": Thing(tracks=30), "small": Thing(place=(300.0, 100.0)), "tiny": Thing(tracks=5)}

@@ -194,14 +194,14 @@ def test_in_a_shadow_an_object_is_dearer_than_the_background_and_elsewhere_it_is
     region = Region(100, 60, 100, 110)
     x, y = np.meshgrid(np.arange(124, 178, 6), np.arange(84, 118, 6))
     at = np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
-    background = posterior(0, 80, Region(0, 0, 320, 240))
-    posteriors = [background, posterior(1, 60, region)]
+    background = posterior(0, 80, Region(0, 0, 320, 240), frame_index=1)
+    posteriors = [background, posterior(1, 60, region, frame_index=1)]
     before = np.zeros(shape, np.uint16)
     before[region.slices] = 1
     maps = {}
     for strength in (0.0, 0.5):
-        segmenter = Segmenter(configured(shadow=strength, track_cost=0.0), SegmenterState(0, before))
-        given = replace(evidence_of(posteriors, tracks={1: at}), shape=shape)
+        segmenter = Segmenter(configured(shadow=strength, track_cost=0.0), SegmenterState(1, before))
+        given = replace(evidence_of(posteriors, 1, {1: at}), shape=shape)
         maps[strength] = segmenter.step(given, image, posteriors).labels
     assert (maps[0.0][region.slices] == 1).all()
     assert not maps[0.5][127:145, 122:178].any()
