@@ -1,7 +1,7 @@
 """The state of a part as a file: typed arrays and plain values, no pickle.
 
 A file holds one dataclass: its values as JSON, in which an array is a number, then the bytes of the arrays,
-then the SHA-256 of all that. It is read back against the type that is expected, field by field; what does not
+then the CRC-32 of all that. It is read back against the type that is expected, field by field; what does not
 fit is refused, never guessed at, and nothing in a file can name code.
 
 Besides their values, arrays keep their memory order and whether they may be written to: sums and compiled
@@ -10,10 +10,10 @@ kernels depend on them.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -25,14 +25,14 @@ import numpy as np
 from mlbs_actors.errors import SnapshotError
 from mlbs_actors.messages import Array
 
-__all__ = ["CapturedState", "capture", "digest_of", "read_state"]
+__all__ = ["CapturedState", "capture", "check_file", "read_state"]
 
 _State = TypeVar("_State")
 
 #: First bytes of every file; another version of this format has others.
 _MAGIC = b"mlbs-st1"
 _LENGTH = struct.Struct("<Q")
-_DIGEST_BYTES = 32
+_CHECKSUM = struct.Struct("<I")
 _ALIGNMENT = 64
 _SCALARS = (bool, int, float, str)
 
@@ -60,12 +60,12 @@ class CapturedState:
             As the disk says.
         """
         draft = path.with_name(f".{path.name}.part")
-        digest = hashlib.sha256()
+        checksum = 0
         with draft.open("wb") as file:
             for piece in self._pieces():
-                digest.update(piece)
+                checksum = zlib.crc32(piece, checksum)
                 file.write(piece)
-            file.write(digest.digest())
+            file.write(_CHECKSUM.pack(checksum))
             file.flush()
             os.fsync(file.fileno())
         draft.replace(path)
@@ -128,9 +128,9 @@ def read_state(path: Path, kind: type[_State]) -> _State:
     return state
 
 
-def digest_of(path: Path) -> str:
-    """Check that a file is whole; return its SHA-256, raises as :func:`read_state`."""
-    return _checked(path)[-_DIGEST_BYTES:].tobytes().hex()
+def check_file(path: Path) -> None:
+    """Check that a file is whole; raises as :func:`read_state`."""
+    _checked(path)
 
 
 def _checked(path: Path) -> Array:
@@ -138,8 +138,8 @@ def _checked(path: Path) -> Array:
         content = np.fromfile(path, np.uint8)
     except OSError as error:
         raise SnapshotError(f"The state {path} cannot be read: {error.strerror}.") from None
-    body, digest = content[:-_DIGEST_BYTES], content[-_DIGEST_BYTES:].tobytes()
-    if body[: len(_MAGIC)].tobytes() != _MAGIC or hashlib.sha256(body.data).digest() != digest:
+    body, end = content[: -_CHECKSUM.size], content[-_CHECKSUM.size :].tobytes()
+    if body[: len(_MAGIC)].tobytes() != _MAGIC or _CHECKSUM.pack(zlib.crc32(body.data)) != end:
         raise SnapshotError(f"The state {path} is damaged.")
     return content
 

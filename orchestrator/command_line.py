@@ -40,6 +40,7 @@ exit status:
   1    a stream failed, or is partial (damaged or cut off; what could be read is kept)
   2    the command, the configuration or the list cannot be used; nothing was started
   130, 143  interrupted by SIGINT or SIGTERM; what was read is kept. A second signal ends it at once.
+            Both, and a killed run, go on with --resume.
 """
 
 
@@ -59,6 +60,8 @@ class Arguments:
         ``section.key=value`` each, applied after the file.
     address : str, optional
         Ray cluster to join; None for one of this run's own.
+    resume : bool
+        Go on with the run in ``output``.
     save : frozenset of str
         Parts of :data:`SAVABLE`.
     max_frames : int, optional
@@ -70,6 +73,7 @@ class Arguments:
     config: Path | None
     overrides: tuple[str, ...]
     address: str | None
+    resume: bool
     save: frozenset[str]
     max_frames: int | None
 
@@ -85,8 +89,6 @@ def parse(argv: Sequence[str]) -> Arguments:
         From argparse: 0 after ``--help``, 2 if the arguments do not fit the usage.
     """
     given = _parser().parse_args(argv)
-    if given.resume:
-        raise ConfigError("--resume is not available yet; give a new folder with --output instead.")
     if given.monitor is not None:
         raise ConfigError("--monitor is not available yet; read status.json in the output folder instead.")
     if given.address is not None and given.address.startswith("ray://"):
@@ -99,6 +101,7 @@ def parse(argv: Sequence[str]) -> Arguments:
         config=given.config,
         overrides=tuple(given.overrides),
         address=given.address,
+        resume=given.resume,
         save=_parts(given.save),
         max_frames=given.max_frames,
     )
@@ -135,7 +138,7 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         default=Path("out"),
         metavar="DIR",
-        help="folder for the results; one that holds a run is refused (default: out)",
+        help="folder for the results; one that holds a run is refused without --resume (default: out)",
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML file with parameters")
     parser.add_argument(
@@ -152,7 +155,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="ADDR",
         help="join the Ray cluster at HOST:PORT, or auto (default: one of this run's own, on this machine)",
     )
-    parser.add_argument("--resume", action="store_true", help="go on with a run that ended (not yet)")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on with the run in DIR that was killed or interrupted; all else must be as it was",
+    )
     parser.add_argument(
         "--save",
         default="masks,parquet,overlay",

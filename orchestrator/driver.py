@@ -2,7 +2,8 @@
 
 The rules are pure functions (:mod:`orchestrator.stream_state`, :mod:`orchestrator.admission`); here is
 the loop that waits for whatever happens next. Frames do not pass through it. One stream's failure ends
-that stream alone.
+that stream alone. A stream that lost a process, or hangs, is stopped and started again; it finds its last
+snapshot by itself.
 """
 
 from __future__ import annotations
@@ -10,19 +11,22 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import replace
 from typing import Any, Protocol
 
 from mlbs_actors.actors.stream_protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
-from mlbs_actors.errors import MlbsError
+from mlbs_actors.errors import ActorLostError, MlbsError
 from orchestrator.admission import streams_to_start
 from orchestrator.interruption import Interruption
+from orchestrator.recovery import STALL_SECONDS, START_SECONDS, Returns
 from orchestrator.stream_state import (
     StreamState,
     after_end,
     after_failure,
     after_interruption,
+    after_loss,
     after_progress,
     exit_code,
 )
@@ -57,6 +61,8 @@ class Driver:
     observers : sequence of Observer
     interruption : Interruption
         Looked at between events.
+    ended : mapping of str to StreamState, optional
+        Streams that came to their ends in an earlier run; they are not started.
     clock : callable
         Monotonic time, s.
     """
@@ -69,17 +75,22 @@ class Driver:
         limit: int,
         observers: Sequence[Observer],
         interruption: Interruption,
+        ended: Mapping[str, StreamState] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._specs = {spec.name: spec for spec in specs}
-        self._states = {spec.name: StreamState(spec.name) for spec in specs}
+        self._states = {spec.name: StreamState(spec.name) for spec in specs} | dict(ended or {})
         self._host = host
         self._limit = limit
         self._observers = observers
         self._interruption = interruption
+        self._clock = clock
         self._rates = {spec.name: _Rate(clock) for spec in specs}
         self._streams: dict[str, RunningStream] = {}
         self._bursts: dict[Future[StreamProgress], str] = {}
+        self._asked: dict[str, float] = {}
+        self._returns = {spec.name: Returns() for spec in specs}
+        self._returning: set[str] = set()
         # A stream that ended holds its place until its processes are gone.
         self._endings: dict[Future[StreamProgress | None], str] = {}
 
@@ -103,13 +114,17 @@ class Driver:
     def _admit(self) -> None:
         # One at a time: a stream that fails at once frees its place for the next.
         while names := streams_to_start(self.states, self._limit - len(self._endings)):
-            name = names[0]
-            self._set(StreamState(name, "starting"))
-            try:
-                self._streams[name] = self._host.start(self._specs[name])
-                self._advance(name)
-            except Exception as error:
-                self._fail(name, error)
+            self._set(StreamState(names[0], "starting"))
+            self._start(names[0])
+
+    def _start(self, name: str) -> None:
+        try:
+            self._streams[name] = self._host.start(
+                replace(self._specs[name], last_try=self._returns[name].last_try)
+            )
+            self._advance(name)
+        except Exception as error:
+            self._fail(name, error)
 
     def _await_next(self) -> None:
         pending: list[Future[Any]] = [*self._bursts, *self._endings]
@@ -118,8 +133,21 @@ class Driver:
         # In the order they were asked for, not in that of a set.
         for burst in [future for future in self._bursts if future in ready]:
             self._take_burst(burst)
+        self._give_up_hanging()
         for ending in [future for future in self._endings if future in ready]:
-            del self._endings[ending]
+            name = self._endings.pop(ending)
+            if name in self._returning and self._interruption.signal_number is None:
+                self._returning.remove(name)
+                self._start(name)
+
+    def _give_up_hanging(self) -> None:
+        """A burst that takes too long is not waited for; a live source may keep its stream waiting."""
+        now = self._clock()
+        for burst, name in list(self._bursts.items()):
+            most = START_SECONDS if self._states[name].state == "starting" else STALL_SECONDS
+            if now - self._asked[name] > most and self._specs[name].replayable:
+                del self._bursts[burst]
+                self._fail(name, ActorLostError(f"The stream has not got on for {most:.0f} seconds."))
 
     def _take_burst(self, burst: Future[StreamProgress]) -> None:
         name = self._bursts.pop(burst)
@@ -139,15 +167,35 @@ class Driver:
 
     def _advance(self, name: str) -> None:
         self._bursts[self._streams[name].advance()] = name
+        self._asked[name] = self._clock()
 
     def _fail(self, name: str, error: Exception) -> None:
-        self._set(after_failure(self._states[name], _sentence(error)))
+        """End a stream, for good unless it only lost a process; its place it keeps meanwhile."""
+        state = self._states[name]
+        if isinstance(error, ActorLostError) and self._specs[name].replayable and name in self._streams:
+            returns = self._returns[name].after_loss(state.committed)
+            if returns is not None:
+                self._returns[name] = returns
+                self._returning.add(name)
+                self._set(after_loss(state, _sentence(error)))
+                self._end(name, drain=False)
+                return
+        self._set(after_failure(state, _sentence(error)))
         if name in self._streams:
             self._end(name, drain=False)
 
     def _end(self, name: str, *, drain: bool) -> Future[StreamProgress | None]:
         stream = self._streams.pop(name)
-        ending = _in_thread(lambda: stream.stop(drain=drain))
+        returning = name in self._returning
+
+        def stop() -> StreamProgress | None:
+            try:
+                return stream.stop(drain=drain)
+            finally:
+                if returning:
+                    self._host.repair()
+
+        ending = _in_thread(stop)
         self._endings[ending] = name
         return ending
 
@@ -164,6 +212,8 @@ class Driver:
                     name = endings[ending]
                     progress = None if ending.exception() else ending.result()
                     self._set(after_interruption(self._states[name], progress))
+        for name in sorted(self._returning):
+            self._set(after_interruption(self._states[name], None))
 
     def _set(self, state: StreamState) -> None:
         self._states[state.name] = state

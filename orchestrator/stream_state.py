@@ -16,6 +16,7 @@ __all__ = [
     "after_end",
     "after_failure",
     "after_interruption",
+    "after_loss",
     "after_progress",
     "exit_code",
     "with_record",
@@ -43,6 +44,10 @@ class StreamState:
         Recent rate at which frames were read; 0 when not running.
     error : str, optional
         A sentence, without credentials.
+    returns : int
+        How often it lost a process, or hung, and went back to its last snapshot.
+    interrupted : bool
+        A signal ended it before its end.
     """
 
     name: str
@@ -54,6 +59,8 @@ class StreamState:
     layers: int = 0
     frames_per_second: float = 0.0
     error: str | None = None
+    returns: int = 0
+    interrupted: bool = False
 
 
 def after_progress(state: StreamState, progress: StreamProgress, frames_per_second: float) -> StreamState:
@@ -88,6 +95,12 @@ def after_failure(state: StreamState, error: str) -> StreamState:
     return replace(state, state="failed", layers=0, frames_per_second=0.0, error=mask(error))
 
 
+def after_loss(state: StreamState, error: str) -> StreamState:
+    """State of a stream that lost a process and will go on from its last snapshot."""
+    lost = after_failure(state, error)
+    return replace(lost, state="starting", returns=state.returns + 1)
+
+
 def with_record(state: StreamState, recorded: int) -> StreamState:
     """State of a failed stream with what its record holds: its last burst ended without telling.
 
@@ -108,7 +121,9 @@ def after_interruption(state: StreamState, progress: StreamProgress | None) -> S
     counted = state if progress is None else after_progress(state, progress, 0.0)
     kept = "what was read is kept" if progress is not None else "what was committed is kept"
     sentence = f"Interrupted after {counted.read} frames; {kept}."
-    return replace(counted, state="partial", layers=0, frames_per_second=0.0, error=sentence)
+    return replace(
+        counted, state="partial", layers=0, frames_per_second=0.0, error=sentence, interrupted=True
+    )
 
 
 def exit_code(states: Iterable[StreamState], signal_number: int | None) -> int:

@@ -50,6 +50,7 @@ def test_the_defaults_are_those_of_the_help() -> None:
     assert arguments.output == Path("out")
     assert arguments.save == frozenset({"masks", "parquet", "overlay"}) == frozenset(SAVABLE)
     assert (arguments.address, arguments.config, arguments.max_frames) == (None, None, None)
+    assert not arguments.resume
 
 
 def test_set_may_be_given_once_or_often() -> None:
@@ -60,7 +61,6 @@ def test_set_may_be_given_once_or_often() -> None:
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        (["--resume"], "not available yet"),
         (["--monitor"], "not available yet"),
         (["--monitor", "8080"], "not available yet"),
         (["--save", "masks,background"], "background is not available yet"),
