@@ -427,7 +427,7 @@ def test_a_reader_that_dies_at_the_same_frame_every_time_ends_its_stream_with_th
 def test_a_part_that_hangs_is_taken_for_lost(
     parts: FakeParts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(driver_module, "STALL_SECONDS", 4.0)
+    monkeypatch.setattr(driver_module, "STALL_SECONDS", 15.0)
     pictures = fatal(30, 19, "layer")
     with started(replace(parts, hang=True)) as node:
         states = drive(node, spec("slow", FakeReader([*pictures], tmp_path / "r"), tmp_path))
