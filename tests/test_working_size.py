@@ -80,7 +80,7 @@ def test_a_stream_is_worked_on_small_and_recorded_in_full_size(tmp_path: Path) -
         for result in subtractor.apply(frame.image):
             record.write(result, frames[result.frame_index])
     record.gap(8, 0.32, "quarantined")
-    assert record.close() == 8
+    assert record.close(whole=True) == 8
     labels = np.asarray(Image.open(tmp_path / "pan/masks/00007.png"))
     truth, found = video.labels(7) > 0, labels > 0
     assert (truth & found).sum() / (truth | found).sum() > 0.6
