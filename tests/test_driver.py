@@ -334,6 +334,32 @@ def test_a_stream_that_does_not_get_on_is_started_again(monkeypatch: pytest.Monk
     assert (states["slow"].state, states["slow"].returns) == ("done", 1)
 
 
+def test_a_stream_that_leaves_the_list_while_it_goes_back_is_not_started_again() -> None:
+    interruption, asked = Interruption(), []
+
+    class Slow(FakeStream):
+        def stop(self, *, drain: bool) -> StreamProgress | None:
+            time.sleep(0.5)
+            return super().stop(drain=drain)
+
+    host = Again({"bad": [Slow(20, fails_at=8, error=ActorLostError("It lost its layer 3."))]})
+
+    def changes() -> SpecChange | None:
+        state = driver.states[0]
+        if state.state in ENDED:
+            interruption.signal_number = signal.SIGTERM
+        if state.returns == 0 or asked:
+            return None
+        asked.append(state)
+        return SpecChange((), ("bad",))
+
+    driver = Driver([spec("bad")], host, limit=1, observers=[], interruption=interruption, changes=changes)
+    assert driver.run() == 128 + signal.SIGTERM
+    assert host.started == ["bad"]
+    assert (driver.states[0].state, driver.states[0].committed) == ("partial", 8)
+    assert not driver.states[0].interrupted
+
+
 def test_a_signal_while_a_stream_goes_back_leaves_it_to_be_resumed() -> None:
     interruption = Interruption()
 

@@ -22,16 +22,18 @@ from PIL import Image
 from mlbs_actors.actors import Node, PoolPolicy
 from mlbs_actors.actors.stream_protocol import Snapshot, SourceFrame, StreamSpec
 from mlbs_actors.errors import SinkError
-from mlbs_actors.messages import Array, LayerSummary, Region, Segmentation
+from mlbs_actors.messages import Array, LayerAppearance, LayerSummary, Region, Segmentation
 from mlbs_actors.state_file import capture
 from orchestrator import driver as driver_module
 from orchestrator import durable_files
 from orchestrator.driver import Driver
 from orchestrator.interruption import Interruption
 from orchestrator.recovery import MOST_RETURNS, Returns
+from orchestrator.run import _not_to_be_resumed
+from orchestrator.run_folder import RunFolder, StatusFile
 from orchestrator.sinks import commit_log
 from orchestrator.sinks.commit_log import Commit, CommitLog, read_commits
-from orchestrator.sinks.record import GROUP_FRAMES, StreamRecord, recorded_frames
+from orchestrator.sinks.record import GROUP_FRAMES, StreamRecord, ends_group, recorded_frames
 from orchestrator.stream_state import StreamState
 
 SAVE = frozenset({"masks", "parquet"})
@@ -137,9 +139,9 @@ def test_a_record_killed_between_any_two_steps_of_a_commit_goes_on_to_the_same_c
         give(again, 75)
         assert again.close(whole=True) == 65
         assert content(folder) == content(whole), number
-        assert counted in (0, 32, 64, 75)
+        assert counted in (0, 8, 32, 64, 75)
         commits = read_commits(folder)
-        assert [(one.first, one.last) for one in commits] == [(0, 31), (32, 63), (64, 74)]
+        assert [(one.first, one.last) for one in commits] == [(0, 7), (8, 31), (32, 63), (64, 74)]
         assert not [*folder.rglob("*.part")]
     assert kills > 25
 
@@ -154,7 +156,7 @@ def test_a_record_closed_in_the_middle_goes_on_with_the_rows_it_has(tmp_path: Pa
     give(record, 75)
     assert record.close(whole=True) == 65
     assert content(tmp_path / "yard") == content(whole)
-    assert [one.generation for one in read_commits(tmp_path / "yard")] == [0, 1, 1, 2, 2, 3]
+    assert [one.generation for one in read_commits(tmp_path / "yard")] == [0, 1, 1, 1, 2, 2, 3]
 
 
 def test_provisional_label_maps_are_there_until_the_stream_goes_on(tmp_path: Path, whole: Path) -> None:
@@ -170,6 +172,76 @@ def test_provisional_label_maps_are_there_until_the_stream_goes_on(tmp_path: Pat
     give(record, 75)
     record.close(whole=True)
     assert content(tmp_path / "yard") == content(whole)
+
+
+def test_cut_outs_and_plates_of_a_resumed_record_are_those_of_a_whole_one(tmp_path: Path) -> None:
+    save = frozenset({"cutouts", "background"})
+    grey = np.full((12, 16, 3), 90, np.uint8)
+    plain = LayerAppearance(0, 0, Region(0, 0, 16, 12), grey, np.ones((12, 16), bool))
+
+    def give_pictures(record: StreamRecord, first: int, last: int) -> None:
+        for index in range(first, last):
+            record.write(result(index), frame(index), plain if ends_group(index) else None)
+
+    def pictures(folder: Path) -> dict[str, bytes]:
+        return {f"{path.parent.name}/{path.name}": path.read_bytes() for path in folder.glob("*/*.png")}
+
+    whole = StreamRecord(tmp_path / "whole", "yard", save)
+    give_pictures(whole, 0, 40)
+    whole.close(whole=True)
+    record = StreamRecord(tmp_path / "yard", "yard", save)
+    give_pictures(record, 0, 33)
+    record.provisional()
+    record.write(result(34), frame(33))  # without the frames that follow it had another object
+    record.close(whole=False)
+    assert "cutouts/00033-2.png" in pictures(tmp_path / "yard")
+    StreamRecord(tmp_path / "yard", "yard", save)  # killed before its first commit
+    record = StreamRecord(tmp_path / "yard", "yard", save)
+    give_pictures(record, 0, 40)
+    record.close(whole=True)
+    assert pictures(tmp_path / "yard") == pictures(tmp_path / "whole")
+    assert sum(name.startswith("background/") for name in pictures(tmp_path / "yard")) == 2
+
+
+def test_streams_that_ended_and_cameras_are_left_as_they_are(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path)
+    names = ("done", "cut", "killed", "failed", "camera", "full", "new")
+    specs = [
+        StreamSpec(
+            name,
+            CONFIG,
+            partial(StreamRecord, tmp_path, name, SAVE),  # type: ignore[arg-type]
+            partial(StreamRecord, tmp_path, name, SAVE),
+            line=line,
+            replayable=name not in ("camera", "full", "new"),
+        )
+        for line, name in enumerate(names, 1)
+    ]
+    states = [
+        StreamState("done", "done", read=9, committed=9, line=7),
+        StreamState("cut", "partial", read=9, committed=8, interrupted=True),
+        StreamState("killed", "running", read=9, committed=8),
+        StreamState("failed", "failed", read=9),
+        StreamState("camera", "reconnecting", read=40, committed=8, dropped=3, gaps=1),
+        StreamState("full", "done", read=32, committed=32),
+        StreamState("new", "starting"),
+    ]
+    StatusFile(tmp_path / "status.json").finish(states, 1)
+    for name in ("camera", "full"):
+        record = StreamRecord(tmp_path / name, name, frozenset())
+        for index in range(32):
+            if index < 4:
+                record.gap(index, index / 25, "gap" if index == 0 else "dropped")
+            else:
+                record.write(result(index), frame(index))
+        record.close(whole=False)
+    left = _not_to_be_resumed(folder, specs)
+    assert list(left) == ["done", "camera", "full"]
+    assert left["done"] == StreamState("done", "done", read=9, committed=9, line=1)
+    camera = left["camera"]
+    assert (camera.state, camera.read, camera.committed, camera.dropped) == ("partial", 40, 28, 3)
+    assert "cannot be resumed" in (camera.error or "")
+    assert left["full"].state == "done"
 
 
 def test_a_process_of_a_killed_run_that_lives_on_can_commit_nothing(tmp_path: Path, whole: Path) -> None:
@@ -259,7 +331,7 @@ def test_the_newest_two_snapshots_are_kept_and_a_commit_names_the_newest(tmp_pat
     for rows in (8, 16, 24):
         take(record, rows)
     give(record, GROUP_FRAMES)
-    assert read_commits(tmp_path / "yard")[0].snapshot == "0/00000024"
+    assert [one.snapshot for one in read_commits(tmp_path / "yard")] == ["0/00000008", "0/00000024"]
     assert sorted(path.name for path in (tmp_path / "yard/snapshots/0").iterdir()) == ["00000016", "00000024"]
 
 
