@@ -335,7 +335,8 @@ def test_a_stream_that_does_not_get_on_is_started_again(monkeypatch: pytest.Monk
 
 
 def test_a_stream_that_leaves_the_list_while_it_goes_back_is_not_started_again() -> None:
-    interruption, asked = Interruption(), []
+    interruption = Interruption()
+    asked: list[StreamState] = []
 
     class Slow(FakeStream):
         def stop(self, *, drain: bool) -> StreamProgress | None:

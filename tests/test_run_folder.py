@@ -117,10 +117,12 @@ def test_the_status_file_says_how_each_stream_stands(tmp_path: Path) -> None:
         "committed": 8,
         "dropped": 0,
         "quarantined": 1,
+        "gaps": 0,
         "layers": 0,
         "frames_per_second": 0.0,
         "latency_ms": 0.0,
         "error": "1 frame <is> bad.",
+        "line": None,
         "returns": 0,
         "interrupted": False,
     }
