@@ -7,7 +7,9 @@
     ├── SourceError      a source that cannot be opened or decoded
     ├── FrameError       a frame that the engine cannot take (type, size, order)
     ├── SolverError      a numerical solver that failed its own residual check
-    ├── LayerError       a layer process that failed or was lost
+    ├── LayerError       a layer that failed
+    ├── ActorLostError   a process of a stream that was lost: the stream can go back to its last snapshot
+    ├── SnapshotError    a snapshot that is damaged or of another version
     └── SinkError        results that cannot be written
 
 Each is raised with exactly one message, a sentence that says what to do, so that it crosses process
@@ -16,7 +18,17 @@ boundaries intact.
 
 from __future__ import annotations
 
-__all__ = ["ConfigError", "FrameError", "LayerError", "MlbsError", "SinkError", "SolverError", "SourceError"]
+__all__ = [
+    "ActorLostError",
+    "ConfigError",
+    "FrameError",
+    "LayerError",
+    "MlbsError",
+    "SinkError",
+    "SnapshotError",
+    "SolverError",
+    "SourceError",
+]
 
 
 class MlbsError(Exception):
@@ -40,7 +52,15 @@ class SolverError(MlbsError):
 
 
 class LayerError(MlbsError):
-    """A layer process failed or was lost."""
+    """A layer failed."""
+
+
+class ActorLostError(MlbsError):
+    """A process of a stream was lost; the stream can go back to its last snapshot."""
+
+
+class SnapshotError(MlbsError):
+    """A snapshot is damaged or of another version."""
 
 
 class SinkError(MlbsError):

@@ -43,6 +43,7 @@ exit status:
   2    the command, the configuration or the list cannot be used, or no stream has a source;
        nothing was started
   130, 143  interrupted by SIGINT or SIGTERM; what was read is kept. A second signal ends it at once.
+            Both, and a killed run, go on with --resume.
 """
 
 
@@ -62,6 +63,8 @@ class Arguments:
         ``section.key=value`` each, applied after the file.
     address : str, optional
         Ray cluster to join; None for one of this run's own.
+    resume : bool
+        Go on with the run in ``output``.
     save : frozenset of str
         Parts of :data:`SAVABLE`.
     monitor : MonitorAddress, optional
@@ -79,6 +82,7 @@ class Arguments:
     config: Path | None
     overrides: tuple[str, ...]
     address: str | None
+    resume: bool
     save: frozenset[str]
     monitor: MonitorAddress | None
     max_frames: int | None
@@ -123,8 +127,8 @@ def parse(argv: Sequence[str]) -> Arguments:
         From argparse: 0 after ``--help``, 2 if the arguments do not fit the usage.
     """
     given = _parser().parse_args(argv)
-    if given.resume:
-        raise ConfigError("--resume is not available yet; give a new folder with --output instead.")
+    if given.resume and given.watch:
+        raise ConfigError("--watch cannot go with --resume; leave one of them out.")
     if given.address is not None and given.address.startswith("ray://"):
         raise ConfigError(
             "--address cannot be a ray:// proxy; run on a machine of the cluster and give HOST:PORT or auto."
@@ -135,6 +139,7 @@ def parse(argv: Sequence[str]) -> Arguments:
         config=given.config,
         overrides=tuple(given.overrides),
         address=given.address,
+        resume=given.resume,
         save=_parts(given.save),
         monitor=None if given.monitor is None else _monitor_address(given.monitor),
         max_frames=given.max_frames,
@@ -180,7 +185,7 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         default=Path("out"),
         metavar="DIR",
-        help="folder for the results; one that holds a run is refused (default: out)",
+        help="folder for the results; one that holds a run is refused without --resume (default: out)",
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML file with parameters")
     parser.add_argument(
@@ -197,7 +202,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="ADDR",
         help="join the Ray cluster at HOST:PORT, or auto (default: one of this run's own, on this machine)",
     )
-    parser.add_argument("--resume", action="store_true", help="go on with a run that ended (not yet)")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on with the run in DIR that was killed or interrupted; all else must be as it was, "
+        "without --watch; streams of cameras stay as they are",
+    )
     parser.add_argument(
         "--save",
         default="masks,parquet,overlay",

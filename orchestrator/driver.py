@@ -2,7 +2,8 @@
 
 The rules are pure functions (:mod:`orchestrator.stream_state`, :mod:`orchestrator.admission`); here is
 the loop that waits for whatever happens next. Frames do not pass through it. One stream's failure ends
-that stream alone.
+that stream alone. A stream that lost a process, or hangs, is stopped and started again; it finds its last
+snapshot by itself.
 """
 
 from __future__ import annotations
@@ -16,14 +17,16 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from mlbs_actors.actors.stream_protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
-from mlbs_actors.errors import MlbsError
+from mlbs_actors.errors import ActorLostError, MlbsError
 from orchestrator.admission import streams_to_start
 from orchestrator.interruption import Interruption
+from orchestrator.recovery import STALL_SECONDS, START_SECONDS, Returns
 from orchestrator.stream_state import (
     StreamState,
     after_end,
     after_failure,
     after_interruption,
+    after_loss,
     after_progress,
     after_removal,
     exit_code,
@@ -68,7 +71,7 @@ class Driver:
     interruption : Interruption
         Looked at between events.
     ended : mapping of str to StreamState, optional
-        Streams that are known to have no source; they are not started.
+        Streams that have no source, or came to their ends in an earlier run; they are not started.
     changes : callable, optional
         Asked again and again for streams to add and names to end; with it the run goes on until a signal.
     clock : callable
@@ -101,6 +104,9 @@ class Driver:
         self._removed: set[str] = set()  # taken from the list, and not ended yet
         self._streams: dict[str, RunningStream] = {}
         self._bursts: dict[Future[StreamProgress], str] = {}
+        self._asked: dict[str, float] = {}
+        self._returns = {spec.name: Returns() for spec in specs}
+        self._returning: set[str] = set()
         # A stream that ended holds its place until its processes are gone.
         self._endings: dict[Future[StreamProgress | None], str] = {}
 
@@ -129,24 +135,29 @@ class Driver:
         for spec in change.added:
             self._specs[spec.name] = spec
             self._rates[spec.name] = _Rate(self._clock)
+            self._returns[spec.name] = Returns()
             self._states[spec.name] = StreamState(spec.name, line=spec.line)
         for name in change.removed:
             if self._states[name].state == "waiting":
                 del self._states[name]
-            elif name in self._streams:
+            elif name in self._streams or name in self._returning:
                 self._removed.add(name)  # it is ended when its burst is over
         self._show()
 
     def _admit(self) -> None:
         # One at a time: a stream that fails at once frees its place for the next.
         while names := streams_to_start(self.states, self._limit - len(self._endings)):
-            name = names[0]
-            self._set(replace(self._states[name], state="starting"))
-            try:
-                self._streams[name] = self._host.start(self._specs[name])
-                self._advance(name)
-            except Exception as error:
-                self._fail(name, error)
+            self._set(replace(self._states[names[0]], state="starting"))
+            self._start(names[0])
+
+    def _start(self, name: str) -> None:
+        try:
+            self._streams[name] = self._host.start(
+                replace(self._specs[name], last_try=self._returns[name].last_try)
+            )
+            self._advance(name)
+        except Exception as error:
+            self._fail(name, error)
 
     def _await_next(self) -> None:
         pending: list[Future[Any]] = [*self._bursts, *self._endings]
@@ -157,8 +168,18 @@ class Driver:
         # In the order they were asked for, not in that of a set.
         for burst in [future for future in self._bursts if future in ready]:
             self._take_burst(burst)
+        self._give_up_hanging()
         for ending in [future for future in self._endings if future in ready]:
             self._take_ending(ending)
+
+    def _give_up_hanging(self) -> None:
+        """A burst that takes too long is not waited for; a live source may keep its stream waiting."""
+        now = self._clock()
+        for burst, name in list(self._bursts.items()):
+            most = START_SECONDS if self._states[name].state == "starting" else STALL_SECONDS
+            if now - self._asked[name] > most and self._specs[name].replayable:
+                del self._bursts[burst]
+                self._fail(name, ActorLostError(f"The stream has not got on for {most:.0f} seconds."))
 
     def _take_burst(self, burst: Future[StreamProgress]) -> None:
         name = self._bursts.pop(burst)
@@ -183,21 +204,50 @@ class Driver:
         name = self._endings.pop(ending)
         if name in self._removed:
             self._removed.remove(name)
+            self._returning.discard(name)
             progress = None if ending.exception() else ending.result()
             self._set(after_removal(self._states[name], progress))
+        elif name in self._returning and self._interruption.signal_number is None:
+            self._returning.remove(name)
+            self._start(name)
 
     def _advance(self, name: str) -> None:
         self._bursts[self._streams[name].advance()] = name
+        self._asked[name] = self._clock()
 
     def _fail(self, name: str, error: Exception) -> None:
+        """End a stream, for good unless it only lost a process; its place it keeps meanwhile."""
+        state = self._states[name]
+        if self._may_return(name, error):
+            returns = self._returns[name].after_loss(state.committed)
+            if returns is not None:
+                self._returns[name] = returns
+                self._returning.add(name)
+                self._set(after_loss(state, _sentence(error)))
+                self._end(name, drain=False)
+                return
         self._removed.discard(name)
-        self._set(after_failure(self._states[name], _sentence(error)))
+        self._set(after_failure(state, _sentence(error)))
         if name in self._streams:
             self._end(name, drain=False)
 
+    def _may_return(self, name: str, error: Exception) -> bool:
+        if not isinstance(error, ActorLostError) or name not in self._streams or name in self._removed:
+            return False
+        return self._specs[name].replayable
+
     def _end(self, name: str, *, drain: bool) -> Future[StreamProgress | None]:
         stream = self._streams.pop(name)
-        ending = _in_thread(lambda: stream.stop(drain=drain))
+        returning = name in self._returning
+
+        def stop() -> StreamProgress | None:
+            try:
+                return stream.stop(drain=drain)
+            finally:
+                if returning:
+                    self._host.repair()
+
+        ending = _in_thread(stop)
         self._endings[ending] = name
         return ending
 
@@ -214,6 +264,8 @@ class Driver:
                     name = endings[ending]
                     progress = None if ending.exception() else ending.result()
                     self._set(after_interruption(self._states[name], progress))
+        for name in sorted(self._returning):
+            self._set(after_interruption(self._states[name], None))
 
     def _set(self, state: StreamState) -> None:
         self._states[state.name] = state

@@ -7,15 +7,25 @@ synced. Groups of files share the waits: write all, sync all, rename all, sync t
 from __future__ import annotations
 
 import os
+import secrets
 from collections.abc import Iterable
 from pathlib import Path
 
-__all__ = ["append_line", "publish", "replace_file", "temporary_path"]
+__all__ = ["append_line", "publish", "remove_temporary", "replace_file", "temporary_path"]
+
+#: Part of this process's temporary names: one of a killed run may live on for a while.
+_OWN = secrets.token_hex(4)
 
 
 def temporary_path(path: Path) -> Path:
-    """Name under which ``path`` is written until it is published; hidden, in the same folder."""
-    return path.with_name(f".{path.name}.part")
+    """Name under which this process writes ``path`` until it is published; hidden, in the same folder."""
+    return path.with_name(f".{path.name}.{_OWN}.part")
+
+
+def remove_temporary(folder: Path) -> None:
+    """Delete what was written in a folder and never published, by whichever process."""
+    for path in folder.glob(".*.part"):
+        path.unlink(missing_ok=True)
 
 
 def publish(paths: Iterable[Path]) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stdout
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,9 @@ from orchestrator.ray_session import ray_session
 from orchestrator.report.page import render_report
 from orchestrator.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
+from orchestrator.sinks.overlay import overlays
 from orchestrator.sinks.record import StreamRecord, ends_group, recorded_frames
+from orchestrator.sources.address import SourceKind
 from orchestrator.sources.opening import open_reader
 from orchestrator.stream_list import ListedStream
 from orchestrator.stream_state import StreamState, after_failure, with_record
@@ -66,7 +69,6 @@ def run(
         If Ray cannot be started, or the run's own files cannot be written.
     """
     folder = RunFolder(arguments.output.absolute())
-    folder.refuse_if_used([stream.name for stream in streams])
     sourceless = [stream for stream in streams if stream.name in missing]
     for stream in sourceless:
         _say(f"{arguments.streams}, line {stream.line}: {missing[stream.name]}")
@@ -79,9 +81,21 @@ def run(
     live = scratch / "live" if arguments.monitor else None
     job = _Job(streams, arguments, config, folder, live)
     limit = places(available_memory(), cores())
-    _say(f"Starting Ray; {len(streams) - len(ended)} streams, up to {limit} at a time.")
-    with _monitored(arguments.monitor, live) as boards, ray_session(arguments.address, scratch):
-        folder.claim(job.description)
+    with ExitStack() as stack:
+        if arguments.resume:
+            begun = folder.refuse_other(job.description)
+            stack.enter_context(folder.held())
+            earlier = _not_to_be_resumed(folder, job.specs)
+            _say(_words_on_resuming(begun, job.description, len(earlier)))
+            ended |= earlier
+        else:
+            folder.refuse_if_used([stream.name for stream in streams])
+        _say(f"Starting Ray; {len(streams) - len(ended)} streams, up to {limit} at a time.")
+        boards = stack.enter_context(_monitored(arguments.monitor, live))
+        stack.enter_context(ray_session(arguments.address, scratch))
+        if not arguments.resume:
+            folder.claim(job.description)
+            stack.enter_context(folder.held())
         status = StatusFile(folder.path / "status.json")
         changes = job.changes if arguments.watch else None
         states, exit_status = _drive(job, ended, changes, limit, [status, *boards], folder.path / "ray.log")
@@ -173,6 +187,7 @@ class _Job:
             wants_background=ends_group if "background" in save else None,
             source=str(stream.source),
             line=stream.line,
+            replayable=stream.source.kind in (SourceKind.PATH, SourceKind.SYNTHETIC),
         )
 
 
@@ -186,7 +201,7 @@ def _drive(
 ) -> tuple[tuple[StreamState, ...], int]:
     output = sys.stdout
     # Ray prints its own warnings; standard output belongs to the progress.
-    with ray_log.open("w", encoding="utf-8") as log, redirect_stdout(log), Interruption() as interruption:
+    with ray_log.open("a", encoding="utf-8") as log, redirect_stdout(log), Interruption() as interruption:
         progress = progress_for(output)
         try:
             node = Node()
@@ -204,6 +219,35 @@ def _drive(
         finally:
             progress.close()
     return driver.states, exit_status
+
+
+def _not_to_be_resumed(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[str, StreamState]:
+    """Streams that are left as they are: those that have ended, and cameras that have begun.
+
+    What a camera showed meanwhile is lost.
+    """
+    words = (
+        "A camera's stream cannot be resumed; what was committed is kept. Start it anew in another folder."
+    )
+    states, left = folder.states(), {}
+    for spec in specs:
+        state = replace(states.get(spec.name, StreamState(spec.name)), line=spec.line)
+        frames = recorded_frames(folder.stream(spec.name))
+        if state.state == "done" or (state.state == "partial" and not state.interrupted):
+            left[spec.name] = state
+        elif frames and not spec.replayable:
+            counted = with_record(after_failure(state, words), frames)
+            left[spec.name] = replace(counted, state="partial")
+    return left
+
+
+def _words_on_resuming(begun: Mapping[str, Any], description: Mapping[str, Any], ended: int) -> str:
+    """What the user should know of a run that is gone on with."""
+    words = f"Going on with the run of {begun['started']}; {ended} streams have ended already."
+    for key in ("versions", "machine"):
+        if begun.get(key) != description[key]:
+            words += f"\nThe {key} are not those of then (see run.json): label maps from here on may differ."
+    return words
 
 
 def _closing_words(folder: RunFolder, states: Sequence[StreamState], save: frozenset[str]) -> str:
@@ -227,9 +271,9 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], save: froze
 
 
 def _what_to_look_at(stream: Path, save: frozenset[str]) -> Path:
-    overlay = stream / "overlay.mp4"
-    if overlay.exists():
-        return overlay
+    videos = overlays(stream)
+    if videos:
+        return videos[-1][1]
     return stream / "masks" if "masks" in save else stream
 
 

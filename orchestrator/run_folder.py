@@ -8,12 +8,15 @@ import os
 import platform
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
@@ -25,6 +28,15 @@ from orchestrator.stream_state import ENDED, StreamState
 __all__ = ["RunFolder", "StatusFile", "describe_run"]
 
 _PACKAGES = ("mlbs-actors", "ray", "numpy", "scipy", "opencv-python-headless", "PyMaxflow", "numba", "av")
+
+#: What a run that is resumed must have in common with its beginning: keys of ``run.json``.
+_SAME = {
+    "config": "parameters",
+    "sources": "streams",
+    "save": "parts to --save",
+    "max_frames": "--max-frames",
+    "max_side": "--max-side",
+}
 
 #: Least time between two writings of ``status.json``, s.
 _STATUS_SECONDS = 0.5
@@ -58,13 +70,71 @@ class RunFolder:
         if existing is not None:
             raise ConfigError(
                 f"The output folder {self.path} holds a run already ({existing}); "
-                "choose another one with --output."
+                "choose another one with --output, or go on with that run with --resume."
             )
         nearest = next(parent for parent in (self.path, *self.path.absolute().parents) if parent.exists())
         if not nearest.is_dir():
             raise ConfigError(f"{nearest} is not a folder; choose another one with --output.")
         if not os.access(nearest, os.W_OK | os.X_OK):
             raise ConfigError(f"The folder {nearest} cannot be written to; choose another one with --output.")
+
+    def refuse_other(self, description: dict[str, Any]) -> dict[str, Any]:
+        """Check that the run in this folder is the one described; return its own description.
+
+        Raises
+        ------
+        ConfigError
+            If there is no run, or one of something else.
+        """
+        try:
+            begun: dict[str, Any] = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise ConfigError(
+                f"The folder {self.path} holds no run to resume; leave --resume out, or correct --output."
+            ) from None
+        except (OSError, ValueError):
+            raise ConfigError(
+                f"{self.path / 'run.json'} cannot be read; begin anew in another folder with --output."
+            ) from None
+        for key, meaning in _SAME.items():
+            if begun.get(key) != description[key]:
+                raise ConfigError(
+                    f"The run in {self.path} had other {meaning}; give the same ones as then (see its "
+                    "run.json), or another folder with --output."
+                )
+        return begun
+
+    def states(self) -> dict[str, StreamState]:
+        """Streams as ``status.json`` tells of them; none if it cannot be read."""
+        try:
+            streams = json.loads((self.path / "status.json").read_text(encoding="utf-8"))["streams"]
+            return {name: StreamState(name, **fields) for name, fields in streams.items()}
+        except (OSError, ValueError, KeyError, TypeError):
+            return {}
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep other runs out while the ``with`` block runs; a killed one keeps nobody out.
+
+        Raises
+        ------
+        ConfigError
+            If another run is at work here.
+        """
+        lock = FileLock(self.path / ".lock")
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise ConfigError(
+                f"Another run is at work in {self.path}; wait for its end, or choose another folder with "
+                "--output."
+            ) from None
+        except OSError as error:
+            raise ConfigError(f"Cannot write to {self.path}: {error.strerror}.") from None
+        try:
+            yield
+        finally:
+            lock.release()
 
     def claim(self, description: dict[str, Any]) -> None:
         """Make the folder this run's, by writing ``run.json`` whole; of two runs one gets it.

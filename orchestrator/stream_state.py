@@ -16,6 +16,7 @@ __all__ = [
     "after_end",
     "after_failure",
     "after_interruption",
+    "after_loss",
     "after_progress",
     "after_removal",
     "exit_code",
@@ -48,6 +49,10 @@ class StreamState:
         A sentence, without credentials.
     line : int, optional
         Where the stream stands in the list, from 1.
+    returns : int
+        How often it lost a process, or hung, and went back to its last snapshot.
+    interrupted : bool
+        A signal ended it before its end.
     """
 
     name: str
@@ -62,6 +67,8 @@ class StreamState:
     latency_ms: float = 0.0
     error: str | None = None
     line: int | None = None
+    returns: int = 0
+    interrupted: bool = False
 
     @property
     def queued(self) -> int:
@@ -105,6 +112,12 @@ def after_failure(state: StreamState, error: str) -> StreamState:
     return replace(state, state="failed", layers=0, frames_per_second=0.0, error=mask(error))
 
 
+def after_loss(state: StreamState, error: str) -> StreamState:
+    """State of a stream that lost a process and will go on from its last snapshot."""
+    lost = after_failure(state, error)
+    return replace(lost, state="starting", returns=state.returns + 1)
+
+
 def with_record(state: StreamState, recorded: int) -> StreamState:
     """State of a failed stream with what its record holds: its last burst ended without telling.
 
@@ -126,7 +139,9 @@ def after_interruption(state: StreamState, progress: StreamProgress | None) -> S
     counted = state if progress is None else after_progress(state, progress, 0.0)
     kept = "what was read is kept" if progress is not None else "what was committed is kept"
     sentence = f"Interrupted after {counted.read} frames; {kept}."
-    return replace(counted, state="partial", layers=0, frames_per_second=0.0, error=sentence)
+    return replace(
+        counted, state="partial", layers=0, frames_per_second=0.0, error=sentence, interrupted=True
+    )
 
 
 def after_removal(state: StreamState, progress: StreamProgress | None) -> StreamState:

@@ -10,7 +10,7 @@ import os
 import time
 import zlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,9 @@ from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, PartFactory, Se
 from mlbs_actors.actors.stream_protocol import (
     FrameReader,
     GapStatus,
+    Opening,
     RunningStream,
+    Snapshot,
     SourceFrame,
     SourceSilence,
     StreamProgress,
@@ -69,48 +71,61 @@ def crowd(frames: int, most: int) -> list[Array]:
     return pictures
 
 
+@dataclass
+class Memory:
+    """State of a part: a checksum of all that it was told."""
+
+    checksum: int
+
+
+@dataclass
+class CoordinatorMemory:
+    checksum: int
+    held: tuple[tuple[int, Array], ...]
+    last: dict[int, int]
+
+
 class _Coordinator:
     """Holds the first frames, then emits each at once; reads the labels of exactly t−2."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, death: Death) -> None:
         self._hold = config.layers.init_frames
-        self._held: list[tuple[int, Array]] = []
-        self._last: dict[int, int] = {}
-        self._memory = 1
+        self._death = death
+        self.state = CoordinatorMemory(1, (), {})
 
     def feedback_index(self, frame_index: int) -> int | None:
         return None if frame_index < max(self._hold, 2) else frame_index - 2
 
     def step(self, frame_index: int, frame: Array, feedback: Segmentation | None) -> list[FrameEvidence]:
         if frame[DEATHS["coordinator"]][0]:
-            os._exit(1)
+            self._death.come()
         assert (None if feedback is None else feedback.frame_index) == self.feedback_index(frame_index)
         if feedback is not None:
-            self._memory = zlib.crc32(feedback.labels.tobytes(), self._memory)
-        self._held.append((frame_index, frame))
+            self.state.checksum = zlib.crc32(feedback.labels.tobytes(), self.state.checksum)
+        self.state.held += ((frame_index, frame),)
         return [] if frame_index + 1 < self._hold else self.flush()
 
     def flush(self) -> list[FrameEvidence]:
-        held, self._held = self._held, []
+        held, self.state.held = self.state.held, ()
         return [self._evidence(*frame) for frame in held]
 
     def _evidence(self, t: int, frame: Array) -> FrameEvidence:
         live = [0, *np.flatnonzero(frame[0, :, 0]).tolist()]
         dormant = np.flatnonzero(frame[1, :, 0]).tolist()
-        retired = tuple(sorted(set(self._last) - {*live, *dormant}))
+        retired = tuple(sorted(set(self.state.last) - {*live, *dormant}))
         for layer in retired:
-            del self._last[layer]
+            del self.state.last[layer]
         layers = tuple(
             LayerEvidence(
                 layer=layer,
                 kind="object" if layer else "background",
-                last_frame=self._last.get(layer, -1),
-                positions=np.full((1, 2), self._memory % 1009 + layer, np.float32),
+                last_frame=self.state.last.get(layer, -1),
+                positions=np.full((1, 2), self.state.checksum % 1009 + layer, np.float32),
                 motions=np.zeros((1, 2), np.float32),
             )
             for layer in live
         )
-        self._last |= dict.fromkeys(live, t)
+        self.state.last |= dict.fromkeys(live, t)
         return FrameEvidence(
             frame_index=t,
             shape=SHAPE,
@@ -125,10 +140,9 @@ class _Coordinator:
 
 
 class _Layer:
-    def __init__(self, layer: int, kind: LayerKind, slow_seconds: float) -> None:
-        self._layer, self._kind, self._slow_seconds = layer, kind, slow_seconds
-        self._memory = layer + 1
-        self._frame = -1
+    def __init__(self, layer: int, kind: LayerKind, slow_seconds: float, death: Death) -> None:
+        self._layer, self._kind, self._slow_seconds, self._death = layer, kind, slow_seconds, death
+        self.state = Memory(layer + 1)
 
     def step(
         self,
@@ -139,12 +153,12 @@ class _Layer:
     ) -> LayerPosterior:
         t = self._frame = frame_evidence.frame_index
         if frame[DEATHS["layer"]][0] == self._layer > 0:
-            os._exit(1)
+            self._death.come()
         assert (previous.frame_index if previous else -1) == t - 1
         time.sleep(self._slow_seconds)
         for told in (evidence.positions, frame, *([] if previous is None else [previous.labels])):
-            self._memory = zlib.crc32(told.tobytes(), self._memory)
-        cost = np.random.default_rng(self._memory).integers(0, 256, SHAPE, dtype=np.uint8)
+            self.state.checksum = zlib.crc32(told.tobytes(), self.state.checksum)
+        cost = np.random.default_rng(self.state.checksum).integers(0, 256, SHAPE, dtype=np.uint8)
         region = Region(0, 0, SHAPE[1], SHAPE[0])
         return LayerPosterior(
             layer=self._layer,
@@ -168,17 +182,18 @@ class _Layer:
 
 
 class _Segmenter:
-    def __init__(self) -> None:
-        self._memory = 7
+    def __init__(self, death: Death) -> None:
+        self._death = death
+        self.state = Memory(7)
 
     def step(self, evidence: FrameEvidence, frame: Array, posteriors: list[LayerPosterior]) -> Segmentation:
         if frame[DEATHS["segmenter"]][0]:
-            os._exit(1)
+            self._death.come()
         ids = [posterior.layer for posterior in posteriors]
         assert ids == [own.layer for own in evidence.layers] == sorted(ids)
-        costs = np.stack([posterior.cost for posterior in posteriors]) ^ np.uint8(self._memory & 255)
+        costs = np.stack([posterior.cost for posterior in posteriors]) ^ np.uint8(self.state.checksum & 255)
         labels = np.array(ids, np.uint16)[costs.argmin(axis=0)]
-        self._memory = zlib.crc32(labels.tobytes(), self._memory)
+        self.state.checksum = zlib.crc32(labels.tobytes(), self.state.checksum)
         return Segmentation(
             evidence.frame_index,
             labels,
@@ -189,6 +204,34 @@ class _Segmenter:
             0,
             {"segmenter": 2.0, "layer": 4.0},
         )
+
+
+@dataclass(frozen=True)
+class Death:
+    """How a part dies where a frame says so.
+
+    Attributes
+    ----------
+    folder : Path
+        Gets a file for each death.
+    times : int
+        Later ones pass the part by.
+    hangs : bool
+        It does nothing any more instead of being gone.
+    """
+
+    folder: Path
+    times: int = 1_000_000
+    hangs: bool = False
+
+    def come(self) -> None:
+        number = len([*self.folder.glob("death-*")])
+        if number >= self.times:
+            return
+        (self.folder / f"death-{number}").touch()
+        if self.hangs:
+            time.sleep(10_000)
+        os._exit(1)
 
 
 @dataclass(frozen=True)
@@ -203,22 +246,28 @@ class FakeParts:
         Layer processes die at their start.
     slow_seconds : float
         What a layer needs for a frame.
+    deaths : int
+        How often parts die where frames say so.
+    hang : bool
+        They hang instead.
     """
 
     folder: Path
     cannot_start: bool = False
     slow_seconds: float = 0.0
+    deaths: int = 1_000_000
+    hang: bool = False
 
     def coordinator(self, config: Config) -> CoordinatorPart:
         self._note()
-        return _Coordinator(config)
+        return _Coordinator(config, self._death())
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
-        return _Layer(layer, kind, self.slow_seconds)
+        return _Layer(layer, kind, self.slow_seconds, self._death())
 
     def segmenter(self, config: Config) -> SegmenterPart:
         self._note()
-        return _Segmenter()
+        return _Segmenter(self._death())
 
     def warm_layer(self) -> None:
         self._note()
@@ -230,6 +279,9 @@ class FakeParts:
 
     def _note(self) -> None:
         (self.folder / f"pid-{os.getpid()}").touch()
+
+    def _death(self) -> Death:
+        return Death(self.folder, self.deaths, self.hang)
 
 
 @dataclass
@@ -296,6 +348,7 @@ class FakeSink:
     fails_at: int = -1
     dies_at: int = -1
     rows: int = 0
+    opening: Opening = field(default_factory=Opening)
 
     def opened(self) -> StreamSink:
         return self
@@ -316,7 +369,13 @@ class FakeSink:
         self._row(index, status)
         return self.rows
 
-    def close(self) -> int:
+    def keep(self, snapshot: Snapshot) -> bool:
+        return False
+
+    def provisional(self) -> None:
+        (self.folder / "provisional").touch()
+
+    def close(self, *, whole: bool) -> int:
         (self.folder / "sink-closed").touch()
         return self.rows
 

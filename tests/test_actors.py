@@ -33,9 +33,10 @@ from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.pool import PoolActor
 from mlbs_actors.actors.processes import end, identity, spawn
+from mlbs_actors.actors.saved_states import SavedLayer
 from mlbs_actors.actors.sink import SinkActor
 from mlbs_actors.actors.stream_protocol import SourceFrame, SourceSilence, SourceStatus, StreamProgress
-from mlbs_actors.errors import LayerError, SinkError, SourceError
+from mlbs_actors.errors import ActorLostError, LayerError, SinkError, SourceError
 from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import scene
 
@@ -209,11 +210,11 @@ def test_a_birth_takes_another_process_when_an_idle_one_has_died_unnoticed(
     ray_session: RaySession, parts: FakeParts
 ) -> None:
     pool = spawn(PoolActor, parts, PoolPolicy(spare=1), node=ray.get_runtime_context().get_node_id())
-    run = ray.get(pool.begin.remote())
-    first = ray.get(pool.acquire.remote(run, 1, "object", CONFIG))
+    run = ray.get(pool.begin.remote(1))
+    first = ray.get(pool.acquire.remote(run, SavedLayer(1, "object", -1), CONFIG, None))
     ray.get(pool.release.remote(run, identity(first), None))
     ray.kill(first)
-    second = ray.get(pool.acquire.remote(run, 2, "object", CONFIG))
+    second = ray.get(pool.acquire.remote(run, SavedLayer(2, "object", -1), CONFIG, None))
     assert ray.get(second.__ray_ready__.remote())
     assert second != first
     end([pool])
@@ -224,7 +225,7 @@ def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
 ) -> None:
     node = Node(parts=FakeParts(parts.folder, cannot_start=True))
     stream = node.start(spec("poor", FakeReader([*crowd(9, 1)], tmp_path)))
-    with pytest.raises(LayerError, match=r"No process could be started for layer 0: .*no memory left"):
+    with pytest.raises(ActorLostError, match=r"No process could be started for layer 0: .*no memory left"):
         stream.advance().result(timeout=120)
     stream.stop(drain=False)
     node.close()
@@ -232,8 +233,8 @@ def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
 
 def test_a_stream_that_has_ended_gets_no_more_processes(ray_session: RaySession, parts: FakeParts) -> None:
     pool = spawn(PoolActor, parts, PoolPolicy(spare=0), node=ray.get_runtime_context().get_node_id())
-    run = ray.get(pool.begin.remote())
-    late = pool.acquire.remote(run, 1, "object", CONFIG)
+    run = ray.get(pool.begin.remote(1))
+    late = pool.acquire.remote(run, SavedLayer(1, "object", -1), CONFIG, None)
     ray.get(pool.end.remote(run))
     with pytest.raises(LayerError, match="has ended"):
         ray.get(late)
@@ -245,21 +246,21 @@ def test_a_stream_that_has_ended_gets_no_more_processes(ray_session: RaySession,
 
 
 @pytest.mark.parametrize(
-    ("dies", "error", "says"),
+    ("dies", "says"),
     [
-        ("layer", LayerError, "'bad' lost the process of its layer 2"),
-        ("segmenter", LayerError, "'bad' lost the process of its segmenter"),
-        ("coordinator", LayerError, "'bad' lost the process of its coordinator"),
+        ("layer", "'bad' lost the process of its layer 2"),
+        ("segmenter", "'bad' lost the process of its segmenter"),
+        ("coordinator", "'bad' lost the process of its coordinator"),
     ],
 )
 def test_a_lost_process_fails_its_stream_alone_and_what_was_labelled_before_stays(
-    node: Node, parts: FakeParts, tmp_path: Path, dies: str, error: type[Exception], says: str
+    node: Node, parts: FakeParts, tmp_path: Path, dies: str, says: str
 ) -> None:
     pictures = [picture(t, live=[1, 2]) for t in range(16)]
     fatal = [*pictures[:9], picture(9, live=[1, 2], dies=dies, value=2), *pictures[10:]]
     bad = node.start(spec("bad", FakeReader([*fatal], tmp_path / "bad")))
     good = node.start(spec("good", FakeReader([*pictures], tmp_path / "good")))
-    with pytest.raises(error, match=says):
+    with pytest.raises(ActorLostError, match=says):
         run_to_end(bad)
     assert bad.stop(drain=True) is None
     [progress] = run_to_end(good)
@@ -272,11 +273,12 @@ def test_a_lost_process_fails_its_stream_alone_and_what_was_labelled_before_stay
     assert node.census().busy == 0
 
 
-def test_the_death_of_the_reader_ends_the_stream_with_its_frames_committed(
+def test_at_the_last_try_the_death_of_the_reader_ends_the_stream_with_its_frames_committed(
     node: Node, tmp_path: Path
 ) -> None:
     reader = FakeReader([*crowd(20, 2)], tmp_path, dies_at=10)
-    [progress] = run_to_end(node.start(replace(spec("damaged", reader), source="/films/damaged.mp4")))
+    damaged = replace(spec("damaged", reader), source="/films/damaged.mp4", last_try=True)
+    [progress] = run_to_end(node.start(damaged))
     assert progress.problem is not None
     assert "process that reads /films/damaged.mp4 died after 10 frames" in progress.problem
     assert (progress.read, progress.committed, len(rows(tmp_path))) == (10, 10, 10)
@@ -299,7 +301,7 @@ def test_the_reader_s_own_problem_is_told_at_the_end(node: Node, tmp_path: Path)
 def test_a_source_that_gives_no_frame_fails_the_stream(
     node: Node, tmp_path: Path, reader: FakeReader, says: str
 ) -> None:
-    stream = node.start(spec("none", replace(reader, folder=tmp_path)))
+    stream = node.start(replace(spec("none", replace(reader, folder=tmp_path)), last_try=True))
     for _ in range(2):
         with pytest.raises(SourceError, match=says):
             stream.advance().result(timeout=120)
@@ -317,9 +319,9 @@ def test_a_row_that_cannot_be_written_fails_the_stream_and_none_is_written_after
     assert (tmp_path / "sink-closed").exists()
 
 
-def test_the_death_of_the_sink_process_is_a_sink_error(node: Node, tmp_path: Path) -> None:
+def test_the_death_of_the_sink_process_is_told(node: Node, tmp_path: Path) -> None:
     stream = node.start(spec("lost", FakeReader([*crowd(12, 1)], tmp_path), FakeSink(tmp_path, dies_at=6)))
-    with pytest.raises(SinkError, match="lost the process of its sink"):
+    with pytest.raises(ActorLostError, match="lost the process of its sink"):
         run_to_end(stream)
     stream.stop(drain=False)
 

@@ -67,7 +67,7 @@ def test_plates_and_cutouts_are_written_with_the_commits(tmp_path: Path) -> None
         record.write(segmentation(index, 3), frame(index), appearance(known) if ends_group(index) else None)
         written = [path.name for path in (tmp_path / "yard").rglob("*.png") if not path.name.startswith(".")]
         assert len(written) == (9 if index >= 7 else 0)  # eight cut-outs and a plate
-    record.close()
+    record.close(whole=True)
     plate = cv2.imread(str(tmp_path / "yard/background/img007.png"), cv2.IMREAD_UNCHANGED)
     assert plate is not None
     assert plate.shape == (HEIGHT, WIDTH, 4)

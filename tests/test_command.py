@@ -54,6 +54,7 @@ def test_the_defaults_are_those_of_the_help() -> None:
     assert arguments.output == Path("out")
     assert arguments.save == frozenset({"masks", "parquet", "overlay"}) == frozenset(SAVABLE[:3])
     assert (arguments.address, arguments.config, arguments.max_frames) == (None, None, None)
+    assert not arguments.resume
 
 
 @pytest.mark.parametrize(
@@ -90,7 +91,7 @@ def test_set_may_be_given_once_or_often() -> None:
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        (["--resume"], "not available yet"),
+        (["--resume", "--watch"], "cannot go with --resume"),
         (["--monitor", "web"], "PORT or HOST:PORT"),
         (["--monitor", "0.0.0.0:70000"], "PORT or HOST:PORT"),
         (["--save", "mask"], "knows no 'mask'"),

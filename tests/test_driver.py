@@ -15,10 +15,12 @@ import pytest
 
 from mlbs_actors.actors.stream_protocol import RunningStream, SourceSilence, StreamProgress, StreamSpec
 from mlbs_actors.config import Config
-from mlbs_actors.errors import SourceError
+from mlbs_actors.errors import ActorLostError, SourceError
+from orchestrator import driver as driver_module
 from orchestrator.admission import STREAM_BYTES, available_memory, cores, places, streams_to_start
 from orchestrator.driver import Driver, SpecChange
 from orchestrator.interruption import Interruption, StopAtOnce
+from orchestrator.recovery import MOST_RETURNS
 from orchestrator.stream_state import (
     ENDED,
     StateName,
@@ -82,12 +84,16 @@ class FakeHost:
         self.streams = streams
         self.started: list[str] = []
         self.most_at_once = 0
+        self.repairs = 0
 
     def start(self, spec: StreamSpec) -> RunningStream:
         self.started.append(spec.name)
         running = sum(not self.streams[name].stops for name in self.started)
         self.most_at_once = max(self.most_at_once, running)
         return self.streams[spec.name]
+
+    def repair(self) -> None:
+        self.repairs += 1
 
     def close(self) -> None:
         raise AssertionError("the driver does not own the host")
@@ -259,6 +265,132 @@ def test_a_stream_that_fails_while_it_is_drained_is_told_apart() -> None:
     status, states, _, _ = drive({"a": Lost(1000, on_advance=interrupt)}, interruption=interruption)
     assert status == 130
     assert "what was committed is kept" in (states["a"].error or "")
+
+
+# Going back
+
+
+class Again(FakeHost):
+    """Hands out one stream after the other under each name."""
+
+    def __init__(self, attempts: dict[str, list[FakeStream]]) -> None:
+        super().__init__({name: streams[0] for name, streams in attempts.items()})
+        self.attempts = attempts
+        self.last_tries: list[bool] = []
+
+    def start(self, spec: StreamSpec) -> RunningStream:
+        self.started.append(spec.name)
+        self.last_tries.append(spec.last_try)
+        return self.attempts[spec.name].pop(0)
+
+
+def losing(fails_at: int) -> FakeStream:
+    return FakeStream(20, fails_at=fails_at, error=ActorLostError("It lost its layer 3."))
+
+
+def drive_again(host: Again, interruption: Interruption | None = None) -> dict[str, StreamState]:
+    specs = [spec(name) for name in host.attempts]
+    driver = Driver(specs, host, limit=2, observers=[], interruption=interruption or Interruption())
+    driver.run()
+    return {state.name: state for state in driver.states}
+
+
+def test_a_stream_that_lost_a_process_is_stopped_and_started_again() -> None:
+    first, second = losing(8), FakeStream(20)
+    host = Again({"bad": [first, second], "good": [FakeStream(20)]})
+    states = drive_again(host)
+    assert (states["bad"].state, states["bad"].committed, states["bad"].returns) == ("done", 20, 1)
+    assert states["bad"].error is None
+    assert (first.stops, second.stops, host.repairs) == ([False], [False], 1)
+    assert (states["good"].state, states["good"].returns) == ("done", 0)
+
+
+def test_a_stream_that_gets_no_further_fails_after_a_few_returns_and_knows_its_last_try() -> None:
+    host = Again({"bad": [losing(8) for _ in range(9)]})
+    states = drive_again(host)
+    assert states["bad"].state == "failed"
+    assert "layer 3" in (states["bad"].error or "")
+    # The first loss came after label maps that no start before it had committed.
+    assert host.last_tries == [False] * MOST_RETURNS + [True]
+    assert states["bad"].returns == MOST_RETURNS
+
+
+def test_a_stream_that_cannot_be_replayed_fails_at_its_first_loss() -> None:
+    host = Again({"camera": [losing(8)]})
+    live = replace(spec("camera"), replayable=False)
+    driver = Driver([live], host, limit=1, observers=[], interruption=Interruption())
+    assert driver.run() == 1
+    assert driver.states[0].state == "failed"
+
+
+def test_a_stream_that_does_not_get_on_is_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Hanging(FakeStream):
+        def advance(self) -> Future[StreamProgress]:
+            return super().advance() if self.read < 8 else Future()
+
+    monkeypatch.setattr(driver_module, "STALL_SECONDS", 0.3)
+    host = Again({"slow": [Hanging(20), FakeStream(20)]})
+    states = drive_again(host)
+    assert (states["slow"].state, states["slow"].returns) == ("done", 1)
+
+
+def test_a_stream_that_leaves_the_list_while_it_goes_back_is_not_started_again() -> None:
+    interruption = Interruption()
+    asked: list[StreamState] = []
+
+    class Slow(FakeStream):
+        def stop(self, *, drain: bool) -> StreamProgress | None:
+            time.sleep(0.5)
+            return super().stop(drain=drain)
+
+    host = Again({"bad": [Slow(20, fails_at=8, error=ActorLostError("It lost its layer 3."))]})
+
+    def changes() -> SpecChange | None:
+        state = driver.states[0]
+        if state.state in ENDED:
+            interruption.signal_number = signal.SIGTERM
+        if state.returns == 0 or asked:
+            return None
+        asked.append(state)
+        return SpecChange((), ("bad",))
+
+    driver = Driver([spec("bad")], host, limit=1, observers=[], interruption=interruption, changes=changes)
+    assert driver.run() == 128 + signal.SIGTERM
+    assert host.started == ["bad"]
+    assert (driver.states[0].state, driver.states[0].committed) == ("partial", 8)
+    assert not driver.states[0].interrupted
+
+
+def test_a_signal_while_a_stream_goes_back_leaves_it_to_be_resumed() -> None:
+    interruption = Interruption()
+
+    class Stopping(FakeStream):
+        def stop(self, *, drain: bool) -> StreamProgress | None:
+            interruption.signal_number = signal.SIGTERM
+            time.sleep(0.3)
+            return super().stop(drain=drain)
+
+    first = Stopping(20, fails_at=8, error=ActorLostError("It lost its layer 3."))
+    host = Again({"bad": [first, FakeStream(20)]})
+    states = drive_again(host, interruption)
+    assert host.started == ["bad"]
+    assert (states["bad"].state, states["bad"].interrupted) == ("partial", True)
+
+
+def test_streams_that_ended_in_an_earlier_run_are_left_alone() -> None:
+    host = FakeHost({"new": FakeStream(4)})
+    ended = {"old": StreamState("old", "done", read=9, committed=9)}
+    driver = Driver(
+        [spec("old"), spec("new")],
+        host,
+        limit=2,
+        observers=[],
+        interruption=Interruption(),
+        ended=ended,
+    )
+    assert driver.run() == 0
+    assert host.started == ["new"]
+    assert driver.states[0] == ended["old"]
 
 
 # Signals

@@ -121,7 +121,7 @@ def test_an_id_that_a_format_has_no_place_for_is_refused_and_nothing_is_left(
 ) -> None:
     record = StreamRecord(tmp_path / "run/yard", "yard", frozenset({"parquet"}))
     record.write(segmentation(0, layer), frame(0))
-    record.close()
+    record.close(whole=True)
     write_run(tmp_path / "run", [StreamState("yard", "done")])
     assert main([name, str(tmp_path / "run"), str(tmp_path / "out")]) == 2
     assert f"layer {layer}" in capsys.readouterr().err

@@ -211,7 +211,7 @@ def test_a_record_shows_its_frames_and_no_trouble_with_that_reaches_it(tmp_path:
             picture.parent.mkdir()
         record = StreamRecord(tmp_path / f"stream-{name}", "a", frozenset({"masks"}), LivePicture(picture))
         record.write(segmentation(0), frame(0))
-        assert record.close() == 1
+        assert record.close(whole=True) == 1
         assert picture.exists() == (name == "live")
 
 

@@ -86,10 +86,10 @@ def test_the_strip_holds_the_pictures_of_the_frames_it_names(tmp_path: Path) -> 
         assert given.image is not None
         given.image[:] = 3 * index  # so that a picture tells its frame
         record.write(segmentation(index), given)
-    record.close()
+    record.close(whole=True)
     history = read_history(tmp_path / "a")
     assert history is not None
-    strip = overlay_strip(tmp_path / "a/overlay.mp4", history, 6)
+    strip = overlay_strip(tmp_path / "a", history, 6)
     assert [picture.frame for picture in strip] == [0, 14, 28, 41, 55, 69]
     for picture in strip:
         data = np.frombuffer(base64.b64decode(picture.data.partition(",")[2]), np.uint8)
@@ -99,13 +99,34 @@ def test_the_strip_holds_the_pictures_of_the_frames_it_names(tmp_path: Path) -> 
         assert abs(float(np.median(image[-6:])) - 3 * picture.frame) < 4
 
 
+def test_the_strip_of_a_resumed_stream_is_taken_from_all_its_videos(tmp_path: Path) -> None:
+    for last in (40, 70):
+        record = StreamRecord(tmp_path / "a", "a", EVERYTHING)
+        for index in range(last):
+            given = frame(index)
+            assert given.image is not None
+            given.image[:] = 3 * index
+            record.write(segmentation(index), given)
+        record.close(whole=False)
+    assert (tmp_path / "a/overlay-00000040.mp4").exists()
+    history = read_history(tmp_path / "a")
+    assert history is not None
+    strip = overlay_strip(tmp_path / "a", history, 6)
+    assert [picture.frame for picture in strip] == [0, 14, 28, 41, 55, 69]
+    for picture in strip:
+        data = np.frombuffer(base64.b64decode(picture.data.partition(",")[2]), np.uint8)
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR)
+        assert image is not None
+        assert abs(float(np.median(image[-6:])) - 3 * picture.frame) < 4
+
+
 def test_a_missing_or_broken_overlay_gives_no_pictures(tmp_path: Path) -> None:
     write_stream(tmp_path / "a", frozenset({"parquet"}))
     history = read_history(tmp_path / "a")
     assert history is not None
-    assert overlay_strip(tmp_path / "a/overlay.mp4", history, 6) == []
+    assert overlay_strip(tmp_path / "a", history, 6) == []
     (tmp_path / "a/overlay.mp4").write_bytes(b"no video")
-    assert overlay_strip(tmp_path / "a/overlay.mp4", history, 6) == []
+    assert overlay_strip(tmp_path / "a", history, 6) == []
 
 
 def test_the_timeline_has_a_bar_for_each_time_an_object_is_seen(run_folder: Path) -> None:

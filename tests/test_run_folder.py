@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -121,6 +123,8 @@ def test_the_status_file_says_how_each_stream_stands(tmp_path: Path) -> None:
         "latency_ms": 0.0,
         "error": "1 frame <is> bad.",
         "line": None,
+        "returns": 0,
+        "interrupted": False,
     }
 
 
@@ -179,3 +183,55 @@ def test_lines_are_appended_whole_and_in_order(tmp_path: Path) -> None:
     for number in range(3):
         append_line(tmp_path / "log", str(number))
     assert (tmp_path / "log").read_text() == "0\n1\n2\n"
+
+
+# Going on
+
+
+def test_a_run_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path)
+    plain = describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), None)
+    with pytest.raises(ConfigError, match="holds no run to resume"):
+        folder.refuse_other(plain)
+    folder.claim(plain)
+    assert folder.refuse_other(plain | {"started": "later"})["started"] == plain["started"]
+    other_config = Config.model_validate({"layers": {"lookahead": 1}})
+    for description, words in (
+        (describe_run([listed("yard", "yard.mp4")], other_config, frozenset({"masks"}), None), "parameters"),
+        (describe_run([listed("yard", "other.mp4")], Config(), frozenset({"masks"}), None), "streams"),
+        (describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"parquet"}), None), "--save"),
+        (describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), 7), "--max-frames"),
+        (describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), None, 64), "--max-side"),
+    ):
+        with pytest.raises(ConfigError, match=f"had other .*{words}"):
+            folder.refuse_other(description)
+    (tmp_path / "run.json").write_text("{")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        folder.refuse_other(plain)
+
+
+def test_the_states_of_the_streams_are_read_back_from_the_status(tmp_path: Path) -> None:
+    states = [
+        *STATES,
+        StreamState("cut", "partial", error="Interrupted.", interrupted=True),
+        StreamState("killed", "running", read=8),
+        StreamState("gone", "failed", error="No such file."),
+    ]
+    assert RunFolder(tmp_path).states() == {}
+    StatusFile(tmp_path / "status.json").finish(states, 1)
+    assert RunFolder(tmp_path).states() == {state.name: state for state in states}
+
+
+def test_one_run_at_a_time_has_a_folder_and_a_killed_one_keeps_nobody_out(tmp_path: Path) -> None:
+    code = (
+        "import pathlib, sys, time; from orchestrator.run_folder import RunFolder\n"
+        f"with RunFolder(pathlib.Path({str(tmp_path)!r})).held(): print('held', flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(ConfigError, match="Another run is at work"), RunFolder(tmp_path).held():
+            pass
+        other.kill()
+    with RunFolder(tmp_path).held():
+        pass

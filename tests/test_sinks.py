@@ -18,7 +18,7 @@ from record_fakes import HEIGHT, WIDTH, frame, segmentation
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, Segmentation
 from orchestrator import durable_files
-from orchestrator.sinks import record as record_module
+from orchestrator.sinks import commit_log
 from orchestrator.sinks.label_image import davis_palette, encode_label_image, voc_colours
 from orchestrator.sinks.overlay import OverlayVideo
 from orchestrator.sinks.record import FIRST_COMMIT, GROUP_FRAMES, StreamRecord
@@ -85,7 +85,7 @@ def test_a_label_image_gives_back_its_ids_whatever_the_largest(largest: int, mod
 
 
 def test_a_record_holds_a_mask_a_frame_under_the_name_of_the_input(tmp_path: Path) -> None:
-    assert fill(tmp_path / "yard", 5).close() == 5
+    assert fill(tmp_path / "yard", 5).close(whole=True) == 5
     masks = sorted(path.name for path in (tmp_path / "yard/masks").iterdir())
     assert masks == [f"img{index:03d}.png" for index in range(5)]
     stored = np.asarray(Image.open(tmp_path / "yard/masks/img004.png"))
@@ -93,7 +93,7 @@ def test_a_record_holds_a_mask_a_frame_under_the_name_of_the_input(tmp_path: Pat
 
 
 def test_the_tables_have_the_columns_and_types_of_the_contract_first(tmp_path: Path) -> None:
-    fill(tmp_path / "yard", 2).close()
+    fill(tmp_path / "yard", 2).close(whole=True)
     layers = pq.read_schema(next((tmp_path / "yard").glob("layers-*.parquet")))
     assert [(field.name, str(field.type)) for field in layers] == [
         ("stream", "string"),
@@ -131,7 +131,7 @@ def test_the_tables_have_the_columns_and_types_of_the_contract_first(tmp_path: P
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 def test_the_rows_say_what_the_label_maps_hold(tmp_path: Path) -> None:
     count = GROUP_FRAMES + 3
-    fill(tmp_path / "yard", count).close()
+    fill(tmp_path / "yard", count).close(whole=True)
     rows = ds.dataset(sorted((tmp_path / "yard").glob("layers-*.parquet"))).to_table().to_pylist()
     assert [row["frame"] for row in rows] == list(range(count))
     for row in rows:
@@ -154,7 +154,7 @@ def test_a_frame_without_label_map_is_a_row_without_results(tmp_path: Path) -> N
     record.write(segmentation(0), frame(0))
     record.gap(1, 0.1, "quarantined")
     record.write(segmentation(1), frame(2))
-    assert record.close() == 2
+    assert record.close(whole=True) == 2
     rows = pq.read_table(next((tmp_path / "yard").glob("frames-*.parquet"))).to_pylist()
     assert [row["status"] for row in rows] == ["ok", "quarantined", "ok"]
     assert {key for key, value in rows[1].items() if value is not None} == {
@@ -182,7 +182,7 @@ def test_a_stage_that_appears_late_is_counted_in_the_same_columns(tmp_path: Path
         {"track": 1.0, "merge": 4.0},
     )
     record.write(late, frame(GROUP_FRAMES))
-    record.close()
+    record.close(whole=True)
     first, _, last = (pq.read_table(path) for path in sorted((tmp_path / "yard").glob("frames-*.parquet")))
     assert first.schema.equals(last.schema)
     assert last["ms_other"].to_pylist() == [4.0]
@@ -196,8 +196,8 @@ def test_nothing_counts_before_its_line_and_each_line_stands_for_files_that_are_
         masks = list((tmp_path / "yard/masks").glob("img*.png"))
         due = (index + 1) // GROUP_FRAMES * GROUP_FRAMES or (index + 1) // FIRST_COMMIT * FIRST_COMMIT
         assert len(masks) == committed == min(due, FIRST_COMMIT if index + 1 < GROUP_FRAMES else due)
-    assert record.close() == 2 * GROUP_FRAMES + 5
-    assert record.close() == 2 * GROUP_FRAMES + 5
+    assert record.close(whole=True) == 2 * GROUP_FRAMES + 5
+    assert record.close(whole=True) == 2 * GROUP_FRAMES + 5
     assert commits(tmp_path / "yard") == [
         {"generation": 0, "first": 0, "last": FIRST_COMMIT - 1, "snapshot": None},
         {"generation": 0, "first": FIRST_COMMIT, "last": GROUP_FRAMES - 1, "snapshot": None},
@@ -226,11 +226,13 @@ def test_files_are_synced_and_renamed_before_their_line_is_written(
 
     monkeypatch.setattr(durable_files, "_sync", sync_noted)
     monkeypatch.setattr(Path, "replace", replace_noted)
-    monkeypatch.setattr(record_module, "append_line", append_noted)
-    fill(tmp_path / "yard", 2, frozenset({"masks"})).close()
+    monkeypatch.setattr(commit_log, "append_line", append_noted)
+    record = fill(tmp_path / "yard", 2, frozenset({"masks"}))
+    steps.clear()
+    record.close(whole=True)
     assert steps[:6] == [
-        "sync .img000.png.part",
-        "sync .img001.png.part",
+        f"sync {durable_files.temporary_path(Path('img000.png'))}",
+        f"sync {durable_files.temporary_path(Path('img001.png'))}",
         "rename img000.png",
         "rename img001.png",
         "sync masks",
@@ -239,10 +241,17 @@ def test_files_are_synced_and_renamed_before_their_line_is_written(
 
 
 def test_only_what_was_asked_for_is_written(tmp_path: Path) -> None:
-    fill(tmp_path / "a", 2, frozenset({"masks"})).close()
-    fill(tmp_path / "b", 2, frozenset({"parquet"})).close()
-    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["commits.jsonl", "masks"]
+    fill(tmp_path / "a", 2, frozenset({"masks"})).close(whole=True)
+    fill(tmp_path / "b", 2, frozenset({"parquet"})).close(whole=True)
+    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == [
+        ".generation",
+        ".lock",
+        "commits.jsonl",
+        "masks",
+    ]
     assert sorted(path.name for path in (tmp_path / "b").iterdir()) == [
+        ".generation",
+        ".lock",
         "commits.jsonl",
         "frames-00000000.parquet",
         "layers-00000000.parquet",
@@ -250,18 +259,12 @@ def test_only_what_was_asked_for_is_written(tmp_path: Path) -> None:
 
 
 def test_two_records_of_the_same_frames_have_the_same_bytes(tmp_path: Path) -> None:
-    fill(tmp_path / "a", 40, frozenset({"masks", "parquet"})).close()
-    fill(tmp_path / "b", 40, frozenset({"masks", "parquet"})).close()
+    fill(tmp_path / "a", 40, frozenset({"masks", "parquet"})).close(whole=True)
+    fill(tmp_path / "b", 40, frozenset({"masks", "parquet"})).close(whole=True)
     names = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*") if path.is_file())
-    assert len(names) == 40 + 3 * 2 + 1
+    assert len(names) == 40 + 3 * 2 + 3
     for name in names:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
-
-
-def test_a_record_that_exists_is_never_written_into(tmp_path: Path) -> None:
-    fill(tmp_path / "yard", 1).close()
-    with pytest.raises(SinkError, match="new folder"):
-        StreamRecord(tmp_path / "yard", "yard", EVERYTHING)
 
 
 @pytest.mark.parametrize("save", ["masks", "parquet"])
@@ -269,7 +272,7 @@ def test_a_folder_that_goes_away_fails_the_record_with_a_sentence(tmp_path: Path
     record = fill(tmp_path / "yard", 3, frozenset({save}))
     (tmp_path / "yard").rename(tmp_path / "elsewhere")
     with pytest.raises(SinkError, match="'yard' cannot be written"):
-        record.close()
+        record.close(whole=True)
 
 
 # Overlay
@@ -317,7 +320,7 @@ def test_an_overlay_that_cannot_be_written_leaves_the_record_whole_and_says_why(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(av, "open", refuse)
-    assert fill(tmp_path / "yard", 4).close() == 4
+    assert fill(tmp_path / "yard", 4).close(whole=True) == 4
     assert commits(tmp_path / "yard")[0]["last"] == 3
     assert not (tmp_path / "yard/overlay.mp4").exists()
     assert "No space left" in (tmp_path / "yard/overlay.error").read_text()

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import av
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
 from mlbs_actors import MultilayerSubtractor, Segmentation
 from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourceSilence, StreamSink
 from mlbs_actors.messages import Array, LayerSummary, Region
+from orchestrator.sinks.record_tables import read_table
 from orchestrator.sources.opening import SceneReader
 from orchestrator.sources.synthetic import scene
 from orchestrator.working_size import FullSizeRecord, ShrinkingReader, enlarged, shrunk
@@ -80,14 +80,13 @@ def test_a_stream_is_worked_on_small_and_recorded_in_full_size(tmp_path: Path) -
         for result in subtractor.apply(frame.image):
             record.write(result, frames[result.frame_index])
     record.gap(8, 0.32, "quarantined")
-    assert record.close() == 8
+    assert record.close(whole=True) == 8
     labels = np.asarray(Image.open(tmp_path / "pan/masks/00007.png"))
     truth, found = video.labels(7) > 0, labels > 0
     assert (truth & found).sum() / (truth | found).sum() > 0.6
-    parts = sorted((tmp_path / "pan").glob("frames-*"))
-    rows = [row for part in parts for row in pq.read_table(part).to_pylist()]
+    rows = read_table(tmp_path / "pan", "frames").to_pylist()
     assert [(row["height"], row["width"]) for row in rows] == [(240, 320)] * 8 + [(None, None)]
-    layers = pq.read_table(next((tmp_path / "pan").glob("layers-*"))).to_pylist()
+    layers = read_table(tmp_path / "pan", "layers").to_pylist()
     last = [row for row in layers if row["frame"] == 7]
     assert {row["layer"]: row["area"] for row in last} == {
         int(layer): int((labels == layer).sum()) for layer in np.unique(labels[found])

@@ -9,20 +9,32 @@ layers' work on t.
 from __future__ import annotations
 
 import logging
+import sys
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import ray
 from ray.exceptions import RayError
 
-from mlbs_actors.actors.failures import POOL, SEGMENTER, SINK, explain, source_failure
+from mlbs_actors.actors.failures import POOL, SEGMENTER, SINK, explain, is_loss, reader_lost, source_failure
 from mlbs_actors.actors.layer import LiveLayers
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.processes import Handle, Reference, identity
 from mlbs_actors.actors.reader import ReadAhead
+from mlbs_actors.actors.saved_states import (
+    CONDUCTOR_FILE,
+    COORDINATOR_FILE,
+    PUBLISHED_FILE,
+    SEGMENTER_FILE,
+    ConductorState,
+    StateWriter,
+    layer_file,
+)
 from mlbs_actors.actors.sink import Record
 from mlbs_actors.actors.stream_protocol import (
+    Snapshot,
     SourceFrame,
     SourceSilence,
     SourceStatus,
@@ -30,12 +42,16 @@ from mlbs_actors.actors.stream_protocol import (
     StreamSpec,
 )
 from mlbs_actors.determinism import limit_process
-from mlbs_actors.errors import MlbsError
+from mlbs_actors.errors import ActorLostError, MlbsError
 from mlbs_actors.messages import Array, FrameEvidence, Segmentation
+from mlbs_actors.state_file import read_state
 
 __all__ = ["CoordinatorActor", "StreamLinks"]
 
 _log = logging.getLogger(__name__)
+
+#: Frames that are passed over in one burst on the way back to a snapshot.
+_SKIPPED_FRAMES = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +99,9 @@ class CoordinatorActor:
         self._problem: str | None = None
         self._stages = _StageTimes()
         self._ended: StreamProgress | MlbsError | None = None
+        self._begun = self._interrupted = False
+        self._to_skip = 0
+        self._writer = StateWriter()
 
     def advance(self, frames: int) -> StreamProgress:
         """Take up to ``frames`` more frames of the source; the label maps may follow a few frames later.
@@ -96,6 +115,8 @@ class CoordinatorActor:
 
     def finish(self) -> StreamProgress:
         """Read no more, label and commit what was read, close the record; raises as :meth:`advance`."""
+        self._interrupted = True
+        self._to_skip = 0
         self._source.stop()
         return self._guarded(1)
 
@@ -119,6 +140,11 @@ class CoordinatorActor:
         return self._ended
 
     def _burst(self, frames: int) -> StreamProgress:
+        if not self._begun:
+            self._begin()
+        if self._to_skip:
+            self._skip()
+            return self._progress(done=False)
         for _ in range(frames):
             delivered = self._next_frame()
             if delivered is None:
@@ -133,19 +159,75 @@ class CoordinatorActor:
                 self._write_gaps()
             else:
                 self._track(frame.image)
+            if self._record.rows >= self._next_snapshot:
+                self._save()
         self._record.collect()
         return self._progress(done=False)
+
+    def _begin(self) -> None:
+        """Go back to the snapshot that the record names, if it names one."""
+        opening = self._record.opening()
+        self._snapshots = opening.snapshots
+        if opening.resume_from is not None:
+            self._restore(opening.resume_from.folder)
+        self._await_snapshot()
+        self._begun = True
+
+    def _restore(self, folder: Path) -> None:
+        published = self._links.segmenter.restore.remote(folder)
+        state = read_state(folder / CONDUCTOR_FILE, ConductorState)
+        self._coordinator.state = read_state(folder / COORDINATOR_FILE, type(self._coordinator.state))
+        self._layers.restore(state.layers, folder)
+        self._waiting.extend((ray.put(frame), frame) for frame in state.waiting)
+        for segmentation in ray.get(published):
+            self._segmentations[segmentation.frame_index] = ray.put(segmentation)
+        self._counts.update(state.counts)
+        self._to_skip = 0 if self._interrupted else self._read
+
+    def _skip(self) -> None:
+        """Pass over some of the frames that the snapshot has seen: in bursts, so that others see it go on."""
+        frames = min(self._to_skip, _SKIPPED_FRAMES)
+        try:
+            self._source.skip(frames)
+        except RayError as error:
+            raise self._reader_failure(error) from None
+        self._to_skip -= frames
+
+    def _save(self) -> None:
+        """Let every part write its state, each after the same frame; the work goes on meanwhile."""
+        assert self._snapshots is not None
+        self._await_snapshot()
+        folder = self._snapshots / f"{self._record.rows:08d}"
+        self._layers.save(folder)
+        self._links.segmenter.save.remote(folder)
+        layers = self._layers.state()
+        waiting = tuple(frame for _, frame in self._waiting)
+        own = ConductorState(self._counts, waiting, layers)
+        self._writer.write({CONDUCTOR_FILE: own, COORDINATOR_FILE: self._coordinator.state}, folder)
+        shared = (CONDUCTOR_FILE, COORDINATOR_FILE, SEGMENTER_FILE, PUBLISHED_FILE)
+        parts = (*shared, *(layer_file(one.layer) for one in layers))
+        self._record.offer(Snapshot(folder, self._record.rows, self._record.label_maps, parts))
+
+    def _await_snapshot(self) -> None:
+        every, rows = self._spec.snapshot_rows, self._record.rows
+        wanted = self._snapshots is not None and self._spec.replayable
+        self._next_snapshot = (rows // every + 1) * every if wanted else sys.maxsize
 
     def _next_frame(self) -> tuple[Reference, SourceFrame | SourceSilence] | None:
         try:
             return self._source.next()
         except RayError as error:
-            failure = source_failure(error, self._spec.source, self._read)
-            if self._read == 0:
+            failure = self._reader_failure(error)
+            if self._read == 0 or isinstance(failure, ActorLostError):
                 raise failure from None
             self._problem = str(failure)
             self._source.stop()
             return None
+
+    def _reader_failure(self, error: RayError) -> MlbsError:
+        if self._spec.replayable and not self._spec.last_try and is_loss(error):
+            return reader_lost(self._spec.name, self._read)
+        return source_failure(error, self._spec.source, self._read)
 
     def _track(self, image: Array) -> None:
         """Let the engine's coordinator take the next picture, and start the work that it makes possible."""
@@ -184,10 +266,12 @@ class CoordinatorActor:
 
     def _finish(self) -> StreamProgress:
         self._silence = None  # of a stream that ends it is no fault
+        if self._interrupted:
+            self._record.provisional()
         for evidence in self._coordinator.flush():
             self._label(evidence)
         self._segmentations.clear()
-        self._record.close()
+        self._record.close(whole=not self._interrupted)
         self._layers.release_all()
         if self._problem is None:
             try:

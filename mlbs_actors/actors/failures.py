@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ray.exceptions import RayActorError, RayTaskError
+from ray.exceptions import ObjectLostError, RayActorError, RayTaskError
 
-from mlbs_actors.errors import LayerError, MlbsError, SinkError, SourceError
+from mlbs_actors.errors import ActorLostError, LayerError, MlbsError, SourceError
 
 __all__ = [
     "COORDINATOR",
@@ -15,7 +15,9 @@ __all__ = [
     "SINK",
     "cause_of",
     "explain",
+    "is_loss",
     "last_line",
+    "reader_lost",
     "source_failure",
 ]
 
@@ -46,24 +48,33 @@ def explain(error: BaseException, stream: str, roles: Mapping[str, str]) -> Mlbs
     Returns
     -------
     MlbsError
-        The actor's own if it raised one; SinkError if the sink's process was lost; LayerError else.
+        The actor's own if it raised one, ActorLostError if a process was lost, LayerError else.
     """
     cause = cause_of(error)
     if isinstance(cause, MlbsError):
         return cause
-    if not isinstance(cause, RayActorError):
+    if not is_loss(cause):
         return LayerError(
             f"Stream {stream!r} failed unexpectedly with {type(cause).__name__}: {last_line(cause)}. "
             "What was committed before is kept; please report this with the video."
         )
-    role = roles.get(str(cause.actor_id), "part")
-    if cause.actor_init_failed:
-        return LayerError(f"The {role} of stream {stream!r} could not start: {last_line(cause)}.")
-    lost = SinkError if role == SINK else LayerError
-    return lost(
+    role = roles.get(str(getattr(cause, "actor_id", None)), "part")
+    if getattr(cause, "actor_init_failed", False):
+        return ActorLostError(f"The {role} of stream {stream!r} could not start: {last_line(cause)}.")
+    return ActorLostError(
         f"Stream {stream!r} lost the process of its {role}; what was committed before is kept. "
-        "Run it again, and if that ends the same way, look whether the machine runs out of memory."
+        "If that happens again and again, look whether the machine runs out of memory."
     )
+
+
+def is_loss(error: BaseException) -> bool:
+    """Whether a process, or what it held, is gone: nothing says that it would happen again."""
+    return isinstance(cause_of(error), RayActorError | ObjectLostError)
+
+
+def reader_lost(stream: str, frames: int) -> ActorLostError:
+    """Say that the process that reads a stream is gone, after so many frames."""
+    return ActorLostError(f"The process that reads stream {stream!r} died after {frames} frames.")
 
 
 def source_failure(error: BaseException, source: str, frames: int) -> SourceError:

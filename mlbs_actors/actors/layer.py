@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
 
 import ray
 
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import LayerPart, PartFactory
 from mlbs_actors.actors.processes import Handle, Reference, identity
+from mlbs_actors.actors.saved_states import SavedLayer, StateWriter, layer_file
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
@@ -21,6 +24,7 @@ from mlbs_actors.messages import (
     LayerPosterior,
     Segmentation,
 )
+from mlbs_actors.state_file import read_state
 
 __all__ = ["LayerActor", "LiveLayers"]
 
@@ -33,12 +37,15 @@ class LayerActor:
         parts.warm_layer()
         self._parts = parts
         self._part: LayerPart | None = None
+        self._writer = StateWriter()
 
-    def assign(self, layer: int, kind: LayerKind, config: Config) -> None:
-        """Become a new-born layer."""
-        self._layer = layer
-        self._part = self._parts.layer(config, layer, kind)
-        self._order = FrameOrder()
+    def assign(self, own: SavedLayer, config: Config, folder: Path | None) -> None:
+        """Become a layer: a new-born one, or that of the snapshot in ``folder``."""
+        self._layer = own.layer
+        self._part = self._parts.layer(config, own.layer, own.kind)
+        self._order = FrameOrder(own.last_frame)
+        if folder is not None:
+            self._part.state = read_state(folder / layer_file(own.layer), type(self._part.state))
 
     def step(
         self, evidence: FrameEvidence, frame: SourceFrame, previous: Segmentation | None
@@ -58,9 +65,23 @@ class LayerActor:
         assert self._part is not None  # asked for by whoever asked for that frame
         return self._part.appearance()
 
+    def save(self, folder: Path) -> None:
+        """Write the state into a snapshot's folder, beside the work on the next frames."""
+        if self._part is not None:
+            self._writer.write({layer_file(self._layer): self._part.state}, folder)
+
     def release(self) -> None:
         """Forget the layer, and with it its memory."""
         self._part = None
+
+
+@dataclass(slots=True)
+class _Lent:
+    """A layer's process, and how far it has been asked to go."""
+
+    handle: Handle
+    kind: LayerKind
+    last_frame: int
 
 
 class LiveLayers:
@@ -79,15 +100,30 @@ class LiveLayers:
         self._pool = pool
         self._run = run
         self._config = config
-        self._handles: dict[int, Handle] = {}
+        self._lent: dict[int, _Lent] = {}
 
     def __len__(self) -> int:
-        return len(self._handles)
+        return len(self._lent)
 
     def roles(self) -> Iterator[tuple[str, str]]:
         """Actor id and name of every layer process, for messages."""
-        for layer, handle in self._handles.items():
-            yield identity(handle), f"layer {layer}"
+        for layer, lent in self._lent.items():
+            yield identity(lent.handle), f"layer {layer}"
+
+    def state(self) -> tuple[SavedLayer, ...]:
+        """The layers as they stand, in ascending id."""
+        return tuple(
+            SavedLayer(layer, lent.kind, lent.last_frame) for layer, lent in sorted(self._lent.items())
+        )
+
+    def save(self, folder: Path) -> None:
+        """Let every layer write its state after the last frame it was asked for."""
+        for lent in self._lent.values():
+            lent.handle.save.remote(folder)
+
+    def restore(self, layers: Iterable[SavedLayer], folder: Path) -> None:
+        """Go back to a snapshot; raises RayError as :meth:`follow`."""
+        self._acquire(layers, folder)
 
     def follow(self, evidence: FrameEvidence) -> None:
         """Give the retired layers' processes back, and wait for a process for every layer just born.
@@ -98,33 +134,40 @@ class LiveLayers:
             If the pool could not start a process, or is gone.
         """
         for layer in evidence.retired:
-            if layer in self._handles:
+            if layer in self._lent:
                 self._release(layer)
-        born = [own for own in evidence.layers if own.layer not in self._handles]
-        asked = [self._pool.acquire.remote(self._run, own.layer, own.kind, self._config) for own in born]
-        for own, handle in zip(born, ray.get(asked), strict=True):
-            self._handles[own.layer] = handle
+        born = [own for own in evidence.layers if own.layer not in self._lent]
+        self._acquire([SavedLayer(own.layer, own.kind, -1) for own in born], None)
 
     def step(
         self, evidence: FrameEvidence, by_reference: Reference, frame: Reference, previous: Reference | None
     ) -> list[Reference]:
         """Start the frame's work in every layer that has evidence; one posterior each, in ascending id."""
-        return [
-            self._handles[own.layer].step.remote(by_reference, frame, previous) for own in evidence.layers
-        ]
+        posteriors = []
+        for own in evidence.layers:
+            lent = self._lent[own.layer]
+            lent.last_frame = evidence.frame_index
+            posteriors.append(lent.handle.step.remote(by_reference, frame, previous))
+        return posteriors
 
     def background(self) -> Reference:
         """Ask the background for its :class:`LayerAppearance` at the frame whose work was started last."""
-        appearance: Reference = self._handles[BACKGROUND].appearance.remote()
+        appearance: Reference = self._lent[BACKGROUND].handle.appearance.remote()
         return appearance
 
     def release_all(self) -> None:
         """Give all processes back, each once its last step is done."""
-        for layer in list(self._handles):
+        for layer in list(self._lent):
             self._release(layer)
+
+    def _acquire(self, layers: Iterable[SavedLayer], folder: Path | None) -> None:
+        wanted = list(layers)
+        asked = [self._pool.acquire.remote(self._run, own, self._config, folder) for own in wanted]
+        for own, handle in zip(wanted, ray.get(asked), strict=True):
+            self._lent[own.layer] = _Lent(handle, own.kind, own.last_frame)
 
     def _release(self, layer: int) -> None:
         # The layer's own answer is an argument of the pool's call, so the pool hears of it only when the
         # process has done all its steps.
-        handle = self._handles.pop(layer)
+        handle = self._lent.pop(layer).handle
         self._pool.release.remote(self._run, identity(handle), handle.release.remote())

@@ -13,12 +13,17 @@ __all__ = ["FrameOrder"]
 class FrameOrder:
     """Refuses a frame that does not follow the last one, and every frame after a failed one.
 
+    Parameters
+    ----------
+    last : int
+        Frame that was done last, −1 for none.
+
     A call that comes twice, or after one that failed half-way, would leave a state that no undisturbed run
     ever has.
     """
 
-    def __init__(self) -> None:
-        self._last: int | None = -1
+    def __init__(self, last: int = -1) -> None:
+        self._last: int | None = last
 
     @contextmanager
     def step(self, frame: int, *, after: int) -> Iterator[None]:

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -33,7 +33,16 @@ TURN_SECONDS = 60.0
 
 
 class CoordinatorPart(Protocol):
-    """Tracks, clusters and decides on layers."""
+    """Tracks, clusters and decides on layers.
+
+    Attributes
+    ----------
+    state : dataclass
+        As of every part: all that steers its next frame. Another one of its type takes the part to another
+        frame.
+    """
+
+    state: Any
 
     def feedback_index(self, frame_index: int) -> int | None:
         """Return the frame whose Segmentation :meth:`step` will read, None for none."""
@@ -47,6 +56,8 @@ class CoordinatorPart(Protocol):
 
 class LayerPart(Protocol):
     """Motion, appearance and prior of one layer."""
+
+    state: Any
 
     def step(
         self,
@@ -63,6 +74,8 @@ class LayerPart(Protocol):
 
 class SegmenterPart(Protocol):
     """Normalises, cuts and cleans."""
+
+    state: Any
 
     def step(self, evidence: FrameEvidence, frame: Array, posteriors: list[LayerPosterior]) -> Segmentation:
         """Label frame t from the posteriors of its layers, in ascending layer id."""

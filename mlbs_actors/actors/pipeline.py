@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from concurrent.futures import Future
 from contextlib import suppress
+from itertools import count
+from threading import Lock
 
 import ray
 from ray.exceptions import GetTimeoutError, RayError
@@ -30,6 +32,9 @@ _BURST_FRAMES = 8
 
 #: How long the ends of a stream that is stopped are waited for, s.
 _STOP_SECONDS = 10.0
+
+#: How long the pool or the sink may not answer until it is taken to be lost, s.
+_ANSWER_SECONDS = 10.0
 
 
 class Node:
@@ -55,13 +60,28 @@ class Node:
     ) -> None:
         self._node = ray.get_runtime_context().get_node_id() if node is None else node
         self._parts = parts or EngineParts()
-        self._pool = spawn(PoolActor, self._parts, policy or PoolPolicy(), node=self._node)
+        self._policy = policy or PoolPolicy()
+        self._pool = self._new_pool()
         self._sink = spawn(SinkActor, node=self._node)
+        self._runs = count(1)
+        self._repairing = Lock()
         self._closed = False
 
     def start(self, spec: StreamSpec) -> StreamActors:
         """Create a stream's actors and return at once; what goes wrong is raised by ``advance``."""
-        return StreamActors(spec, self._parts, self._node, pool=self._pool, sink=self._sink)
+        return StreamActors(
+            spec, self._parts, self._node, run=next(self._runs), pool=self._pool, sink=self._sink
+        )
+
+    def repair(self) -> None:
+        """Replace the pool or the sink process if it is lost; their streams must be started again."""
+        with self._repairing:
+            if not _answers(self._pool):
+                end([self._pool])
+                self._pool = self._new_pool()
+            if not _answers(self._sink):
+                end([self._sink])
+                self._sink = spawn(SinkActor, node=self._node)
 
     def census(self) -> PoolCensus:
         """Count the node's layer processes."""
@@ -77,19 +97,30 @@ class Node:
             ray.get(self._pool.close.remote(), timeout=_STOP_SECONDS)
         end([self._pool, self._sink])
 
+    def _new_pool(self) -> Handle:
+        return spawn(PoolActor, self._parts, self._policy, node=self._node)
+
+
+def _answers(actor: Handle) -> bool:
+    try:
+        ray.get(actor.__ray_ready__.remote(), timeout=_ANSWER_SECONDS)
+    except (RayError, GetTimeoutError):
+        return False
+    return True
+
 
 class StreamActors:
     """One stream's actors; a :class:`RunningStream`. Made by :meth:`Node.start`."""
 
     def __init__(
-        self, spec: StreamSpec, parts: PartFactory, node: str, *, pool: Handle, sink: Handle
+        self, spec: StreamSpec, parts: PartFactory, node: str, *, run: int, pool: Handle, sink: Handle
     ) -> None:
         self._name = spec.name
         self._pool = pool
         self._sink = sink
         # The number reaches the coordinator by reference: it is not created before the pool has let the
         # stream in.
-        self._run: Reference = pool.begin.remote()
+        self._run: Reference = pool.begin.remote(run)
         reader = spawn(ReaderActor, spec.open_reader, node=node)
         segmenter = spawn(SegmenterActor, parts, spec.config, node=node)
         links = StreamLinks(reader=reader, segmenter=segmenter, pool=pool, sink=sink)

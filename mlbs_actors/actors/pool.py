@@ -11,6 +11,7 @@ import asyncio
 import time
 from collections.abc import Awaitable
 from dataclasses import dataclass
+from pathlib import Path
 
 import ray
 from ray.exceptions import RayActorError
@@ -19,9 +20,9 @@ from mlbs_actors.actors.failures import last_line
 from mlbs_actors.actors.layer import LayerActor
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.processes import Handle, identity, spawn
+from mlbs_actors.actors.saved_states import SavedLayer
 from mlbs_actors.config import Config
-from mlbs_actors.errors import LayerError
-from mlbs_actors.messages import LayerKind
+from mlbs_actors.errors import ActorLostError, LayerError
 
 __all__ = ["PoolActor", "PoolCensus", "PoolPolicy"]
 
@@ -72,8 +73,8 @@ class _Idle:
 class PoolActor:
     """Creates and owns every layer process of one node.
 
-    A stream is known by the number that :meth:`begin` gave it. All methods run in one thread, between
-    whose ``await`` s others may run.
+    A stream is known by the number that it began with. All methods run in one thread, between whose
+    ``await`` s others may run.
     """
 
     def __init__(self, parts: PartFactory, policy: PoolPolicy) -> None:
@@ -82,17 +83,23 @@ class PoolActor:
         self._node = ray.get_runtime_context().get_node_id()
         self._idle: list[_Idle] = []
         self._busy: dict[int, dict[str, Handle]] = {}  # by stream and process
-        self._runs = 0
 
-    async def begin(self) -> int:
-        """Let a new stream in; return its number."""
-        self._runs += 1
-        self._busy[self._runs] = {}
+    async def begin(self, run: int) -> int:
+        """Let a new stream in; return its number, which no other stream may have had."""
+        self._busy[run] = {}
         self._refill()
-        return self._runs
+        return run
 
-    async def acquire(self, run: int, layer: int, kind: LayerKind, config: Config) -> Handle:
-        """Make a process the given new-born layer of stream ``run``, waiting for one if none is ready.
+    async def acquire(self, run: int, own: SavedLayer, config: Config, folder: Path | None) -> Handle:
+        """Make a process a layer of stream ``run``, waiting for one if none is ready.
+
+        Parameters
+        ----------
+        run : int
+        own : SavedLayer
+        config : Config
+        folder : Path, optional
+            Of the snapshot that holds the layer's state; None for a new-born one.
 
         Returns
         -------
@@ -101,9 +108,12 @@ class PoolActor:
 
         Raises
         ------
+        ActorLostError
+            If no process can be started.
         LayerError
-            If no process can be started, or the stream has ended.
+            If the stream has ended.
         """
+        layer = own.layer
         while run in self._busy:
             waiting = max(self._idle, key=_Idle.preference, default=None)
             if waiting is not None:
@@ -112,13 +122,13 @@ class PoolActor:
             self._busy[run][identity(process.handle)] = process.handle
             try:
                 await process.ready
-                await process.handle.assign.remote(layer, kind, config)
+                await process.handle.assign.remote(own, config, folder)
             except RayActorError as error:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
                 # One that waited may have died unnoticed: the next will do. One that was started for this
                 # very layer would die again.
                 if waiting is None and run in self._busy:
-                    raise LayerError(
+                    raise ActorLostError(
                         f"No process could be started for layer {layer}: {last_line(error)}."
                     ) from error
             else:

@@ -32,6 +32,12 @@ class ReaderActor:
             self._reader = self._open_reader()
         return self._reader.read()
 
+    def skip(self, frames: int) -> None:
+        """Read frames and throw them away, and what comes between them; raises SourceError."""
+        for _ in range(frames):
+            while isinstance(self.read(), SourceSilence):
+                continue
+
     def problem(self) -> str | None:
         """Return what was wrong with the source so far, as a sentence, or None."""
         return None if self._reader is None else self._reader.problem
@@ -57,6 +63,12 @@ class ReadAhead:
         self._reader = reader
         self._left = max_frames
         self._asked: deque[Reference] = deque()
+
+    def skip(self, frames: int) -> None:
+        """Pass over frames, before the first :meth:`next`; raises as that does."""
+        if self._left is not None:
+            self._left -= frames
+        ray.get(self._reader.skip.remote(frames))
 
     def next(self) -> tuple[Reference, SourceFrame | SourceSilence] | None:
         """Return the next frame or silence, by reference and by value, or None at the end.

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
+from pathlib import Path
+
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import PartFactory
+from mlbs_actors.actors.saved_states import PUBLISHED_FILE, SEGMENTER_FILE, PublishedState, StateWriter
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.messages import FrameEvidence, LayerPosterior, Segmentation
+from mlbs_actors.state_file import read_state
 
 __all__ = ["SegmenterActor"]
 
@@ -19,9 +24,27 @@ class SegmenterActor:
         limit_process()
         self._segmenter = parts.segmenter(config)
         self._order = FrameOrder()
+        # Those that others may still ask for: the layers the last one, the coordinator that before it.
+        self._published: deque[Segmentation] = deque(maxlen=2)
+        self._writer = StateWriter()
 
     def step(self, evidence: FrameEvidence, frame: SourceFrame, *posteriors: LayerPosterior) -> Segmentation:
         """Label one frame from the posteriors of its layers, in ascending layer id."""
         assert frame.image is not None  # a quarantined frame has no evidence
         with self._order.step(evidence.frame_index, after=evidence.frame_index - 1):
-            return self._segmenter.step(evidence, frame.image, list(posteriors))
+            segmentation = self._segmenter.step(evidence, frame.image, list(posteriors))
+        self._published.append(segmentation)
+        return segmentation
+
+    def save(self, folder: Path) -> None:
+        """Write the state into a snapshot's folder, beside the work on the next frames."""
+        published = PublishedState(tuple(self._published))
+        self._writer.write({SEGMENTER_FILE: self._segmenter.state, PUBLISHED_FILE: published}, folder)
+
+    def restore(self, folder: Path) -> tuple[Segmentation, ...]:
+        """Go back to a snapshot; return the newest label maps at that time."""
+        self._segmenter.state = read_state(folder / SEGMENTER_FILE, type(self._segmenter.state))
+        published = read_state(folder / PUBLISHED_FILE, PublishedState)
+        self._published.extend(published.segmentations)
+        self._order = FrameOrder(published.segmentations[-1].frame_index if published.segmentations else -1)
+        return published.segmentations

@@ -10,7 +10,7 @@ from ray.exceptions import RayError
 
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.processes import Handle, Reference
-from mlbs_actors.actors.stream_protocol import GapStatus, SourceFrame, StreamSink
+from mlbs_actors.actors.stream_protocol import GapStatus, Opening, Snapshot, SourceFrame, StreamSink
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import LayerAppearance, Segmentation
@@ -32,10 +32,12 @@ class SinkActor:
         limit_process()
         self._records: dict[int, tuple[StreamSink, FrameOrder]] = {}
 
-    def open(self, run: int, open_sink: Callable[[], StreamSink]) -> int:
-        """Open a stream's record; no label map is committed yet."""
-        self._records[run] = open_sink(), FrameOrder()
-        return 0
+    def open(self, run: int, open_sink: Callable[[], StreamSink]) -> Opening:
+        """Open a stream's record."""
+        sink = open_sink()
+        before = sink.opening.resume_from
+        self._records[run] = sink, FrameOrder(-1 if before is None else before.rows - 1)
+        return sink.opening
 
     def write(
         self, run: int, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None
@@ -51,10 +53,18 @@ class SinkActor:
         with order.step(index, after=index - 1):
             return sink.gap(index, pts, status)
 
-    def close(self, run: int) -> int:
+    def keep(self, run: int, snapshot: Snapshot) -> bool:
+        """See :meth:`StreamSink.keep`."""
+        return self._record(run)[0].keep(snapshot)
+
+    def provisional(self, run: int) -> None:
+        """See :meth:`StreamSink.provisional`."""
+        self._record(run)[0].provisional()
+
+    def close(self, run: int, whole: bool = False) -> int:
         """Commit the rest, close the stream's files and forget it; return the final count, 0 if forgotten."""
         sink, _ = self._records.pop(run, (None, None))
-        return 0 if sink is None else sink.close()
+        return 0 if sink is None else sink.close(whole=whole)
 
     def _record(self, run: int) -> tuple[StreamSink, FrameOrder]:
         if run not in self._records:
@@ -78,34 +88,64 @@ class Record:
     ----------
     committed : int
         Label maps committed, as far as the sink has answered.
+    rows, label_maps : int
+        What was handed over, before the snapshot that the stream went back to and since.
     """
 
     def __init__(self, sink: Handle, run: int, open_sink: Callable[[], StreamSink]) -> None:
         self._sink = sink
         self._run = run
-        self._pending: deque[Reference] = deque([sink.open.remote(run, open_sink)])
-        self.committed = 0
+        self._opened: Reference = sink.open.remote(run, open_sink)
+        self._pending: deque[Reference] = deque()
+        self._offered: Snapshot | None = None
+        self._asked: tuple[Snapshot, Reference] | None = None
+        self.committed = self.rows = self.label_maps = 0
+
+    def opening(self) -> Opening:
+        """Wait until the record is open; raises what its opening raised."""
+        opening: Opening = ray.get(self._opened)
+        if opening.resume_from is not None:
+            self.rows, self.label_maps = opening.resume_from.rows, opening.resume_from.label_maps
+            self.committed = self.label_maps
+        return opening
 
     def write(self, segmentation: Reference, frame: Reference, background: Reference | None) -> None:
         """Hand over one result, all by reference; raises what an earlier row raised."""
         self._pending.append(self._sink.write.remote(self._run, segmentation, frame, background))
+        self.rows, self.label_maps = self.rows + 1, self.label_maps + 1
         self._hold_back()
 
     def gap(self, index: int, pts: float, status: GapStatus) -> None:
         """Hand over a frame without label map; raises what an earlier row raised."""
         self._pending.append(self._sink.gap.remote(self._run, index, pts, status))
+        self.rows += 1
         self._hold_back()
+
+    def offer(self, snapshot: Snapshot) -> None:
+        """Have a snapshot kept once its files are there; one that is not kept yet is given up."""
+        self._offered = snapshot
+
+    def provisional(self) -> None:
+        """See :meth:`StreamSink.provisional`."""
+        self._sink.provisional.remote(self._run)
 
     def collect(self) -> None:
         """Take the answers that are there, without waiting; raises what a row raised."""
         while self._pending and ray.wait([self._pending[0]], timeout=0)[0]:
             self._take_answer()
+        if self._asked is not None and ray.wait([self._asked[1]], timeout=0)[0]:
+            snapshot, kept = self._asked
+            if ray.get(kept) and self._offered is snapshot:
+                self._offered = None
+            self._asked = None
+        if self._offered is not None and self._asked is None:
+            self._asked = self._offered, self._sink.keep.remote(self._run, self._offered)
 
-    def close(self) -> None:
-        """Wait until every row is committed and the files are closed."""
+    def close(self, *, whole: bool) -> None:
+        """Wait until every row is committed and the files are closed; see :meth:`StreamSink.close`."""
         while self._pending:
             self._take_answer()
-        self.committed = ray.get(self._sink.close.remote(self._run))
+        self.committed = ray.get(self._sink.close.remote(self._run, whole))
 
     def close_after_failure(self) -> None:
         """Commit the rows that were handed over whole and close the files, whatever else goes wrong."""

@@ -15,6 +15,9 @@ Two counts of frames exist. A *source index* (``SourceFrame.index``) counts ever
 has, those without a picture too, and is what the record calls a frame. A *frame index* of the engine
 (``Segmentation.frame_index``) counts the frames the engine was given, without gaps. They are the same
 until the first frame whose status is not ``"ok"``.
+
+A stream goes on where its record ends: :attr:`StreamSink.opening` names the snapshot that all its parts go
+back to. Frames and rows after it come a second time; the record takes those that it does not hold yet.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal, Protocol
 
 from mlbs_actors.config import Config
@@ -30,7 +34,9 @@ from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 __all__ = [
     "FrameReader",
     "GapStatus",
+    "Opening",
     "RunningStream",
+    "Snapshot",
     "SourceFrame",
     "SourceSilence",
     "SourceStatus",
@@ -44,7 +50,7 @@ __all__ = [
 GapStatus = Literal["dropped", "gap", "quarantined"]
 
 #: What became of a frame on its way from the source.
-SourceStatus = Literal["ok"] | GapStatus
+SourceStatus = Literal["ok", GapStatus]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +100,43 @@ class SourceSilence:
     note: str | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """The states of all parts of a stream after the same frame, each a file of one folder.
+
+    Attributes
+    ----------
+    folder : Path
+    rows : int
+        Rows of the record before it.
+    label_maps : int
+        Those of them that have a label map.
+    parts : tuple of str
+        Names of the files.
+    """
+
+    folder: Path
+    rows: int
+    label_maps: int
+    parts: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """What an opened record says of the stream that it is to take.
+
+    Attributes
+    ----------
+    snapshots : Path, optional
+        Where to put snapshots, each a folder named by its rows; None for none.
+    resume_from : Snapshot, optional
+        What the stream goes back to; None for its start. The first row that comes is the one after it.
+    """
+
+    snapshots: Path | None = None
+    resume_from: Snapshot | None = None
+
+
 class FrameReader(Protocol):
     """An open source, in the reader process."""
 
@@ -123,9 +166,13 @@ class FrameReader(Protocol):
 class StreamSink(Protocol):
     """The open record of one stream, in the node's sink process.
 
-    Rows come in the order of their source indices. Every method raises SinkError if the record
-    cannot be written; the stream then fails.
+    Rows come in the order of their source indices, those once more that came before the stream went back to a
+    snapshot. Every method raises SinkError if the record cannot be written; the stream then fails.
     """
+
+    @property
+    def opening(self) -> Opening:
+        """Where the record stood when it was opened."""
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
@@ -140,8 +187,23 @@ class StreamSink(Protocol):
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
         """Record source frame ``index`` as one that has no label map; return as :meth:`write` does."""
 
-    def close(self) -> int:
-        """Commit the rest and close all files; return the final count. May be called twice."""
+    def keep(self, snapshot: Snapshot) -> bool:
+        """Note that a snapshot may be gone back to; False if its files are not all there yet."""
+
+    def provisional(self) -> None:
+        """The label maps from here on lack frames that would have followed: an interrupted stream's last.
+
+        They are kept for whoever looks; a stream that goes on makes them anew.
+        """
+
+    def close(self, *, whole: bool) -> int:
+        """Commit the rest and close all files; return the final count. May be called twice.
+
+        Parameters
+        ----------
+        whole : bool
+            Whether the stream came to its end: its snapshots are not needed any more.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +228,12 @@ class StreamSpec:
         What ``open_reader`` opens, as messages name it: without credentials.
     line : int, optional
         Where the stream stands in the list, from 1.
+    replayable : bool
+        Whether the source gives the same frames again when it is opened again.
+    last_try : bool
+        The stream will not be started again: the death of its reader ends it with the frames before.
+    snapshot_rows : int
+        Rows of the record from one snapshot to the next.
     """
 
     name: str
@@ -176,6 +244,9 @@ class StreamSpec:
     wants_background: Callable[[int], bool] | None = None
     source: str = "the source"
     line: int | None = None
+    replayable: bool = True
+    last_try: bool = False
+    snapshot_rows: int = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,10 +295,11 @@ class RunningStream(Protocol):
         """Ask for one bounded burst of frames; do not call again before the future is done.
 
         The future carries an MlbsError with one sentence if the stream failed: the source could not
-        be opened (SourceError), its reader process died before the first frame (SourceError), the
-        record could not be written (SinkError), or any other actor was lost (LayerError). Damage and
-        death of the reader after the first frame end the stream instead: what was read is committed
-        and the last progress is ``done`` with its ``problem``.
+        be opened (SourceError), the record could not be written (SinkError), or a process was lost
+        (ActorLostError); started again, it goes on from its record. Damage of the source after its
+        first frame ends the stream instead: what was read is committed and the last progress is ``done``
+        with its ``problem``. So does, for a source that cannot be replayed and at the last try, the death of
+        the reader; before the first frame that is a SourceError.
         """
 
     def stop(self, *, drain: bool) -> StreamProgress | None:
@@ -248,6 +320,9 @@ class StreamHost(Protocol):
 
     def start(self, spec: StreamSpec) -> RunningStream:
         """Create a stream's actors and return at once; what goes wrong is raised by ``advance``."""
+
+    def repair(self) -> None:
+        """Replace the pool or the sink process if it is lost; their streams must be started again."""
 
     def close(self) -> None:
         """End the pool and the sink process. Streams must be stopped before. May be called twice."""

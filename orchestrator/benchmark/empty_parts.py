@@ -7,13 +7,13 @@ what the actors themselves do.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, SegmenterPart
-from mlbs_actors.actors.stream_protocol import GapStatus, SourceFrame
+from mlbs_actors.actors.stream_protocol import GapStatus, Opening, Snapshot, SourceFrame
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
@@ -70,6 +70,7 @@ def last_messages(frames: Iterable[Array], config: Config) -> FrameMessages:
 @dataclass
 class _EmptyCoordinator:
     evidence: FrameEvidence
+    state: None = None
 
     def feedback_index(self, frame_index: int) -> int | None:
         return None if frame_index < 2 else frame_index - 2
@@ -85,6 +86,7 @@ class _EmptyCoordinator:
 @dataclass
 class _EmptyLayer:
     posterior: LayerPosterior
+    state: None = None
 
     def step(
         self,
@@ -103,6 +105,7 @@ class _EmptyLayer:
 @dataclass
 class _EmptySegmenter:
     segmentation: Segmentation
+    state: None = None
 
     def step(self, evidence: FrameEvidence, frame: Array, posteriors: list[LayerPosterior]) -> Segmentation:
         return replace(self.segmentation, frame_index=evidence.frame_index)
@@ -152,6 +155,7 @@ class EmptySink:
     """Writes nothing."""
 
     rows: int = 0
+    opening: Opening = field(default_factory=Opening)
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
@@ -164,6 +168,13 @@ class EmptySink:
         """Pass over it."""
         return self.rows
 
-    def close(self) -> int:
+    def keep(self, snapshot: Snapshot) -> bool:
+        """None is offered, since none is asked for."""
+        return False
+
+    def provisional(self) -> None:
+        """Nothing is kept."""
+
+    def close(self, *, whole: bool) -> int:
         """Return the number of rows."""
         return self.rows

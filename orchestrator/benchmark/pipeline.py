@@ -23,7 +23,14 @@ from tempfile import TemporaryDirectory
 from mlbs_actors import Config
 from mlbs_actors.actors import Node, StreamActors
 from mlbs_actors.actors.parts import CoordinatorPart, EngineParts, LayerPart, PartFactory, SegmenterPart
-from mlbs_actors.actors.stream_protocol import FrameReader, GapStatus, SourceFrame, StreamSink, StreamSpec
+from mlbs_actors.actors.stream_protocol import (
+    FrameReader,
+    GapStatus,
+    Snapshot,
+    SourceFrame,
+    StreamSink,
+    StreamSpec,
+)
 from mlbs_actors.messages import LayerAppearance, LayerKind, Segmentation
 from orchestrator.benchmark.process_costs import Process, kinds_of, private_bytes, process_tree
 from orchestrator.command_line import SAVABLE
@@ -120,6 +127,7 @@ class _NotingSink:
 
     def __init__(self, open_sink: Callable[[], StreamSink], notes: Path) -> None:
         self._sink = open_sink()
+        self.opening = self._sink.opening
         self._notes = notes.open("w", encoding="ascii", buffering=1)
 
     def write(
@@ -134,10 +142,18 @@ class _NotingSink:
         """See :class:`StreamSink`."""
         return self._sink.gap(index, pts, status)
 
-    def close(self) -> int:
+    def keep(self, snapshot: Snapshot) -> bool:
+        """See :class:`StreamSink`."""
+        return self._sink.keep(snapshot)
+
+    def provisional(self) -> None:
+        """See :class:`StreamSink`."""
+        self._sink.provisional()
+
+    def close(self, *, whole: bool) -> int:
         """See :class:`StreamSink`."""
         self._notes.close()
-        return self._sink.close()
+        return self._sink.close(whole=whole)
 
 
 def record_in(folder: Path) -> StreamSink:

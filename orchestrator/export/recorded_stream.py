@@ -13,7 +13,8 @@ from pycocotools import mask as coco_mask
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import Array, Region
-from orchestrator.sinks.record_tables import committed_groups, part_path
+from orchestrator.sinks.commit_log import read_commits
+from orchestrator.sinks.record_tables import part_path
 
 __all__ = ["RecordedFrame", "RecordedObject", "recorded_stream", "streams_of"]
 
@@ -85,13 +86,13 @@ def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
     folder : Path
         Of the stream; one that is not there has no frames.
     """
-    for group in committed_groups(folder):
+    for commit in read_commits(folder):
         objects: dict[int, list[RecordedObject]] = {}
-        for row in pq.read_table(part_path(folder, "layers", group)).to_pylist():
+        for row in pq.read_table(part_path(folder, "layers", commit.first)).to_pylist():
             region = Region(row["x"], row["y"], row["w"], row["h"])
             one = RecordedObject(row["layer"], region, row["area"], row["confidence"], row["rle"])
             objects.setdefault(row["frame"], []).append(one)
-        for row in pq.read_table(part_path(folder, "frames", group)).to_pylist():
+        for row in pq.read_table(part_path(folder, "frames", commit.first)).to_pylist():
             if row["status"] == "ok":
                 index = row["frame"]
                 found = tuple(objects.get(index, ()))

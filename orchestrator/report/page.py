@@ -15,6 +15,7 @@ from mlbs_actors.errors import ConfigError
 from orchestrator.report import charts
 from orchestrator.report.history import LayerLife, StreamHistory, frame_ranges, read_history
 from orchestrator.report.pictures import StripPicture, overlay_strip
+from orchestrator.sinks.overlay import overlays
 
 __all__ = ["render_report"]
 
@@ -39,7 +40,7 @@ class _Stream:
     source: str
     status: dict[str, Any]
     overlay_error: str | None
-    has_overlay: bool
+    overlays: tuple[str, ...]
     history: StreamHistory | None
     lives: list[LayerLife]
     strip: list[StripPicture]
@@ -97,7 +98,7 @@ def render_report(folder: Path) -> str:
 
 def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) -> _Stream:
     history = read_history(folder)
-    overlay, error = folder / "overlay.mp4", folder / "overlay.error"
+    error = folder / "overlay.error"
     lives: list[LayerLife] = []
     strip: list[StripPicture] = []
     lost: list[str] = []
@@ -106,13 +107,13 @@ def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) ->
         lives = sorted(longest, key=lambda life: life.layer)
         lost = [f"{name}: frames {_ranges(frames)}" for name, frames in history.lost]
         if len(history.frames):
-            strip = overlay_strip(overlay, history, pictures)
+            strip = overlay_strip(folder, history, pictures)
     return _Stream(
         name=folder.name,
         source=source,
         status=status,
         overlay_error=error.read_text(encoding="utf-8").strip() if error.exists() else None,
-        has_overlay=overlay.exists(),
+        overlays=tuple(path.name for _, path in overlays(folder)),
         history=history,
         lives=lives,
         strip=strip,

@@ -1,4 +1,4 @@
-"""A few pictures out of an overlay video, small enough to stand in a page."""
+"""A few pictures out of the overlay videos of a stream, small enough to stand in a page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from mlbs_actors.messages import Array
 from orchestrator.report.history import StreamHistory
-from orchestrator.sinks.overlay import TICK, presentation_times
+from orchestrator.sinks.overlay import TICK, overlays, presentation_times
 
 __all__ = ["StripPicture", "overlay_strip"]
 
@@ -43,28 +43,41 @@ class StripPicture:
     data: str
 
 
-def overlay_strip(path: Path, history: StreamHistory, count: int) -> list[StripPicture]:
+def overlay_strip(folder: Path, history: StreamHistory, count: int) -> list[StripPicture]:
     """Take up to ``count`` pictures, evenly spread, first and last among them.
 
     Parameters
     ----------
-    path : Path
-        The overlay of the whole stream.
+    folder : Path
+        Of the stream; one that was resumed has more than one video.
     history : StreamHistory
     count : int
 
     Returns
     -------
     list of StripPicture
-        Empty if the overlay is not there or cannot be read.
+        Without those whose video is not there or cannot be read.
     """
     seconds = presentation_times(history.pts)
     places = np.unique(np.linspace(0, len(seconds) - 1, min(count, len(seconds))).round().astype(int))
-    pictures = []
+    videos = overlays(folder)
+    by_video: dict[Path, list[int]] = {}
+    for place in places.tolist():
+        begun = [path for first, path in videos if first <= history.frames[place]]
+        if begun:
+            by_video.setdefault(begun[-1], []).append(place)
+    pictures: list[StripPicture] = []
+    for path, wanted in by_video.items():
+        pictures += _pictures(path, wanted, seconds, history)
+    return pictures
+
+
+def _pictures(path: Path, places: list[int], seconds: Array, history: StreamHistory) -> list[StripPicture]:
+    pictures: list[StripPicture] = []
     try:
         with av.open(str(path)) as container:
             stream = container.streams.video[0]
-            for place in places.tolist():
+            for place in places:
                 container.seek(int(seconds[place] * av.time_base))  # to the key frame before it
                 for frame in container.decode(stream):
                     if frame.time is not None and frame.time >= seconds[place] - TICK / 2:

@@ -15,7 +15,7 @@ from mlbs_actors.messages import Array
 from orchestrator.durable_files import publish, temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels
 
-__all__ = ["TICK", "OverlayVideo", "presentation_times"]
+__all__ = ["TICK", "OverlayVideo", "overlay_path", "overlays", "presentation_times"]
 
 _TIME_BASE = Fraction(1, 90_000)
 #: Least time between two frames, s.
@@ -24,6 +24,16 @@ TICK = float(_TIME_BASE)
 _NOMINAL_RATE = 25  # only a hint to the encoder; every frame carries its own time
 _SMALLEST_SIDE = 16  # of what H.264 encoders take, px
 _KEY_FRAMES = 32  # distance of frames that decode by themselves: players and reports go to them at once
+
+
+def overlay_path(folder: Path, first: int) -> Path:
+    """Where the video of a stream lies that begins at frame ``first``: a resumed run begins another."""
+    return folder / (f"overlay-{first:08d}.mp4" if first else "overlay.mp4")
+
+
+def overlays(folder: Path) -> list[tuple[int, Path]]:
+    """First frames and files of a stream's videos, in order."""
+    return sorted((int(path.stem.partition("-")[2] or 0), path) for path in folder.glob("overlay*.mp4"))
 
 
 def presentation_times(pts: Array) -> Array:

@@ -5,24 +5,29 @@ soon, then up to every multiple of :data:`GROUP_FRAMES`. A group is committed in
 written under temporary names, synced together, renamed, and then one line in ``commits.jsonl`` says that
 they count. Where a group ends follows from the frame's index alone, so the parts do not depend on how fast
 the stream ran.
+
+A record that exists is gone on with: rows that it holds already are passed over when they come again.
 """
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-from mlbs_actors.actors.stream_protocol import GapStatus, SourceFrame
+import pyarrow.parquet as pq
+
+from mlbs_actors.actors.stream_protocol import GapStatus, Opening, Snapshot, SourceFrame
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import LayerAppearance, Segmentation
-from orchestrator.durable_files import append_line, publish, temporary_path
+from orchestrator.durable_files import publish, remove_temporary, temporary_path
 from orchestrator.sinks.background import background_plate
+from orchestrator.sinks.commit_log import CommitLog, read_commits
 from orchestrator.sinks.cutouts import cutouts
 from orchestrator.sinks.label_image import encode_label_image, encode_picture
 from orchestrator.sinks.live_picture import LivePicture
-from orchestrator.sinks.overlay import OverlayVideo
-from orchestrator.sinks.record_tables import COMMIT_LOG, committed_groups
-from orchestrator.sinks.tables import FrameRow, ResultRow, write_frames, write_layers
+from orchestrator.sinks.overlay import OverlayVideo, overlay_path
+from orchestrator.sinks.record_tables import part_path
+from orchestrator.sinks.snapshot_folder import SNAPSHOTS, SnapshotFolder
+from orchestrator.sinks.tables import FrameRow, ResultRow, stages_of, write_frames, write_layers
 
 __all__ = ["FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "ends_group", "recorded_frames"]
 
@@ -48,13 +53,17 @@ class StreamRecord:
     Parameters
     ----------
     folder : Path
-        The stream's folder; made here, and refused if it exists.
+        The stream's folder; made here if it is not there.
     name : str
         The stream's name.
     save : frozenset of str
         Which of ``"masks"``, ``"parquet"``, ``"overlay"``, ``"background"``, ``"cutouts"`` to write.
     live : LivePicture, optional
         Shown every frame, for the monitor.
+
+    Attributes
+    ----------
+    opening : Opening
 
     Raises
     ------
@@ -71,24 +80,39 @@ class StreamRecord:
         self._live = live
         self._rows: list[FrameRow] = []
         self._unpublished: list[Path] = []
-        self._committed = 0
-        self._stages: tuple[str, ...] | None = None
-        self._overlay = OverlayVideo(folder / "overlay.mp4") if "overlay" in save else None
+        self._withdrawn: list[Path] = []  # cut-outs of an earlier run that are made anew
+        self._provisional = False
         try:
-            folder.mkdir(parents=True)
+            folder.mkdir(parents=True, exist_ok=True)
             for part in _FOLDERS & save:
-                (folder / part).mkdir()
+                (folder / part).mkdir(exist_ok=True)
+            self._log = CommitLog(folder)
+            with self._log.turn():
+                self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
+                self._stages = self._clear_up()
+            self._cutouts = _by_frame(folder / "cutouts")
         except OSError as error:
             raise self._unwritable(error) from None
+        self.opening = Opening(self._snapshots.place, self._snapshots.newest)
+        before = self._snapshots.newest
+        self._label_maps = 0 if before is None else before.label_maps
+        self._committed = self._label_maps
+        overlay = overlay_path(folder, self._log.rows)
+        self._overlay = OverlayVideo(overlay) if "overlay" in save else None
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
     ) -> int:
         """Take one result; return how many label maps are committed."""
+        self._label_maps += 1
+        if frame.index < self._log.rows:
+            self._committed = self._label_maps
+            return self._committed
         try:
             if "masks" in self._save:
                 self._put(f"masks/{frame.name}.png", encode_label_image(segmentation.labels))
             if "cutouts" in self._save and frame.image is not None:
+                self._withdrawn += self._cutouts.pop(frame.name, [])
                 for layer, picture in cutouts(segmentation, frame.image):
                     self._put(f"cutouts/{frame.name}-{layer}.png", encode_picture(picture))
             if "background" in self._save and background is not None and frame.image is not None:
@@ -106,12 +130,28 @@ class StreamRecord:
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
         """Record a frame that has no label map; return how many label maps are committed."""
         try:
-            self._add(FrameRow(index, pts, status))
+            if index >= self._log.rows:
+                self._add(FrameRow(index, pts, status))
         except OSError as error:
             raise self._unwritable(error) from None
         return self._committed
 
-    def close(self) -> int:
+    def keep(self, snapshot: Snapshot) -> bool:
+        """Note a snapshot that may be gone back to; False if its files are not all there yet."""
+        try:
+            return self._snapshots.keep(snapshot)
+        except OSError as error:
+            raise self._unwritable(error) from None
+
+    def provisional(self) -> None:
+        """Commit what is there; the label maps from here on are made anew by a run that resumes."""
+        try:
+            self._commit()
+        except OSError as error:
+            raise self._unwritable(error) from None
+        self._provisional = True
+
+    def close(self, *, whole: bool) -> int:
         """Commit what is left and finish the overlay; return how many label maps are committed."""
         try:
             self._commit()
@@ -119,6 +159,8 @@ class StreamRecord:
             raise self._unwritable(error) from None
         if self._overlay is not None:
             self._overlay.close()
+        if whole:
+            self._snapshots.forget_all()
         return self._committed
 
     def _put(self, name: str, content: bytes) -> None:
@@ -126,6 +168,19 @@ class StreamRecord:
         path = self._folder / name
         temporary_path(path).write_bytes(content)
         self._unpublished.append(path)
+
+    def _clear_up(self) -> tuple[str, ...] | None:
+        """Remove what a killed run left half done; return the stages that the tables have columns for."""
+        for folder in (self._folder, *(self._folder / part for part in _FOLDERS)):
+            remove_temporary(folder)
+        stages = None
+        for table in sorted(self._folder.glob("*-*.parquet")):
+            kind, _, first = table.stem.partition("-")
+            if int(first) >= self._log.rows:
+                table.unlink()
+            elif kind == "frames":
+                stages = stages_of(pq.read_schema(table))
+        return stages
 
     def _add(self, row: FrameRow) -> None:
         self._rows.append(row)
@@ -136,21 +191,23 @@ class StreamRecord:
         if not self._rows:
             return
         rows, files = self._rows, list(self._unpublished)
-        first, last = rows[0].frame, rows[-1].frame
+        last = rows[-1].frame
         if "parquet" in self._save:
-            files += self._write_tables(rows, first)
-        publish(files)
-        line = {"generation": 0, "first": first, "last": last, "snapshot": None}
-        append_line(self._folder / COMMIT_LOG, json.dumps(line))
-        self._committed += sum(row.result is not None for row in rows)
-        self._rows, self._unpublished = [], []
+            files += self._write_tables(rows, rows[0].frame)
+        with self._log.turn():
+            for path in self._withdrawn:
+                path.unlink(missing_ok=True)
+            publish(files)
+            self._log.add(last, self._snapshots.name_after(last + 1), provisional=self._provisional)
+            self._snapshots.forget_before(last + 1)
+        self._committed = self._label_maps
+        self._rows, self._unpublished, self._withdrawn = [], [], []
 
     def _write_tables(self, rows: list[FrameRow], first: int) -> list[Path]:
         if self._stages is None:
             results = [row.result for row in rows if row.result is not None]
             self._stages = tuple(sorted({stage for result in results for stage in result.stage_ms}))
-        layers = self._folder / f"layers-{first:08d}.parquet"
-        frames = self._folder / f"frames-{first:08d}.parquet"
+        layers, frames = part_path(self._folder, "layers", first), part_path(self._folder, "frames", first)
         write_layers(temporary_path(layers), self._name, rows)
         write_frames(temporary_path(frames), self._name, rows, self._stages)
         return [layers, frames]
@@ -165,4 +222,13 @@ class StreamRecord:
 
 def recorded_frames(folder: Path) -> int:
     """Number of the source's frames that a stream's commit log holds, those without a label map included."""
-    return sum(group["last"] - group["first"] + 1 for group in committed_groups(folder))
+    commits = read_commits(folder)
+    return commits[-1].last + 1 if commits else 0
+
+
+def _by_frame(cutouts: Path) -> dict[str, list[Path]]:
+    """Cut-outs that are there, by the names of their frames; none without the folder."""
+    found: dict[str, list[Path]] = {}
+    for path in cutouts.glob("*.png"):
+        found.setdefault(path.stem.rpartition("-")[0], []).append(path)
+    return found

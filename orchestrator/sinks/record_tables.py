@@ -2,37 +2,21 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-__all__ = ["COMMIT_LOG", "committed_groups", "part_path", "read_table"]
+from orchestrator.sinks.commit_log import read_commits
 
-COMMIT_LOG = "commits.jsonl"
-
-
-def committed_groups(folder: Path) -> list[dict[str, Any]]:
-    """Lines of a stream's commit log, in order; a line that was cut off by a kill does not count.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the stream.
-    """
-    log = folder / COMMIT_LOG
-    if not log.exists():
-        return []
-    *whole, _torn = log.read_text(encoding="utf-8").split("\n")
-    return [json.loads(line) for line in whole]
+__all__ = ["part_path", "read_table"]
 
 
-def part_path(folder: Path, name: Literal["frames", "layers"], group: Mapping[str, Any]) -> Path:
-    """Where a group's rows of a table are."""
-    return folder / f"{name}-{group['first']:08d}.parquet"
+def part_path(folder: Path, name: Literal["frames", "layers"], first: int) -> Path:
+    """Where the rows of a table are whose commit begins with frame ``first``."""
+    return folder / f"{name}-{first:08d}.parquet"
 
 
 def read_table(
@@ -48,7 +32,7 @@ def read_table(
     columns : sequence of str, optional
         Those wanted, all by default; those that a part lacks are left out.
     """
-    parts = [part_path(folder, name, group) for group in committed_groups(folder)]
+    parts = [part_path(folder, name, commit.first) for commit in read_commits(folder)]
     tables = []
     for part in parts:
         if part.exists():

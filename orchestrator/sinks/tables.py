@@ -26,6 +26,7 @@ __all__ = [
     "frame_schema",
     "layer_schema",
     "run_length_code",
+    "stages_of",
     "write_frames",
     "write_layers",
 ]
@@ -99,6 +100,12 @@ def run_length_code(mask: Array) -> str:
     """Encode an (H, W) bool mask as COCO's compressed run-length string (column-major)."""
     encoded = coco_mask.encode(np.asfortranarray(mask, dtype=np.uint8))
     return str(encoded["counts"].decode("ascii"))
+
+
+def stages_of(schema: pa.Schema) -> tuple[str, ...]:
+    """Stages that a :func:`frame_schema` was made for."""
+    stages = (name.removeprefix("ms_") for name in schema.names if name.startswith("ms_"))
+    return tuple(stage for stage in stages if stage != OTHER_STAGES)
 
 
 def layer_schema() -> pa.Schema:

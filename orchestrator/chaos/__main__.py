@@ -1,0 +1,15 @@
+"""``python -m orchestrator.chaos``: the same as ``scripts/chaos``."""
+
+import signal
+import sys
+
+from orchestrator.chaos.command import main
+
+
+def _exit(number: int, frame: object) -> None:
+    sys.exit(128 + number)
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, _exit)  # unwinds, so that a run that is under way is ended too
+    sys.exit(main())

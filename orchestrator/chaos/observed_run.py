@@ -1,0 +1,183 @@
+"""A run of the command as its user has it: a process of its own, with the processes that it starts."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from orchestrator.benchmark.process_costs import process_tree
+from orchestrator.sinks.commit_log import read_commits
+
+__all__ = ["NotHeldError", "ObservedRun", "content", "expect"]
+
+#: How long a run may take until it is given up, s.
+_RUN_SECONDS = 400.0
+
+#: How long processes may live on after the end of a run, and after a kill of its driver, s.
+_CLEAN_SECONDS, _CLEAN_SECONDS_AFTER_KILL = 10.0, 90.0
+
+
+class NotHeldError(Exception):
+    """A fault was not survived; says what is wrong."""
+
+
+def expect(holds: bool, otherwise: str) -> None:
+    """Raise NotHeldError if something does not hold."""
+    if not holds:
+        raise NotHeldError(otherwise)
+
+
+def content(stream: Path) -> dict[str, Any]:
+    """All of a stream's record that must not depend on faults: masks, and rows without times; checks it.
+
+    Raises
+    ------
+    NotHeldError
+        If a frame is there twice, missing or out of order, or does not count.
+    """
+    rows, layers = _rows(stream, "frames"), _rows(stream, "layers")
+    frames = [row["frame"] for row in rows]
+    commits = read_commits(stream)
+    counted = commits[-1].last + 1 if commits else 0
+    expect(frames == list(range(counted)), f"{stream.name}: the rows are not the {counted} committed frames")
+    masks = {path.name: path.read_bytes() for path in sorted((stream / "masks").glob("*.png"))}
+    labelled = sum(row["status"] == "ok" for row in rows)
+    expect(len(masks) == labelled, f"{stream.name}: {len(masks)} masks for {labelled} labelled frames")
+    frame_rows = [{key: row[key] for key in row if not key.startswith("ms_")} for row in rows]
+    return {"masks": masks, "layers": layers, "frames": frame_rows}
+
+
+def _rows(stream: Path, table: str) -> list[dict[str, Any]]:
+    parts = sorted(stream.glob(f"{table}-*.parquet"))
+    return [row for part in parts for row in pq.read_table(part).to_pylist()]
+
+
+class ObservedRun:
+    """One start of ``python -m orchestrator``, ended with everything it started when the ``with`` block ends.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        Of the list of streams.
+    folder : Path
+        Holds the list and the output.
+    flags : str
+    """
+
+    def __init__(self, lines: Sequence[str], folder: Path, *flags: str) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.output = folder / "out"
+        (folder / "list.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        self._seen: dict[int, str] = {}
+        self._process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "orchestrator", "--streams", str(folder / "list.txt")),
+                *("--output", str(self.output), "--save", "masks,parquet", *flags),
+            ],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def __enter__(self) -> ObservedRun:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.processes("")
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.communicate()
+        for pid in self._left():
+            _signal(pid, signal.SIGKILL)
+
+    def status(self) -> dict[str, dict[str, Any]]:
+        """Streams of ``status.json``, none before it is there."""
+        try:
+            status = json.loads((self.output / "status.json").read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return {}
+        streams: dict[str, dict[str, Any]] = status["streams"]
+        return streams
+
+    def processes(self, title: str) -> list[int]:
+        """Living processes of the run whose title begins so, in the order of their ids."""
+        tree = process_tree(self._process.pid)
+        self._seen |= {pid: one.title for pid, one in tree.items() if pid != self._process.pid}
+        return sorted(pid for pid, one in tree.items() if one.title.startswith(title))
+
+    def wait(self, condition: Callable[[], bool], what: str, seconds: float = _RUN_SECONDS) -> None:
+        """Wait for a condition; raises NotHeldError if it does not come about while the run lives."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            expect(time.monotonic() < deadline, f"{what}: waited {seconds:.0f} s in vain")
+            expect(self._process.poll() is None, f"{what}: the run had ended before")
+            time.sleep(0.02)
+
+    def wait_for_frames(self, stream: str, frames: int) -> None:
+        """Wait until a stream has read so many frames."""
+
+        def there() -> bool:
+            return bool(self.status().get(stream, {}).get("read", 0) >= frames)
+
+        self.wait(there, f"frame {frames} of {stream}")
+
+    def signal_driver(self, number: signal.Signals) -> None:
+        """Send a signal to the command itself."""
+        self.processes("")
+        self._process.send_signal(number)
+
+    def signal_actor(self, title: str, number: signal.Signals, choice: int = 0) -> None:
+        """Send a signal to one of the run's processes of that title; waits until there is one."""
+        self.wait(lambda: bool(self.processes(title)), f"a process {title}")
+        found = self.processes(title)
+        self.signal_process(found[choice % len(found)], number)
+
+    def signal_process(self, pid: int, number: signal.Signals) -> None:
+        """Send a signal to one of :meth:`processes`."""
+        _signal(pid, number)
+
+    def end(self, *, killed: bool = False) -> tuple[int, str]:
+        """Wait for the end of the run and of all its processes; return its exit status and standard error."""
+        self.processes("")
+        try:
+            _, words = self._process.communicate(timeout=_RUN_SECONDS)
+        except subprocess.TimeoutExpired:
+            raise NotHeldError(f"the run did not end within {_RUN_SECONDS:.0f} s") from None
+        if not killed:
+            self.expect_clean(_CLEAN_SECONDS)
+        return self._process.returncode, words
+
+    def expect_clean(self, seconds: float = _CLEAN_SECONDS_AFTER_KILL) -> None:
+        """Wait until no process of the run is left."""
+        deadline = time.monotonic() + seconds
+        while self._left():
+            expect(time.monotonic() < deadline, f"processes left after {seconds:.0f} s: {self._left()}")
+            time.sleep(0.1)
+
+    def _left(self) -> dict[int, str]:
+        """Processes of the run that still live; a number may belong to another process by now."""
+        living = process_tree(1)
+        return {
+            pid: title
+            for pid, title in self._seen.items()
+            if pid in living and living[pid].title.partition("::")[0] == title.partition("::")[0]
+        }
+
+
+def _signal(pid: int, number: signal.Signals) -> None:
+    try:
+        os.kill(pid, number)
+    except ProcessLookupError:
+        return

@@ -1,0 +1,121 @@
+"""Where the snapshots of a stream lie: which are whole, which one to go back to, which are not needed.
+
+``snapshots/GENERATION/ROWS/`` holds a file for each part. The parts' processes write them; once all are there
+a list of them is added, and only then the snapshot is one. Folders of different generations never meet, so
+what a killed run's processes still write is not mistaken for a file of this run.
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from mlbs_actors.actors.stream_protocol import Snapshot
+from mlbs_actors.errors import SnapshotError
+from mlbs_actors.state_file import capture, check_file, read_state
+
+__all__ = ["SNAPSHOTS", "SnapshotFolder"]
+
+#: Folder in a stream's folder.
+SNAPSHOTS = "snapshots"
+
+#: File that makes a snapshot whole.
+_LIST = "parts"
+
+_KEPT = 2
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    """Content of the list."""
+
+    rows: int
+    label_maps: int
+    names: tuple[str, ...]
+
+
+class SnapshotFolder:
+    """The snapshots of one stream.
+
+    Parameters
+    ----------
+    path : Path
+    generation : int
+        Of whoever opens it.
+    rows : int
+        Rows of the record that count: snapshots after more are of no use.
+
+    Attributes
+    ----------
+    place : Path
+        Where new snapshots go.
+    newest : Snapshot or None
+        Newest whole one of those found.
+    """
+
+    def __init__(self, path: Path, generation: int, rows: int) -> None:
+        self._path = path
+        self.place = path / str(generation)
+        self._whole: list[Snapshot] = []
+        for folder in path.glob("*/*"):
+            snapshot = _found(folder)
+            if snapshot is not None and snapshot.rows <= rows:
+                self._whole.append(snapshot)
+        self._whole.sort(key=lambda one: (one.rows, one.folder))
+        self.newest = self._whole[-1] if self._whole else None
+        self._forget_all_but(self._whole[-_KEPT:])
+
+    def keep(self, snapshot: Snapshot) -> bool:
+        """Make a snapshot whole if all its files are there.
+
+        Raises
+        ------
+        OSError
+            As the disk says.
+        """
+        if not all((snapshot.folder / name).exists() for name in snapshot.parts):
+            return False
+        capture(_Parts(snapshot.rows, snapshot.label_maps, snapshot.parts)).write(snapshot.folder / _LIST)
+        self._whole.append(snapshot)
+        return True
+
+    def name_after(self, rows: int) -> str | None:
+        """Name of the newest snapshot that can be gone back to once ``rows`` rows count."""
+        usable = [snapshot for snapshot in self._whole if snapshot.rows <= rows]
+        return str(usable[-1].folder.relative_to(self._path)) if usable else None
+
+    def forget_before(self, rows: int) -> None:
+        """Delete what a record of ``rows`` rows does not need: all but the newest two and later ones."""
+        usable = [snapshot for snapshot in self._whole if snapshot.rows <= rows]
+        for snapshot in usable[:-_KEPT]:
+            shutil.rmtree(snapshot.folder, ignore_errors=True)
+            self._whole.remove(snapshot)
+
+    def forget_all(self) -> None:
+        """Delete all: the stream has come to its end."""
+        shutil.rmtree(self._path, ignore_errors=True)
+
+    def _forget_all_but(self, kept: list[Snapshot]) -> None:
+        folders = {snapshot.folder for snapshot in kept}
+        for folder in self._path.glob("*/*"):
+            if folder not in folders:
+                shutil.rmtree(folder, ignore_errors=True)
+        self._whole = kept
+
+
+def _found(folder: Path) -> Snapshot | None:
+    """The snapshot in a folder, if it is whole and undamaged."""
+    if not (folder / _LIST).exists():
+        return None
+    try:
+        parts = read_state(folder / _LIST, _Parts)
+        for name in parts.names:
+            check_file(folder / name)
+    except SnapshotError as error:
+        _log.warning("A snapshot is passed over: %s", error)
+        return None
+    return Snapshot(folder, parts.rows, parts.label_maps, parts.names)
