@@ -79,17 +79,19 @@ def test_ranges_are_what_counting_one_by_one_gives() -> None:
     assert frame_ranges(()) == []
 
 
-def test_the_strip_holds_the_pictures_of_the_frames_it_names(tmp_path: Path) -> None:
-    record = StreamRecord(tmp_path / "a", "a", EVERYTHING)
-    for index in range(70):
+def write_telling_frames(record: StreamRecord, count: int) -> None:
+    """The brightness of a picture tells its frame."""
+    for index in range(count):
         given = frame(index)
         assert given.image is not None
-        given.image[:] = 3 * index  # so that a picture tells its frame
+        given.image[:] = 3 * index
         record.write(segmentation(index), given)
-    record.close(whole=True)
-    history = read_history(tmp_path / "a")
+
+
+def assert_strip_of_70(folder: Path) -> None:
+    history = read_history(folder)
     assert history is not None
-    strip = overlay_strip(tmp_path / "a", history, 6)
+    strip = overlay_strip(folder, history, 6)
     assert [picture.frame for picture in strip] == [0, 14, 28, 41, 55, 69]
     for picture in strip:
         data = np.frombuffer(base64.b64decode(picture.data.partition(",")[2]), np.uint8)
@@ -99,25 +101,20 @@ def test_the_strip_holds_the_pictures_of_the_frames_it_names(tmp_path: Path) -> 
         assert abs(float(np.median(image[-6:])) - 3 * picture.frame) < 4
 
 
+def test_the_strip_holds_the_pictures_of_the_frames_it_names(tmp_path: Path) -> None:
+    record = StreamRecord(tmp_path / "a", "a", EVERYTHING)
+    write_telling_frames(record, 70)
+    record.close(whole=True)
+    assert_strip_of_70(tmp_path / "a")
+
+
 def test_the_strip_of_a_resumed_stream_is_taken_from_all_its_videos(tmp_path: Path) -> None:
     for last in (40, 70):
         record = StreamRecord(tmp_path / "a", "a", EVERYTHING)
-        for index in range(last):
-            given = frame(index)
-            assert given.image is not None
-            given.image[:] = 3 * index
-            record.write(segmentation(index), given)
+        write_telling_frames(record, last)
         record.close(whole=False)
     assert (tmp_path / "a/overlay-00000040.mp4").exists()
-    history = read_history(tmp_path / "a")
-    assert history is not None
-    strip = overlay_strip(tmp_path / "a", history, 6)
-    assert [picture.frame for picture in strip] == [0, 14, 28, 41, 55, 69]
-    for picture in strip:
-        data = np.frombuffer(base64.b64decode(picture.data.partition(",")[2]), np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR)
-        assert image is not None
-        assert abs(float(np.median(image[-6:])) - 3 * picture.frame) < 4
+    assert_strip_of_70(tmp_path / "a")
 
 
 def test_a_missing_or_broken_overlay_gives_no_pictures(tmp_path: Path) -> None:
