@@ -124,8 +124,10 @@ def warp_model(model: AppearanceModel, new_region: Region, motion: Array) -> App
 
 
 def _stacks(samples: Array) -> Array:
-    """Bytes of every stack: a view (h·w, 3 N)."""
-    return samples.reshape(-1, 3 * samples.shape[3])
+    """The stacks one by one, (h·w, m), as the widest words that they are made of: fewer to copy."""
+    size = 3 * samples.shape[3]
+    word = next(one for one in (np.uint64, np.uint32, np.uint16, np.uint8) if size % one().itemsize == 0)
+    return samples.reshape(-1, size).view(word)
 
 
 @njit(cache=True)
@@ -139,8 +141,8 @@ def _take_over(
             new_stacks[pixel] = 0
             new_count[pixel], new_newest[pixel], new_spread[pixel] = 0, 0, 0
             continue
-        for byte in range(stacks.shape[1]):
-            new_stacks[pixel, byte] = stacks[place, byte]
+        for word in range(stacks.shape[1]):
+            new_stacks[pixel, word] = stacks[place, word]
         new_count[pixel], new_newest[pixel], new_spread[pixel] = count[place], newest[place], spread[place]
 
 

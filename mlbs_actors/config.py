@@ -169,7 +169,7 @@ class LayersConfig(_Section):
 class MotionConfig(_Section):
     """Motion field of a layer: Gaussian belief propagation (§5)."""
 
-    grid_px: int = Field(4, ge=1, description="Spacing of the field's grid, px (not scaled with the frame).")
+    grid_px: int = Field(8, ge=1, description="Spacing of the field's grid, px (not scaled with the frame).")
     variance_grid_px: int = Field(
         16, ge=1, description="Spacing of the grid on which marginal variances hold, px."
     )
@@ -187,7 +187,10 @@ class MotionConfig(_Section):
 class AppearanceConfig(_Section):
     """Kernel density of a layer's colours (§6.2)."""
 
-    samples: int = Field(20, ge=1, le=255, description="N: samples kept a pixel.")
+    samples: int = Field(20, ge=1, le=255, description="N: samples kept a cell.")
+    cell_px: float = Field(
+        2.0, gt=0, description="Side of the square of pixels that share their samples, px."
+    )
     bandwidth_floor: float = Field(5.0, gt=0, description="Least kernel bandwidth, grey levels.")
     registration_px: float = Field(
         1.0,
@@ -195,9 +198,6 @@ class AppearanceConfig(_Section):
         description="An object's registration error: bandwidths grow by it × the gradient, px.",
     )
     background_registration_px: float = Field(0.6, ge=0, description="The same for the background, px.")
-    window_radius: int = Field(
-        0, ge=0, le=2, description="Radius of the window of samples a colour is compared with, px."
-    )
     half_confidence_samples: float = Field(
         2.0, gt=0, description="Samples at which a pixel's model is trusted half."
     )

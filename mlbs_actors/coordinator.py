@@ -35,6 +35,7 @@ from mlbs_actors.config import Config, length_scale
 from mlbs_actors.epipolar import forward_motion, static_motion
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray, sample_flow
+from mlbs_actors.flow_focus import focus_boxes, focus_cells
 from mlbs_actors.held_frames import HeldFrame, relabelled
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.messages import (
@@ -72,6 +73,8 @@ class CoordinatorState:
     shape : (H, W) or None
     gray : (h, w) uint8
         The last frame as the flow sees it.
+    focus : (rows, columns) bool
+        Cells around which the next flow needs its finest level; empty where it does everywhere.
     trajectories : TrajectoryState
     labels : (n,) int64
         Label of each live trajectory after the last frame.
@@ -90,6 +93,7 @@ class CoordinatorState:
     epoch: int
     shape: tuple[int, int] | None
     gray: Array
+    focus: Array
     trajectories: TrajectoryState
     labels: Array
     spreads: Array
@@ -106,6 +110,7 @@ class CoordinatorState:
             epoch=0,
             shape=None,
             gray=np.zeros((0, 0), np.uint8),
+            focus=np.zeros((0, 0), bool),
             trajectories=empty_trajectories(config.trajectories),
             labels=np.zeros(0, np.int64),
             spreads=np.zeros(0),
@@ -178,7 +183,8 @@ class Coordinator:
             gray = flow_gray(frame, config.flow)
             flow = None
             if frame_index > state.epoch:
-                flow = dense_flow(state.gray, gray, shape, config.flow, config.trajectories)
+                focus = focus_boxes(state.focus, gray.shape) if state.focus.size else None
+                flow = dense_flow(state.gray, gray, shape, config.flow, config.trajectories, focus)
 
         with _timed(stage_ms, "tracking"):
             trajectories, labels = state.trajectories, state.labels
@@ -226,6 +232,10 @@ class Coordinator:
             with _timed(stage_ms, "clustering"):
                 registry = LayerRegistry(config.layers, shape, state.registry)
                 self._observe(registry, labels, frame, frame_index, published)
+        if state.clustered:
+            objects = state.labels > BACKGROUND
+            ahead = state.trajectories.positions[objects] - state.trajectories.motions[objects]
+            state.focus = focus_cells(against_camera.advantage, ahead, step)
         state.held = (*state.held, self._hold(frame_index, camera, flow, against_camera, stage_ms))
         return self._emit(frame_index - config.layers.lookahead) if state.clustered else []
 

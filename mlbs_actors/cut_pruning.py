@@ -40,6 +40,7 @@ __all__ = [
     "UndecidedEnergy",
     "movable",
     "prune",
+    "undecided_energy",
 ]
 
 #: Label of a pixel that the pruning could not decide.
@@ -142,19 +143,36 @@ def prune(whole: LabelCostEnergy) -> Pruning:
     -------
     Pruning
     """
-    width = whole.unary.shape[2]
-    labels, certain, pixels, folded = _decide(whole.unary, whole.weights, whole.label_costs)
+    labels, certain = _decide(whole.unary, whole.weights, whole.label_costs)
+    return Pruning(labels, undecided_energy(whole, labels, certain))
+
+
+def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) -> UndecidedEnergy:
+    """The energy that is left where some pixels have their label.
+
+    Parameters
+    ----------
+    whole : LabelCostEnergy
+    labels : (H, W) intp
+        ``UNDECIDED`` where it is open.
+    elsewhere : (K,) bool
+        Labels that the others hold.
+
+    Returns
+    -------
+    UndecidedEnergy
+    """
+    pixels = np.flatnonzero(labels == UNDECIDED)
     neighbour, weight = _around(whole.weights, labels, pixels)
-    rest = UndecidedEnergy(
+    return UndecidedEnergy(
         pixels,
-        pixels // width,
-        folded,
+        pixels // labels.shape[1],
+        _folded(whole.unary, whole.weights, labels, pixels),
         neighbour,
         weight,
-        np.where(certain, 0, whole.label_costs),
-        certain,
+        np.where(elsewhere, 0, whole.label_costs),
+        elsewhere,
     )
-    return Pruning(labels, rest)
 
 
 def movable(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array, Array]:
@@ -193,8 +211,8 @@ def _neighbour(y: int, x: int, k: int) -> tuple[int, int, int, int, int]:
 
 
 @njit(cache=True)
-def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Array, Array, Array]:
-    """Labels, certain labels, undecided pixels, and their unary (K, n) with decided neighbours folded in."""
+def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Array]:
+    """Labels, and which of them are certain."""
     label_count, height, width = unary.shape
     best = np.zeros((height, width), np.int32)
     least = unary[0].copy()
@@ -266,12 +284,24 @@ def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Ar
                     queue[tail] = v * width + u
                     tail += 1
 
-    pixels = np.flatnonzero(labels == UNDECIDED)
-    rest = np.empty((label_count, pixels.size), np.int32)
-    for label in range(label_count):
-        for i in range(pixels.size):
-            rest[label, i] = folded[label, pixels[i] // width, pixels[i] % width]
-    return labels, certain, pixels, rest
+    return labels, certain
+
+
+@njit(cache=True)
+def _folded(unary: Array, weights: Array, labels: Array, pixels: Array) -> Array:
+    """Unary (K, n) of the undecided pixels with the pair terms to decided neighbours."""
+    label_count, height, width = unary.shape
+    folded = np.empty((label_count, pixels.size), np.int32)
+    for i in range(pixels.size):
+        y, x = pixels[i] // width, pixels[i] % width
+        for label in range(label_count):
+            folded[label, i] = unary[label, y, x]
+        for k in range(8):
+            v, u, row, column, direction = _neighbour(y, x, k)
+            if 0 <= v < height and 0 <= u < width and labels[v, u] != UNDECIDED:
+                # As in the test above: up to a constant, agreeing with it saves the weight.
+                folded[labels[v, u], i] -= weights[row, column, direction]
+    return folded
 
 
 @njit(cache=True)

@@ -7,6 +7,7 @@ likelihood and the camera model.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -14,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
-from mlbs_actors.messages import Array
+from mlbs_actors.messages import Array, Region
 
 __all__ = ["DenseFlow", "dense_flow", "flow_gray", "sample_flow"]
 
@@ -89,7 +90,12 @@ def sample_flow(flow: Array, points: Array, step: tuple[float, float]) -> Array:
 
 
 def dense_flow(
-    previous: Array, current: Array, shape: tuple[int, int], config: FlowConfig, checks: TrajectoriesConfig
+    previous: Array,
+    current: Array,
+    shape: tuple[int, int],
+    config: FlowConfig,
+    checks: TrajectoriesConfig,
+    focus: Sequence[Region] | None = None,
 ) -> DenseFlow:
     """Flow between two shrunk grey frames, both ways, with the checks of Sundaram et al.
 
@@ -102,21 +108,19 @@ def dense_flow(
     config : FlowConfig
     checks : TrajectoriesConfig
         Thresholds of the forward–backward and motion-boundary checks.
+    focus : sequence of Region, optional
+        Disjoint boxes of the shrunk frame where the finest level is computed; everywhere by default.
 
     Returns
     -------
     DenseFlow
     """
     step = (shape[1] / current.shape[1], shape[0] / current.shape[0])
-    solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-    # The presets stop at half the size they are given: flow bleeds 10–20 px past an object's outline then.
-    solver.setFinestScale(config.finest_scale)
-    solver.setGradientDescentIterations(config.search_iterations)
-    solver.setVariationalRefinementIterations(config.refinement_iterations)
+    if focus is None:
+        focus = [Region(0, 0, current.shape[1], current.shape[0])]
     factor = np.array(step, np.float32)
-    # None, which the stubs do not know: no initial flow.
-    forward = solver.calc(previous, current, None) * factor  # type: ignore[call-overload]
-    backward = solver.calc(current, previous, None) * factor  # type: ignore[call-overload]
+    forward = _flow(previous, current, config, focus) * factor
+    backward = _flow(current, previous, config, focus) * factor
     thresholds = (
         checks.consistency_relative,
         checks.consistency_px2,
@@ -132,46 +136,78 @@ def dense_flow(
     )
 
 
+def _flow(source: Array, target: Array, config: FlowConfig, focus: Sequence[Region]) -> Array:
+    """DIS from one grey frame to another, (h, w, 2) float32, px of theirs."""
+    solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    solver.setGradientDescentIterations(config.search_iterations)
+    solver.setVariationalRefinementIterations(config.refinement_iterations)
+    # The presets stop at half the size they are given: flow bleeds 10–20 px past an object's outline then.
+    solver.setFinestScale(config.finest_scale)
+    if len(focus) == 1 and focus[0].area == source.size:
+        # None, which the stubs do not know: no initial flow.
+        return np.asarray(solver.calc(source, target, None))  # type: ignore[call-overload]
+    solver.setFinestScale(config.finest_scale + 1)
+    flow = np.asarray(solver.calc(source, target, None))  # type: ignore[call-overload]
+    solver.setFinestScale(config.finest_scale)
+    solver.setCoarsestScale(config.finest_scale)
+    for box in focus:
+        part = np.ascontiguousarray(flow[box.slices])
+        cut = (np.ascontiguousarray(frame[box.slices]) for frame in (source, target))
+        flow[box.slices] = solver.calc(*cut, part)
+    return flow
+
+
 @njit(cache=True)
 def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks: tuple[float, ...]) -> Array:
     """|w+w'(x+w)|² < a(|w|²+|w'|²)+b inside the frame, and |∇u|²+|∇v|² ≤ c|w|²+d, for checks (a, b, c, d)."""
     height, width = flow.shape[:2]
-    relative, absolute, boundary_relative, boundary_absolute = checks
+    relative, absolute = np.float32(checks[0]), np.float32(checks[1])
+    boundary_relative, boundary_absolute = np.float32(checks[2]), np.float32(checks[3])
+    shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
+    # Scharr's central differences, per full-size px.
+    by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
+    three, ten, one = np.float32(3), np.float32(10), np.float32(1)
+    right_end, bottom_end = np.float32(width - 1), np.float32(height - 1)
+    back = reverse.reshape(-1)
     reliable = np.zeros((height, width), np.bool_)
+    # Loops without a branch run in vector registers.
+    smoothed, sheared = np.empty((width, 2), np.float32), np.empty((width, 2), np.float32)
+    steepness = np.empty(width, np.float32)
     for y in range(height):
-        above, below = max(y - 1, 0), min(y + 1, height - 1)
+        upper, middle, lower = flow[max(y - 1, 0)], flow[y], flow[min(y + 1, height - 1)]
         for x in range(width):
-            u, v = flow[y, x, 0], flow[y, x, 1]
-            there_x, there_y = x + u / step_x, y + v / step_y
-            if not (0 <= there_x <= width - 1 and 0 <= there_y <= height - 1):
+            for axis in range(2):
+                smoothed[x, axis] = three * (upper[x, axis] + lower[x, axis]) + ten * middle[x, axis]
+                sheared[x, axis] = lower[x, axis] - upper[x, axis]
+        for x in range(width):
+            before, after = max(x - 1, 0), min(x + 1, width - 1)
+            gradient = np.float32(0)
+            for axis in range(2):
+                across = by_x * (smoothed[after, axis] - smoothed[before, axis])
+                down = by_y * (
+                    three * (sheared[before, axis] + sheared[after, axis]) + ten * sheared[x, axis]
+                )
+                gradient += across * across + down * down
+            steepness[x] = gradient
+        for x in range(width):
+            u, v = middle[x, 0], middle[x, 1]
+            there_x, there_y = np.float32(x) + u * shrink_x, np.float32(y) + v * shrink_y
+            if not (0 <= there_x <= right_end and 0 <= there_y <= bottom_end):
                 continue
             squared = u * u + v * v
             column, row = int(there_x), int(there_y)
-            right, down = min(column + 1, width - 1), min(row + 1, height - 1)
-            along, across = there_x - column, there_y - row
-            back_u = (1 - across) * (
-                (1 - along) * reverse[row, column, 0] + along * reverse[row, right, 0]
-            ) + across * ((1 - along) * reverse[down, column, 0] + along * reverse[down, right, 0])
-            back_v = (1 - across) * (
-                (1 - along) * reverse[row, column, 1] + along * reverse[row, right, 1]
-            ) + across * ((1 - along) * reverse[down, column, 1] + along * reverse[down, right, 1])
-            error = (u + back_u) ** 2 + (v + back_v) ** 2
-            if error >= relative * (squared + back_u**2 + back_v**2) + absolute:
-                continue
-            before, after = max(x - 1, 0), min(x + 1, width - 1)
-            gradient = 0.0
-            for axis in range(2):
-                # Scharr's central differences, per full-size px.
-                horizontal = (
-                    3 * (flow[above, after, axis] - flow[above, before, axis])
-                    + 10 * (flow[y, after, axis] - flow[y, before, axis])
-                    + 3 * (flow[below, after, axis] - flow[below, before, axis])
-                ) / (32 * step_x)
-                vertical = (
-                    3 * (flow[below, before, axis] - flow[above, before, axis])
-                    + 10 * (flow[below, x, axis] - flow[above, x, axis])
-                    + 3 * (flow[below, after, axis] - flow[above, after, axis])
-                ) / (32 * step_y)
-                gradient += horizontal * horizontal + vertical * vertical
-            reliable[y, x] = gradient <= boundary_relative * squared + boundary_absolute
+            along, across = there_x - np.float32(column), there_y - np.float32(row)
+            near = np.uint64(2 * (row * width + column))
+            aside = np.uint64(2 if column < width - 1 else 0)
+            below = np.uint64(2 * width if row < height - 1 else 0)
+            w00, w01 = (one - across) * (one - along), (one - across) * along
+            w10, w11 = across * (one - along), across * along
+            back_u = w00 * back[near] + w01 * back[near + aside]
+            back_u += w10 * back[near + below] + w11 * back[near + below + aside]
+            near += np.uint64(1)
+            back_v = w00 * back[near] + w01 * back[near + aside]
+            back_v += w10 * back[near + below] + w11 * back[near + below + aside]
+            error = (u + back_u) * (u + back_u) + (v + back_v) * (v + back_v)
+            agrees = error < relative * (squared + back_u * back_u + back_v * back_v) + absolute
+            reliable[y, x] = agrees & (steepness[x] <= boundary_relative * squared + boundary_absolute)
     return reliable

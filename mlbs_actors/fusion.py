@@ -24,6 +24,7 @@ from numba import njit
 from mlbs_actors.kde import AppearanceParameters, confidence
 from mlbs_actors.messages import COST_STEP, Array, LayerPosterior, Region
 from mlbs_actors.region_groups import common, slices_in
+from mlbs_actors.row_log import row_log
 
 __all__ = ["RATIO_STEP", "FusedCosts", "fused_costs", "quantised_ratio", "with_appearance"]
 
@@ -75,7 +76,7 @@ def with_appearance(
         fallback.view(np.uint8),
         _trust(half_confidence),
         _EXP,
-        float(weight / COST_STEP),
+        np.float32(weight / COST_STEP),
         fused,
     )
     return fused
@@ -131,12 +132,11 @@ def fused_costs(
         own[...] = one.outside_cost
         fused = np.empty(part.cost.shape, np.uint8)
         others = np.ascontiguousarray(fallback[part.place]).view(np.uint8)
-        strength = weight / COST_STEP
+        strength = np.float32(weight / COST_STEP)
         _add_appearance(part.cost, part.log_ratio, part.samples, others, trust, _EXP, strength, fused)
         own[part.place] = fused
-        total[part.place] += LIKELIHOOD[fused]
-    normaliser = np.clip(np.rint(-np.log(total) / np.float32(COST_STEP)), 0, 255).astype(np.uint8)
-    return FusedCosts(cost, normaliser, fallback)
+        _add_likelihood(total[part.place], fused, LIKELIHOOD)
+    return FusedCosts(cost, _normaliser(total), fallback)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,12 +183,15 @@ def _add_known(
 @njit(cache=True)
 def _fallback(known: Array, matched: Array) -> Array:
     height, width = known.shape
-    fallback = np.zeros((height, width), np.int8)
+    fallback = np.empty((height, width), np.int8)
+    mean, logs = np.empty(width, np.float32), np.empty(width, np.float32)
+    one, quanta = np.float32(1), np.float32(1.0 / RATIO_STEP)
     for y in range(height):
         for x in range(width):
-            if matched[y, x] > known[y, x]:
-                log_mean = np.log(matched[y, x] / known[y, x])
-                fallback[y, x] = min(np.rint(log_mean / np.float32(RATIO_STEP)), np.float32(127.0))
+            mean[x] = matched[y, x] / known[y, x] if matched[y, x] > known[y, x] else one
+        row_log(mean, logs)
+        for x in range(width):
+            fallback[y, x] = np.int8(np.int32(min(np.rint(logs[x] * quanta), np.float32(127))))
     return fallback
 
 
@@ -200,20 +203,41 @@ def _add_appearance(
     fallback: Array,
     trust: Array,
     ratio_of: Array,
-    strength: float,
+    strength: np.float32,
     fused: Array,
 ) -> None:
     """Cost − strength · log r'; log r and log f come by their bits as unsigned bytes."""
     height, width = cost.shape
+    ratio, logs = np.empty(width, np.float32), np.empty(width, np.float32)
+    one, least, most = np.float32(1), np.float32(0), np.float32(255)
     for y in range(height):
         for x in range(width):
-            if samples[y, x] == 0 and fallback[y, x] == 0:
-                fused[y, x] = cost[y, x]  # nobody knows anything: log r' = 0
-                continue
             own = trust[samples[y, x]]
-            ratio = own * ratio_of[log_ratio[y, x]] + (np.float32(1.0) - own) * ratio_of[fallback[y, x]]
-            value = np.rint(np.float32(cost[y, x]) - np.float32(strength) * np.log(ratio))
-            fused[y, x] = np.uint8(min(max(value, np.float32(0.0)), np.float32(255.0)))
+            ratio[x] = own * ratio_of[log_ratio[y, x]] + (one - own) * ratio_of[fallback[y, x]]
+        row_log(ratio, logs)
+        for x in range(width):
+            value = np.rint(np.float32(cost[y, x]) - strength * logs[x])
+            fused[y, x] = np.uint8(np.int32(min(max(value, least), most)))
+
+
+@njit(cache=True)
+def _add_likelihood(total: Array, fused: Array, likelihood: Array) -> None:
+    for y in range(fused.shape[0]):
+        for x in range(fused.shape[1]):
+            total[y, x] += likelihood[fused[y, x]]
+
+
+@njit(cache=True)
+def _normaliser(total: Array) -> Array:
+    height, width = total.shape
+    normaliser, logs = np.empty((height, width), np.uint8), np.empty(width, np.float32)
+    quanta, least, most = np.float32(-1.0 / COST_STEP), np.float32(0), np.float32(255)
+    for y in range(height):
+        row_log(total[y], logs)
+        for x in range(width):
+            value = np.rint(quanta * logs[x])
+            normaliser[y, x] = np.uint8(np.int32(min(max(value, least), most)))
+    return normaliser
 
 
 #: exp of all 256 values of log r, by their bits as an unsigned byte.

@@ -16,8 +16,10 @@ Differs from the paper:
 * Costs are integers, in units of ``COST_QUANTUM`` = 1/1024 nat: no tolerance anywhere.
 * Pixels whose label is the same in every optimum are decided first (``cut_pruning``), only the rest is cut.
 * Beside expansions (one label takes pixels), *removals* are tried: a label's pixels are shared out to others.
-* The start is label 0 everywhere, so that with two labels the first expansion ends in a global optimum. An
-  expansion is tried again only where something has changed: the last one was the best there.
+* The start is label 0 everywhere: every labelling with one more label is one expansion away, and with two labels
+  the first one ends in a global optimum. An expansion is tried again only where something has changed: the last
+  one was the best there.
+* Of more than ``LARGE`` pixels, only those near the outlines of a coarser solution are cut (``coarse_cut``).
 * Cuts of pixels alone are those of ``min_cut``; a label that could be got rid of needs a general graph.
   There the usual star of one node a label cost with thousands of edges makes the Boykov–Kolmogorov algorithm
   crawl. Here the pixels of one image row meet in a row node first; the minimum is the same.
@@ -33,6 +35,7 @@ import maxflow
 import numpy as np
 from numba import njit
 
+from mlbs_actors.coarse_cut import band_around_outlines, halved, unhalved
 from mlbs_actors.cut_pruning import NEIGHBOUR_OFFSETS, LabelCostEnergy, UndecidedEnergy, movable, prune
 from mlbs_actors.errors import ConfigError, FrameError
 from mlbs_actors.messages import Array
@@ -52,6 +55,9 @@ COST_QUANTUM = 1.0 / 1024.0
 #: Largest unary cost or pair weight, quanta: sums of nine still fit into 32 bits.
 MAX_COST = 2**24
 _MAX_LABEL_COST = 2**50
+
+#: Images of more pixels are labelled coarse to fine.
+LARGE = 16384
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,10 +154,20 @@ def minimise(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> CutResult:
     if max_sweeps < 1:
         raise ConfigError(f"max_sweeps is {max_sweeps}; give at least 1.")
     _check(whole)
-    pruning = prune(whole)
-    rest = pruning.rest
-    undecided_labels, trace, converged = _search(rest, max_sweeps)
-    labels = pruning.labels
+    return _minimise(whole, max_sweeps)
+
+
+def _minimise(whole: LabelCostEnergy, max_sweeps: int) -> CutResult:
+    shape = whole.unary.shape[1:]
+    if shape[0] * shape[1] > LARGE:
+        labels = unhalved(_minimise(halved(whole), max_sweeps).labels, shape)
+        rest = band_around_outlines(whole, labels)
+        start = labels.reshape(-1)[rest.pixels]
+    else:
+        pruning = prune(whole)
+        labels, rest = pruning.labels, pruning.rest
+        start = np.zeros(rest.pixels.size, np.intp)
+    undecided_labels, trace, converged = _search(rest, start, max_sweeps)
     labels.reshape(-1)[rest.pixels] = undecided_labels
     constant = whole.energy(labels) - trace[-1]
     energies = tuple(constant + value for value in trace)
@@ -237,14 +253,12 @@ class _Course:
             self.expanded_at[alpha] = self.step
 
 
-def _search(rest: UndecidedEnergy, max_sweeps: int) -> tuple[Array, list[int], bool]:
-    """Expand in turn, then try removals, until nothing helps; also the energy at the start and a sweep.
-
-    The start is label 0 everywhere: every labelling with one more label is then one expansion away.
-    """
+def _search(rest: UndecidedEnergy, start: Array, max_sweeps: int) -> tuple[Array, list[int], bool]:
+    """Expand in turn, then try removals, until nothing helps; also the energy at the start and a sweep."""
     every_label = range(rest.label_costs.size)
-    course = _Course.starting(rest, np.zeros(rest.pixels.size, np.intp))
-    course.expanded_at[0] = 0
+    course = _Course.starting(rest, start)
+    if not start.any():
+        course.expanded_at[0] = 0
     trace = [course.energy]
     for _ in range(max_sweeps):
         course.expand(rest, every_label)

@@ -2,10 +2,7 @@
 
 The density of a colour c at a pixel with the samples c_1 … c_n is
 
-    p(c) = 1/n Σ_f Π_ch N(c_ch; c_f,ch, σ²)          nats per unit RGB volume (1/level³) after the log,
-
-optionally averaged over the stacks of a (2·radius+1)² window with Gaussian weights, against what is left
-of a registration error; stacks without samples take no part.
+    p(c) = 1/n Σ_f Π_ch N(c_ch; c_f,ch, σ²)          nats per unit RGB volume (1/level³) after the log.
 
 **Bandwidth.** σ is one for the three channels of a pixel: the stack's running median of the mean absolute
 successive difference, with a floor. (A median |a − b| of two Gaussian values is 0.95 σ; the mean over three
@@ -16,8 +13,8 @@ e the registration error. Without it outlines and textures contradict the model 
 **Unknown is not unlikely.** A pixel without samples has no likelihood: NaN, with confidence 0.
 
 Differs from the paper: the sum is divided by the number of samples (the published MATLAB's is not, an
-accidental prior); colours are plain BGR (there: normalised red, green and intensity); the exponential is
-read from a table, less than 0.004 nats from exact up to q = 40; a kernel is never below e⁻⁴⁰.
+accidental prior); colours are plain BGR (there: normalised red, green and intensity); exponential and logarithm
+are polynomials, less than 1e-3 nats from exact together; a kernel is never below e⁻⁴⁰.
 """
 
 from __future__ import annotations
@@ -26,9 +23,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.polynomial import Chebyshev, Polynomial
 
 from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, read_image, warp_model
 from mlbs_actors.messages import Array, Region
+from mlbs_actors.row_log import row_log
 
 __all__ = [
     "AppearanceParameters",
@@ -37,10 +36,13 @@ __all__ = [
     "warp_and_evaluate",
 ]
 
-#: Entries of the exponential's table a nat.
-_TABLE_STEPS = 128
-#: exp(−q) for q = 0 … 40 nats; larger exponents are cut off.
-_EXP = np.exp(-np.arange(40 * _TABLE_STEPS + 1) / _TABLE_STEPS).astype(np.float32)
+#: Least logarithm of a kernel to base 2.
+_LEAST = np.float32(-40.0 / np.log(2.0))
+#: 2^z for −1 ≤ z ≤ 0.
+_P0, _P1, _P2, _P3, _P4 = (
+    np.float32(one)
+    for one in Chebyshev.interpolate(np.exp2, 4, domain=[-1.0, 0.0]).convert(kind=Polynomial).coef
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,20 +53,14 @@ class AppearanceParameters:
     ----------
     bandwidth_floor : float
         Smallest kernel standard deviation σ, grey levels, > 0.
-    registration_px : float
-        Standard deviation of the model's registration error, px.
-    window_radius : int
-        Radius of the window of stacks that a colour is compared with, px; 0 is the pixel's own stack alone.
-    window_std : float
-        Standard deviation of the window's Gaussian weights, px.
+    registration : float
+        Standard deviation of the model's registration error, pixels of its image.
     half_confidence_samples : float
         Number of samples at which a stack's confidence is one half.
     """
 
     bandwidth_floor: float = 5.0
-    registration_px: float = 0.0
-    window_radius: int = 0
-    window_std: float = 0.7
+    registration: float = 0.0
     half_confidence_samples: float = 2.0
 
 
@@ -109,7 +105,7 @@ def log_likelihood(
         image,
         needed,
         np.float32(parameters.bandwidth_floor),
-        np.float32(parameters.registration_px),
+        np.float32(parameters.registration),
         *_tables(parameters),
         result,
     )
@@ -150,14 +146,11 @@ def warp_and_evaluate(
     return moved, log_likelihood(moved, image, parameters, needed)
 
 
-def _tables(parameters: AppearanceParameters) -> tuple[Array, Array, Array]:
-    """Table steps per squared grey level and (σ√2π)⁻³ for the 256 values of ``spread``; window weights."""
+def _tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
+    """Log to base 2 of a kernel per squared grey level, and (σ√2π)⁻³, for the 256 values of ``spread``."""
     bandwidth = np.maximum(np.arange(256) * SPREAD_STEP, parameters.bandwidth_floor)
-    inverse = (_TABLE_STEPS / (2.0 * bandwidth**2)).astype(np.float32)
-    norm = ((bandwidth * np.sqrt(2.0 * np.pi)) ** -3).astype(np.float32)
-    offset = np.arange(-parameters.window_radius, parameters.window_radius + 1)
-    profile = np.exp(-(offset**2) / (2.0 * parameters.window_std**2))
-    return inverse, norm, np.outer(profile, profile).astype(np.float32)
+    exponent = (-1.0 / (2.0 * np.log(2.0) * bandwidth**2)).astype(np.float32)
+    return exponent, ((bandwidth * np.sqrt(2.0 * np.pi)) ** -3).astype(np.float32)
 
 
 @njit(cache=True)
@@ -192,38 +185,42 @@ def _least_spread(image: Array, y: int, x: int, floor: np.float32, registration:
 @njit(cache=True)
 def _evaluate(
     samples: Array, count: Array, spread: Array, residual: Array, image: Array, needed: Array,
-    floor: np.float32, registration: np.float32, inverse: Array, norm: Array, weights: Array, result: Array,
+    floor: np.float32, registration: np.float32, exponent: Array, norm: Array, result: Array,
 ) -> None:  # fmt: skip
-    height, width, radius = result.shape[0], result.shape[1], weights.shape[0] // 2
-    half, last = np.float32(0.5), np.float32(_EXP.size - 1)
-    steps = np.empty(samples.shape[3], np.int32)
+    height, width = result.shape
+    # A float's bits hold its exponent, so 2^n is an integer's shift. All slots, valid or not, and short loops of
+    # nothing but arithmetic: these run in vector registers.
+    kernel, bits = np.empty(samples.shape[3], np.float32), np.empty(samples.shape[3], np.int32)
+    power = bits.view(np.float32)
+    density, logs = np.empty(width, np.float32), np.empty(width, np.float32)
     for y in range(height):
+        density[:] = np.float32(1)
         for x in range(width):
-            if not needed[y, x] or count[y, x] == 0:
+            known = int(count[y, x])
+            if not needed[y, x] or known == 0:
                 continue
             blue, green, red = read_image(image, y, x, residual[y, x, 0], residual[y, x, 1])
-            density, weight = np.float32(0), np.float32(0)
-            for row in range(max(y - radius, 0), min(y + radius + 1, height)):
-                for column in range(max(x - radius, 0), min(x + radius + 1, width)):
-                    known = int(count[row, column])
-                    if known == 0:
-                        continue
-                    width_index = int(spread[row, column])
-                    if registration > 0:
-                        least = _least_spread(image, row, column, floor, registration)
-                        width_index = max(width_index, least)
-                    # All slots, valid or not, and nothing but arithmetic: this runs in vector registers.
-                    scale = inverse[width_index]
-                    for slot in range(steps.size):
-                        d_blue = np.float32(samples[row, column, 0, slot]) - blue
-                        d_green = np.float32(samples[row, column, 1, slot]) - green
-                        d_red = np.float32(samples[row, column, 2, slot]) - red
-                        exponent = (d_blue * d_blue + d_green * d_green + d_red * d_red) * scale
-                        steps[slot] = np.int32(min(exponent, last) + half)
-                    kernels = np.float32(0)
-                    for slot in range(known):
-                        kernels += _EXP[steps[slot]]
-                    share = weights[row - y + radius, column - x + radius]
-                    density += share * norm[width_index] * kernels / np.float32(known)
-                    weight += share
-            result[y, x] = np.log(density / weight)
+            width_index = int(spread[y, x])
+            if registration > 0:
+                width_index = max(width_index, _least_spread(image, y, x, floor, registration))
+            scale = exponent[width_index]
+            blues, greens, reds = samples[y, x, 0], samples[y, x, 1], samples[y, x, 2]
+            for slot in range(kernel.size):
+                d_blue, d_green = np.float32(blues[slot]) - blue, np.float32(greens[slot]) - green
+                d_red = np.float32(reds[slot]) - red
+                kernel[slot] = max((d_blue * d_blue + d_green * d_green + d_red * d_red) * scale, _LEAST)
+            for slot in range(kernel.size):
+                bits[slot] = np.int32(kernel[slot])
+            for slot in range(kernel.size):
+                z = kernel[slot] - np.float32(bits[slot])
+                kernel[slot] = _P0 + z * (_P1 + z * (_P2 + z * (_P3 + z * _P4)))
+            for slot in range(kernel.size):
+                bits[slot] = (bits[slot] + np.int32(127)) << np.int32(23)
+            total = np.float32(0)
+            for slot in range(known):
+                total += kernel[slot] * power[slot]
+            density[x] = norm[width_index] * total / np.float32(known)
+        row_log(density, logs)
+        for x in range(width):
+            if needed[y, x] and count[y, x] > 0:
+                result[y, x] = logs[x]

@@ -39,6 +39,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
+from mlbs_actors.cells import cell_side, in_cells, mean_of_cells, spread_over_cells
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import LayerError
 from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_positions
@@ -73,8 +74,10 @@ class LayerState:
         Frame evaluated last, −1 before the first.
     region : Region
         Where.
+    cell : int
+        Side of the cells that the model is kept for, px.
     model : AppearanceModel
-        Samples at ``last_frame``, without that frame's own colours.
+        Samples at ``last_frame``, without that frame's own colours, cell by cell.
     cost : (h, w) uint8
         Unnormalised posterior of ``last_frame`` without the colours, as sent to the segmenter.
     log_ratio : (h, w) int8
@@ -90,6 +93,7 @@ class LayerState:
 
     last_frame: int
     region: Region
+    cell: int
     model: AppearanceModel
     cost: Array
     log_ratio: Array
@@ -120,6 +124,7 @@ class Layer:
         self.state = state or LayerState(
             last_frame=-1,
             region=nowhere,
+            cell=1,
             model=empty_model(nowhere, config.appearance.samples),
             cost=np.zeros((0, 0), np.uint8),
             log_ratio=np.zeros((0, 0), np.int8),
@@ -135,16 +140,6 @@ class Layer:
             point_std_px=config.motion.point_std_px,
             prior_std_px=config.motion.prior_std_px,
             robust_px=config.motion.robust_px,
-        )
-        self._appearance = AppearanceParameters(
-            bandwidth_floor=config.appearance.bandwidth_floor,
-            registration_px=(
-                config.appearance.background_registration_px
-                if kind == "background"
-                else config.appearance.registration_px
-            ),
-            window_radius=config.appearance.window_radius,
-            half_confidence_samples=config.appearance.half_confidence_samples,
         )
 
     def step(
@@ -188,19 +183,19 @@ class Layer:
         posterior = self._finish(previous)
         finished = perf_counter()
         shape, margin = frame_evidence.shape, self.config.posterior.region_margin_px
+        side = cell_side(shape, self.config.appearance.cell_px)
         if self.kind == "background":
             region = Region(0, 0, shape[1], shape[0])
-            needed = contested(frame_evidence, previous, margin)
+            needed = contested(frame_evidence, previous, margin, side)
         else:
-            region = object_region(evidence, previous, shape, margin)
+            region = object_region(evidence, previous, shape, margin, side)
             needed = np.ones((region.height, region.width), np.bool_)
         field = self._motion_field(evidence, frame_evidence, region)
         motion = field.dense()
         moved = perf_counter()
         image = np.ascontiguousarray(frame[region.slices])
-        model, log_density = warp_and_evaluate(state.model, region, motion, image, self._appearance, needed)
+        model, log_ratio, samples = self._colours(region, motion, image, needed, side)
         weights = self.config.posterior
-        log_ratio, samples = quantised_colours(log_density, model.count, needed, weights.appearance_cap)
         unexplained = _unexplained(frame_evidence, region)
         prior = warp_map(posterior, state.region, region, motion, needed)
         if self.kind == "background":
@@ -234,6 +229,7 @@ class Layer:
         self.state = LayerState(
             frame_evidence.frame_index,
             region,
+            side,
             model,
             cost,
             log_ratio,
@@ -242,7 +238,7 @@ class Layer:
             velocity,
             trusted,
         )
-        trust = confidence(np.arange(256), self._appearance)
+        trust = confidence(np.arange(256), self._density(side))
         return LayerPosterior(
             layer=self.layer,
             frame_index=frame_evidence.frame_index,
@@ -264,8 +260,48 @@ class Layer:
     def appearance(self) -> LayerAppearance:
         """What is remembered at the frame evaluated last; nothing is changed."""
         state = self.state
-        known = state.model.count > 0
-        return LayerAppearance(self.layer, state.last_frame, state.region, median_colours(state.model), known)
+        shape = (state.region.height, state.region.width)
+        colours = spread_over_cells(median_colours(state.model), state.cell, shape)
+        known = spread_over_cells(state.model.count > 0, state.cell, shape)
+        return LayerAppearance(self.layer, state.last_frame, state.region, colours, known)
+
+    def _density(self, side: int) -> AppearanceParameters:
+        """Of colours that are kept for cells of this side, px."""
+        colours = self.config.appearance
+        background = self.kind == "background"
+        registration = colours.background_registration_px if background else colours.registration_px
+        return AppearanceParameters(
+            bandwidth_floor=colours.bandwidth_floor,
+            registration=registration / side,
+            half_confidence_samples=colours.half_confidence_samples,
+        )
+
+    def _colours(
+        self, region: Region, motion: Array, image: Array, needed: Array, side: int
+    ) -> tuple[AppearanceModel, Array, Array]:
+        """The model moved to this frame, and what it says there, spread over its cells.
+
+        Returns
+        -------
+        model : AppearanceModel
+        log_ratio : (h, w) int8
+        samples : (h, w) uint8
+            As :func:`~mlbs_actors.layer_cost.quantised_colours` returns them, for every pixel.
+        """
+        shape = needed.shape
+        opened = mean_of_cells(needed.view(np.uint8), side) > 0
+        model, log_density = warp_and_evaluate(
+            self.state.model,
+            in_cells(region, side),
+            mean_of_cells(motion, side) / np.float32(side),
+            mean_of_cells(image, side),
+            self._density(side),
+            opened,
+        )
+        log_ratio, samples = quantised_colours(
+            log_density, model.count, opened, self.config.posterior.appearance_cap
+        )
+        return model, spread_over_cells(log_ratio, side, shape), spread_over_cells(samples, side, shape)
 
     def _finish(self, previous: Segmentation | None) -> Array:
         """Learn frame t−1; return this layer's normalised posterior of it, empty if it had no part in it."""
@@ -273,7 +309,8 @@ class Layer:
         if previous is None or previous.frame_index != state.last_frame:
             return np.zeros((0, 0), np.float32)
         mask = previous.labels[state.region.slices] == self.layer
-        update(state.model, state.image, mask & state.trusted)
+        sure = np.where(mask & state.trusted, np.uint8(255), np.uint8(0))
+        update(state.model, mean_of_cells(state.image, state.cell), mean_of_cells(sure, state.cell) == 255)
         return finished_posterior(
             self.config, state.cost, state.log_ratio, state.samples, previous, state.region, mask
         )

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mlbs_actors.cells import aligned
 from mlbs_actors.config import length_scale
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region, Segmentation
 
@@ -19,7 +20,11 @@ __all__ = ["contested", "object_region"]
 
 
 def object_region(
-    evidence: LayerEvidence, previous: Segmentation | None, shape: tuple[int, int], margin_px: float
+    evidence: LayerEvidence,
+    previous: Segmentation | None,
+    shape: tuple[int, int],
+    margin_px: float,
+    cell: int = 1,
 ) -> Region:
     """Region of one object in frame t.
 
@@ -33,6 +38,8 @@ def object_region(
         Size of the frame, px.
     margin_px : float
         Margin around trajectories and pixels, px of a 640×480 frame.
+    cell : int
+        The region is made of whole cells of this side, px.
 
     Returns
     -------
@@ -56,10 +63,12 @@ def object_region(
     high = np.ceil(np.max(boxes, axis=0)[2:] + margin).astype(int) + 1
     x0, y0 = np.clip(low, 0, (width, height))
     x1, y1 = np.clip(high, 0, (width, height))
-    return Region(int(x0), int(y0), int(x1 - x0), int(y1 - y0))
+    return aligned(Region(int(x0), int(y0), int(x1 - x0), int(y1 - y0)), cell, shape)
 
 
-def contested(evidence: FrameEvidence, previous: Segmentation | None, margin_px: float) -> Array:
+def contested(
+    evidence: FrameEvidence, previous: Segmentation | None, margin_px: float, cell: int = 1
+) -> Array:
     """Where a pixel can be an object's: the union of the objects' regions.
 
     Parameters
@@ -67,7 +76,7 @@ def contested(evidence: FrameEvidence, previous: Segmentation | None, margin_px:
     evidence : FrameEvidence
     previous : Segmentation or None
         Published result of the frame before.
-    margin_px : float
+    margin_px, cell
         As for :func:`object_region`.
 
     Returns
@@ -77,5 +86,5 @@ def contested(evidence: FrameEvidence, previous: Segmentation | None, margin_px:
     result = np.zeros(evidence.shape, np.bool_)
     for one in evidence.layers:
         if one.layer != BACKGROUND:
-            result[object_region(one, previous, evidence.shape, margin_px).slices] = True
+            result[object_region(one, previous, evidence.shape, margin_px, cell).slices] = True
     return result

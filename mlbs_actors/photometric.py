@@ -76,13 +76,14 @@ def photometric_advantage(
     known = np.empty(motion.shape[:2], np.bool_)
     _find_sources(motion, camera, region.x, region.y, before.region.x, before.region.y, last, sources, known)
     own_error, camera_error = (
-        cv2.blur(
-            cv2.absdiff(newest, cv2.remap(last, source[0], source[1], cv2.INTER_LINEAR)).astype(np.float32),
+        cv2.boxFilter(
+            cv2.absdiff(newest, cv2.remap(last, source[0], source[1], cv2.INTER_LINEAR)),
+            cv2.CV_32F,
             (WINDOW, WINDOW),
         )
         for source in sources
     )
-    noise = np.float32(np.clip(np.median(camera_error), LEAST_NOISE, MOST_NOISE))
+    noise = np.float32(np.clip(np.median(camera_error[::2, ::2]), LEAST_NOISE, MOST_NOISE))
     advantage = np.zeros(known.shape, np.float32)
     _compare(own_error, camera_error, noise, own, known, np.float32(largest), advantage)
     return advantage

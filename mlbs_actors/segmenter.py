@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
+from numba import njit
 
 from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.config import Config, length_scale
@@ -218,8 +219,15 @@ def _discount_shadows(
     """Take away, as far as a pixel is a shadow, what an object has over the background, and a little more."""
     for own, one in zip(unary[1:], posteriors[1:], strict=True):
         place = slices_in(one.region, box)
-        lead = np.maximum(unary[0][place] - own[place], 0)
-        own[place] += np.rint(shadow[place] * (lead + np.float32(strength / COST_QUANTUM))).astype(np.int32)
+        _discount(own[place], unary[0][place], shadow[place], np.float32(strength / COST_QUANTUM))
+
+
+@njit(cache=True)
+def _discount(own: Array, background: Array, shadow: Array, strength: np.float32) -> None:
+    for y in range(own.shape[0]):
+        for x in range(own.shape[1]):
+            lead = np.float32(max(background[y, x] - own[y, x], 0))
+            own[y, x] += np.int32(np.rint(shadow[y, x] * (lead + strength)))
 
 
 def _summaries(

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numba import njit
 
 from mlbs_actors.config import TrajectoriesConfig, length_scale
 from mlbs_actors.flow import DenseFlow, sample_flow
@@ -177,36 +178,16 @@ def _seeded(
 ) -> TrajectoryState:
     """Seed one grid; nearer than ``least`` px of the shrunk frame the flow cannot tell two points apart."""
     height, width = shape
-    shrunk_height, shrunk_width = structure.shape
-    step_x, step_y = width / shrunk_width, height / shrunk_height
-    spacing = max(spacing_px * length_scale(height, width), least * max(step_x, step_y))
-    columns, rows = max(1, int(width / spacing)), max(1, int(height / spacing))
-    xs = ((np.arange(columns) + 0.5) * width / columns).astype(np.float32)
-    ys = ((np.arange(rows) + 0.5) * height / rows).astype(np.float32)
-    grid_x, grid_y = (axis.ravel() for axis in np.meshgrid(xs, ys))
-
-    # A live trajectory covers a disc of the seed spacing around it.
-    free = np.full(structure.shape, 255, np.uint8)
-    px = np.clip((state.positions[:, 0] / step_x).astype(np.intp), 0, shrunk_width - 1)
-    py = np.clip((state.positions[:, 1] / step_y).astype(np.intp), 0, shrunk_height - 1)
-    free[py, px] = 0
-    distance = np.full(structure.shape, np.inf, np.float32)  # px
-    if len(state):
-        distance = cv2.distanceTransform(free, cv2.DIST_L2, 5) * np.float32(0.5 * (step_x + step_y))
-    cell_x = np.clip((grid_x / step_x).astype(np.intp), 0, shrunk_width - 1)
-    cell_y = np.clip((grid_y / step_y).astype(np.intp), 0, shrunk_height - 1)
-
-    border = np.minimum.reduce([grid_x, grid_y, width - 1 - grid_x, height - 1 - grid_y])
-    wanted = where[cell_y, cell_x] & (distance[cell_y, cell_x] >= 0.75 * spacing)
-    wanted &= structure[cell_y, cell_x] > structure.mean() * (0.1 + np.exp(-0.1 * border))
-    points = np.stack([grid_x, grid_y], axis=1)
-    back = np.zeros_like(points)
-    age = 0
+    step = (width / structure.shape[1], height / structure.shape[0])
+    spacing = max(spacing_px * length_scale(height, width), least * max(step))
+    grid = (max(1, int(height / spacing)), max(1, int(width / spacing)))
+    wanted = where if flow is None else where & flow.backward_reliable
+    # A live trajectory covers a disc around it.
+    free = _uncovered(state.positions, structure.shape, step, 0.75 * spacing / (0.5 * (step[0] + step[1])))
+    points = _grid_seeds(structure, float(structure.mean()), wanted & free, shape, step, grid)
+    age, back = 0, np.zeros_like(points)
     if flow is not None:
-        wanted &= flow.backward_reliable[cell_y, cell_x]
-        back = sample_flow(flow.backward, points, flow.step)
-        age = 1
-    points, back = points[wanted], back[wanted]
+        age, back = 1, sample_flow(flow.backward, points, flow.step)
     return TrajectoryState(
         np.concatenate([state.ids, state.next_id + np.arange(len(points), dtype=np.int64)]),
         np.concatenate([state.positions, points]),
@@ -216,6 +197,54 @@ def _seeded(
         np.concatenate([state.evidence, np.zeros(len(points), np.float32)]),
         state.next_id + len(points),
     )
+
+
+@njit(cache=True)
+def _uncovered(positions: Array, shape: tuple[int, int], step: tuple[float, float], radius: float) -> Array:
+    """Pixels of the shrunk frame at least so many of its px from every point's, (h, w) bool."""
+    height, width = shape
+    free = np.ones((height, width), np.bool_)
+    reach = int(np.ceil(radius)) - 1  # a pixel at the very radius is free
+    half_width = np.empty(reach + 1, np.int64)
+    for v in range(reach + 1):
+        half_width[v] = int(np.ceil(np.sqrt(radius * radius - v * v))) - 1
+    for point in range(positions.shape[0]):
+        x = min(max(int(positions[point, 0] / step[0]), 0), width - 1)
+        y = min(max(int(positions[point, 1] / step[1]), 0), height - 1)
+        for v in range(max(y - reach, 0), min(y + reach, height - 1) + 1):
+            across = half_width[abs(v - y)]
+            for u in range(max(x - across, 0), min(x + across, width - 1) + 1):
+                free[v, u] = False
+    return free
+
+
+@njit(cache=True)
+def _grid_seeds(
+    structure: Array,
+    mean: float,
+    wanted: Array,
+    shape: tuple[int, int],
+    step: tuple[float, float],
+    grid: tuple[int, int],
+) -> Array:
+    """The points of a grid in raster order that are wanted and have enough structure, (n, 2) float32."""
+    height, width = shape
+    rows, columns = grid
+    points = np.empty((rows * columns, 2), np.float32)
+    count = 0
+    for row in range(rows):
+        y = np.float32((row + 0.5) * height / rows)
+        v = min(int(y / step[1]), wanted.shape[0] - 1)
+        for column in range(columns):
+            x = np.float32((column + 0.5) * width / columns)
+            u = min(int(x / step[0]), wanted.shape[1] - 1)
+            if not wanted[v, u]:
+                continue
+            border = min(min(x, y), min(width - 1 - x, height - 1 - y))
+            if structure[v, u] > mean * (0.1 + np.exp(-0.1 * border)):
+                points[count, 0], points[count, 1] = x, y
+                count += 1
+    return points[:count].copy()
 
 
 def evenly_spread(positions: Array, spacing: float) -> Array:

@@ -42,6 +42,16 @@ def test_a_plate_takes_the_remembered_colours_then_the_frame_s_own_then_the_near
     assert (image == 200).all()
 
 
+def test_away_from_objects_a_plate_is_the_frame_itself() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (40, 40, 3)).astype(np.uint8)
+    labels = np.zeros((40, 40), np.uint16)
+    labels[30:, 30:] = 3
+    plate = background_plate(appearance(np.ones((40, 40), bool)), image, labels)
+    np.testing.assert_array_equal(plate[:22, :, :3], image[:22])
+    assert (plate[22:, 22:, :3] == 50).all()
+    assert (plate[:, :, 3] == 255).all()
+
+
 def test_a_frame_of_which_nothing_is_known_is_transparent() -> None:
     labels = np.full((4, 6), 2, np.uint16)
     plate = background_plate(appearance(np.zeros((4, 6), bool)), np.full((4, 6, 3), 9, np.uint8), labels)

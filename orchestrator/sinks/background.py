@@ -10,13 +10,17 @@ from mlbs_actors.messages import BACKGROUND, Array, LayerAppearance
 
 __all__ = ["background_plate"]
 
+#: An object's fringe reaches so far past its outline, px.
+NEAR_PX = 8
+
 
 def background_plate(appearance: LayerAppearance, image: Array, labels: Array) -> Array:
     """Put the plate of a frame together.
 
-    A pixel's colour is, the first that is known of these: the median of the colours that the background has
-    remembered there; the frame's own colour if the pixel is labelled background; the colour of the nearest
-    pixel of those two kinds. Only what is filled in the last way is transparent.
+    A pixel's colour is, the first that is known of these: the frame's own, if it is labelled background and no object
+    is near; the median of the colours that the background has remembered there; the frame's own, if it is
+    labelled background; the colour of the nearest pixel of these kinds. Only what is filled in the last way is
+    transparent.
 
     Parameters
     ----------
@@ -33,8 +37,10 @@ def background_plate(appearance: LayerAppearance, image: Array, labels: Array) -
     """
     remembered: Array = np.zeros(labels.shape, np.bool_)
     remembered[appearance.region.slices] = appearance.known
+    near = cv2.dilate((labels > BACKGROUND).view(np.uint8), np.ones((2 * NEAR_PX + 1,) * 2, np.uint8)) > 0
+    behind = remembered & near
     colours = image.copy()
-    colours[remembered] = appearance.colours[appearance.known]
+    colours[behind] = appearance.colours[behind[appearance.region.slices]]
     known = remembered | (labels == BACKGROUND)
     if known.any() and not known.all():
         rows, columns = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)

@@ -1,0 +1,80 @@
+"""Square cells of pixels that share what a layer remembers of its colours.
+
+Colours are kept for cells of 2×2 pixels of a 640×480 frame, so for about as many cells whatever the frame's size: the
+graph cut draws the outlines from the pixels themselves, and what a cell's mean colour says is nearly as much
+at a fraction of the time and the memory. Objects' regions begin and end between cells.
+
+Differs from the paper, which keeps samples for every pixel.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mlbs_actors.config import length_scale
+from mlbs_actors.messages import Array, Region
+
+__all__ = ["aligned", "cell_side", "in_cells", "mean_of_cells", "spread_over_cells"]
+
+
+def cell_side(shape: tuple[int, int], cell_px: float) -> int:
+    """Side of a cell, px of a (H, W) frame, for ``cell_px`` of a 640×480 frame; at least 1."""
+    return max(1, round(cell_px * length_scale(*shape)))
+
+
+def aligned(region: Region, side: int, shape: tuple[int, int]) -> Region:
+    """The least region of whole cells around another one; cells end at the frame's right and lower border."""
+    x, y = region.x // side * side, region.y // side * side
+    right = min(-(-(region.x + region.width) // side) * side, shape[1])
+    bottom = min(-(-(region.y + region.height) // side) * side, shape[0])
+    return Region(x, y, right - x, bottom - y) if region.area else region
+
+
+def in_cells(region: Region, side: int) -> Region:
+    """An aligned region in units of cells."""
+    return Region(region.x // side, region.y // side, -(-region.width // side), -(-region.height // side))
+
+
+def mean_of_cells(values: Array, side: int) -> Array:
+    """Means over the cells of an aligned region; past the frame's border its last row and column go on.
+
+    Parameters
+    ----------
+    values : (h, w[, c]) uint8 or float32
+    side : int
+
+    Returns
+    -------
+    (⌈h/side⌉, ⌈w/side⌉[, c])
+        Of the same type, rounded.
+    """
+    height, width = values.shape[:2]
+    if side == 1 or values.size == 0:
+        return values
+    rows, columns = -(-height // side), -(-width // side)
+    missing = (rows * side - height, columns * side - width)
+    if any(missing):
+        values = cv2.copyMakeBorder(values, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA))
+
+
+def spread_over_cells(values: Array, side: int, shape: tuple[int, int]) -> Array:
+    """Every pixel of an aligned region takes its cell's value.
+
+    Parameters
+    ----------
+    values : (⌈h/side⌉, ⌈w/side⌉[, c]) of one byte each
+    side : int
+    shape : (h, w)
+
+    Returns
+    -------
+    (h, w[, c])
+        Of the same type.
+    """
+    if side == 1 or values.size == 0:
+        return values
+    size = (values.shape[1] * side, values.shape[0] * side)
+    spread = cv2.resize(values.view(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    return np.ascontiguousarray(spread[: shape[0], : shape[1]]).view(values.dtype)

@@ -1,0 +1,79 @@
+"""Where the dense flow is worth its finest level: around objects, and where the camera fails to explain the image.
+
+The finest level is most of the flow's cost, and it is there for outlines: flow that bleeds past an outline makes
+wrong trajectories. Where the last frame held nothing but background that moves as the camera does, the level
+above it says the same. What is new shows in the next frame, because the camera does not explain it.
+
+Not in the paper, whose flow takes its full cost everywhere.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mlbs_actors.messages import Array, Region
+from mlbs_actors.region_groups import group_regions
+
+__all__ = ["focus_boxes", "focus_cells"]
+
+#: Side of a cell, px of the shrunk frame.
+CELL = 8
+#: A cell is looked at closely if the flow explained the image better than the camera by this in it, × noise.
+ADVANTAGE = 0.5
+#: So many cells around what is looked at closely: how far it may move in a frame, and what the flow sees beside it.
+GROWN = 2
+#: Above this share of the frame, boxes are not worth their seams.
+MOST = 0.7
+
+
+def focus_cells(advantage: Array, objects: Array, step: tuple[float, float]) -> Array:
+    """Cells of a finished frame around which the next flow needs its finest level.
+
+    Parameters
+    ----------
+    advantage : (h, w) float32
+        Of :class:`~mlbs_actors.camera.CameraEvidence`, × noise.
+    objects : (n, 2) float32
+        Where the objects' trajectories will be in the next frame, full-size px.
+    step : (float, float)
+        Full-size px per px of the shrunk frame.
+
+    Returns
+    -------
+    (⌈h / CELL⌉, ⌈w / CELL⌉) bool
+    """
+    height, width = advantage.shape
+    rows, columns = -(-height // CELL), -(-width // CELL)
+    mean = cv2.resize(advantage, (columns, rows), interpolation=cv2.INTER_AREA)
+    cells: Array = (mean > ADVANTAGE).astype(np.uint8)
+    x = np.clip((objects[:, 0] / (CELL * step[0])).astype(np.intp), 0, columns - 1)
+    y = np.clip((objects[:, 1] / (CELL * step[1])).astype(np.intp), 0, rows - 1)
+    cells[y, x] = 1
+    return np.asarray(cv2.dilate(cells, np.ones((2 * GROWN + 1, 2 * GROWN + 1), np.uint8)), bool)
+
+
+def focus_boxes(cells: Array, shape: tuple[int, int]) -> list[Region]:
+    """Boxes around the cells, disjoint; the whole frame if they would be most of it.
+
+    Parameters
+    ----------
+    cells : (rows, columns) bool
+        Of :func:`focus_cells`.
+    shape : (h, w)
+        Of the shrunk frame.
+
+    Returns
+    -------
+    list of Region
+    """
+    height, width = shape
+    _, _, stats, _ = cv2.connectedComponentsWithStats(cells.view(np.uint8), connectivity=8)
+    pieces = [
+        Region(x * CELL, y * CELL, min(w * CELL, width - x * CELL), min(h * CELL, height - y * CELL))
+        for x, y, w, h in stats[1:, :4].tolist()
+    ]
+    boxes = [group.box for group in group_regions(pieces, shape)]
+    if sum(box.area for box in boxes) > MOST * height * width:
+        return [Region(0, 0, width, height)]
+    return boxes

@@ -1,0 +1,92 @@
+"""The coarser energy against the plain one, and how good a labelling from coarse to fine is."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from test_graph_cut import in_quanta, problem_of, random_problem, slow_energy
+
+from mlbs_actors import graph_cut
+from mlbs_actors.coarse_cut import BAND, MAX_BLOCK_COST, band_around_outlines, halved, unhalved
+from mlbs_actors.cut_pruning import LabelCostEnergy
+from mlbs_actors.graph_cut import contrast_weights, minimise
+from mlbs_actors.messages import Array
+
+
+def moving_scene(seed: int) -> LabelCostEnergy:
+    """Three discs on 80×96 pixels, with evidence that errs by whole patches and an image that errs by pixels."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:80, :96]
+    truth = np.zeros((80, 96), int)
+    for label in range(1, 4):
+        centre = rng.uniform([15, 15], [65, 80])
+        truth[np.hypot(y - centre[0], x - centre[1]) < rng.uniform(9, 16)] = label
+    doubt = np.stack([8.0 * cv2.GaussianBlur(rng.normal(0, 1, (80, 96)), (0, 0), 3.0) for _ in range(4)])
+    unary = np.clip(1.0 * (np.arange(4)[:, None, None] != truth) + doubt, 0, None)
+    image = np.clip(40 * truth[..., None] + rng.normal(80, 6, (80, 96, 3)), 0, 255).astype(np.uint8)
+    return problem_of(unary, contrast_weights(image), np.array([0.0, 20.0, 20.0, 20.0]))
+
+
+@pytest.mark.parametrize("shape", [(3, 6, 8), (2, 5, 7), (3, 1, 6), (2, 7, 1), (2, 1, 1)])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_labelling_of_blocks_has_the_same_energy_on_both_scales(
+    seed: int, shape: tuple[int, int, int]
+) -> None:
+    problem = random_problem(seed, shape, 5.0)
+    coarse = halved(problem)
+    rng = np.random.default_rng(seed)
+    blocks = rng.integers(0, shape[0], coarse.unary.shape[1:])
+    assert slow_energy(blocks, coarse) == slow_energy(unhalved(blocks, shape[1:]), problem)
+
+
+def test_what_no_pixel_may_have_no_block_may_have() -> None:
+    unary = np.full((2, 4, 4), MAX_BLOCK_COST, np.int32)
+    unary[0] = 0
+    coarse = halved(LabelCostEnergy(unary, np.zeros((4, 4, 4), np.int32), np.zeros(2, np.int64)))
+    assert (coarse.unary[1] == MAX_BLOCK_COST).all()
+
+
+def test_only_pixels_near_an_outline_are_open_and_the_rest_is_folded_into_their_costs() -> None:
+    problem = moving_scene(0)
+    labels = np.zeros((80, 96), np.intp)
+    labels[20:50, 30:70] = 2
+    rest = band_around_outlines(problem, labels)
+    assert rest.elsewhere.tolist() == [True, False, True, False]
+    open_pixels = np.zeros(labels.size, bool)
+    open_pixels[rest.pixels] = True
+    open_pixels = open_pixels.reshape(labels.shape)
+    assert open_pixels[20 - BAND : 20 + BAND, 40].all()
+    assert not open_pixels[20 + BAND : 50 - BAND, 30 + BAND : 70 - BAND].any()
+    before, other = labels.reshape(-1)[rest.pixels], labels.copy()
+    other[21, 40], other[19, 35] = 0, 2
+    after = other.reshape(-1)[rest.pixels]
+    assert rest.energy(after) - rest.energy(before) == slow_energy(other, problem) - slow_energy(
+        labels, problem
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_coarse_to_fine_finds_nearly_the_labels_of_the_whole_cut(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = moving_scene(seed)
+    exact = minimise(problem)
+    monkeypatch.setattr(graph_cut, "LARGE", 2000)
+    found = minimise(problem)
+    assert found.energy == slow_energy(found.labels, problem)
+    blank = slow_energy(np.zeros((80, 96), np.intp), problem)
+    # Of what the whole cut gains over no object at all, nearly everything.
+    assert blank - found.energy >= 0.97 * (blank - exact.energy)
+    assert (found.labels != exact.labels).sum() <= 0.1 * (exact.labels > 0).sum()
+
+
+def test_smooth_costs_give_the_very_same_labels(monkeypatch: pytest.MonkeyPatch) -> None:
+    y, x = np.mgrid[:64, :64]
+    inside: Array = 2.0 * np.tanh((20 - np.hypot(y - 30, x - 33)) / 3)
+    unary = np.stack([np.maximum(inside, 0), np.maximum(-inside, 0)])
+    image = np.full((64, 64, 3), 90, np.uint8)
+    problem = LabelCostEnergy(in_quanta(unary), contrast_weights(image), np.zeros(2, np.int64))
+    exact = minimise(problem).labels
+    monkeypatch.setattr(graph_cut, "LARGE", 2000)
+    np.testing.assert_array_equal(minimise(problem).labels, exact)
