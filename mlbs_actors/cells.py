@@ -1,8 +1,8 @@
 """Square cells of pixels that share what a layer remembers of its colours.
 
-Colours are kept for cells of 2×2 pixels of a 640×480 frame, so for about as many cells whatever the frame's size: the
-graph cut draws the outlines from the pixels themselves, and what a cell's mean colour says is nearly as much
-at a fraction of the time and the memory. Objects' regions begin and end between cells.
+Colours are kept for cells of 2×2 pixels of a 640×480 frame, so for about as many cells whatever the frame's
+size: the graph cut draws the outlines from the pixels themselves, and what a cell's mean colour says is
+nearly as much at a fraction of the time and the memory. Objects' regions begin and end between cells.
 
 Differs from the paper, which keeps samples for every pixel.
 """

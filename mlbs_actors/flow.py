@@ -152,8 +152,8 @@ def _flow(source: Array, target: Array, config: FlowConfig, focus: Sequence[Regi
     solver.setCoarsestScale(config.finest_scale)
     for box in focus:
         part = np.ascontiguousarray(flow[box.slices])
-        cut = (np.ascontiguousarray(frame[box.slices]) for frame in (source, target))
-        flow[box.slices] = solver.calc(*cut, part)
+        cut_source, cut_target = (np.ascontiguousarray(frame[box.slices]) for frame in (source, target))
+        flow[box.slices] = solver.calc(cut_source, cut_target, part)
     return flow
 
 

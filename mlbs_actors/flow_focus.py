@@ -1,8 +1,9 @@
-"""Where the dense flow is worth its finest level: around objects, and where the camera fails to explain the image.
+"""Where dense flow is worth its finest level: near objects, and where the camera fails to explain the image.
 
-The finest level is most of the flow's cost, and it is there for outlines: flow that bleeds past an outline makes
-wrong trajectories. Where the last frame held nothing but background that moves as the camera does, the level
-above it says the same. What is new shows in the next frame, because the camera does not explain it.
+The finest level is most of the flow's cost, and it is there for outlines: flow that bleeds past an outline
+makes wrong trajectories. Where the last frame held nothing but background that moves as the camera does,
+the level above it says the same. What is new shows in the next frame, because the camera does not explain
+it.
 
 Not in the paper, whose flow takes its full cost everywhere.
 """
@@ -21,7 +22,8 @@ __all__ = ["focus_boxes", "focus_cells"]
 CELL = 8
 #: A cell is looked at closely if the flow explained the image better than the camera by this in it, × noise.
 ADVANTAGE = 0.5
-#: So many cells around what is looked at closely: how far it may move in a frame, and what the flow sees beside it.
+#: So many cells around what is looked at closely: how far it may move in a frame, and what the flow sees
+#: beside it.
 GROWN = 2
 #: Above this share of the frame, boxes are not worth their seams.
 MOST = 0.7

@@ -16,9 +16,9 @@ Differs from the paper:
 * Costs are integers, in units of ``COST_QUANTUM`` = 1/1024 nat: no tolerance anywhere.
 * Pixels whose label is the same in every optimum are decided first (``cut_pruning``), only the rest is cut.
 * Beside expansions (one label takes pixels), *removals* are tried: a label's pixels are shared out to others.
-* The start is label 0 everywhere: every labelling with one more label is one expansion away, and with two labels
-  the first one ends in a global optimum. An expansion is tried again only where something has changed: the last
-  one was the best there.
+* The start is label 0 everywhere: every labelling with one more label is one expansion away, and with two
+  labels the first one ends in a global optimum. An expansion is tried again only where something has
+  changed: the last one was the best there.
 * Of more than ``LARGE`` pixels, only those near the outlines of a coarser solution are cut (``coarse_cut``).
 * Cuts of pixels alone are those of ``min_cut``; a label that could be got rid of needs a general graph.
   There the usual star of one node a label cost with thousands of edges makes the Boykov–Kolmogorov algorithm

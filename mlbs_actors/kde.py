@@ -13,8 +13,8 @@ e the registration error. Without it outlines and textures contradict the model 
 **Unknown is not unlikely.** A pixel without samples has no likelihood: NaN, with confidence 0.
 
 Differs from the paper: the sum is divided by the number of samples (the published MATLAB's is not, an
-accidental prior); colours are plain BGR (there: normalised red, green and intensity); exponential and logarithm
-are polynomials, less than 1e-3 nats from exact together; a kernel is never below e⁻⁴⁰.
+accidental prior); colours are plain BGR (there: normalised red, green and intensity); exponential and
+logarithm are polynomials, less than 1e-3 nats from exact together; a kernel is never below e⁻⁴⁰.
 """
 
 from __future__ import annotations
@@ -188,8 +188,8 @@ def _evaluate(
     floor: np.float32, registration: np.float32, exponent: Array, norm: Array, result: Array,
 ) -> None:  # fmt: skip
     height, width = result.shape
-    # A float's bits hold its exponent, so 2^n is an integer's shift. All slots, valid or not, and short loops of
-    # nothing but arithmetic: these run in vector registers.
+    # A float's bits hold its exponent, so 2^n is an integer's shift. All slots, valid or not, and short
+    # loops of nothing but arithmetic: these run in vector registers.
     kernel, bits = np.empty(samples.shape[3], np.float32), np.empty(samples.shape[3], np.int32)
     power = bits.view(np.float32)
     density, logs = np.empty(width, np.float32), np.empty(width, np.float32)

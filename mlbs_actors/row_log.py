@@ -1,6 +1,7 @@
 """The natural logarithm of a row of pixels, in vector registers: a quarter of the time of the library's.
 
-A float is m·2^e with 1 ≤ m < 2, so log x = (e + log₂ m)·log 2; log₂ m is a polynomial fitted at Chebyshev points.
+A float is m·2^e with 1 ≤ m < 2, so log x = (e + log₂ m)·log 2; log₂ m is a polynomial fitted at Chebyshev
+points.
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ def plain_means(values: Array, side: int) -> Array:
     rows, columns = -(-height // side), -(-width // side)
     y, x = np.minimum(np.arange(rows * side), height - 1), np.minimum(np.arange(columns * side), width - 1)
     whole = values[y][:, x].astype(np.float64)
-    return whole.reshape(rows, side, columns, side, *values.shape[2:]).mean(axis=(1, 3))
+    means: Array = whole.reshape(rows, side, columns, side, *values.shape[2:]).mean(axis=(1, 3))
+    return means
 
 
 @pytest.mark.parametrize("side", [1, 2, 3])
@@ -31,7 +32,7 @@ def test_a_cell_has_the_mean_of_its_pixels(side: int, shape: tuple[int, ...]) ->
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.bool_])
 def test_every_pixel_takes_the_value_of_its_cell(dtype: type) -> None:
-    values = np.random.default_rng(0).integers(-100, 100, (3, 4)).astype(dtype)
+    values: Array = np.random.default_rng(0).integers(-100, 100, (3, 4)).astype(dtype)
     found = spread_over_cells(values, 3, (8, 11))
     assert found.dtype == dtype
     for y in range(8):

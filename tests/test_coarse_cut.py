@@ -15,7 +15,7 @@ from mlbs_actors.messages import Array
 
 
 def moving_scene(seed: int) -> LabelCostEnergy:
-    """Three discs on 80×96 pixels, with evidence that errs by whole patches and an image that errs by pixels."""
+    """Three discs on 80×96 pixels; the evidence errs by whole patches, the image by pixels."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:80, :96]
     truth = np.zeros((80, 96), int)

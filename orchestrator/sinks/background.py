@@ -17,10 +17,10 @@ NEAR_PX = 8
 def background_plate(appearance: LayerAppearance, image: Array, labels: Array) -> Array:
     """Put the plate of a frame together.
 
-    A pixel's colour is, the first that is known of these: the frame's own, if it is labelled background and no object
-    is near; the median of the colours that the background has remembered there; the frame's own, if it is
-    labelled background; the colour of the nearest pixel of these kinds. Only what is filled in the last way is
-    transparent.
+    A pixel's colour is, the first that is known of these: the frame's own, if it is labelled background and
+    no object is near; the median of the colours that the background has remembered there; the frame's own,
+    if it is labelled background; the colour of the nearest pixel of these kinds. Only what is filled in the
+    last way is transparent.
 
     Parameters
     ----------
