@@ -22,6 +22,8 @@ __all__ = ["focus_boxes", "focus_cells"]
 CELL = 8
 #: A cell is looked at closely if the flow explained the image better than the camera by this in it, × noise.
 ADVANTAGE = 0.5
+#: Fewer such cells together are chance.
+LEAST_CELLS = 3
 #: So many cells around what is looked at closely: how far it may move in a frame, and what the flow sees
 #: beside it.
 GROWN = 2
@@ -48,7 +50,8 @@ def focus_cells(advantage: Array, objects: Array, step: tuple[float, float]) -> 
     height, width = advantage.shape
     rows, columns = -(-height // CELL), -(-width // CELL)
     mean = cv2.resize(advantage, (columns, rows), interpolation=cv2.INTER_AREA)
-    cells: Array = (mean > ADVANTAGE).astype(np.uint8)
+    _, piece, stats, _ = cv2.connectedComponentsWithStats((mean > ADVANTAGE).view(np.uint8), connectivity=8)
+    cells: Array = ((piece > 0) & (stats[piece, cv2.CC_STAT_AREA] >= LEAST_CELLS)).view(np.uint8)
     x = np.clip((objects[:, 0] / (CELL * step[0])).astype(np.intp), 0, columns - 1)
     y = np.clip((objects[:, 1] / (CELL * step[1])).astype(np.intp), 0, rows - 1)
     cells[y, x] = 1

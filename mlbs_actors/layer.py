@@ -58,6 +58,7 @@ from mlbs_actors.messages import (
 )
 from mlbs_actors.object_regions import contested, object_region
 from mlbs_actors.photometric import FramePart, photometric_advantage
+from mlbs_actors.region_groups import slices_in
 from mlbs_actors.trajectory_distance import closed_distance, trajectory_distance
 from mlbs_actors.warp import warp_map
 
@@ -72,26 +73,29 @@ class LayerState:
     ----------
     last_frame : int
         Frame evaluated last, −1 before the first.
+    home : Region
+        Where it remembers colours: the frame for the background, else ``region``.
     region : Region
-        Where.
+        Where it was evaluated.
     cell : int
         Side of the cells that the model is kept for, px.
     model : AppearanceModel
-        Samples at ``last_frame``, without that frame's own colours, cell by cell.
+        Samples at ``last_frame``, without that frame's own colours, cell by cell of ``home``.
     cost : (h, w) uint8
         Unnormalised posterior of ``last_frame`` without the colours, as sent to the segmenter.
     log_ratio : (h, w) int8
     samples : (h, w) uint8
         What the colours said, as sent to the segmenter.
-    image : (h, w, 3) uint8
+    image : (home.height, home.width, 3) uint8
         That frame's colours, to learn from once its labels are known.
     velocity : (2,) float32
         Median forward motion of the layer's trajectories, px/frame.
-    trusted : (h, w) bool
+    trusted : (home.height, home.width) bool
         Where the layer may learn that frame.
     """
 
     last_frame: int
+    home: Region
     region: Region
     cell: int
     model: AppearanceModel
@@ -123,6 +127,7 @@ class Layer:
         nowhere = Region(0, 0, 0, 0)
         self.state = state or LayerState(
             last_frame=-1,
+            home=nowhere,
             region=nowhere,
             cell=1,
             model=empty_model(nowhere, config.appearance.samples),
@@ -185,18 +190,18 @@ class Layer:
         shape, margin = frame_evidence.shape, self.config.posterior.region_margin_px
         side = cell_side(shape, self.config.appearance.cell_px)
         if self.kind == "background":
-            region = Region(0, 0, shape[1], shape[0])
-            needed = contested(frame_evidence, previous, margin, side)
+            home = Region(0, 0, shape[1], shape[0])
+            region, needed = contested(frame_evidence, previous, margin, side)
         else:
-            region = object_region(evidence, previous, shape, margin, side)
+            home = region = object_region(evidence, previous, shape, margin, side)
             needed = np.ones((region.height, region.width), np.bool_)
-        field = self._motion_field(evidence, frame_evidence, region)
-        motion = field.dense()
+        field = self._motion_field(evidence, frame_evidence, home)
+        motion, variance = field.dense(slices_in(region, home)), field.dense_variance(slices_in(region, home))
         moved = perf_counter()
-        image = np.ascontiguousarray(frame[region.slices])
-        model, log_ratio, samples = self._colours(region, motion, image, needed, side)
+        image = np.ascontiguousarray(frame[home.slices])
+        model, log_ratio, samples = self._colours(home, region, field, image, needed, side)
         weights = self.config.posterior
-        unexplained = _unexplained(frame_evidence, region)
+        unexplained = _unexplained(frame_evidence, home)
         prior = warp_map(posterior, state.region, region, motion, needed)
         if self.kind == "background":
             trusted = self._trusted_background(evidence, frame_evidence, unexplained)
@@ -215,8 +220,8 @@ class Layer:
             region,
             needed,
             motion,
-            field.dense_variance(),
-            unexplained,
+            variance,
+            np.ascontiguousarray(unexplained[slices_in(region, home)]),
             prior,
             own_terms,
         )
@@ -228,6 +233,7 @@ class Layer:
             velocity = state.velocity
         self.state = LayerState(
             frame_evidence.frame_index,
+            home,
             region,
             side,
             model,
@@ -248,7 +254,7 @@ class Layer:
             log_ratio=log_ratio,
             samples=samples,
             outside_cost=255,
-            confidence=float(trust[model.count].mean()) if region.area else 0.0,
+            confidence=float(trust[model.count].mean()) if home.area else 0.0,
             velocity=velocity,
             stage_ms={
                 "update": 1e3 * (finished - start),
@@ -260,10 +266,10 @@ class Layer:
     def appearance(self) -> LayerAppearance:
         """What is remembered at the frame evaluated last; nothing is changed."""
         state = self.state
-        shape = (state.region.height, state.region.width)
+        shape = (state.home.height, state.home.width)
         colours = spread_over_cells(median_colours(state.model), state.cell, shape)
         known = spread_over_cells(state.model.count > 0, state.cell, shape)
-        return LayerAppearance(self.layer, state.last_frame, state.region, colours, known)
+        return LayerAppearance(self.layer, state.last_frame, state.home, colours, known)
 
     def _density(self, side: int) -> AppearanceParameters:
         """Of colours that are kept for cells of this side, px."""
@@ -277,9 +283,9 @@ class Layer:
         )
 
     def _colours(
-        self, region: Region, motion: Array, image: Array, needed: Array, side: int
+        self, home: Region, region: Region, field: MotionField, image: Array, needed: Array, side: int
     ) -> tuple[AppearanceModel, Array, Array]:
-        """The model moved to this frame, and what it says there, spread over its cells.
+        """The model moved to this frame, and what it says in the region, spread over its cells.
 
         Returns
         -------
@@ -289,18 +295,21 @@ class Layer:
             As :func:`~mlbs_actors.layer_cost.quantised_colours` returns them, for every pixel.
         """
         shape = needed.shape
-        opened = mean_of_cells(needed.view(np.uint8), side) > 0
+        own, part = in_cells(home, side), slices_in(in_cells(region, side), in_cells(home, side))
+        opened = np.zeros((own.height, own.width), np.bool_)
+        opened[part] = mean_of_cells(needed.view(np.uint8), side) > 0
         model, log_density = warp_and_evaluate(
             self.state.model,
-            in_cells(region, side),
-            mean_of_cells(motion, side) / np.float32(side),
+            own,
+            field.of_cells(side),
             mean_of_cells(image, side),
             self._density(side),
             opened,
         )
-        log_ratio, samples = quantised_colours(
-            log_density, model.count, opened, self.config.posterior.appearance_cap
+        density, count, opened = (
+            np.ascontiguousarray(one[part]) for one in (log_density, model.count, opened)
         )
+        log_ratio, samples = quantised_colours(density, count, opened, self.config.posterior.appearance_cap)
         return model, spread_over_cells(log_ratio, side, shape), spread_over_cells(samples, side, shape)
 
     def _finish(self, previous: Segmentation | None) -> Array:
@@ -308,9 +317,10 @@ class Layer:
         state = self.state
         if previous is None or previous.frame_index != state.last_frame:
             return np.zeros((0, 0), np.float32)
-        mask = previous.labels[state.region.slices] == self.layer
-        sure = np.where(mask & state.trusted, np.uint8(255), np.uint8(0))
+        mask = previous.labels[state.home.slices] == self.layer
+        sure = (mask & state.trusted).view(np.uint8) * np.uint8(255)
         update(state.model, mean_of_cells(state.image, state.cell), mean_of_cells(sure, state.cell) == 255)
+        mask = np.ascontiguousarray(mask[slices_in(state.region, state.home)])
         return finished_posterior(
             self.config, state.cost, state.log_ratio, state.samples, previous, state.region, mask
         )

@@ -15,6 +15,7 @@ import numpy as np
 from mlbs_actors.cells import aligned
 from mlbs_actors.config import length_scale
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region, Segmentation
+from mlbs_actors.region_groups import around, common, slices_in
 
 __all__ = ["contested", "object_region"]
 
@@ -68,7 +69,7 @@ def object_region(
 
 def contested(
     evidence: FrameEvidence, previous: Segmentation | None, margin_px: float, cell: int = 1
-) -> Array:
+) -> tuple[Region, Array]:
     """Where a pixel can be an object's: the union of the objects' regions.
 
     Parameters
@@ -81,10 +82,19 @@ def contested(
 
     Returns
     -------
-    (H, W) bool
+    box : Region
+        Around it and one pixel more on each side, as far as the frame goes; of whole cells.
+    inside : (box.height, box.width) bool
+        Its pixels.
     """
-    result = np.zeros(evidence.shape, np.bool_)
-    for one in evidence.layers:
-        if one.layer != BACKGROUND:
-            result[object_region(one, previous, evidence.shape, margin_px, cell).slices] = True
-    return result
+    regions = [
+        object_region(one, previous, evidence.shape, margin_px, cell)
+        for one in evidence.layers
+        if one.layer != BACKGROUND
+    ]
+    whole = Region(0, 0, evidence.shape[1], evidence.shape[0])
+    box = aligned(common(around(regions, 1), whole), cell, evidence.shape)
+    inside = np.zeros((box.height, box.width), np.bool_)
+    for region in regions:
+        inside[slices_in(region, box)] = True
+    return box, inside

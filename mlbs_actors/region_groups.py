@@ -10,12 +10,12 @@ Differs from the paper, which labels the whole frame with all layers at once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from mlbs_actors.messages import Region
 
-__all__ = ["RegionGroup", "common", "group_regions", "slices_in"]
+__all__ = ["RegionGroup", "around", "common", "group_regions", "slices_in"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +54,11 @@ def group_regions(regions: Sequence[Region], shape: tuple[int, int]) -> list[Reg
     for position, region in enumerate(regions):
         if region.area == 0:
             continue
-        grown = Region(region.x - 1, region.y - 1, region.width + 2, region.height + 2)
-        merged = RegionGroup(common(grown, frame), (position,))
+        merged = RegionGroup(common(around([region], 1), frame), (position,))
         while touching := [one for one in groups if common(one.box, merged.box).area]:
             groups = [one for one in groups if one not in touching]
             for one in touching:
-                merged = RegionGroup(_around(one.box, merged.box), one.members + merged.members)
+                merged = RegionGroup(around([one.box, merged.box]), one.members + merged.members)
         groups.append(RegionGroup(merged.box, tuple(sorted(merged.members))))
     return sorted(groups, key=lambda group: group.members)
 
@@ -79,10 +78,11 @@ def slices_in(region: Region, box: Region) -> tuple[slice, slice]:
     return Region(region.x - box.x, region.y - box.y, region.width, region.height).slices
 
 
-def _around(one: Region, other: Region) -> Region:
-    x, y = min(one.x, other.x), min(one.y, other.y)
-    right, bottom = (
-        max(one.x + one.width, other.x + other.width),
-        max(one.y + one.height, other.y + other.height),
-    )
-    return Region(x, y, right - x, bottom - y)
+def around(regions: Iterable[Region], margin: int = 0) -> Region:
+    """The box of all that have an area, with a margin; of no area if there are none."""
+    boxes = [(one.x, one.y, one.x + one.width, one.y + one.height) for one in regions if one.area]
+    if not boxes:
+        return Region(0, 0, 0, 0)
+    left, top, right, bottom = zip(*boxes, strict=True)
+    x, y = min(left) - margin, min(top) - margin
+    return Region(x, y, max(right) + margin - x, max(bottom) + margin - y)

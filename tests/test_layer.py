@@ -24,6 +24,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
+from mlbs_actors.region_groups import slices_in
 from mlbs_actors.trajectory_distance import trajectory_distance
 
 #: Every term is off; each test switches on what it is about.
@@ -94,9 +95,16 @@ def test_evidence_that_is_not_the_next_is_refused_and_changes_nothing(last_frame
 # Where it works
 
 
-def test_the_backgrounds_region_is_the_frame() -> None:
+def test_the_background_lives_on_the_frame_and_is_evaluated_around_the_objects() -> None:
     for positions in (grid(WHOLE, 10), np.zeros((0, 2), np.float32)):
-        assert step(Layer(configured(), 0, "background"), 0, picture(), positions).region == WHOLE
+        layer, rival = Layer(configured(), 0, "background"), Layer(configured(), 1, "object")
+        region = step(layer, 0, picture(), positions, rival=grid(CAR)).region
+        own = step(rival, 0, picture(), grid(CAR)).region
+        assert region == Region(own.x - 1, own.y - 1, own.width + 2, own.height + 2)
+        assert layer.state.home == WHOLE
+    alone = Layer(configured(), 0, "background")
+    assert step(alone, 0, picture(), grid(WHOLE, 10)).region.area == 0
+    assert alone.state.home == WHOLE
 
 
 def test_an_objects_region_is_the_box_of_its_trajectories_with_a_margin() -> None:
@@ -157,13 +165,15 @@ def test_the_background_is_evaluated_where_an_object_can_be_and_learns_everywher
     for t in range(3):
         previous = published(t - 1, owned(WHOLE, 0), normaliser=0) if t else None
         result = step(layer, t, picture(t), grid(WHOLE), previous, rival=grid(CAR))
-    assert result.region == WHOLE
-    assert (nats(result)[~contested] == 4.0).all()
-    assert not result.samples[~contested].any()
-    assert not result.log_ratio[~contested].any()
-    assert (nats(result)[contested] != 4.0).all()
-    assert result.samples[contested].any()
-    assert result.log_ratio[contested].any()
+    assert result.region == Region(51, 31, 59, 47)
+    inside = contested[result.region.slices]
+    assert inside.sum() == contested.sum()
+    assert (nats(result)[~inside] == 4.0).all()
+    assert not result.samples[~inside].any()
+    assert not result.log_ratio[~inside].any()
+    assert (nats(result)[inside] != 4.0).all()
+    assert result.samples[inside].any()
+    assert result.log_ratio[inside].any()
     assert (layer.state.model.count[~contested] == 2).all()
 
 
@@ -342,8 +352,9 @@ def test_background_that_was_hidden_is_not_unlikely() -> None:
     layer = Layer(config, 0, "background")
     step(layer, 0, picture(), grid(WHOLE))
     result = step(layer, 1, picture(), grid(WHOLE), published(0, owned(CAR), normaliser=0), rival=grid(CAR))
-    assert nats(result)[CAR.slices].min() > 4.0
-    assert nats(result)[CAR.slices].max() <= 4.0 - np.log(0.5) + COST_STEP
+    own = nats(result)[slices_in(CAR, result.region)]
+    assert own.min() > 4.0
+    assert own.max() <= 4.0 - np.log(0.5) + COST_STEP
 
 
 def test_an_object_is_cheap_where_its_motion_explains_the_image_and_dear_on_ground_that_stands() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mlbs_actors.messages import Region
-from mlbs_actors.region_groups import RegionGroup, common, group_regions, slices_in
+from mlbs_actors.region_groups import RegionGroup, around, common, group_regions, slices_in
 
 SHAPE = (60, 80)
 
@@ -64,3 +64,10 @@ def test_what_two_regions_have_in_common_is_found_in_an_array_of_the_box() -> No
     assert both == Region(8, 4, 5, 2)
     np.testing.assert_array_equal(frame[one.slices][slices_in(both, one)], frame[both.slices])
     assert common(one, Region(40, 40, 5, 5)).area == 0
+
+
+def test_the_box_around_regions_holds_them_and_leaves_out_those_without_an_area() -> None:
+    regions = [Region(5, 7, 3, 2), Region(90, 90, 0, 4), Region(1, 8, 2, 6)]
+    assert around(regions) == Region(1, 7, 7, 7)
+    assert around(regions, 2) == Region(-1, 5, 11, 11)
+    assert around(regions[1:2], 2).area == 0
