@@ -15,7 +15,7 @@ import numpy as np
 from mlbs_actors.config import length_scale
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["aligned", "cell_side", "in_cells", "mean_of_cells", "spread_over_cells"]
+__all__ = ["aligned", "cell_side", "enlarged", "in_cells", "mean_of_cells", "spread_over_cells"]
 
 
 def cell_side(shape: tuple[int, int], cell_px: float) -> int:
@@ -57,6 +57,15 @@ def mean_of_cells(values: Array, side: int) -> Array:
     if any(missing):
         values = cv2.copyMakeBorder(values, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
     return np.asarray(cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA))
+
+
+def enlarged(values: Array, side: int, shape: tuple[int, int]) -> Array:
+    """Values of an aligned region's cells, (rows, columns) float32, interpolated at its (h, w) pixels."""
+    if side == 1 or values.size == 0:
+        return values
+    size = (values.shape[1] * side, values.shape[0] * side)
+    pixels: Array = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(pixels[: shape[0], : shape[1]])
 
 
 def spread_over_cells(values: Array, side: int, shape: tuple[int, int]) -> Array:

@@ -54,7 +54,7 @@ class FlowConfig(_Section):
         0, ge=0, le=3, description="DIS: last level of the pyramid, 0 = the shrunk frame itself."
     )
     search_iterations: int = Field(6, ge=1, description="DIS: gradient descent iterations of a patch.")
-    refinement_iterations: int = Field(1, ge=0, description="DIS: iterations of variational refinement.")
+    refinement_iterations: int = Field(2, ge=0, description="DIS: iterations of variational refinement.")
 
 
 class TrajectoriesConfig(_Section):

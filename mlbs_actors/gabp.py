@@ -134,7 +134,7 @@ class MotionField:
     solver: Literal["multigrid", "direct"]
 
     def dense(self, part: tuple[slice, slice] = EVERYWHERE) -> Array:
-        """Mean at each pixel of a part: (h, w, 2) float32, px/frame; bilinear, constant past the outer nodes."""
+        """Mean at a part's pixels: (h, w, 2) float32, px/frame; bilinear, constant past the outer nodes."""
         return _to_pixels(self.mean, self.spacing, self.shape, part)
 
     def dense_variance(self, part: tuple[slice, slice] = EVERYWHERE) -> Array:

@@ -39,7 +39,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
-from mlbs_actors.cells import cell_side, in_cells, mean_of_cells, spread_over_cells
+from mlbs_actors.cells import aligned, cell_side, enlarged, in_cells, mean_of_cells, spread_over_cells
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import LayerError
 from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_positions
@@ -90,8 +90,8 @@ class LayerState:
         That frame's colours, to learn from once its labels are known.
     velocity : (2,) float32
         Median forward motion of the layer's trajectories, px/frame.
-    trusted : (home.height, home.width) bool
-        Where the layer may learn that frame.
+    trusted : bool
+        Cells of ``home`` in which the layer may learn that frame.
     """
 
     last_frame: int
@@ -201,13 +201,12 @@ class Layer:
         image = np.ascontiguousarray(frame[home.slices])
         model, log_ratio, samples = self._colours(home, region, field, image, needed, side)
         weights = self.config.posterior
-        unexplained = _unexplained(frame_evidence, home)
         prior = warp_map(posterior, state.region, region, motion, needed)
         if self.kind == "background":
-            trusted = self._trusted_background(evidence, frame_evidence, unexplained)
+            trusted = self._trusted_background(evidence, frame_evidence, side)
             own_terms: Array = np.zeros(needed.shape, np.float32)
         else:
-            trusted, away = self._near_trajectories(evidence, frame_evidence, region, unexplained)
+            trusted, away = self._near_trajectories(evidence, frame_evidence, region, side)
             before, now = FramePart(state.region, state.image), FramePart(region, image)
             advantage = photometric_advantage(
                 before, now, motion, frame_evidence.camera, prior[0] >= 0.5, weights.photometric_cap
@@ -221,7 +220,6 @@ class Layer:
             needed,
             motion,
             variance,
-            np.ascontiguousarray(unexplained[slices_in(region, home)]),
             prior,
             own_terms,
         )
@@ -318,8 +316,8 @@ class Layer:
         if previous is None or previous.frame_index != state.last_frame:
             return np.zeros((0, 0), np.float32)
         mask = previous.labels[state.home.slices] == self.layer
-        sure = (mask & state.trusted).view(np.uint8) * np.uint8(255)
-        update(state.model, mean_of_cells(state.image, state.cell), mean_of_cells(sure, state.cell) == 255)
+        won = mean_of_cells(mask.view(np.uint8) * np.uint8(255), state.cell) == 255
+        update(state.model, mean_of_cells(state.image, state.cell), won & state.trusted)
         mask = np.ascontiguousarray(mask[slices_in(state.region, state.home)])
         return finished_posterior(
             self.config, state.cost, state.log_ratio, state.samples, previous, state.region, mask
@@ -342,39 +340,43 @@ class Layer:
         return motion_field(evidence.positions - corner, evidence.motions, shape, prior, self._motion)
 
     def _near_trajectories(
-        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region, unexplained: Array
+        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region, side: int
     ) -> tuple[Array, Array]:
-        """Where an object may learn, (h, w) bool, and its cost in [0, 1] away from its trajectories.
+        """Cells in which an object may learn, and its cost in [0, 1] away from its trajectories, (h, w).
 
         What is labelled wrongly near an outline must not be learnt: an object learns close to its own
         trajectories, where the camera's motion fails to explain the image.
         """
         weights, scale = self.config.posterior, length_scale(*frame_evidence.shape)
-        own = trajectory_distance([evidence], region)
-        others = trajectory_distance(_others(evidence, frame_evidence), region)
+        cells = in_cells(region, side)
+        own = trajectory_distance([evidence], cells, side)
+        others = trajectory_distance(_others(evidence, frame_evidence), cells, side)
         trusted = (own <= weights.learn_px * scale) & (own < others)
+        unexplained = _unexplained(frame_evidence, side)[cells.slices]
         trusted &= unexplained >= self.config.layers.unexplained_noise / UNEXPLAINED_STEP
-        body = closed_distance(own, weights.close_px * scale)
+        body = closed_distance(own, weights.close_px * scale, side)
         away = np.clip((body - weights.near_px * scale) / (weights.fade_px * scale), 0.0, 1.0)
-        return trusted, away
+        return trusted, enlarged(away, side, (region.height, region.width))
 
-    def _trusted_background(
-        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, unexplained: Array
-    ) -> Array:
-        """Where the background may learn, (H, W) bool.
+    def _trusted_background(self, evidence: LayerEvidence, frame_evidence: FrameEvidence, side: int) -> Array:
+        """Cells of the frame in which the background may learn, bool.
 
         Near an object it learns beside its own trajectories only, or where nothing moves against the camera.
         """
         weights, shape = self.config.posterior, frame_evidence.shape
         scale = length_scale(*shape)
-        trusted = np.ones(shape, np.bool_)
+        whole = in_cells(Region(0, 0, shape[1], shape[0]), side)
+        trusted = np.ones((whole.height, whole.width), np.bool_)
         objects = _others(evidence, frame_evidence)
-        # A pixel is judged up to this far from the objects, by own trajectories up to this far from it.
-        near = _surroundings(objects, 2.0 * weights.keep_off_px * scale, shape)
-        own, others = trajectory_distance([evidence], near), trajectory_distance(objects, near)
+        # A cell is judged up to this far from the objects, by own trajectories up to this far from it.
+        near = in_cells(
+            aligned(_surroundings(objects, 2.0 * weights.keep_off_px * scale, shape), side, shape), side
+        )
+        own, others = (trajectory_distance(some, near, side) for some in ([evidence], objects))
         trusted[near.slices] = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
         if frame_evidence.frame_index > frame_evidence.epoch:
-            still = unexplained[near.slices] < 0.5 * self.config.layers.unexplained_noise / UNEXPLAINED_STEP
+            unexplained = _unexplained(frame_evidence, side)[near.slices]
+            still = unexplained < 0.5 * self.config.layers.unexplained_noise / UNEXPLAINED_STEP
             trusted[near.slices] |= still & (others > weights.learn_px * scale)
         return trusted
 
@@ -393,7 +395,7 @@ def _surroundings(layers: list[LayerEvidence], margin: float, shape: tuple[int, 
     return Region(int(x0), int(y0), int(x1 - x0), int(y1 - y0))
 
 
-def _unexplained(evidence: FrameEvidence, region: Region) -> Array:
-    """How badly the camera's motion explains the image, at a region's pixels, (h, w) uint8."""
+def _unexplained(evidence: FrameEvidence, side: int) -> Array:
+    """How badly the camera's motion explains the image, at the frame's cells of this side, uint8."""
     height, width = evidence.shape
-    return np.ascontiguousarray(cv2.resize(evidence.unexplained, (width, height))[region.slices])
+    return np.asarray(cv2.resize(evidence.unexplained, (-(-width // side), -(-height // side))))

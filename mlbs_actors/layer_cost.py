@@ -46,7 +46,6 @@ def layer_cost(
     needed: Array,
     motion: Array,
     variance: Array,
-    unexplained: Array,
     prior: tuple[Array, Array],
     own_terms: Array,
 ) -> Array:
@@ -66,8 +65,6 @@ def layer_cost(
         Mean of the motion field, px.
     variance : (h, w) float32
         Its variance, px².
-    unexplained : (h, w) uint8
-        How badly the camera's motion explains the image, in units of ``UNEXPLAINED_STEP``.
     prior : two (h, w) float32
         The last posterior as :func:`~mlbs_actors.warp.warp_map` returns it.
     own_terms : (h, w) float32
@@ -90,15 +87,21 @@ def layer_cost(
     floor = weights.neutral_prior if background else weights.prior_floor
     surprise = -np.log(np.maximum(np.arange(_PRIOR_STEPS + 1) / _PRIOR_STEPS, floor))
     flow_variance = (config.motion.flow_std_px * length_scale(*evidence.shape)) ** 2
+    rows, top, bottom, down = _taps(region.y, region.height, evidence.shape[0], evidence.flow.shape[0])
+    columns, left, right, along = _taps(region.x, region.width, evidence.shape[1], evidence.flow.shape[1])
     _layer_cost(
         needed,
         motion,
         variance,
-        np.asarray(evidence.flow, np.float32),
-        evidence.flow_reliable,
-        *_taps(region.y, region.height, evidence.shape[0], evidence.flow.shape[0]),
-        *_taps(region.x, region.width, evidence.shape[1], evidence.flow.shape[1]),
-        unexplained,
+        evidence.flow[rows, columns].astype(np.float32),
+        np.ascontiguousarray(evidence.flow_reliable[rows, columns]),
+        np.ascontiguousarray(evidence.unexplained[rows, columns]),
+        top,
+        bottom,
+        down,
+        left,
+        right,
+        along,
         heard * np.float32(weights.motion),
         *prior,
         own_terms,
@@ -112,18 +115,21 @@ def layer_cost(
     return cost
 
 
-def _taps(first: int, count: int, fine: int, coarse: int) -> tuple[Array, Array, Array]:
-    """Between which two cells of a coarser axis each pixel's centre lies, and its share in the second."""
+def _taps(first: int, count: int, fine: int, coarse: int) -> tuple[slice, Array, Array, Array]:
+    """The part of a coarser axis that some pixels lie in, between which two of its places each pixel's centre
+    lies, and its share in the second."""
     place = np.clip((np.arange(first, first + count) + 0.5) * coarse / fine - 0.5, 0, coarse - 1)
     low = place.astype(np.int64)
-    return low, np.minimum(low + 1, coarse - 1), (place - low).astype(np.float32)
+    high = np.minimum(low + 1, coarse - 1)
+    part = slice(int(low[0]), int(high[-1]) + 1) if count else slice(0, 0)
+    return part, low - part.start, high - part.start, (place - low).astype(np.float32)
 
 
 @njit(cache=True)
 def _layer_cost(
-    needed: Array, motion: Array, variance: Array, flow: Array, reliable: Array,
-    top: Array, bottom: Array, down: Array, left: Array, right: Array, along: Array,
-    unexplained: Array, heard: Array, prior: Array, share: Array, own_terms: Array,
+    needed: Array, motion: Array, variance: Array, flow: Array, reliable: Array, unexplained: Array,
+    top: Array, bottom: Array, down: Array, left: Array, right: Array, along: Array, heard: Array,
+    prior: Array, share: Array, own_terms: Array,
     flow_variance: np.float32, neutral: np.float32, disagreement: Array, surprise: Array, offset: np.float32,
     cost: Array,
 ) -> None:  # fmt: skip
@@ -133,11 +139,15 @@ def _layer_cost(
             if not needed[y, x]:
                 continue
             nats = offset + own_terms[y, x]
-            weight = heard[unexplained[y, x]]
+            w00, w01 = (one - down[y]) * (one - along[x]), (one - down[y]) * along[x]
+            w10, w11 = down[y] * (one - along[x]), down[y] * along[x]
+            a, b, c, d = top[y], bottom[y], left[x], right[x]
+            error = (
+                w00 * np.float32(unexplained[a, c]) + w01 * np.float32(unexplained[a, d])
+                + w10 * np.float32(unexplained[b, c]) + w11 * np.float32(unexplained[b, d])
+            )  # fmt: skip
+            weight = heard[int(error + half)]
             if weight > 0:
-                w00, w01 = (one - down[y]) * (one - along[x]), (one - down[y]) * along[x]
-                w10, w11 = down[y] * (one - along[x]), down[y] * along[x]
-                a, b, c, d = top[y], bottom[y], left[x], right[x]
                 weight *= (
                     w00 * reliable[a, c] + w01 * reliable[a, d] + w10 * reliable[b, c] + w11 * reliable[b, d]
                 )

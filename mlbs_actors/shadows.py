@@ -29,8 +29,8 @@ SHRINK = 4
 NEAR_PX = 16.0
 #: How far the blur of the frame looks, px.
 BLUR_REACH = 4
-#: So many px around last frame's objects are not taken for ground either.
-GROWN_PX = 9
+#: Side of the square around a shrunk pixel in which last frame's map must show no object either.
+GROWN = 3
 #: Standard deviation over which ground is looked for, shrunk px; where there is none, twice that, so often.
 REACH, DOUBLINGS = 3.0, 4
 #: Least share of ground within a reach.
@@ -96,19 +96,12 @@ def ground_colour(frame: Array, evidence: FrameEvidence, previous: Array, scale:
     objects = [one for one in evidence.layers if one.layer != BACKGROUND and len(one.positions)]
     if not objects and not previous.any():
         return None
-    occupied: Array = np.zeros((height, width), np.uint8)
-    if previous.size:
-        grown = np.ones((GROWN_PX, GROWN_PX), np.uint8)
-        occupied = cv2.dilate((previous > BACKGROUND).view(np.uint8), grown)
-    near = NEAR_PX * scale
-    for one in objects:
-        low, high = one.positions.min(axis=0) - near, one.positions.max(axis=0) + near + 1
-        (x, y), (right, bottom) = np.clip([low, high], 0, (width, height)).astype(int).tolist()
-        box = Region(x, y, right - x, bottom - y)
-        occupied[box.slices] |= (trajectory_distance([one], box) < near).view(np.uint8)
     size = (max(1, width // SHRINK), max(1, height // SHRINK))
     colour = _LOG[cv2.resize(frame, size, interpolation=cv2.INTER_AREA)]
-    free = cv2.resize(occupied, size, interpolation=cv2.INTER_NEAREST) == 0
+    free: Array = trajectory_distance(objects, Region(0, 0, *size), SHRINK) >= NEAR_PX * scale
+    if previous.size:
+        shown = cv2.resize((previous > BACKGROUND).view(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        free &= cv2.dilate(shown, np.ones((GROWN, GROWN), np.uint8)) == 0
     return _spread_into_objects(colour, free)
 
 

@@ -1,4 +1,4 @@
-"""How far pixels lie from the trajectories of some layers: an object is where its trajectories are."""
+"""How far cells lie from the trajectories of some layers: an object is where its trajectories are."""
 
 from __future__ import annotations
 
@@ -12,39 +12,44 @@ from mlbs_actors.messages import Array, LayerEvidence, Region
 __all__ = ["closed_distance", "trajectory_distance"]
 
 
-def trajectory_distance(layers: Sequence[LayerEvidence], region: Region) -> Array:
-    """Distance of a region's pixels to the nearest trajectory of some layers in it.
+def trajectory_distance(layers: Sequence[LayerEvidence], cells: Region, side: int) -> Array:
+    """Distance of cells to the nearest one that has a trajectory of some layers.
 
     Parameters
     ----------
     layers : sequence of LayerEvidence
-    region : Region
+    cells : Region
+        In units of cells.
+    side : int
+        Of a cell, px.
 
     Returns
     -------
     (h, w) float32
         px; infinite everywhere if no trajectory lies in the region.
     """
-    free = np.full((region.height, region.width), 255, np.uint8)
+    free = np.full((cells.height, cells.width), 255, np.uint8)
     for evidence in layers:
-        x = np.rint(evidence.positions[:, 0]).astype(np.intp) - region.x
-        y = np.rint(evidence.positions[:, 1]).astype(np.intp) - region.y
-        inside = (x >= 0) & (x < region.width) & (y >= 0) & (y < region.height)
+        x, y = np.rint(evidence.positions.T).astype(np.intp) // side
+        x, y = x - cells.x, y - cells.y
+        inside = (x >= 0) & (x < cells.width) & (y >= 0) & (y < cells.height)
         free[y[inside], x[inside]] = 0
     if free.size == 0 or free.all():
         return np.full(free.shape, np.inf, np.float32)
-    return np.asarray(cv2.distanceTransform(free, cv2.DIST_L2, 5), np.float32)
+    return np.asarray(np.float32(side) * cv2.distanceTransform(free, cv2.DIST_L2, 5))
 
 
-def closed_distance(distance: Array, radius: float) -> Array:
+def closed_distance(distance: Array, radius: float, side: int) -> Array:
     """Distance to the morphological closing of a set, from the distance to the set itself.
 
     Parameters
     ----------
     distance : (h, w) float32
-        px.
+        Of cells, px.
     radius : float
         Gaps of up to twice this that are enclosed by the set belong to it, px.
+    side : int
+        Of a cell, px.
 
     Returns
     -------
@@ -55,6 +60,6 @@ def closed_distance(distance: Array, radius: float) -> Array:
         return distance
     # Past the region's border the set is taken to go on: an object that leaves the frame stays whole.
     outside = cv2.distanceTransform((distance <= radius).astype(np.uint8), cv2.DIST_L2, 5)
-    closed = outside > radius
+    closed = side * outside > radius
     to_closed = cv2.distanceTransform((~closed).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.asarray(np.minimum(distance, to_closed), np.float32)
+    return np.asarray(np.minimum(distance, np.float32(side) * to_closed))

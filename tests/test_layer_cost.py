@@ -43,15 +43,19 @@ def whole(coarse: Array) -> Array:
 
 
 def nats_by_arrays(
-    kind: LayerKind, evidence: FrameEvidence, motion: Array, variance: Array, unexplained: Array,
-    prior: tuple[Array, Array], own_terms: Array,
-) -> Array:  # fmt: skip
+    kind: LayerKind,
+    evidence: FrameEvidence,
+    motion: Array,
+    variance: Array,
+    prior: tuple[Array, Array],
+    own_terms: Array,
+) -> Array:
     weights, background = CONFIG.posterior, kind == "background"
     spread = variance + (CONFIG.motion.flow_std_px * length_scale(*SHAPE)) ** 2
     distance = np.square(whole(evidence.flow) - motion).sum(axis=2) / spread
     floor = weights.motion_floor if background else weights.object_motion_floor
     agreement = floor + (1 - floor) * np.exp(-0.5 * distance)
-    noise = unexplained * UNEXPLAINED_STEP / CONFIG.layers.unexplained_noise
+    noise = np.floor(whole(evidence.unexplained) + 0.5) * UNEXPLAINED_STEP / CONFIG.layers.unexplained_noise
     heard = whole(evidence.flow_reliable) * np.clip(2 * noise - 1, 0, 1)
     believed = prior[0] + (1 - prior[1]) * weights.neutral_prior
     believed = np.maximum(believed, weights.neutral_prior if background else weights.prior_floor)
@@ -64,15 +68,12 @@ def test_the_cost_is_the_weighted_sum_of_the_terms_where_it_is_needed(kind: Laye
     rng, evidence = np.random.default_rng(0), evidence_of(1)
     motion = rng.normal(0, 2, (*SIZE, 2)).astype(np.float32)
     variance = rng.uniform(0.01, 3, SIZE).astype(np.float32)
-    unexplained = rng.integers(0, 256, SIZE).astype(np.uint8)
     share = rng.choice([0.0, 0.4, 1.0], SIZE).astype(np.float32)
     prior = (share * rng.random(SIZE)).astype(np.float32), share
     own_terms = rng.normal(0, 1, SIZE).astype(np.float32)
     needed = rng.random(SIZE) < 0.7
-    found = layer_cost(
-        CONFIG, kind, evidence, REGION, needed, motion, variance, unexplained, prior, own_terms
-    )
-    expected = nats_by_arrays(kind, evidence, motion, variance, unexplained, prior, own_terms) / COST_STEP
+    found = layer_cost(CONFIG, kind, evidence, REGION, needed, motion, variance, prior, own_terms)
+    expected = nats_by_arrays(kind, evidence, motion, variance, prior, own_terms) / COST_STEP
     assert (found[~needed] == uncontested_cost(CONFIG)).all()
     assert np.abs(found - np.clip(expected, 0, 255))[needed].max() < 0.5 + 0.05  # of the tables
     assert np.ptp(found[needed]) > 50
@@ -83,7 +84,7 @@ def test_a_cost_is_held_inside_its_byte() -> None:
     own_terms = np.where(np.arange(SIZE[1]) < 40, -100, 100) * np.ones(SIZE)
     found = layer_cost(
         CONFIG, "object", evidence_of(2), REGION, np.ones(SIZE, bool), still, zeros,
-        np.zeros(SIZE, np.uint8), (zeros, zeros), own_terms.astype(np.float32),
+        (zeros, zeros), own_terms.astype(np.float32),
     )  # fmt: skip
     assert (found[:, :40] == 0).all()
     assert (found[:, 40:] == 255).all()
