@@ -34,13 +34,12 @@ from mlbs_actors.clustering import (
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.epipolar import forward_motion, static_motion
 from mlbs_actors.errors import FrameError
-from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray, sample_flow
+from mlbs_actors.flow import dense_flow, flow_gray, sample_flow
 from mlbs_actors.flow_focus import focus_boxes, focus_cells
-from mlbs_actors.held_frames import HeldFrame, relabelled
+from mlbs_actors.held_frames import HeldFrame, first_frame, held_frame, relabelled
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.messages import (
     BACKGROUND,
-    UNEXPLAINED_STEP,
     Array,
     FrameEvidence,
     LayerEvidence,
@@ -48,7 +47,6 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 from mlbs_actors.trajectories import (
-    EVIDENCE_BOUNDS,
     TrajectoryState,
     advance_trajectories,
     empty_trajectories,
@@ -222,7 +220,7 @@ class Coordinator:
             spreads = np.concatenate([[spread], state.spreads])[: config.trajectories.history_frames]
 
         if flow is not None and state.held and state.held[0].frame_index == state.epoch == frame_index - 1:
-            state.held = (self._first_frame(state.held[0], flow, gray, camera),)
+            state.held = (first_frame(state.held[0], flow, state.gray, gray, camera),)
         state.next_frame, state.shape, state.gray = frame_index + 1, shape, gray
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
         published = [] if feedback is None else [one.layer for one in feedback.layers]
@@ -236,7 +234,10 @@ class Coordinator:
             objects = state.labels > BACKGROUND
             ahead = state.trajectories.positions[objects] - state.trajectories.motions[objects]
             state.focus = focus_cells(against_camera.advantage, ahead, step)
-        state.held = (*state.held, self._hold(frame_index, camera, flow, against_camera, stage_ms))
+        state.held = (
+            *state.held,
+            held_frame(frame_index, trajectories, state.labels, camera, flow, against_camera, stage_ms),
+        )
         return self._emit(frame_index - config.layers.lookahead) if state.clustered else []
 
     def flush(self) -> list[FrameEvidence]:
@@ -348,44 +349,6 @@ class Coordinator:
         )
         state.registry = registry.state
 
-    def _first_frame(self, held: HeldFrame, flow: DenseFlow, following: Array, camera: Array) -> HeldFrame:
-        """Before the first frame there was none: it takes its motion from the second, backwards in time."""
-        onward = np.linalg.inv(camera)
-        evidence = camera_evidence(following, self.state.gray, onward, flow.forward, flow.step)
-        advantage = sample_flow(evidence.advantage[..., None], held.positions, flow.step)[:, 0]
-        return replace(
-            held,
-            motions=-sample_flow(flow.forward, held.positions, flow.step),
-            evidence=np.clip(advantage, *EVIDENCE_BOUNDS),
-            camera=camera,
-            flow=(-flow.forward).astype(np.float16),
-            flow_reliable=flow.forward_reliable,
-            unexplained=_quantised(evidence.unexplained),
-        )
-
-    def _hold(
-        self,
-        frame_index: int,
-        camera: Array,
-        flow: DenseFlow | None,
-        against_camera: CameraEvidence,
-        stage_ms: dict[str, float],
-    ) -> HeldFrame:
-        state, size = self.state, against_camera.unexplained.shape
-        return HeldFrame(
-            frame_index,
-            state.trajectories.ids,
-            state.trajectories.positions,
-            state.trajectories.motions,
-            state.labels,
-            state.trajectories.evidence,
-            camera,
-            np.zeros((*size, 2), np.float16) if flow is None else flow.backward.astype(np.float16),
-            np.zeros(size, bool) if flow is None else flow.backward_reliable,
-            _quantised(against_camera.unexplained),
-            stage_ms,
-        )
-
     def _emit(self, last: int) -> list[FrameEvidence]:
         """Evidence of the held frames up to ``last``."""
         state = self.state
@@ -434,10 +397,6 @@ class Coordinator:
             stage_ms=held.stage_ms,
             epoch=state.epoch,
         )
-
-
-def _quantised(unexplained: Array) -> Array:
-    return np.asarray(np.clip(np.rint(unexplained / UNEXPLAINED_STEP), 0, 255), np.uint8)
 
 
 @contextmanager

@@ -11,10 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mlbs_actors.messages import Array
-from mlbs_actors.trajectories import TrajectoryState
+from mlbs_actors.camera import CameraEvidence, camera_evidence
+from mlbs_actors.flow import DenseFlow, sample_flow
+from mlbs_actors.messages import UNEXPLAINED_STEP, Array
+from mlbs_actors.trajectories import EVIDENCE_BOUNDS, TrajectoryState
 
-__all__ = ["HeldFrame", "relabelled"]
+__all__ = ["HeldFrame", "first_frame", "held_frame", "relabelled"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +54,62 @@ class HeldFrame:
     stage_ms: Mapping[str, float]
 
 
+def held_frame(
+    frame_index: int,
+    trajectories: TrajectoryState,
+    labels: Array,
+    camera: Array,
+    flow: DenseFlow | None,
+    against_camera: CameraEvidence,
+    stage_ms: Mapping[str, float],
+) -> HeldFrame:
+    """What is kept of the newest frame; ``flow`` is None in the first of an epoch."""
+    size = against_camera.unexplained.shape
+    return HeldFrame(
+        frame_index,
+        trajectories.ids,
+        trajectories.positions,
+        trajectories.motions,
+        labels,
+        trajectories.evidence,
+        camera,
+        np.zeros((*size, 2), np.float16) if flow is None else flow.backward.astype(np.float16),
+        np.zeros(size, bool) if flow is None else flow.backward_reliable,
+        _quantised(against_camera.unexplained),
+        stage_ms,
+    )
+
+
+def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array, camera: Array) -> HeldFrame:
+    """An epoch's first frame, which has none before it: its motion is that from the second, backwards.
+
+    Parameters
+    ----------
+    held : HeldFrame
+    flow : DenseFlow
+        To the second frame.
+    gray, following : (h, w) uint8
+        The two frames as the flow sees them.
+    camera : (3, 3) float64
+        Takes pixels of the second frame to the first.
+
+    Returns
+    -------
+    HeldFrame
+    """
+    evidence = camera_evidence(following, gray, np.linalg.inv(camera), flow.forward, flow.step)
+    advantage = sample_flow(evidence.advantage[..., None], held.positions, flow.step)[:, 0]
+    return replace(
+        held,
+        motions=-sample_flow(flow.forward, held.positions, flow.step),
+        evidence=np.clip(advantage, *EVIDENCE_BOUNDS),
+        camera=camera,
+        flow=(-flow.forward).astype(np.float16),
+        flow_reliable=flow.forward_reliable,
+        unexplained=_quantised(evidence.unexplained),
+    )
+
+
 def relabelled(
     frames: Sequence[HeldFrame], trajectories: TrajectoryState, labels: Array
 ) -> tuple[HeldFrame, ...]:
@@ -81,3 +139,7 @@ def relabelled(
         most[alive] = np.maximum(most[alive], trajectories.evidence[place[alive]])
         result.append(replace(held, labels=newest, evidence=most))
     return tuple(result)
+
+
+def _quantised(unexplained: Array) -> Array:
+    return np.asarray(np.clip(np.rint(unexplained / UNEXPLAINED_STEP), 0, 255), np.uint8)

@@ -1,4 +1,4 @@
-"""The life of layers: births, dormancy, re-identification, retirement, and the cap (§4).
+"""The life of layers: births, dormancy, return, retirement, and the cap (§4).
 
 Two things are kept apart here and nowhere else: a *label* is what a cluster of trajectories carries in the
 coordinator (0 the background, > 0 a layer, −1 none, < −1 a candidate on probation), a *layer id* is for
@@ -20,13 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mlbs_actors.clustering import UNLABELLED
-from mlbs_actors.config import LayersConfig, length_scale
+from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import BACKGROUND, Array
+from mlbs_actors.reidentification import SIGNATURE_BINS, Sighting, best_sleeper, colour_signature
 
-__all__ = ["LayerRegistry", "RegistryState", "colour_signature"]
-
-#: Bins a colour channel of a signature.
-SIGNATURE_BINS = 6
+__all__ = ["LayerRegistry", "RegistryState"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,24 +93,6 @@ class RegistryState:
             UNLABELLED - 1,
             -1,
         )
-
-
-def colour_signature(colours: Array) -> Array:
-    """Normalised colour histogram of some pixels.
-
-    Parameters
-    ----------
-    colours : (n, 3) uint8
-
-    Returns
-    -------
-    (SIGNATURE_BINS³,) float32
-        Sum 1, or 0 without pixels.
-    """
-    bins = colours.astype(np.intp) * SIGNATURE_BINS // 256
-    flat = (bins[:, 0] * SIGNATURE_BINS + bins[:, 1]) * SIGNATURE_BINS + bins[:, 2]
-    histogram = np.bincount(flat, minlength=SIGNATURE_BINS**3).astype(np.float32)
-    return histogram / np.float32(max(len(colours), 1))
 
 
 class LayerRegistry:
@@ -323,12 +303,14 @@ class LayerRegistry:
         (n,) int64
         """
         labels = labels.copy()
-        awaited = np.where(self.state.origins == UNLABELLED, probation, self.config.part_probation_frames)
-        awaited[[self._bereft(row, frame_index) is not None for row in range(len(awaited))]] = 0
-        for label in self.state.labels[
-            (self.state.labels < UNLABELLED) & (frame_index - self.state.born >= awaited)
-        ][::-1]:
-            labels[labels == label] = self._promote(int(label), frame_index)
+        for label in self.state.labels[self.state.labels < UNLABELLED][::-1]:
+            # Asked anew for each: the first part of a lost object is that object, the next is a part of it.
+            row = int(np.flatnonzero(self.state.labels == label)[0])
+            fell_off = self.state.origins[row] != UNLABELLED
+            awaited = self.config.part_probation_frames if fell_off else probation
+            lasted = frame_index - self.state.born[row] >= awaited
+            if lasted or self._bereft(row, frame_index) is not None:
+                labels[labels == label] = self._promote(int(label), frame_index)
         self._keep_cap(labels, frame_index)
         return labels
 
@@ -357,7 +339,14 @@ class LayerRegistry:
         row = int(np.flatnonzero(state.labels == candidate)[0])
         sleeper = self._bereft(row, frame_index)
         if sleeper is None:
-            sleeper = self._sleeper_like(row, frame_index)
+            sleepers = np.flatnonzero((state.labels > 0) & (state.seen < frame_index))
+            sightings = Sighting(
+                *(one[sleepers] for one in (state.seen, state.centroids, state.velocities, state.signatures))
+            )
+            found = best_sleeper(
+                state.centroids[row], state.signatures[row], sightings, frame_index, self.shape, self.config
+            )
+            sleeper = None if found is None else int(sleepers[found])
         if sleeper is None:
             label, born, pooled = state.next_layer, state.born[row], False
             state = replace(state, next_layer=state.next_layer + 1)
@@ -378,25 +367,6 @@ class LayerRegistry:
             return None
         origin = int(np.flatnonzero(state.labels == state.origins[row])[0])
         return origin if state.tracked[origin] < frame_index else None
-
-    def _sleeper_like(self, row: int, frame_index: int) -> int | None:
-        """The sleeping layer that best explains a candidate by colour and place, if any does."""
-        state, best, chosen = self.state, self.config.wake_similarity, None
-        for sleeper in np.flatnonzero((state.labels > 0) & (state.seen < frame_index)):
-            gap = frame_index - state.seen[sleeper]
-            expected = state.centroids[sleeper] + gap * state.velocities[sleeper]
-            places = [expected]
-            if (expected >= 0).all() and (expected < self.shape[::-1]).all():
-                # It may have been held up. One that has left the frame has not: what comes in where it went
-                # out is another.
-                places.append(state.centroids[sleeper])
-            nearest = min(float(np.hypot(*(state.centroids[row] - place))) for place in places)
-            if nearest > self.config.wake_px * length_scale(*self.shape):
-                continue
-            likeness = float(np.sqrt(state.signatures[row] * state.signatures[sleeper]).sum())
-            if likeness > best:
-                best, chosen = likeness, int(sleeper)
-        return chosen
 
     def _keep_cap(self, labels: Array, frame_index: int) -> None:
         """Past the cap the smallest objects share the layer "other", for the rest of their lives."""

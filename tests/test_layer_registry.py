@@ -11,7 +11,7 @@ import pytest
 
 from mlbs_actors.clustering import UNLABELLED
 from mlbs_actors.config import LayersConfig
-from mlbs_actors.layer_registry import LayerRegistry, RegistryState, colour_signature
+from mlbs_actors.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.messages import BACKGROUND, Array
 
 CONFIG = LayersConfig(
@@ -147,6 +147,21 @@ def test_a_part_that_is_all_that_is_left_of_its_object_is_that_object() -> None:
     assert stream.labels["body"] == man != before
     for _ in range(3 * CONFIG.part_probation_frames):
         assert man in stream.see({"body": Thing(colour=BLUE)})
+
+
+def test_of_two_parts_of_a_lost_object_the_first_is_that_object_and_the_other_remains_its_part() -> None:
+    stream = Stream()
+    for _ in range(CONFIG.probation_frames + 1):
+        stream.see({"man": Thing()})
+    man = stream.layer_of("man")
+    parts = {
+        "body": Thing(place=(90.0, 100.0), part_of="man"),
+        "legs": Thing(place=(110.0, 140.0), colour=BLUE, part_of="man"),
+    }
+    stream.see({"man": Thing(), **parts})
+    stream.see(parts)
+    assert stream.layer_of("body") == stream.layer_of("legs") == man
+    assert sorted(label > BACKGROUND for label in stream.labels.values()) == [False, True]
 
 
 def test_a_part_of_an_object_that_shares_the_layer_other_is_in_that_layer_too() -> None:
@@ -443,21 +458,6 @@ def test_a_registry_goes_on_from_its_state() -> None:
 
 
 # Colours
-
-
-def test_a_signature_is_the_share_of_each_colour_bin() -> None:
-    colours = np.random.default_rng(0).integers(0, 256, (500, 3)).astype(np.uint8)
-    signature = colour_signature(colours)
-    bins = round(len(signature) ** (1 / 3))
-    expected = np.zeros((bins, bins, bins))
-    for blue, green, red in colours.astype(int):
-        expected[blue * bins // 256, green * bins // 256, red * bins // 256] += 1 / 500
-    np.testing.assert_allclose(signature, expected.ravel(), atol=1e-6)
-    assert signature.sum() == pytest.approx(1.0)
-
-
-def test_no_pixels_have_an_empty_signature() -> None:
-    assert colour_signature(np.zeros((0, 3), np.uint8)).sum() == 0.0
 
 
 # Objects that hardly move

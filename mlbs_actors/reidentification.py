@@ -1,0 +1,100 @@
+"""Is this new cluster an object that was lost? Told by its colours and its place (§4).
+
+Differs from the paper, which does not take an object up again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mlbs_actors.config import LayersConfig, length_scale
+from mlbs_actors.messages import Array
+
+__all__ = ["SIGNATURE_BINS", "Sighting", "best_sleeper", "colour_signature"]
+
+#: Bins a colour channel of a signature.
+SIGNATURE_BINS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """What is known of objects when they were last seen, row by row.
+
+    Attributes
+    ----------
+    seen : (k,) int64
+        Frame.
+    centroids, velocities : (k, 2) float64
+        Mean position (px) and forward motion (px/frame).
+    signatures : (k, SIGNATURE_BINS³) float32
+        Of :func:`colour_signature`.
+    """
+
+    seen: Array
+    centroids: Array
+    velocities: Array
+    signatures: Array
+
+
+def colour_signature(colours: Array) -> Array:
+    """Normalised colour histogram of some pixels.
+
+    Parameters
+    ----------
+    colours : (n, 3) uint8
+
+    Returns
+    -------
+    (SIGNATURE_BINS³,) float32
+        Sum 1, or 0 without pixels.
+    """
+    bins = colours.astype(np.intp) * SIGNATURE_BINS // 256
+    flat = (bins[:, 0] * SIGNATURE_BINS + bins[:, 1]) * SIGNATURE_BINS + bins[:, 2]
+    histogram = np.bincount(flat, minlength=SIGNATURE_BINS**3).astype(np.float32)
+    return histogram / np.float32(max(len(colours), 1))
+
+
+def best_sleeper(
+    centroid: Array,
+    signature: Array,
+    sleepers: Sighting,
+    frame_index: int,
+    shape: tuple[int, int],
+    config: LayersConfig,
+) -> int | None:
+    """The lost object that best explains a new cluster by colour and place.
+
+    Parameters
+    ----------
+    centroid : (2,) float64
+        Of the cluster, px.
+    signature : (SIGNATURE_BINS³,) float32
+    sleepers : Sighting
+    frame_index : int
+        The present frame.
+    shape : (H, W)
+        px.
+    config : LayersConfig
+
+    Returns
+    -------
+    int or None
+        Its row; None if none is near and like enough.
+    """
+    best, chosen = config.wake_similarity, None
+    for row, gap in enumerate(frame_index - sleepers.seen):
+        expected = sleepers.centroids[row] + gap * sleepers.velocities[row]
+        places = [expected]
+        if (expected >= 0).all() and (expected < shape[::-1]).all():
+            # It may have been held up. One that has left the frame has not: what comes in where it went
+            # out is another.
+            places.append(sleepers.centroids[row])
+        nearest = min(float(np.hypot(*(centroid - place))) for place in places)
+        if nearest > config.wake_px * length_scale(*shape):
+            continue
+        likeness = float(np.sqrt(signature * sleepers.signatures[row]).sum())
+        if likeness > best:
+            best, chosen = likeness, row
+    return chosen
