@@ -60,6 +60,6 @@ def closed_distance(distance: Array, radius: float, side: int) -> Array:
         return distance
     # Past the region's border the set is taken to go on: an object that leaves the frame stays whole.
     outside = cv2.distanceTransform((distance <= radius).astype(np.uint8), cv2.DIST_L2, 5)
-    closed = side * outside > radius
+    closed = outside > radius / side
     to_closed = cv2.distanceTransform((~closed).astype(np.uint8), cv2.DIST_L2, 5)
     return np.asarray(np.minimum(distance, np.float32(side) * to_closed))

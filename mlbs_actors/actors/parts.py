@@ -132,7 +132,7 @@ class EngineParts:
 
     def _run_two_layers(self) -> None:
         config = Config()
-        height, width = 240, 320
+        height, width = 480, 640
         random = np.random.default_rng(0)
         frame = _read_only(random.integers(0, 256, (height, width, 3), dtype=np.uint8))
         columns, rows = np.meshgrid(np.arange(140, 180, 8), np.arange(100, 140, 8))
