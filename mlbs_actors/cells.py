@@ -51,7 +51,9 @@ def mean_of_cells(values: Array, side: int) -> Array:
     """
     height, width = values.shape[:2]
     if side == 1 or values.size == 0:
-        return values
+        return (
+            values.copy()
+        )  # for Numba a frame that can only be read is another type, with kernels of its own
     rows, columns = -(-height // side), -(-width // side)
     missing = (rows * side - height, columns * side - width)
     if any(missing):

@@ -62,4 +62,4 @@ def closed_distance(distance: Array, radius: float, side: int) -> Array:
     outside = cv2.distanceTransform((distance <= radius).astype(np.uint8), cv2.DIST_L2, 5)
     closed = outside > radius / side
     to_closed = cv2.distanceTransform((~closed).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.asarray(np.minimum(distance, np.float32(side) * to_closed))
+    return np.asarray(np.minimum(distance / np.float32(side), to_closed) * np.float32(side))
