@@ -15,6 +15,7 @@ __all__ = ["nearest", "neighbour_pairs"]
 
 #: Points a cell, about.
 CELL_POINTS = 3.0
+_NOBODY = np.int64(2**63 - 1)
 
 
 def neighbour_pairs(positions: Array, wanted: int, radius: float) -> tuple[Array, Array]:
@@ -56,40 +57,54 @@ def nearest(positions: Array, wanted: int, radius: float) -> Array:
         Nearest first, equally far ones by their index; −1 past the last.
     """
     count = positions.shape[0]
-    found_index = np.full((count, wanted), -1, np.int32)
-    distance = np.full((count, wanted), np.inf)
+    # Distance and index in one number: the bits of a float that is not negative are ordered as it is.
+    found = np.full((count, wanted), _NOBODY, np.int64)
     cell, column, row, start, members = _cells(positions)
     columns, rows = column.max() + 1, row.max() + 1
+    farthest = np.float32(radius * radius)
+    squared = np.empty(1, np.float32)
+    bits = squared.view(np.int32)
     for i in range(count):
+        x, y, keys = positions[i, 0], positions[i, 1], found[i]
         for ring in range(max(rows, columns) + 1):
             # Points in this ring of cells are farther than the rings within it reach.
             reach = max(ring - 1, 0) * cell
-            if reach > radius or reach * reach > distance[i, wanted - 1]:
+            squared[0] = reach * reach
+            if reach > radius or np.int64(bits[0]) << 32 > keys[wanted - 1]:
                 break
             for r in range(max(row[i] - ring, 0), min(row[i] + ring, rows - 1) + 1):
                 whole = abs(r - row[i]) == ring
                 for c in range(column[i] - ring, column[i] + ring + 1, 1 if whole else max(2 * ring, 1)):
-                    if 0 <= c < columns:
-                        here = members[start[r * columns + c] : start[r * columns + c + 1]]
-                        _offer(positions, i, here, radius * radius, found_index[i], distance[i])
-    return found_index
+                    if not 0 <= c < columns:
+                        continue
+                    for place in range(start[r * columns + c], start[r * columns + c + 1]):
+                        j = members[place]
+                        across, down = positions[j, 0] - x, positions[j, 1] - y
+                        squared[0] = across * across + down * down
+                        key = np.int64(bits[0]) << 32 | np.int64(j)
+                        if j != i and squared[0] <= farthest and key < keys[wanted - 1]:
+                            _insert(keys, key)
+    return _indices(found)
 
 
 @njit(cache=True)
-def _offer(
-    positions: Array, i: int, candidates: Array, farthest: float, found_index: Array, distance: Array
-) -> None:
-    """Insert the candidates that are near enough into the sorted lists of point i."""
-    last = distance.size - 1
-    for j in candidates:
-        gap = (positions[j, 0] - positions[i, 0]) ** 2 + (positions[j, 1] - positions[i, 1]) ** 2
-        if j == i or gap > farthest or (gap, j) >= (distance[last], found_index[last]):
-            continue
-        place = last
-        while place > 0 and (distance[place - 1], found_index[place - 1]) > (gap, j):
-            distance[place], found_index[place] = distance[place - 1], found_index[place - 1]
-            place -= 1
-        distance[place], found_index[place] = gap, j
+def _insert(keys: Array, key: np.int64) -> None:
+    """Put a key into its place; the largest drops out."""
+    place = keys.size - 1
+    while place > 0 and keys[place - 1] > key:
+        keys[place] = keys[place - 1]
+        place -= 1
+    keys[place] = key
+
+
+@njit(cache=True)
+def _indices(found: Array) -> Array:
+    indices = np.empty(found.shape, np.int32)
+    for i in range(found.shape[0]):
+        for place in range(found.shape[1]):
+            key = found[i, place]
+            indices[i, place] = -1 if key == _NOBODY else np.int32(key & 0xFFFFFFFF)
+    return indices
 
 
 @njit(cache=True)
@@ -119,14 +134,18 @@ def _cells(positions: Array) -> tuple[float, Array, Array, Array, Array]:
 @njit(cache=True)
 def _pair_keys(nearest_of: Array) -> Array:
     """first · n + second of each pair, once."""
-    count = nearest_of.shape[0]
+    count, wanted = nearest_of.shape
     keys = np.empty(nearest_of.size, np.int64)
     found = 0
     for i in range(count):
         for j in nearest_of[i]:
             if j < 0:
                 break
-            if j > i or not (nearest_of[j] == i).any():  # else j has told of it already
+            told = False  # by j, if that comes first
+            if j < i:
+                for place in range(wanted):
+                    told |= nearest_of[j, place] == i
+            if not told:
                 keys[found] = min(i, j) * count + max(i, j)
                 found += 1
     return keys[:found]
