@@ -139,15 +139,16 @@ def _layer_cost(
             if not needed[y, x]:
                 continue
             nats = offset + own_terms[y, x]
-            w00, w01 = (one - down[y]) * (one - along[x]), (one - down[y]) * along[x]
-            w10, w11 = down[y] * (one - along[x]), down[y] * along[x]
             a, b, c, d = top[y], bottom[y], left[x], right[x]
-            error = (
-                w00 * np.float32(unexplained[a, c]) + w01 * np.float32(unexplained[a, d])
-                + w10 * np.float32(unexplained[b, c]) + w11 * np.float32(unexplained[b, d])
-            )  # fmt: skip
-            weight = heard[int(error + half)]
-            if weight > 0:
+            largest = max(unexplained[a, c], unexplained[a, d], unexplained[b, c], unexplained[b, d])
+            if heard[largest] > 0:
+                w00, w01 = (one - down[y]) * (one - along[x]), (one - down[y]) * along[x]
+                w10, w11 = down[y] * (one - along[x]), down[y] * along[x]
+                error = (
+                    w00 * np.float32(unexplained[a, c]) + w01 * np.float32(unexplained[a, d])
+                    + w10 * np.float32(unexplained[b, c]) + w11 * np.float32(unexplained[b, d])
+                )  # fmt: skip
+                weight = heard[int(error + half)]
                 weight *= (
                     w00 * reliable[a, c] + w01 * reliable[a, d] + w10 * reliable[b, c] + w11 * reliable[b, d]
                 )
