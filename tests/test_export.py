@@ -96,7 +96,7 @@ def test_palette_masks_are_read_by_pillow_and_give_back_every_mask(
         assert len(objects["5"]["frames"]) == 34
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", sorted(FORMATS.keys() - {"rerun"}))
 def test_only_what_is_committed_is_exported(run: Path, tmp_path: Path, name: str) -> None:
     for stream in ("yard", "gate"):
         (tmp_path / "run" / stream).mkdir(parents=True)

@@ -16,13 +16,28 @@ from orchestrator.export.palette_masks import write_davis, write_youtube_vos
 
 __all__ = ["FORMATS", "main"]
 
-#: Formats by name; all but coco, which is one file, are folders.
+
+def _write_rerun(run: Path, out: Path) -> None:
+    try:
+        from orchestrator.export.rerun_recording import write_rerun
+    except ImportError:
+        raise ConfigError(
+            "The export to rerun needs the package rerun-sdk; pip install 'mlbs-actors[rerun]'."
+        ) from None
+    write_rerun(run, out)
+
+
+#: Formats by name.
 FORMATS: dict[str, Callable[[Path, Path], None]] = {
     "coco": write_coco,
     "mots": write_mots,
     "davis": write_davis,
     "youtube-vos": write_youtube_vos,
+    "rerun": _write_rerun,
 }
+
+#: Those that are one file; the others are folders.
+_FILES = ("coco", "rerun")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -30,7 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m orchestrator.export",
         description="Write what a run has committed in the format of other tools.",
-        epilog="coco: one JSON file; mots: a text file a stream; davis, youtube-vos: indexed PNG masks",
+        epilog="coco: one JSON file; mots: a text file a stream; davis, youtube-vos: indexed PNG masks; "
+        "rerun: a recording for the viewer of rerun.io",
         allow_abbrev=False,
     )
     parser.add_argument("format", choices=FORMATS)
@@ -57,7 +73,7 @@ def _export(name: str, run: Path, out: Path) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     if draft.is_dir():  # of an export that was killed
         shutil.rmtree(draft)
-    if name != "coco":
+    if name not in _FILES:
         draft.mkdir()
     try:
         FORMATS[name](run, draft)

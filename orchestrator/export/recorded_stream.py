@@ -21,11 +21,26 @@ __all__ = ["RecordedFrame", "RecordedObject", "recorded_stream", "streams_of"]
 
 @dataclass(frozen=True, slots=True)
 class RecordedObject:
-    """One object in one frame; ``code`` is its mask as COCO's compressed run-length code."""
+    """One object in one frame, as a row of ``layers-*.parquet``.
+
+    Attributes
+    ----------
+    layer : int
+    region : Region
+    area : int
+        px.
+    centroid, velocity : (float, float)
+        px and px/frame, x before y.
+    confidence : float
+    code : str
+        Its mask as COCO's compressed run-length code.
+    """
 
     layer: int
     region: Region
     area: int
+    centroid: tuple[float, float]
+    velocity: tuple[float, float]
     confidence: float
     code: str
 
@@ -38,18 +53,24 @@ class RecordedFrame:
     ----------
     index : int
         Counts every frame of the source.
+    pts : float
+        Seconds since the source's first frame.
     name : str
         Of its mask file, without extension.
     height, width : int
         px.
+    camera_motion : (float, float)
+        px/frame, x before y.
     objects : tuple of RecordedObject
         In ascending layer id.
     """
 
     index: int
+    pts: float
     name: str
     height: int
     width: int
+    camera_motion: tuple[float, float]
     objects: tuple[RecordedObject, ...]
 
     def labels(self) -> Array:
@@ -61,8 +82,8 @@ class RecordedFrame:
         return labels
 
 
-def streams_of(run: Path) -> list[str]:
-    """Names of a run's streams, in the order of its list.
+def streams_of(run: Path) -> dict[str, str]:
+    """Names of a run's streams, in the order of its list → their addresses, passwords hidden.
 
     Raises
     ------
@@ -75,7 +96,7 @@ def streams_of(run: Path) -> list[str]:
         raise ConfigError(f"{run} holds no run; name the folder given to --output.") from None
     if "parquet" not in description["save"]:
         raise ConfigError(f"The run in {run} has no tables to export; run it again with parquet in --save.")
-    return list(description["sources"])
+    return dict(description["sources"])
 
 
 def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
@@ -89,11 +110,24 @@ def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
     for commit in read_commits(folder):
         objects: dict[int, list[RecordedObject]] = {}
         for row in pq.read_table(part_path(folder, "layers", commit.first)).to_pylist():
-            region = Region(row["x"], row["y"], row["w"], row["h"])
-            one = RecordedObject(row["layer"], region, row["area"], row["confidence"], row["rle"])
+            one = RecordedObject(
+                layer=row["layer"],
+                region=Region(row["x"], row["y"], row["w"], row["h"]),
+                area=row["area"],
+                centroid=(row["cx"], row["cy"]),
+                velocity=(row["vx"], row["vy"]),
+                confidence=row["confidence"],
+                code=row["rle"],
+            )
             objects.setdefault(row["frame"], []).append(one)
         for row in pq.read_table(part_path(folder, "frames", commit.first)).to_pylist():
             if row["status"] == "ok":
-                index = row["frame"]
-                found = tuple(objects.get(index, ()))
-                yield RecordedFrame(index, row["name"], row["height"], row["width"], found)
+                yield RecordedFrame(
+                    index=row["frame"],
+                    pts=row["pts"],
+                    name=row["name"],
+                    height=row["height"],
+                    width=row["width"],
+                    camera_motion=(row["camera_dx"], row["camera_dy"]),
+                    objects=tuple(objects.get(row["frame"], ())),
+                )
