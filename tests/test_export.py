@@ -96,6 +96,36 @@ def test_palette_masks_are_read_by_pillow_and_give_back_every_mask(
         assert len(objects["5"]["frames"]) == 34
 
 
+@pytest.mark.parametrize("name", ["mots", "davis"])
+def test_trackeval_reads_every_mask_and_id_and_finds_an_export_equal_to_itself(
+    run: Path, tmp_path: Path, name: str
+) -> None:
+    trackeval = pytest.importorskip("trackeval", reason="TrackEval is not installed, see CONTRIBUTING.md")
+    out = export(name, run, tmp_path / name)
+    folder = "." if name == "mots" else "Annotations/480p"
+    setting = {
+        "GT_FOLDER": str(out / folder),
+        "GT_LOC_FORMAT": "{gt_folder}/{seq}.txt",
+        "TRACKERS_FOLDER": str(tmp_path),
+        "TRACKERS_TO_EVAL": [name],
+        "TRACKER_SUB_FOLDER": folder,
+        "SEQ_INFO": {"yard": 40},
+        "PRINT_CONFIG": False,
+    }
+    dataset = (trackeval.datasets.KittiMOTS if name == "mots" else trackeval.datasets.DAVIS)(setting)
+    raw = dataset.get_raw_seq_data(name, "yard")
+    saved = masks(run, "yard")
+    # DAVIS knows no frame without a mask, MOTS counts the one that could not be decoded.
+    indices = [index for index in range(40) if name == "mots" or index != 10]
+    for index, ids, codes in zip(indices, raw["tracker_ids"], raw["tracker_dets"], strict=True):
+        labels = np.zeros((HEIGHT, WIDTH), np.uint16)
+        for number, code in zip(ids, codes, strict=True):
+            labels[coco_mask.decode(code).astype(bool)] = number % 1000
+        np.testing.assert_array_equal(labels, saved.get(f"img{index:03d}", 0))
+    data = dataset.get_preprocessed_seq_data(raw, "car" if name == "mots" else "general")
+    assert trackeval.metrics.HOTA({"PRINT_CONFIG": False}).eval_sequence(data)["HOTA"].min() == 1.0
+
+
 @pytest.mark.parametrize("name", sorted(FORMATS.keys() - {"rerun"}))
 def test_only_what_is_committed_is_exported(run: Path, tmp_path: Path, name: str) -> None:
     for stream in ("yard", "gate"):

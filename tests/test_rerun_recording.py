@@ -49,9 +49,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def tables(run: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, Any]]]:
     """Entity → its rows, as rerun's reader finds them."""
-    chunk = pytest.importorskip(
-        "rerun.chunk", reason="rerun is not installed: pip install 'mlbs-actors[rerun]'"
-    )
+    chunk = pytest.importorskip("rerun.chunk", reason="rerun is not installed, see CONTRIBUTING.md")
     out = tmp_path_factory.mktemp("export") / "run.rrd"
     assert main(["rerun", str(run), str(out)]) == 0
     rows: dict[str, list[dict[str, Any]]] = {}
