@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 import threading
 import time
@@ -26,6 +27,7 @@ from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.stream_state import StreamState, after_progress
 
+ROOT = Path(__file__).resolve().parents[1]
 TOKEN = "a-token-of-the-tests"
 HERE = MonitorAddress("127.0.0.1", 0)
 STATES = [
@@ -109,6 +111,18 @@ def test_prometheus_gets_a_sample_for_every_stream_and_metric(url: str) -> None:
     assert len(kinds) == len(set(kinds)) == len(samples) / 3
     hostile = metrics_text([StreamState('a"b\\c')])
     assert 'stream="a\\"b\\\\c"' in hostile
+
+
+def test_grafanas_board_asks_for_all_that_the_page_serves_and_nothing_else() -> None:
+    text = (ROOT / "configs/grafana.json").read_text(encoding="utf-8")
+    panels = json.loads(text)["panels"]
+    queries = [target["expr"] for panel in panels for target in panel["targets"]]
+    served = set(re.findall(r"^# TYPE (\S+)", metrics_text(STATES), re.MULTILINE))
+    assert {name for query in queries for name in re.findall(r"mlbs_\w+", query)} == served
+    assert set(re.findall(r"mlbs_\w+", text)) == served  # those that the choice of streams asks for too
+    labels = set(re.findall(r"(\w+)=\"", metrics_text(STATES)))
+    assert set(re.findall(r"\{\{(\w+)\}\}", text)) == labels == {"stream", "state"}
+    assert len({panel["id"] for panel in panels}) == len(panels)
 
 
 def test_the_past_of_a_long_run_keeps_its_span_in_bounded_room(tmp_path: Path) -> None:
