@@ -6,7 +6,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from datetime import timedelta
 from typing import Protocol, TextIO
 
 from rich.console import Console
@@ -71,9 +71,8 @@ class JsonLines:
         """Nothing is held back."""
 
     def _write(self, state: StreamState) -> None:
-        fields = asdict(state)
-        fields |= {name: round(fields[name], 2) for name in ("frames_per_second", "latency_ms")}
-        self._output.write(json.dumps({"stream": fields.pop("name")} | fields) + "\n")
+        figures = state.figures()
+        self._output.write(json.dumps({"stream": figures.pop("name")} | figures) + "\n")
         self._output.flush()
 
 
@@ -106,23 +105,32 @@ class LiveTable:
         table = Table(caption=_summary(states, len(shown)), caption_justify="left")
         for heading in ("stream", "state"):
             table.add_column(heading, no_wrap=True)
-        for heading in ("read", "committed", "frames/s", "layers", "lost"):
+        for heading in ("read", "committed", "frames/s", "left", "layers", "lost"):
             table.add_column(heading, justify="right", no_wrap=True)
         table.add_column("note", overflow="fold")
         for state in shown:
             rate = f"{state.frames_per_second:.1f}" if state.frames_per_second else ""
             lost = state.dropped + state.quarantined
+            left = state.seconds_left
+            note = state.error or (f"waits for {state.waits_for}" if state.waits_for else "")
             table.add_row(
                 escape(state.name),
                 f"[{_STYLES.get(state.state, 'cyan')}]{state.state}[/]",
-                str(state.read),
+                _read(state),
                 str(state.committed),
                 rate,
+                "" if left is None else str(timedelta(seconds=round(left))),
                 str(state.layers) if state.layers else "",
                 str(lost) if lost else "",
-                escape(state.error or ""),
+                escape(note),
             )
         return table
+
+
+def _read(state: StreamState) -> str:
+    if state.length is None or state.state in ENDED:
+        return str(state.read)
+    return f"{state.read} of {state.length}"
 
 
 def _interest(state: StreamState) -> int:

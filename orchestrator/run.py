@@ -35,6 +35,7 @@ from orchestrator.sources.address import SourceKind
 from orchestrator.sources.opening import open_reader
 from orchestrator.stream_list import ListedStream
 from orchestrator.stream_state import StreamState, after_failure, with_record
+from orchestrator.wording import count_of
 from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
 __all__ = ["run"]
@@ -90,7 +91,7 @@ def run(
             ended |= earlier
         else:
             folder.refuse_if_used([stream.name for stream in streams])
-        _say(f"Starting Ray; {len(streams) - len(ended)} streams, up to {limit} at a time.")
+        _say(f"Starting Ray; {count_of(len(streams) - len(ended), 'stream')}, up to {limit} at a time.")
         boards = stack.enter_context(_monitored(arguments.monitor, live))
         stack.enter_context(ray_session(arguments.address, scratch))
         if not arguments.resume:
@@ -243,7 +244,7 @@ def _not_to_be_resumed(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[s
 
 def _words_on_resuming(begun: Mapping[str, Any], description: Mapping[str, Any], ended: int) -> str:
     """What the user should know of a run that is gone on with."""
-    words = f"Going on with the run of {begun['started']}; {ended} streams have ended already."
+    words = f"Going on with the run of {begun['started']}; {count_of(ended, 'stream')} ended before."
     for key in ("versions", "machine"):
         if begun.get(key) != description[key]:
             words += f"\nThe {key} are not those of then (see run.json): label maps from here on may differ."
@@ -252,7 +253,7 @@ def _words_on_resuming(begun: Mapping[str, Any], description: Mapping[str, Any],
 
 def _closing_words(folder: RunFolder, states: Sequence[StreamState], save: frozenset[str]) -> str:
     done = sum(state.state == "done" for state in states)
-    lines = [f"{done} of {len(states)} streams are complete. Results: {folder.path}"]
+    lines = [f"{done} of {count_of(len(states), 'stream')} complete. Results: {folder.path}"]
     lines += [
         f"  line {state.line}, {state.name} ({state.state}): {state.error}"
         for state in states

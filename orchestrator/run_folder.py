@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import fields
 from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -108,7 +108,7 @@ class RunFolder:
         """Streams as ``status.json`` tells of them; none if it cannot be read."""
         try:
             streams = json.loads((self.path / "status.json").read_text(encoding="utf-8"))["streams"]
-            return {name: StreamState(name, **fields) for name, fields in streams.items()}
+            return {name: _state(name, figures) for name, figures in streams.items()}
         except (OSError, ValueError, KeyError, TypeError):
             return {}
 
@@ -204,8 +204,8 @@ class StatusFile:
     def _write(self, states: Sequence[StreamState], exit_status: int | None) -> None:
         streams = {}
         for state in states:
-            fields = asdict(state)
-            streams[fields.pop("name")] = fields
+            figures = state.figures()
+            streams[figures.pop("name")] = figures
         status = {
             "updated": _now(),
             "ended": exit_status is not None,
@@ -243,6 +243,12 @@ def describe_run(
         "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
         "machine": {"cpu": _cpu(), "system": platform.platform()},
     }
+
+
+def _state(name: str, figures: dict[str, Any]) -> StreamState:
+    """The state that these figures were made of, without those derived from others."""
+    own = {field.name for field in fields(StreamState)}
+    return StreamState(name, **{key: value for key, value in figures.items() if key in own})
 
 
 def _digest(value: object) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import shlex
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from mlbs_actors.errors import ConfigError, SourceError
 from orchestrator.credentials import mask
 from orchestrator.sources.address import SourceAddress, SourceKind, parse_address
 from orchestrator.sources.presence import require_source, videos_of
+from orchestrator.wording import count_of
 
 __all__ = [
     "MAX_BYTES",
@@ -74,11 +75,15 @@ def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
     ------
     ConfigError
         If the file cannot be read, is too long, holds no stream, or has bad lines: then the message
-        names every one of them.
+        names every one of them, and those whose source is not there.
     """
     streams, faults = parse_stream_list(path)
     if faults:
-        raise ConfigError(_fault_report(path, faults))
+        report = _fault_report(path, faults)
+        # A source that is not there is no fault of the list; but who mends the list wants to hear of both.
+        if missing := {stream.line: sentence.rstrip(".") for stream, sentence in _sourceless(streams)}:
+            report += "\nOf the other lines, these could not run:\n" + _listing(missing)
+        raise ConfigError(report)
     return streams
 
 
@@ -139,16 +144,20 @@ def missing_sources(path: Path, streams: Sequence[ListedStream]) -> dict[str, st
     ConfigError
         If none has a source.
     """
-    missing: dict[str, str] = {}
-    for stream in streams:
-        try:
-            require_source(stream.source)
-        except SourceError as error:
-            missing[stream.name] = str(error)
+    missing = {stream.name: sentence for stream, sentence in _sourceless(streams)}
     if len(missing) == len(streams):
         faults = {stream.line: missing[stream.name].rstrip(".") for stream in streams}
         raise ConfigError(_fault_report(path, faults))
     return missing
+
+
+def _sourceless(streams: Sequence[ListedStream]) -> Iterator[tuple[ListedStream, str]]:
+    """Those that have nothing to open, with a sentence that says what is wrong."""
+    for stream in streams:
+        try:
+            require_source(stream.source)
+        except SourceError as error:
+            yield stream, str(error)
 
 
 def _lines(path: Path) -> list[bytes]:
@@ -234,12 +243,17 @@ def _check_name(name: str, *, given: bool) -> None:
 
 
 def _fault_report(path: Path, faults: dict[int, str]) -> str:
+    count = count_of(len(faults), "bad line")
+    return f"The list {path} has {count}; nothing was started.\n{_listing(faults)}"
+
+
+def _listing(faults: dict[int, str]) -> str:
+    """A line for each line, the first ones with what is wrong with them."""
     shown = [f"  line {number}: {sentence}." for number, sentence in list(faults.items())[:_LINES_SHOWN]]
     rest = list(faults)[_LINES_SHOWN:]
     if rest:
         shown.append(f"  and lines {_as_ranges(rest)}.")
-    count = "1 bad line" if len(faults) == 1 else f"{len(faults)} bad lines"
-    return f"The list {path} has {count}; nothing was started.\n" + "\n".join(shown)
+    return "\n".join(shown)
 
 
 def _as_ranges(numbers: Sequence[int]) -> str:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
 
 from mlbs_actors.actors.stream_protocol import SourceSilence, StreamProgress
 from orchestrator.credentials import mask
+from orchestrator.wording import count_of
 
 __all__ = [
     "ENDED",
@@ -53,6 +54,8 @@ class StreamState:
         How often it lost a process, or hung, and went back to its last snapshot.
     interrupted : bool
         A signal ended it before its end.
+    length : int, optional
+        Frames it will have read at its end, as far as its source says.
     """
 
     name: str
@@ -69,11 +72,38 @@ class StreamState:
     line: int | None = None
     returns: int = 0
     interrupted: bool = False
+    length: int | None = None
 
     @property
     def queued(self) -> int:
         """Frames that were read and are neither committed nor lost."""
         return max(self.read - self.committed - self.dropped - self.quarantined, 0)
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Time until all is read at the recent rate, s; None if nobody knows."""
+        if self.length is None or not self.frames_per_second:
+            return None
+        return max(self.length - self.read, 0) / self.frames_per_second
+
+    @property
+    def waits_for(self) -> str | None:
+        """What a stream that is starting needs before its first frames are read."""
+        if self.state != "starting":
+            return None
+        return (
+            "its processes and its first frames"
+            if not self.returns
+            else "new processes and its last snapshot"
+        )
+
+    def figures(self) -> dict[str, Any]:
+        """All that is shown of the stream, by name."""
+        derived = {"queued": self.queued, "seconds_left": self.seconds_left, "waits_for": self.waits_for}
+        return {
+            key: round(value, 2) if isinstance(value, float) else value
+            for key, value in (asdict(self) | derived).items()
+        }
 
 
 def after_progress(state: StreamState, progress: StreamProgress, frames_per_second: float) -> StreamState:
@@ -92,6 +122,7 @@ def after_progress(state: StreamState, progress: StreamProgress, frames_per_seco
         frames_per_second=frames_per_second,
         latency_ms=sum(progress.stage_ms.values()) or state.latency_ms,
         error=None if error is None else mask(error),
+        length=progress.length,
     )
 
 
@@ -103,7 +134,8 @@ def after_end(state: StreamState, progress: StreamProgress) -> StreamState:
     if counted.error is not None:
         return replace(counted, state="partial")
     if counted.quarantined:
-        return replace(counted, state="partial", error=f"{counted.quarantined} frames could not be decoded.")
+        lost = count_of(counted.quarantined, "frame")
+        return replace(counted, state="partial", error=f"{lost} could not be decoded.")
     return replace(counted, state="done")
 
 
@@ -138,7 +170,7 @@ def after_interruption(state: StreamState, progress: StreamProgress | None) -> S
     """State of a running stream that was stopped by a signal, after it was drained to ``progress``."""
     counted = state if progress is None else after_progress(state, progress, 0.0)
     kept = "what was read is kept" if progress is not None else "what was committed is kept"
-    sentence = f"Interrupted after {counted.read} frames; {kept}."
+    sentence = f"Interrupted after {count_of(counted.read, 'frame')}; {kept}."
     return replace(
         counted, state="partial", layers=0, frames_per_second=0.0, error=sentence, interrupted=True
     )

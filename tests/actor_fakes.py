@@ -24,6 +24,7 @@ from mlbs_actors.actors.stream_protocol import (
     Snapshot,
     SourceFrame,
     SourceSilence,
+    SourceStatus,
     StreamProgress,
     StreamSink,
     StreamSpec,
@@ -313,7 +314,8 @@ class FakeReader:
         self.index += 1
         with (self.folder / "reads").open("a") as reads:
             reads.write(f"{t}\n")
-        return SourceFrame(t, image, t / 25, f"{t:05d}", "quarantined" if image is None else "ok")
+        status: SourceStatus = "quarantined" if image is None else "ok"
+        return SourceFrame(t, image, t / 25, f"{t:05d}", status, length=len(self.pictures))
 
     def close(self) -> None:
         (self.folder / "reader-closed").touch()

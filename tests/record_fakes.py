@@ -67,7 +67,7 @@ def write_stream(folder: Path, save: frozenset[str] = EVERYTHING) -> StreamState
         else:
             record.write(segmentation(index, 3, 5), frame(index))
     committed = record.close(whole=True)
-    error = "1 frames could not be decoded."
+    error = "1 frame could not be decoded."
     return StreamState(folder.name, "partial", read=40, committed=committed, quarantined=1, error=error)
 
 

@@ -66,7 +66,7 @@ def test_layers_born_dormant_and_retired_while_running_give_the_same_bytes_as_in
     pictures = crowd(30, most=5)
     [progress] = run_to_end(node.start(spec("crowd", FakeReader([*pictures], tmp_path))))
     assert rows(tmp_path) == rows_in_one_process(parts, pictures)
-    assert progress == StreamProgress(30, 30, 0, 0, 0, True, None, progress.stage_ms)
+    assert progress == StreamProgress(30, 30, 0, 0, 0, True, None, progress.stage_ms, length=30)
 
 
 def test_the_sink_gets_the_background_s_memory_of_just_the_frames_it_wants(
@@ -150,6 +150,7 @@ def test_a_stream_ends_after_its_most_frames(node: Node, tmp_path: Path) -> None
     reader = FakeReader([*crowd(30, 1)], tmp_path)
     [progress] = run_to_end(node.start(spec("most", reader, max_frames=7)))
     assert (progress.read, progress.committed, len(rows(tmp_path))) == (7, 7, 7)
+    assert progress.length == 7
     assert len((tmp_path / "reads").read_text().splitlines()) == 7
 
 

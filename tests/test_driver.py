@@ -429,7 +429,7 @@ def test_quarantined_frames_alone_make_a_stream_partial() -> None:
     end = StreamProgress(read=5, committed=4, quarantined=1, dropped=0, layers=1, done=True)
     state = after_end(StreamState("a", "running"), end)
     assert state.state == "partial"
-    assert "1 frames could not be decoded" in (state.error or "")
+    assert "1 frame could not be decoded" in (state.error or "")
 
 
 def test_a_failed_stream_keeps_its_counts() -> None:

@@ -33,7 +33,7 @@ HERE = MonitorAddress("127.0.0.1", 0)
 STATES = [
     StreamState("yard", "running", read=20, committed=8, layers=3, frames_per_second=4.25, latency_ms=312.4),
     StreamState("<b>", "failed", error="The file <is> gone."),
-    StreamState("late"),
+    StreamState("late", "starting"),
 ]
 
 
@@ -56,7 +56,14 @@ def url(board: Board, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 def progress(read: int) -> StreamProgress:
     return StreamProgress(
-        read=read, committed=8, quarantined=0, dropped=0, layers=2, done=False, stage_ms={"a": 300, "b": 12.4}
+        read=read,
+        committed=8,
+        quarantined=0,
+        dropped=0,
+        layers=2,
+        done=False,
+        stage_ms={"a": 300, "b": 12.4},
+        length=37,
     )
 
 
@@ -79,8 +86,10 @@ def test_the_status_tells_of_every_stream_what_it_does_and_what_waits(url: str) 
     assert (yard["state"], yard["read"], yard["committed"], yard["queued"]) == ("running", 20, 8, 12)
     assert (yard["frames_per_second"], yard["latency_ms"], yard["dropped"]) == (4.25, 312.4, 0)
     assert yard["layers_over_time"] == [[8, 2], [16, 2], [20, 2]]
+    assert (yard["length"], yard["seconds_left"]) == (37, 4.0)
+    assert (yard["waits_for"], late["waits_for"]) == (None, "its processes and its first frames")
     assert failed["error"] == "The file <is> gone."
-    assert (failed["picture"], late["picture"], late["state"]) == (None, None, "waiting")
+    assert (failed["picture"], late["picture"], late["state"]) == (None, None, "starting")
 
 
 def test_pictures_are_those_of_the_stream_at_that_place(url: str) -> None:
@@ -237,6 +246,8 @@ def test_a_browser_shows_every_stream_without_complaint(url: str) -> None:
     assert page.console == []
     for words in ('<h2 id="name-0">yard</h2>', "&lt;b&gt;", "The file &lt;is&gt; gone.", "312", "4.3"):
         assert words in page.document
-    assert "1 running, 1 failed, 1 waiting" in page.document
+    for words in ("20 of 37", "00:00:04", "waits for its processes and its first frames"):
+        assert words in page.document
+    assert "1 running, 1 failed, 1 starting" in page.document
     assert 'alt="Newest frame of yard with its objects outlined and numbered"' in page.document
     assert "Layers of yard over time: now 2, at most 2" in page.document

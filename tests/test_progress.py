@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 
 from rich.console import Console
 
@@ -58,6 +59,16 @@ def test_the_table_shows_frames_rate_layers_state_and_faults() -> None:
     )
     for text in ("yard", "running", "120", "96", "17.2", "4", "[red]x", "The file [b]is gone."):
         assert text in shown
+
+
+def test_the_table_shows_how_much_is_left_where_that_is_known_and_what_a_start_waits_for() -> None:
+    running = StreamState("yard", "running", read=120, frames_per_second=2.0, length=600)
+    shown = table([running, StreamState("gate", "starting"), StreamState("cam", "running", read=9)])
+    for text in ("120 of 600", "0:04:00", "waits for its processes"):
+        assert text in shown
+    assert "9 of" not in shown
+    done = replace(running, state="done", read=590, frames_per_second=0.0)
+    assert "of 600" not in table([done])  # the header was wrong, and the stream is whole
 
 
 def test_the_table_adds_up_what_all_streams_have_done() -> None:

@@ -125,6 +125,10 @@ def test_the_status_file_says_how_each_stream_stands(tmp_path: Path) -> None:
         "line": None,
         "returns": 0,
         "interrupted": False,
+        "length": None,
+        "queued": 0,
+        "seconds_left": None,
+        "waits_for": None,
     }
 
 

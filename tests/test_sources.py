@@ -69,6 +69,17 @@ def pictures() -> list[Array]:
     return [demo.frame(index) for index in range(40)]
 
 
+@pytest.mark.parametrize(("name", "codec"), [("a.mp4", "mpeg4"), ("a.mkv", "ffv1"), ("a.webm", "libvpx")])
+def test_a_video_tells_how_many_frames_it_has(
+    tmp_path: Path, pictures: list[Array], name: str, codec: str
+) -> None:
+    reader = opened(write_video(tmp_path / name, pictures, codec))
+    frame = reader.read()
+    assert isinstance(frame, SourceFrame)
+    assert frame.length == 40
+    reader.close()
+
+
 # Image folders and globs
 
 
@@ -373,6 +384,7 @@ def test_a_synthetic_scene_is_read_frame_by_frame() -> None:
     frames = read_all(opened("synthetic:demo?frames=3&seed=5&width=64&height=48"))
     expected = scene("demo", frames=3, seed=5, width=64, height=48)
     assert [frame.name for frame in frames] == ["00000", "00001", "00002"]
+    assert {frame.length for frame in frames} == {3}
     for frame in frames:
         np.testing.assert_array_equal(image_of(frame), expected.frame(frame.index))
 

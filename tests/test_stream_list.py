@@ -149,6 +149,16 @@ def test_all_bad_lines_are_named_at_once_also_when_they_are_many(tmp_path: Path)
     assert "22–32, 34" in message
 
 
+def test_a_list_with_bad_lines_tells_at_once_which_files_are_missing(tmp_path: Path) -> None:
+    (tmp_path / "there.mp4").write_text("there")
+    message = refusal(tmp_path, "there.mp4\nlost.mp4\nhttp://x/c\n")
+    bad, _, others = message.partition("Of the other lines")
+    assert "1 bad line;" in bad
+    assert "line 3:" in bad
+    assert "line 2: There is no file" in others
+    assert "line 1" not in message
+
+
 def test_a_name_that_comes_twice_is_refused_and_says_where_it_was(tmp_path: Path) -> None:
     message = refusal(tmp_path, "a/frames\nb/frames\n")
     assert "line 2:" in message

@@ -96,6 +96,7 @@ class CoordinatorActor:
         self._segmentations: dict[int, Reference] = {}  # of the newest frames, by the engine's frame index
         self._counts: Counter[SourceStatus] = Counter()
         self._silence: SourceSilence | None = None
+        self._length: int | None = None  # of the source, as that says
         self._problem: str | None = None
         self._stages = _StageTimes()
         self._ended: StreamProgress | MlbsError | None = None
@@ -154,6 +155,7 @@ class CoordinatorActor:
             if isinstance(frame, SourceSilence):
                 break
             self._counts[frame.status] += 1
+            self._length = frame.length
             self._waiting.append((reference, frame))
             if frame.image is None:
                 self._write_gaps()
@@ -281,6 +283,7 @@ class CoordinatorActor:
         return self._progress(done=True)
 
     def _progress(self, *, done: bool) -> StreamProgress:
+        lengths = [length for length in (self._length, self._spec.max_frames) if length is not None]
         return StreamProgress(
             read=self._read,
             committed=self._record.committed,
@@ -292,6 +295,7 @@ class CoordinatorActor:
             problem=self._problem,
             stage_ms=self._stages.take_means(),
             silence=self._silence,
+            length=min(lengths, default=None),
         )
 
     @property

@@ -74,6 +74,8 @@ class SourceFrame:
         (:meth:`StreamSink.gap`) in their place.
     original : (H', W', 3) uint8, optional
         The picture as it was before its reader shrunk it, for the record; None if ``image`` is that.
+    length : int, optional
+        How many frames the source says it has, for the user; None if it does not say. It may be wrong.
     """
 
     index: int
@@ -82,6 +84,7 @@ class SourceFrame:
     name: str
     status: SourceStatus = "ok"
     original: Array | None = None
+    length: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,6 +277,8 @@ class StreamProgress:
         Mean wall time by stage over the last burst, ms.
     silence : SourceSilence, optional
         What ended the burst early.
+    length : int, optional
+        What ``read`` will be at the end, as far as the source or :attr:`StreamSpec.max_frames` says.
     """
 
     read: int
@@ -286,6 +291,7 @@ class StreamProgress:
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     gaps: int = 0
     silence: SourceSilence | None = None
+    length: int | None = None
 
 
 class RunningStream(Protocol):

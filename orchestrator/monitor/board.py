@@ -6,7 +6,6 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +61,7 @@ class Board:
         -------
         dict
             ``seconds`` since the start; ``streams``, in the order of the list: those of ``status.json`` and
-            ``name``, ``queued``, ``picture`` (changes with the picture, null if there is none),
+            ``name``, ``picture`` (changes with the picture, null if there is none),
             ``layers_over_time`` (pairs of frames read and layers).
         """
         with self._lock:
@@ -70,9 +69,8 @@ class Board:
         return {
             "seconds": round(self._clock() - self._started, 1),
             "streams": [
-                asdict(state)
+                state.figures()
                 | {
-                    "queued": state.queued,
                     "picture": self._version(state.name),
                     "layers_over_time": past.get(state.name, []),
                 }

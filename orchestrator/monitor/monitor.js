@@ -2,6 +2,7 @@
 // Asks for the status once a second and writes into a card a stream what has changed.
 
 const SECOND = 1000;
+const ENDED = ["done", "partial", "failed"];
 const summary = document.getElementById("summary");
 const pause = document.getElementById("pause");
 const cards = [];
@@ -21,8 +22,16 @@ function card(number) {
   return cards[number];
 }
 
+function clock(seconds) {
+  const whole = Math.round(seconds);
+  const parts = [Math.floor(whole / 3600), Math.floor(whole / 60) % 60, whole % 60];
+  return parts.map((part) => String(part).padStart(2, "0")).join(":");
+}
+
 function shownNumber(stream, key) {
   const value = stream[key];
+  if (key === "read" && stream.length !== null && !ENDED.includes(stream.state)) return `${value} of ${stream.length}`;
+  if (key === "seconds_left") return value === null ? "–" : clock(value);
   if (key === "frames_per_second") return value ? value.toFixed(1) : "–";
   if (key === "latency_ms") return value ? value.toFixed(0) : "–";
   return String(value);
@@ -45,6 +54,9 @@ function show(stream, number) {
   element.dataset.state = stream.state;
   write(element.querySelector("h2"), stream.name);
   write(element.querySelector(".state"), stream.state);
+  const waits = element.querySelector(".waits");
+  waits.hidden = !stream.waits_for;
+  write(waits, stream.waits_for ? `waits for ${stream.waits_for}` : "");
   const error = element.querySelector(".error");
   error.hidden = !stream.error;
   write(error, stream.error || "");

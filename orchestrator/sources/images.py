@@ -74,7 +74,7 @@ class ImageSequenceReader:
         if image is None:
             self._undecodable.append(path.name)
         status: SourceStatus = "ok" if image is not None else "quarantined"
-        return SourceFrame(index, image, index / FRAME_RATE, path.stem, status)
+        return SourceFrame(index, image, index / FRAME_RATE, path.stem, status, length=len(self._paths))
 
     def close(self) -> None:
         """Nothing is held open."""

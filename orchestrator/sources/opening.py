@@ -45,7 +45,8 @@ class SceneReader:
         if self._next == len(self._scene):
             return None
         index, self._next = self._next, self._next + 1
-        return SourceFrame(index, self._scene.frame(index), index / FRAME_RATE, f"{index:05d}")
+        image, length = self._scene.frame(index), len(self._scene)
+        return SourceFrame(index, image, index / FRAME_RATE, f"{index:05d}", length=length)
 
     def close(self) -> None:
         """Nothing is held open."""

@@ -14,10 +14,11 @@ import av.error
 import av.logging
 from av.video.frame import VideoFrame
 
-from mlbs_actors.actors.stream_protocol import SourceFrame
+from mlbs_actors.actors.stream_protocol import SourceFrame, SourceStatus
 from mlbs_actors.errors import SourceError
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import open_video, reason, upright_bgr
+from orchestrator.wording import count_of
 
 __all__ = ["VideoReader"]
 
@@ -54,6 +55,7 @@ class VideoReader:
         self._container, self._stream = open_video(address, _TIMEOUT_S)
         rate = self._stream.average_rate
         self._frame_time = 1.0 / float(rate) if rate else 0.0
+        self._length = self._stated_length()
         self._frames = self._decode()
 
     @property
@@ -61,7 +63,7 @@ class VideoReader:
         """What was damaged or missing so far."""
         found: list[str] = []
         if self._broken_off is not None:
-            found.append(f"reading broke off after {self._count} frames ({self._broken_off})")
+            found.append(f"reading broke off after {count_of(self._count, 'frame')} ({self._broken_off})")
         declared = self._stream.frames
         counts_shown_frames = not self._container.format.name.startswith(_COUNTS_HIDDEN_FRAMES)
         if self._ended and counts_shown_frames and self._count < declared:
@@ -95,13 +97,21 @@ class VideoReader:
         self._corrupt_frames += frame.is_corrupt
         pts = self._pts(frame)
         image = upright_bgr(frame)
-        return SourceFrame(index, image, pts, f"{index:05d}", "ok" if image is not None else "quarantined")
+        status: SourceStatus = "ok" if image is not None else "quarantined"
+        return SourceFrame(index, image, pts, f"{index:05d}", status, length=self._length)
 
     def close(self) -> None:
         """Close the file or connection."""
         self._ended = True
         self._frames.close()
         self._container.close()
+
+    def _stated_length(self) -> int | None:
+        """How many frames the header counts, or has time for."""
+        length = self._stream.frames
+        if not length and self._frame_time:
+            length = round((self._container.duration or 0) / av.time_base / self._frame_time)
+        return length if length > 0 else None
 
     def _decode(self) -> Generator[VideoFrame, None, None]:
         try:
