@@ -37,6 +37,11 @@ output:
   DIR/NAME/cutouts/FRAME-ID.png  each object by itself; with --save cutouts
   DIR/NAME/commits.jsonl         what is safely written: nothing counts before its line here
 
+while it runs: a table on a terminal, else JSON lines on standard output; messages on standard error
+afterwards:
+  python -m orchestrator.export FORMAT DIR OUT   as coco, mots, davis, youtube-vos or rerun
+  python -m orchestrator.report DIR              report.html anew, also of a run that was killed
+
 exit status:
   0    every stream was segmented to its end
   1    a stream failed, or is partial (damaged or cut off; what could be read is kept)
