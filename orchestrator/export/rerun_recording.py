@@ -7,6 +7,7 @@ camera. The trajectories of single points, the motion fields and the posteriors 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -111,10 +112,9 @@ def _pictures(source: str) -> Iterator[SourceFrame]:
         address = parse_address(source, Path("/"))
         if address.kind not in (SourceKind.PATH, SourceKind.SYNTHETIC):
             return
-        reader = open_reader(address)
-        while isinstance(frame := reader.read(), SourceFrame):
-            yield frame
-        reader.close()
+        with closing(open_reader(address)) as reader:
+            while isinstance(frame := reader.read(), SourceFrame):
+                yield frame
     except (ConfigError, SourceError):
         return
 
