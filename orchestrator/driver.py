@@ -65,8 +65,8 @@ class Driver:
         In the order in which they start; names are unique.
     host : StreamHost
         Starts streams; is not closed here.
-    limit : int
-        Streams that may run at once.
+    limit : int or callable
+        Streams that may run at once; a callable is asked again and again.
     observers : sequence of Observer
     interruption : Interruption
         Looked at between events.
@@ -83,7 +83,7 @@ class Driver:
         specs: Sequence[StreamSpec],
         host: StreamHost,
         *,
-        limit: int,
+        limit: int | Callable[[], int],
         observers: Sequence[Observer],
         interruption: Interruption,
         ended: Mapping[str, StreamState] | None = None,
@@ -95,7 +95,7 @@ class Driver:
             ended or {}
         )
         self._host = host
-        self._limit = limit
+        self._limit = limit if callable(limit) else lambda: limit
         self._observers = observers
         self._interruption = interruption
         self._changes = changes
@@ -146,7 +146,7 @@ class Driver:
 
     def _admit(self) -> None:
         # One at a time: a stream that fails at once frees its place for the next.
-        while names := streams_to_start(self.states, self._limit - len(self._endings)):
+        while names := streams_to_start(self.states, self._limit() - len(self._endings)):
             self._set(replace(self._states[names[0]], state="starting"))
             self._start(names[0])
 

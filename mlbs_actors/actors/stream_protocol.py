@@ -237,6 +237,8 @@ class StreamSpec:
         The stream will not be started again: the death of its reader ends it with the frames before.
     snapshot_rows : int
         Rows of the record from one snapshot to the next.
+    path : Path, optional
+        The file or folder that ``open_reader`` reads; None for what every machine can reach.
     """
 
     name: str
@@ -250,6 +252,7 @@ class StreamSpec:
     replayable: bool = True
     last_try: bool = False
     snapshot_rows: int = 32
+    path: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
