@@ -7,6 +7,7 @@ a token that only this user can read, and has no dashboard. A cluster is joined 
 
 from __future__ import annotations
 
+import fcntl
 import io
 import logging
 import os
@@ -30,6 +31,7 @@ _CONNECT_SECONDS = 10.0
 
 # Ray's sockets must have short paths, and TMPDIR may be long.
 _SCRATCH_PARENT = Path("/tmp")
+_SCRATCH_PREFIX = "mlbs-ray-"
 
 
 @contextmanager
@@ -55,7 +57,8 @@ def ray_settings(address: str | None) -> Iterator[Path]:
     """
     if "ray" in sys.modules:
         raise RuntimeError("Ray is imported already and would ignore the settings; call ray_settings before.")
-    scratch = Path(tempfile.mkdtemp(prefix="mlbs-ray-", dir=_SCRATCH_PARENT))
+    _remove_abandoned()
+    scratch, own = _new_scratch()
     settings: dict[str, str | None] = {"RAY_ADDRESS": None}
     if address is None:
         token = scratch / "token"
@@ -72,6 +75,36 @@ def ray_settings(address: str | None) -> Iterator[Path]:
             yield scratch
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+        os.close(own)
+
+
+def _new_scratch() -> tuple[Path, int]:
+    """Make a folder that is this process's as long as the returned descriptor is open."""
+    while True:
+        scratch = Path(tempfile.mkdtemp(prefix=_SCRATCH_PREFIX, dir=_SCRATCH_PARENT))
+        own = os.open(scratch, os.O_RDONLY)
+        fcntl.flock(own, fcntl.LOCK_EX)
+        if scratch.exists():  # another run may have taken it for abandoned before it was locked
+            return scratch, own
+        os.close(own)
+
+
+def _remove_abandoned() -> None:
+    """Remove what killed runs of this user have left: the system frees the lock of whoever dies."""
+    for folder in _SCRATCH_PARENT.glob(f"{_SCRATCH_PREFIX}*"):
+        try:
+            if folder.stat().st_uid != os.getuid():
+                continue
+            held = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
+        except OSError:
+            continue
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(folder, ignore_errors=True)
+        except BlockingIOError:
+            continue
+        finally:
+            os.close(held)
 
 
 @contextmanager

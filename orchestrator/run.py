@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from orchestrator.command_line import Arguments
 from orchestrator.credentials import mask
 from orchestrator.driver import Driver, Observer, SpecChange
 from orchestrator.durable_files import replace_file
-from orchestrator.interruption import Interruption
+from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.list_watch import ListWatch
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.monitor.board import Board
@@ -34,7 +34,7 @@ from orchestrator.sinks.record import StreamRecord, ends_group, recorded_frames
 from orchestrator.sources.address import SourceKind
 from orchestrator.sources.opening import open_reader
 from orchestrator.stream_list import ListedStream
-from orchestrator.stream_state import StreamState, after_failure, with_record
+from orchestrator.stream_state import StreamState, after_failure, stopped, with_record
 from orchestrator.wording import count_of
 from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
@@ -82,30 +82,31 @@ def run(
     live = scratch / "live" if arguments.monitor else None
     job = _Job(streams, arguments, config, folder, live)
     limit = places(available_memory(), cores())
-    with ExitStack() as stack:
+    status = StatusFile(folder.path / "status.json")
+    with ExitStack() as hold, ExitStack() as session:  # the folder is held until its last file is written
         if arguments.resume:
             begun = folder.refuse_other(job.description)
-            stack.enter_context(folder.held())
+            hold.enter_context(folder.held())
             earlier = _not_to_be_resumed(folder, job.specs)
             _say(_words_on_resuming(begun, job.description, len(earlier)))
             ended |= earlier
         else:
             folder.refuse_if_used([stream.name for stream in streams])
         _say(f"Starting Ray; {count_of(len(streams) - len(ended), 'stream')}, up to {limit} at a time.")
-        boards = stack.enter_context(_monitored(arguments.monitor, live))
-        stack.enter_context(ray_session(arguments.address, scratch))
+        boards = session.enter_context(_monitored(arguments.monitor, live))
+        session.enter_context(ray_session(arguments.address, scratch))
         if not arguments.resume:
             folder.claim(job.description)
-            stack.enter_context(folder.held())
-        status = StatusFile(folder.path / "status.json")
+            hold.enter_context(folder.held())
         changes = job.changes if arguments.watch else None
-        states, exit_status = _drive(job, ended, changes, limit, [status, *boards], folder.path / "ray.log")
-    states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
-    try:
-        status.finish(states, exit_status)
-        replace_file(folder.path / "report.html", render_report(folder.path).encode())
-    except OSError as error:
-        raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
+        states, exit_status = _drive(job, ended, changes, limit, status, boards, folder.path / "ray.log")
+        session.close()
+        states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
+        try:
+            status.finish(states, exit_status)
+            replace_file(folder.path / "report.html", render_report(folder.path).encode())
+        except OSError as error:
+            raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
     _say(_closing_words(folder, states, arguments.save))
     return exit_status
 
@@ -197,7 +198,8 @@ def _drive(
     ended: Mapping[str, StreamState],
     changes: Callable[[], SpecChange | None] | None,
     limit: int,
-    observers: Sequence[Observer],
+    status: StatusFile,
+    boards: Sequence[Observer],
     ray_log: Path,
 ) -> tuple[tuple[StreamState, ...], int]:
     output = sys.stdout
@@ -210,12 +212,17 @@ def _drive(
                 job.specs,
                 node,
                 limit=limit,
-                observers=[*observers, progress],
+                observers=[status, *boards, progress],
                 interruption=interruption,
                 ended=ended,
                 changes=changes,
             )
-            exit_status = driver.run()
+            try:
+                exit_status = driver.run()
+            except StopAtOnce as stop:
+                with suppress(OSError):
+                    status.finish(stopped(driver.states), 128 + stop.signal_number)
+                raise
             node.close()
         finally:
             progress.close()

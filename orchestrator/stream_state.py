@@ -21,6 +21,7 @@ __all__ = [
     "after_progress",
     "after_removal",
     "exit_code",
+    "stopped",
     "with_record",
 ]
 
@@ -173,6 +174,14 @@ def after_interruption(state: StreamState, progress: StreamProgress | None) -> S
     sentence = f"Interrupted after {count_of(counted.read, 'frame')}; {kept}."
     return replace(
         counted, state="partial", layers=0, frames_per_second=0.0, error=sentence, interrupted=True
+    )
+
+
+def stopped(states: Iterable[StreamState]) -> tuple[StreamState, ...]:
+    """States of a run that is ended at once: nobody asks the streams at work any more."""
+    return tuple(
+        state if state.state in ENDED or state.state == "waiting" else after_interruption(state, None)
+        for state in states
     )
 
 

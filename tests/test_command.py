@@ -21,6 +21,7 @@ from camera_server import PASSWORD, camera, free_port, needs_rtsp_server
 from PIL import Image
 
 from mlbs_actors.errors import ConfigError
+from orchestrator import ray_session
 from orchestrator.command_line import SAVABLE, parse
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.ray_session import ray_settings
@@ -246,6 +247,35 @@ def test_settings_of_ray_hold_a_token_that_only_the_user_reads_and_are_undone(
         assert [path.stat().st_mode & 0o077 for path in (token, scratch)] == [0, 0]
     assert os.environ["RAY_ADDRESS"] == "elsewhere:1"
     assert not scratch.exists()
+
+
+def test_what_a_killed_run_has_left_is_removed_and_nothing_of_a_living_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = (
+        "import pathlib, sys, time, orchestrator.ray_session as r\n"
+        "r._SCRATCH_PARENT = pathlib.Path(sys.argv[1])\n"
+        "with r.ray_settings(None) as scratch: print(scratch, flush=True); time.sleep(60)"
+    )
+    begin = [sys.executable, "-c", code, str(tmp_path)]
+    (tmp_path / "mlbs-ray-file").touch()
+    (tmp_path / "others").mkdir()
+    with (
+        subprocess.Popen(begin, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True) as killed,
+        subprocess.Popen(begin, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True) as living,
+    ):
+        left, kept = (Path(run.stdout.readline().strip()) for run in (killed, living) if run.stdout)
+        killed.kill()
+        killed.wait()
+        assert (left / "token").exists()
+        monkeypatch.delitem(sys.modules, "ray", raising=False)
+        monkeypatch.setattr(ray_session, "_SCRATCH_PARENT", tmp_path)
+        with ray_settings(None) as scratch:
+            assert {path.name for path in tmp_path.iterdir()} == {
+                *("mlbs-ray-file", "others", kept.name, scratch.name)
+            }
+            assert (kept / "token").exists()
+        living.kill()
 
 
 # Whole runs

@@ -31,6 +31,7 @@ from orchestrator.stream_state import (
     after_progress,
     after_removal,
     exit_code,
+    stopped,
     with_record,
 )
 
@@ -442,6 +443,14 @@ def test_a_failed_stream_keeps_its_counts() -> None:
 def test_an_interrupted_stream_without_final_progress_keeps_its_counts() -> None:
     running = after_progress(StreamState("a"), progress(8), 3.0)
     assert after_interruption(running, None).committed == 8
+
+
+def test_a_run_that_is_ended_at_once_leaves_nothing_at_work_and_what_has_ended_as_it_is() -> None:
+    running = after_progress(StreamState("a"), progress(8), 3.0)
+    done, waiting = StreamState("b", "done"), StreamState("c")
+    left = stopped([running, done, waiting])
+    assert left[1:] == (done, waiting)
+    assert (left[0].state, left[0].interrupted, left[0].committed) == ("partial", True, 8)
 
 
 @pytest.mark.parametrize(

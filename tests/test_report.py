@@ -178,6 +178,15 @@ def test_the_report_can_be_read_without_seeing_it(run_folder: Path) -> None:
         assert attributes["aria-label"]
 
 
+def test_the_report_tells_how_often_a_stream_went_back(tmp_path: Path) -> None:
+    states = [StreamState(name, "done", returns=returns) for returns, name in enumerate("abc")]
+    write_run(tmp_path, states)
+    page = render_report(tmp_path)
+    assert page.count("went back to its last snapshot") == 2
+    assert "snapshot: 1 time." in page
+    assert "snapshot: 2 times." in page
+
+
 @pytest.mark.parametrize("save", [frozenset({"masks"}), frozenset({"parquet"})])
 def test_a_run_without_tables_or_pictures_has_a_report_that_says_so(
     tmp_path: Path, save: frozenset[str]
