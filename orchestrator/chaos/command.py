@@ -1,8 +1,9 @@
-"""``scripts/chaos``: brings the faults about, some seeds each, and prints which were held."""
+"""``scripts/chaos``: brings faults about and prints which were held; soaks; tells what recovery costs."""
 
 from __future__ import annotations
 
 import argparse
+import functools
 import sys
 import tempfile
 import zlib
@@ -11,44 +12,80 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator.chaos.faults import FAULTS, Fault, Place, undisturbed
+from mlbs_actors.errors import ConfigError, MlbsError
+from orchestrator.benchmark.plots import draw, require_matplotlib
+from orchestrator.chaos.faults import FAULTS
+from orchestrator.chaos.kills import KILLS
 from orchestrator.chaos.observed_run import NotHeldError
+from orchestrator.chaos.place import Fault, Place, undisturbed
+from orchestrator.chaos.soak import memory_plot, soak
+from orchestrator.ray_session import ray_settings
 
 __all__ = ["main"]
 
 #: Numbers of the quick faults that stand for the others.
 _FAST = ("1", "28")
 
+_DESCRIPTION = """\
+Bring faults about in real runs of the command, and tell which of them are survived.
+
+  faults   every fault of the list: a row each, the seeds that were held, the seconds until work went on
+  kills    every kind of process killed at every step, the command between any two steps of a commit
+  soak     long streams whose objects come and go: memory, processes and descriptors over time
+  cost     the rate with commits and snapshots beside that without, in turn
+"""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; 0 if every fault was held with every seed, 1 if not, 2 for wrong usage."""
+    """Run the command; 0 if everything was held, 1 if not, 2 for wrong usage."""
     arguments = _parser().parse_args(argv)
-    wanted = _FAST if arguments.fast else arguments.faults and arguments.faults.split(",")
-    faults = [fault for fault in FAULTS if not wanted or set(wanted) & set(fault.number.split())]
-    if not faults:
-        print(f"There is no such fault; choose from {', '.join(sorted(_numbers()))}.", file=sys.stderr)
+    try:
+        if arguments.plot:
+            require_matplotlib()
+        with tempfile.TemporaryDirectory(prefix="mlbs-chaos-") as scratch:
+            if arguments.what == "soak":
+                return _soak(arguments, Path(scratch))
+            if arguments.what == "cost":
+                return _cost(arguments)
+            return _bring_about(_chosen(arguments), arguments, Path(scratch))
+    except NotHeldError as error:
+        print(error, file=sys.stderr)
+        return 1
+    except MlbsError as error:
+        print(error, file=sys.stderr)
         return 2
+
+
+def _chosen(arguments: argparse.Namespace) -> list[Fault]:
+    all_ = KILLS if arguments.what == "kills" else FAULTS
+    wanted = _FAST if arguments.fast else arguments.faults and arguments.faults.split(",")
+    faults = [fault for fault in all_ if not wanted or set(wanted) & set(fault.number.split())]
+    words = arguments.only or ""
+    faults = [fault for fault in faults if words in fault.name]
+    if not faults:
+        numbers = sorted({number for fault in all_ for number in fault.number.split()}, key=int)
+        raise ConfigError(f"There is no such fault; choose from {', '.join(numbers)}.")
+    return faults
+
+
+def _bring_about(faults: Sequence[Fault], arguments: argparse.Namespace, scratch: Path) -> int:
     seeds = range(1 if arguments.fast else arguments.seeds)
     failures: list[str] = []
-    with tempfile.TemporaryDirectory(prefix="mlbs-chaos-") as scratch:
-        expected = undisturbed(Path(scratch) / "undisturbed")
-        print(f"{'fault':8} {'what':48} {'held':>6} {'back after':>12}", flush=True)
-        for position, fault in enumerate(faults):
-            seconds: list[float] = []
-            held = 0
-            for seed in seeds:
-                folder = Path(scratch) / f"{position}-{seed}"
-                place = Place(
-                    folder, expected, np.random.default_rng([zlib.crc32(fault.name.encode()), seed])
-                )
-                try:
-                    back = fault.bring_about(place)
-                except NotHeldError as error:
-                    failures.append(f"{fault.number} {fault.name}, seed {seed}: {error}")
-                else:
-                    held += 1
-                    seconds += [] if back is None else [back]
-            print(_row(fault, held, len(seeds), seconds), flush=True)
+    expected = functools.cache(lambda: undisturbed(scratch / "undisturbed"))
+    print(f"{'fault':8} {'what':56} {'held':>6} {'back after':>12}", flush=True)
+    for position, fault in enumerate(faults):
+        seconds: list[float] = []
+        held = 0
+        for seed in seeds:
+            random = np.random.default_rng([zlib.crc32(fault.name.encode()), seed])
+            try:
+                back = fault.bring_about(Place(scratch / f"{position}-{seed}", expected, random))
+            except NotHeldError as error:
+                failures.append(f"{fault.number} {fault.name}, seed {seed}: {error}")
+            else:
+                held += 1
+                seconds += [] if back is None else [back]
+        print(_row(fault, held, len(seeds), seconds), flush=True)
     for failure in failures:
         print(failure)
     return 1 if failures else 0
@@ -56,21 +93,47 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _row(fault: Fault, held: int, seeds: int, seconds: Sequence[float]) -> str:
     back = f"{min(seconds):.1f}–{max(seconds):.1f} s" if seconds else ""
-    return f"{fault.number:8} {fault.name:48} {f'{held}/{seeds}':>6} {back:>12}"
+    return f"{fault.number:8} {fault.name:56} {f'{held}/{seeds}':>6} {back:>12}"
 
 
-def _numbers() -> set[str]:
-    return {number for fault in FAULTS for number in fault.number.split()}
+def _soak(arguments: argparse.Namespace, scratch: Path) -> int:
+    figures = soak(arguments.streams, arguments.frames or 300, scratch / "soak")
+    print(figures.table())
+    if arguments.plot:
+        draw(memory_plot(figures.looks), arguments.plot)
+    return 0
+
+
+def _cost(arguments: argparse.Namespace) -> int:
+    with ray_settings(None) as scratch:
+        # Imported here, because it imports Ray, which reads its settings then.
+        from orchestrator.chaos.cost import measure_cost
+
+        print(measure_cost(arguments.pairs, arguments.frames or 144, scratch).table())
+    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="scripts/chaos",
-        description="Bring faults about in runs of the command, and print which are survived: a row a fault, "
-        "with the seeds that were held and the seconds until work went on.",
+        description=_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="seeds a fault (default: 3)")
-    parser.add_argument("--faults", metavar="NUMBERS", help="only these, with commas (default: all)")
-    parser.add_argument("--fast", action="store_true", help="a few quick ones, one seed")
+    add = parser.add_argument
+    add(
+        "what",
+        nargs="?",
+        choices=("faults", "kills", "soak", "cost"),
+        default="faults",
+        help=argparse.SUPPRESS,
+    )
+    add("--seeds", type=int, default=3, metavar="N", help="seeds a fault or kill (default: 3)")
+    add("--faults", metavar="NUMBERS", help="only these, with commas (default: all)")
+    add("--only", metavar="WORDS", help="only those with these words in their name")
+    add("--fast", action="store_true", help="a few quick ones, one seed")
+    add("--streams", type=int, default=2, metavar="N", help="streams of the soak (default: 2)")
+    add("--frames", type=int, metavar="N", help="frames of each stream (default: soak 300, cost 144)")
+    add("--plot", type=Path, metavar="PNG", help="draw the soak's memory over time there")
+    add("--pairs", type=int, default=3, metavar="N", help="pairs of runs for the cost (default: 3)")
     return parser

@@ -8,14 +8,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import pyarrow.parquet as pq
 
-from orchestrator.benchmark.process_costs import process_tree
+from orchestrator.benchmark.process_costs import Process, process_tree
+from orchestrator.chaos.planted import Plant
 from orchestrator.sinks.commit_log import read_commits
 
 __all__ = ["NotHeldError", "ObservedRun", "content", "expect"]
@@ -72,9 +73,20 @@ class ObservedRun:
     folder : Path
         Holds the list and the output.
     flags : str
+    plant : Plant, optional
+        Traps for its processes.
+    settings : mapping of str to str, optional
+        More of its environment.
     """
 
-    def __init__(self, lines: Sequence[str], folder: Path, *flags: str) -> None:
+    def __init__(
+        self,
+        lines: Sequence[str],
+        folder: Path,
+        *flags: str,
+        plant: Plant | None = None,
+        settings: Mapping[str, str] | None = None,
+    ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.output = folder / "out"
         (folder / "list.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -87,7 +99,10 @@ class ObservedRun:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
+            env=(os.environ if plant is None else plant.environment()) | dict(settings or {}),
         )
+        if plant is not None:
+            plant.tell_driver(self._process.pid)
 
     def __enter__(self) -> ObservedRun:
         return self
@@ -95,7 +110,7 @@ class ObservedRun:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.processes("")
+        self.tree()
         if self._process.poll() is None:
             self._process.kill()
         self._process.communicate()
@@ -111,11 +126,25 @@ class ObservedRun:
         streams: dict[str, dict[str, Any]] = status["streams"]
         return streams
 
-    def processes(self, title: str) -> list[int]:
-        """Living processes of the run whose title begins so, in the order of their ids."""
+    @property
+    def pid(self) -> int:
+        """Process id of the command."""
+        return self._process.pid
+
+    @property
+    def ended(self) -> bool:
+        """Whether the command has ended."""
+        return self._process.poll() is not None
+
+    def tree(self) -> dict[int, Process]:
+        """All living processes of the run."""
         tree = process_tree(self._process.pid)
         self._seen |= {pid: one.title for pid, one in tree.items() if pid != self._process.pid}
-        return sorted(pid for pid, one in tree.items() if one.title.startswith(title))
+        return tree
+
+    def processes(self, title: str) -> list[int]:
+        """Living processes of the run whose title begins so, in the order of their ids."""
+        return sorted(pid for pid, one in self.tree().items() if one.title.startswith(title))
 
     def wait(self, condition: Callable[[], bool], what: str, seconds: float = _RUN_SECONDS) -> None:
         """Wait for a condition; raises NotHeldError if it does not come about while the run lives."""
@@ -135,7 +164,7 @@ class ObservedRun:
 
     def signal_driver(self, number: signal.Signals) -> None:
         """Send a signal to the command itself."""
-        self.processes("")
+        self.tree()
         self._process.send_signal(number)
 
     def signal_actor(self, title: str, number: signal.Signals, choice: int = 0) -> None:
@@ -150,7 +179,7 @@ class ObservedRun:
 
     def end(self, *, killed: bool = False) -> tuple[int, str]:
         """Wait for the end of the run and of all its processes; return its exit status and standard error."""
-        self.processes("")
+        self.tree()
         try:
             _, words = self._process.communicate(timeout=_RUN_SECONDS)
         except subprocess.TimeoutExpired:
@@ -165,6 +194,10 @@ class ObservedRun:
         while self._left():
             expect(time.monotonic() < deadline, f"processes left after {seconds:.0f} s: {self._left()}")
             time.sleep(0.1)
+
+    def scratch_is_gone(self) -> bool:
+        """Whether nothing is left of the files of this run's Ray."""
+        return not [*Path("/tmp").glob(f"mlbs-ray-*/session_*_{self._process.pid}")]
 
     def _left(self) -> dict[int, str]:
         """Processes of the run that still live; a number may belong to another process by now."""
