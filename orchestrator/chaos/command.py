@@ -8,6 +8,7 @@ import sys
 import tempfile
 import zlib
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -70,30 +71,48 @@ def _chosen(arguments: argparse.Namespace) -> list[Fault]:
 
 def _bring_about(faults: Sequence[Fault], arguments: argparse.Namespace, scratch: Path) -> int:
     seeds = range(1 if arguments.fast else arguments.seeds)
-    failures: list[str] = []
     expected = functools.cache(lambda: undisturbed(scratch / "undisturbed"))
+    places = [
+        Place(
+            scratch / f"{position}-{seed}",
+            expected,
+            np.random.default_rng([zlib.crc32(fault.name.encode()), seed]),
+        )
+        for position, fault in enumerate(faults)
+        for seed in seeds
+    ]
+    each = [fault for fault in faults for _ in seeds]
+    failures: list[str] = []
     print(f"{'fault':8} {'what':56} {'held':>6} {'back after':>12}", flush=True)
-    for position, fault in enumerate(faults):
-        seconds: list[float] = []
-        held = 0
-        for seed in seeds:
-            random = np.random.default_rng([zlib.crc32(fault.name.encode()), seed])
-            try:
-                back = fault.bring_about(Place(scratch / f"{position}-{seed}", expected, random))
-            except NotHeldError as error:
-                failures.append(f"{fault.number} {fault.name}, seed {seed}: {error}")
-            else:
-                held += 1
-                seconds += [] if back is None else [back]
-        print(_row(fault, held, len(seeds), seconds), flush=True)
+    with ThreadPoolExecutor(arguments.jobs) as pool:
+        if arguments.jobs > 1:
+            expected()  # once, and not by two at once
+        outcomes = map(_outcome, each, places) if arguments.jobs == 1 else pool.map(_outcome, each, places)
+        for fault in faults:
+            of_seeds = [next(outcomes) for _ in seeds]
+            failures += [
+                f"{fault.number} {fault.name}, seed {seed}: {outcome}"
+                for seed, outcome in zip(seeds, of_seeds, strict=True)
+                if isinstance(outcome, NotHeldError)
+            ]
+            print(_row(fault, of_seeds), flush=True)
     for failure in failures:
         print(failure)
     return 1 if failures else 0
 
 
-def _row(fault: Fault, held: int, seeds: int, seconds: Sequence[float]) -> str:
+def _outcome(fault: Fault, place: Place) -> float | NotHeldError | None:
+    try:
+        return fault.bring_about(place)
+    except NotHeldError as error:
+        return error
+
+
+def _row(fault: Fault, outcomes: Sequence[float | NotHeldError | None]) -> str:
+    held = sum(not isinstance(outcome, NotHeldError) for outcome in outcomes)
+    seconds = [outcome for outcome in outcomes if isinstance(outcome, float)]
     back = f"{min(seconds):.1f}–{max(seconds):.1f} s" if seconds else ""
-    return f"{fault.number:8} {fault.name:56} {f'{held}/{seeds}':>6} {back:>12}"
+    return f"{fault.number:8} {fault.name:56} {f'{held}/{len(outcomes)}':>6} {back:>12}"
 
 
 def _soak(arguments: argparse.Namespace, scratch: Path) -> int:
@@ -131,6 +150,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--seeds", type=int, default=3, metavar="N", help="seeds a fault or kill (default: 3)")
     add("--faults", metavar="NUMBERS", help="only these, with commas (default: all)")
     add("--only", metavar="WORDS", help="only those with these words in their name")
+    add("--jobs", type=int, default=1, metavar="N", help="runs at once, which makes them slower (default: 1)")
     add("--fast", action="store_true", help="a few quick ones, one seed")
     add("--streams", type=int, default=2, metavar="N", help="streams of the soak (default: 2)")
     add("--frames", type=int, metavar="N", help="frames of each stream (default: soak 300, cost 144)")
