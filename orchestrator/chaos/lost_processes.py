@@ -43,11 +43,10 @@ def _brought_back(place: Place, trap: Trap) -> float:
         return seconds
 
 
-def resumed(place: Place, damage: Callable[[Path], None] = lambda output: None) -> float:
+def resumed(place: Place) -> float:
     """Resume the run whose driver was just killed; expect that nothing is different."""
     started = time.monotonic()
     with ObservedRun(LINES, place.folder, "--resume") as run:
-        damage(run.output)
         run.wait(lambda: states_of(run) <= {"running", "done"}, "the resumed run at work")
         seconds = time.monotonic() - started
         expect_end(run, 0)
@@ -144,7 +143,8 @@ def _driver_killed_and_files_damaged(place: Place) -> float:
         run.signal_driver(signal.SIGKILL)
         run.end(killed=True)
         run.expect_clean()  # or its processes would write among what is damaged
-        return resumed(place, _damage_files)
+        _damage_files(run.output)
+        return resumed(place)
 
 
 def _damage_files(output: Path) -> None:
