@@ -83,7 +83,7 @@ def test_the_table_says_which_seeds_were_held_and_why_not(
     rows = capsys.readouterr().out.splitlines()
     assert rows[1].split()[:3] == ["1", "one", "3/3"]
     assert rows[2].split() == ["2", "3", "two", "2/3"]
-    assert rows[3] == "2 3 two, seed 1: a frame is missing"
+    assert rows[3].strip() == "seed 1: a frame is missing"
     assert command.main(["--faults", "1,9"]) == 0
     assert command.main(["--faults", "9"]) == 2
 

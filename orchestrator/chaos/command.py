@@ -7,9 +7,11 @@ import functools
 import sys
 import tempfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -82,23 +84,33 @@ def _bring_about(faults: Sequence[Fault], arguments: argparse.Namespace, scratch
         for seed in seeds
     ]
     each = [fault for fault in faults for _ in seeds]
-    failures: list[str] = []
+    held = True
     print(f"{'fault':8} {'what':56} {'held':>6} {'back after':>12}", flush=True)
-    with ThreadPoolExecutor(arguments.jobs) as pool:
+    with _mapping(arguments.jobs) as map_:
         if arguments.jobs > 1:
             expected()  # once, and not by two at once
-        outcomes = map(_outcome, each, places) if arguments.jobs == 1 else pool.map(_outcome, each, places)
+        outcomes = iter(map_(_outcome, each, places))
         for fault in faults:
             of_seeds = [next(outcomes) for _ in seeds]
-            failures += [
-                f"{fault.number} {fault.name}, seed {seed}: {outcome}"
-                for seed, outcome in zip(seeds, of_seeds, strict=True)
-                if isinstance(outcome, NotHeldError)
-            ]
             print(_row(fault, of_seeds), flush=True)
-    for failure in failures:
-        print(failure)
-    return 1 if failures else 0
+            for seed, outcome in zip(seeds, of_seeds, strict=True):
+                if isinstance(outcome, NotHeldError):
+                    held = False
+                    print(f"{'':8} seed {seed}: {outcome}", flush=True)
+    return 0 if held else 1
+
+
+@contextmanager
+def _mapping(jobs: int) -> Iterator[Callable[..., Iterable[Any]]]:
+    """``map``, of so many calls at once; an exception ends it without those that have not begun."""
+    if jobs == 1:
+        yield map
+        return
+    pool = ThreadPoolExecutor(jobs)
+    try:
+        yield pool.map
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _outcome(fault: Fault, place: Place) -> float | NotHeldError | None:
@@ -106,6 +118,8 @@ def _outcome(fault: Fault, place: Place) -> float | NotHeldError | None:
         return fault.bring_about(place)
     except NotHeldError as error:
         return error
+    except Exception as error:  # such as a missing file; the rest of the table is wanted all the same
+        return NotHeldError(f"{type(error).__name__}: {error}")
 
 
 def _row(fault: Fault, outcomes: Sequence[float | NotHeldError | None]) -> str:
