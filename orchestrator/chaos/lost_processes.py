@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from orchestrator.chaos.damaged_sources import write_video
@@ -43,14 +43,14 @@ def _brought_back(place: Place, trap: Trap) -> float:
         return seconds
 
 
-def resumed(place: Place) -> float:
+def resumed(place: Place, lines: Sequence[str] = LINES) -> float:
     """Resume the run whose driver was just killed; expect that nothing is different."""
     started = time.monotonic()
-    with ObservedRun(LINES, place.folder, "--resume") as run:
+    with ObservedRun(lines, place.folder, "--resume") as run:
         run.wait(lambda: states_of(run) <= {"running", "done"}, "the resumed run at work")
         seconds = time.monotonic() - started
         expect_end(run, 0)
-        expect_identical(place, run)
+        expect_identical(place, run, *(line.split()[0] for line in lines))
         return seconds
 
 
@@ -125,14 +125,14 @@ def _decoding_aborts(place: Place) -> None:
             expect(run.status()[name]["returns"] == 0, f"{name} was disturbed")
 
 
-def driver_killed(place: Place) -> float:
+def driver_killed(place: Place, lines: Sequence[str] = LINES) -> float:
     """Kill the command at any time, and resume the run at once."""
-    with ObservedRun(LINES, place.folder) as run:
+    with ObservedRun(lines, place.folder) as run:
         run.wait_for_frames("victim", int(place.random.integers(1, FRAMES - 8)))
         time.sleep(place.random.uniform(0, 0.5))
         run.signal_driver(signal.SIGKILL)
         run.end(killed=True)
-        seconds = resumed(place)
+        seconds = resumed(place, lines)
         run.expect_clean()
         return seconds
 
