@@ -69,7 +69,7 @@ def test_content_leaves_times_out_and_refuses_what_is_not_complete(tmp_path: Pat
 
 
 def test_the_table_says_which_seeds_were_held_and_why_not(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     def held(place: Place) -> float:
         return float(place.random.uniform(1, 2))
@@ -79,13 +79,13 @@ def test_the_table_says_which_seeds_were_held_and_why_not(
             raise NotHeldError("a frame is missing")
 
     monkeypatch.setattr(command, "FAULTS", (Fault("1", "one", held), Fault("2 3", "two", not_always)))
-    assert command.main([]) == 1
+    assert command.main([], tmp_path) == 1
     rows = capsys.readouterr().out.splitlines()
     assert rows[1].split()[:3] == ["1", "one", "3/3"]
     assert rows[2].split() == ["2", "3", "two", "2/3"]
     assert rows[3].strip() == "seed 1: a frame is missing"
-    assert command.main(["--faults", "1,9"]) == 0
-    assert command.main(["--faults", "9"]) == 2
+    assert command.main(["--faults", "1,9"], tmp_path) == 0
+    assert command.main(["--faults", "9"], tmp_path) == 2
 
 
 def test_every_fault_of_the_list_is_brought_about() -> None:
@@ -225,18 +225,18 @@ def test_growth_is_told_over_stretches_with_the_same_streams_at_work() -> None:
 # Real runs
 
 
-def test_a_hostile_list_is_refused() -> None:
-    assert command.main(["--faults", "28", "--seeds", "1"]) == 0
+def test_a_hostile_list_is_refused(tmp_path: Path) -> None:
+    assert command.main(["--faults", "28", "--seeds", "1"], tmp_path) == 0
 
 
 @pytest.mark.long
 @pytest.mark.ray
 @pytest.mark.parametrize("words", [["--fast"], ["--faults", "19", "--seeds", "1"]])
-def test_a_run_survives_faults(words: list[str]) -> None:
-    assert command.main(words) == 0
+def test_a_run_survives_faults(words: list[str], tmp_path: Path) -> None:
+    assert command.main(words, tmp_path) == 0
 
 
 @pytest.mark.long
 @pytest.mark.ray
-def test_a_node_of_a_cluster_may_go() -> None:
-    assert command.main(["--faults", "18", "--seeds", "1"]) == 0
+def test_a_node_of_a_cluster_may_go(tmp_path: Path) -> None:
+    assert command.main(["--faults", "18", "--seeds", "1"], tmp_path) == 0

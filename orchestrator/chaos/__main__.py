@@ -3,7 +3,7 @@
 import signal
 import sys
 
-from orchestrator.chaos.command import main
+from orchestrator.ray_session import ray_settings
 
 
 def _exit(number: int, frame: object) -> None:
@@ -12,4 +12,8 @@ def _exit(number: int, frame: object) -> None:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, _exit)  # unwinds, so that a run that is under way is ended too
-    sys.exit(main())
+    with ray_settings(None) as scratch:
+        # Imported here, because it imports Ray, which reads its settings then.
+        from orchestrator.chaos.command import main
+
+        sys.exit(main(None, scratch))

@@ -17,12 +17,12 @@ import numpy as np
 
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.benchmark.plots import draw, require_matplotlib
+from orchestrator.chaos.cost import measure_cost
 from orchestrator.chaos.faults import FAULTS
 from orchestrator.chaos.kills import KILLS
 from orchestrator.chaos.observed_run import NotHeldError
 from orchestrator.chaos.place import Fault, Place, undisturbed
 from orchestrator.chaos.soak import memory_plot, soak
-from orchestrator.ray_session import ray_settings
 
 __all__ = ["main"]
 
@@ -39,8 +39,21 @@ Bring faults about in real runs of the command, and tell which of them are survi
 """
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; 0 if everything was held, 1 if not, 2 for wrong usage."""
+def main(argv: Sequence[str] | None, ray_scratch: Path) -> int:
+    """Run the command.
+
+    Parameters
+    ----------
+    argv : sequence of str or None
+        Without the program's name; None: those of this process.
+    ray_scratch : Path
+        From :func:`orchestrator.ray_session.ray_settings`.
+
+    Returns
+    -------
+    int
+        0: everything was held; 1: something was not; 2: wrong usage.
+    """
     arguments = _parser().parse_args(argv)
     try:
         if arguments.plot:
@@ -49,7 +62,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             if arguments.what == "soak":
                 return _soak(arguments, Path(scratch))
             if arguments.what == "cost":
-                return _cost(arguments)
+                print(measure_cost(arguments.pairs, arguments.frames or 144, ray_scratch).table())
+                return 0
             return _bring_about(_chosen(arguments), arguments, Path(scratch))
     except NotHeldError as error:
         print(error, file=sys.stderr)
@@ -137,15 +151,6 @@ def _soak(arguments: argparse.Namespace, scratch: Path) -> int:
     return 0
 
 
-def _cost(arguments: argparse.Namespace) -> int:
-    with ray_settings(None) as scratch:
-        # Imported here, because it imports Ray, which reads its settings then.
-        from orchestrator.chaos.cost import measure_cost
-
-        print(measure_cost(arguments.pairs, arguments.frames or 144, scratch).table())
-    return 0
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="scripts/chaos",
@@ -159,7 +164,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs="?",
         choices=("faults", "kills", "soak", "cost"),
         default="faults",
-        help=argparse.SUPPRESS,
+        help="what to do (default: faults)",
     )
     add("--seeds", type=int, default=3, metavar="N", help="seeds a fault or kill (default: 3)")
     add("--faults", metavar="NUMBERS", help="only these, with commas (default: all)")
