@@ -73,8 +73,8 @@ def _run_dies(function: str, when: When, calls: int, place: Place) -> float:
     trap = Trap(function, "kill driver", call, when, process="ray::SinkActor")
     plant = Plant(place.folder / "plant", [trap])
     with ObservedRun(_LINES, place.folder, plant=plant) as run:
-        run.end(killed=True)
-        expect(plant.sprung > 0, "the run ended before the kill")
+        status, words = run.end(killed=True)
+        expect(plant.sprung > 0, f"the run ended before the kill, with status {status}: {words}")
         seconds = resumed(place, _LINES)
         run.expect_clean()
         return seconds
