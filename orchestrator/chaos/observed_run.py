@@ -91,6 +91,7 @@ class ObservedRun:
         self.output = folder / "out"
         (folder / "list.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
         self._seen: dict[int, str] = {}
+        self._found = self._status_text()  # of the run that this one goes on with
         self._process = subprocess.Popen(
             [
                 *(sys.executable, "-m", "orchestrator", "--streams", str(folder / "list.txt")),
@@ -118,13 +119,16 @@ class ObservedRun:
             _signal(pid, signal.SIGKILL)
 
     def status(self) -> dict[str, dict[str, Any]]:
-        """Streams of ``status.json``, none before it is there."""
-        try:
-            status = json.loads((self.output / "status.json").read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            return {}
-        streams: dict[str, dict[str, Any]] = status["streams"]
+        """Streams of ``status.json``, none before this run has written it."""
+        text = self._status_text()
+        streams: dict[str, dict[str, Any]] = {} if text == self._found else json.loads(text)["streams"]
         return streams
+
+    def _status_text(self) -> str:
+        try:
+            return (self.output / "status.json").read_text(encoding="utf-8")
+        except FileNotFoundError:
+            return ""
 
     @property
     def pid(self) -> int:
