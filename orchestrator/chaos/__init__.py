@@ -1,1 +1,1 @@
-"""Injects faults into real runs of the command, and tells which of them it survives."""
+"""Brings faults about in real runs of the command, and tells which of them it survives."""
