@@ -35,7 +35,7 @@ Bring faults about in real runs of the command, and tell which of them are survi
   faults   every fault of the list: a row each, the seeds that were held, the seconds until work went on
   kills    every kind of process killed at every step, the command between any two steps of a commit
   soak     long streams whose objects come and go: memory, processes and descriptors over time
-  cost     the rate with commits and snapshots beside that without, in turn
+  cost     the rate with masks, tables, commits and snapshots beside that with nothing kept, in turn
 """
 
 
