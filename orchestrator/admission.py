@@ -11,9 +11,10 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from mlbs_actors.errors import ConfigError
 from orchestrator.stream_state import ENDED, StreamState
 
-__all__ = ["STREAM_BYTES", "available_memory", "cores", "places", "streams_to_start"]
+__all__ = ["STREAM_BYTES", "available_memory", "cores", "places", "places_here", "streams_to_start"]
 
 #: Private memory of a stream of three layers at 640×480: reader, coordinator, segmenter and layers, bytes.
 STREAM_BYTES = 1_200 * 2**20
@@ -41,6 +42,21 @@ def places(memory_bytes: int, core_count: int) -> int:
     """
     by_memory = (memory_bytes - _RESERVED_BYTES) // STREAM_BYTES
     return max(1, min(by_memory, core_count * _STREAMS_A_CORE))
+
+
+def places_here(folder: Path) -> int:
+    """How many streams this machine, a node of a cluster, can hold if it sees the run's folder.
+
+    Raises
+    ------
+    ConfigError
+        If it does not.
+    """
+    if not (folder / "run.json").exists():
+        raise ConfigError(
+            f"the output folder {folder} is not there; put it on a file system that all nodes share"
+        )
+    return places(available_memory(), cores())
 
 
 def streams_to_start(states: Sequence[StreamState], limit: int) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
@@ -10,11 +11,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mlbs_actors.actors import Node
+from mlbs_actors.actors import Cluster, Node
 from mlbs_actors.actors.stream_protocol import FrameReader, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import SinkError
-from orchestrator.admission import available_memory, cores, places
+from orchestrator.admission import available_memory, cores, places, places_here
 from orchestrator.command_line import Arguments
 from orchestrator.credentials import mask
 from orchestrator.driver import Driver, Observer, SpecChange
@@ -79,7 +80,8 @@ def run(
         stream.name: after_failure(StreamState(stream.name, line=stream.line), missing[stream.name])
         for stream in sourceless
     }
-    live = scratch / "live" if arguments.monitor else None
+    # On a cluster the pictures come from other machines, by way of the folder that all of them share.
+    live = None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
     job = _Job(streams, arguments, config, folder, live)
     limit = places(available_memory(), cores())
     status = StatusFile(folder.path / "status.json")
@@ -92,14 +94,18 @@ def run(
             ended |= earlier
         else:
             folder.refuse_if_used([stream.name for stream in streams])
-        _say(f"Starting Ray; {count_of(len(streams) - len(ended), 'stream')}, up to {limit} at a time.")
+        count = count_of(len(streams) - len(ended), "stream")
+        if arguments.address is None:
+            _say(f"Starting Ray; {count}, up to {limit} at a time.")
+        else:
+            _say(f"Joining Ray at {arguments.address}; {count}.")
         boards = session.enter_context(_monitored(arguments.monitor, live))
         session.enter_context(ray_session(arguments.address, scratch))
         if not arguments.resume:
             folder.claim(job.description)
             hold.enter_context(folder.held())
         changes = job.changes if arguments.watch else None
-        states, exit_status = _drive(job, ended, changes, limit, status, boards, folder.path / "ray.log")
+        states, exit_status = _drive(job, ended, changes, limit, status, boards, folder, arguments.address)
         session.close()
         states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
         try:
@@ -119,9 +125,12 @@ def _monitored(address: MonitorAddress | None, live: Path | None) -> Iterator[li
         return
     board = Board(live)
     with serving(address, board) as url:
-        live.mkdir()
+        live.mkdir(parents=True, exist_ok=True)
         _say(f"Look on at {url}")
-        yield [board]
+        try:
+            yield [board]
+        finally:
+            shutil.rmtree(live, ignore_errors=True)
 
 
 class _Job:
@@ -190,6 +199,7 @@ class _Job:
             source=str(stream.source),
             line=stream.line,
             replayable=stream.source.kind in (SourceKind.PATH, SourceKind.SYNTHETIC),
+            path=stream.source.path,
         )
 
 
@@ -200,18 +210,26 @@ def _drive(
     limit: int,
     status: StatusFile,
     boards: Sequence[Observer],
-    ray_log: Path,
+    folder: RunFolder,
+    address: str | None,
 ) -> tuple[tuple[StreamState, ...], int]:
     output = sys.stdout
     # Ray prints its own warnings; standard output belongs to the progress.
-    with ray_log.open("a", encoding="utf-8") as log, redirect_stdout(log), Interruption() as interruption:
+    ray_log = (folder.path / "ray.log").open("a", encoding="utf-8")
+    with ray_log as log, redirect_stdout(log), Interruption() as interruption:
         progress = progress_for(output)
         try:
-            node = Node()
+            host: Node | Cluster
+            most: int | Callable[[], int] = limit
+            if address is None:
+                host = Node()
+            else:
+                host = Cluster(partial(places_here, folder.path), _say)
+                most = host.places
             driver = Driver(
                 job.specs,
-                node,
-                limit=limit,
+                host,
+                limit=most,
                 observers=[status, *boards, progress],
                 interruption=interruption,
                 ended=ended,
@@ -223,7 +241,7 @@ def _drive(
                 with suppress(OSError):
                     status.finish(stopped(driver.states), 128 + stop.signal_number)
                 raise
-            node.close()
+            host.close()
         finally:
             progress.close()
     return driver.states, exit_status

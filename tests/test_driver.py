@@ -15,9 +15,16 @@ import pytest
 
 from mlbs_actors.actors.stream_protocol import RunningStream, SourceSilence, StreamProgress, StreamSpec
 from mlbs_actors.config import Config
-from mlbs_actors.errors import ActorLostError, SourceError
+from mlbs_actors.errors import ActorLostError, ConfigError, SourceError
 from orchestrator import driver as driver_module
-from orchestrator.admission import STREAM_BYTES, available_memory, cores, places, streams_to_start
+from orchestrator.admission import (
+    STREAM_BYTES,
+    available_memory,
+    cores,
+    places,
+    places_here,
+    streams_to_start,
+)
 from orchestrator.driver import Driver, SpecChange
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.recovery import MOST_RETURNS
@@ -572,3 +579,24 @@ def test_a_camera_that_is_silent_or_away_is_told_until_it_is_back() -> None:
     assert (state.state, state.error) == ("starting", None)
     state = after_progress(state, replace(progress(8), dropped=2, gaps=1), 4.0)
     assert (state.state, state.error, state.dropped, state.gaps) == ("running", None, 2, 1)
+
+
+def test_a_node_that_does_not_see_the_output_folder_takes_no_stream(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="put it on a file system that all nodes share"):
+        places_here(tmp_path)
+    (tmp_path / "run.json").touch()
+    assert places_here(tmp_path) >= 1
+
+
+def test_the_limit_can_grow_while_streams_run() -> None:
+    limits = iter([1] * 3)
+    host = FakeHost({name: FakeStream(8) for name in "abc"})
+    driver = Driver(
+        [spec(name) for name in "abc"],
+        host,
+        limit=lambda: next(limits, 3),
+        observers=[],
+        interruption=Interruption(),
+    )
+    assert driver.run() == 0
+    assert [state.state for state in driver.states] == ["done"] * 3

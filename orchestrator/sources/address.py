@@ -54,6 +54,16 @@ class SourceAddress:
     def __str__(self) -> str:
         return mask(self.location)
 
+    @property
+    def path(self) -> Path | None:
+        """What it reads on one machine: a file, a device, or the folder that a glob begins with."""
+        if self.kind not in (SourceKind.PATH, SourceKind.CAMERA):
+            return None
+        path = Path(self.location)
+        while has_wildcards(str(path)):
+            path = path.parent
+        return path
+
 
 def parse_address(text: str, folder: Path) -> SourceAddress:
     """Check one address.
