@@ -69,6 +69,9 @@ def ray_settings(address: str | None) -> Iterator[Path]:
             "RAY_AUTH_TOKEN": None,
             "RAY_AUTH_TOKEN_PATH": str(token),
             "RAY_USAGE_STATS_ENABLED": "0",
+            # What is told of every call, for a dashboard that is not there, costs some per cent of it.
+            "RAY_task_events_report_interval_ms": "0",
+            "RAY_event_stats": "0",
         }
     try:
         with _environment(settings):
