@@ -8,7 +8,7 @@ import pytest
 
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig
 from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray, sample_flow
-from mlbs_actors.messages import Array
+from mlbs_actors.messages import Array, Region
 
 CONFIG = FlowConfig()
 CHECKS = TrajectoriesConfig()
@@ -52,6 +52,22 @@ def test_flow_on_a_shrunk_frame_is_stated_in_full_size_px() -> None:
     assert flow.step == (3.0, 2.0)
     inner = np.s_[12:-12, 12:-12]
     np.testing.assert_allclose(np.median(flow.forward[inner], axis=(0, 1)), [-6, 4], atol=0.2)
+
+
+def test_inside_a_box_of_the_focus_the_flow_is_nearly_the_finest_and_outside_it_is_the_next_coarser() -> None:
+    first, second, _ = covered_scene()
+    box = Region(24, 16, 72, 64)
+    finest = dense_flow(first, second, first.shape, CONFIG, CHECKS)
+    found = dense_flow(first, second, first.shape, CONFIG, CHECKS, [box])
+    coarser = dense_flow(first, second, first.shape, CONFIG, CHECKS, [])
+    inner = np.s_[24:72, 32:88]  # away from the box's own border
+    missed = np.hypot(*np.moveaxis(found.backward - finest.backward, 2, 0))[inner]
+    missed_without = np.hypot(*np.moveaxis(coarser.backward - finest.backward, 2, 0))[inner]
+    assert np.median(missed) < 0.05
+    assert missed.mean() < 0.5 * missed_without.mean()
+    outside = np.ones(first.shape, bool)
+    outside[box.slices] = False
+    np.testing.assert_array_equal(found.backward[outside], coarser.backward[outside])
 
 
 def test_equal_frames_give_equal_bytes() -> None:
