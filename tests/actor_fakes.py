@@ -10,6 +10,7 @@ import os
 import time
 import zlib
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -251,6 +252,8 @@ class FakeParts:
         How often parts die where frames say so.
     hang : bool
         They hang instead.
+    hanging_starts : int
+        So many layer processes hang at their start, the first ones.
     """
 
     folder: Path
@@ -258,6 +261,7 @@ class FakeParts:
     slow_seconds: float = 0.0
     deaths: int = 1_000_000
     hang: bool = False
+    hanging_starts: int = 0
 
     def coordinator(self, config: Config) -> CoordinatorPart:
         self._note()
@@ -274,6 +278,10 @@ class FakeParts:
         self._note()
         if self.cannot_start:
             raise MemoryError("no memory left for a layer")
+        for number in range(self.hanging_starts):
+            with suppress(FileExistsError):
+                (self.folder / f"hangs-{number}").touch(exist_ok=False)
+                time.sleep(1_000)
 
     def processes(self) -> set[int]:
         return {int(note.name.removeprefix("pid-")) for note in self.folder.glob("pid-*")}

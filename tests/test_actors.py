@@ -232,6 +232,18 @@ def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
     node.close()
 
 
+def test_a_layer_process_that_hangs_at_its_start_is_replaced(
+    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+) -> None:
+    hanging = FakeParts(parts.folder, hanging_starts=1)
+    node = Node(parts=hanging, policy=PoolPolicy(spare=0, start_seconds=8.0))
+    pictures = crowd(9, 1)
+    [progress] = run_to_end(node.start(spec("slow", FakeReader([*pictures], tmp_path))))
+    assert progress.committed == 9
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+    node.close()
+
+
 def test_a_stream_that_has_ended_gets_no_more_processes(ray_session: RaySession, parts: FakeParts) -> None:
     pool = spawn(PoolActor, parts, PoolPolicy(spare=0), node=ray.get_runtime_context().get_node_id())
     run = ray.get(pool.begin.remote(1))

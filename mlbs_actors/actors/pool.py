@@ -37,10 +37,13 @@ class PoolPolicy:
         Idle processes kept ready; a started process takes about 135 MB.
     idle_seconds : float
         Idle processes beyond these are ended once they were idle for this long, s.
+    start_seconds : float
+        A process that is waited for and takes longer to start hangs, and is replaced, s.
     """
 
     spare: int = 2
     idle_seconds: float = 10.0
+    start_seconds: float = 180.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,8 +124,11 @@ class PoolActor:
             process = waiting or self._start()
             self._busy[run][identity(process.handle)] = process.handle
             try:
-                await process.ready
+                await asyncio.wait_for(asyncio.shield(process.ready), self._policy.start_seconds)
                 await process.handle.assign.remote(own, config, folder)
+            except asyncio.TimeoutError:
+                self._busy.get(run, {}).pop(identity(process.handle), None)
+                ray.kill(process.handle)
             except RayActorError as error:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
                 # One that waited may have died unnoticed: the next will do. One that was started for this
