@@ -21,7 +21,7 @@ The negative logarithm of a pixel's unnormalised posterior is a weighted sum of 
   least 0.1 for an object and 0.5 for the background.
 
 Outside its region an object costs 15.9 nats. A layer learns only where its label is sure
-(:meth:`Layer._near_trajectories`, :meth:`Layer._trusted_background`).
+(:mod:`mlbs_actors.learning`).
 
 Differs from the paper: the motion, photometric and away terms are not in it; the prior has a floor, so that
 it can be overruled, and a layer is weighed by its own confidence, pixel by pixel (the authors' program makes
@@ -39,14 +39,14 @@ import cv2
 import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
-from mlbs_actors.cells import aligned, cell_side, enlarged, in_cells, mean_of_cells, spread_over_cells
-from mlbs_actors.config import Config, length_scale
+from mlbs_actors.cells import cell_side, in_cells, mean_of_cells, spread_over_cells
+from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
 from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_positions
 from mlbs_actors.kde import AppearanceParameters, confidence, warp_and_evaluate
 from mlbs_actors.layer_cost import finished_posterior, layer_cost, quantised_colours
+from mlbs_actors.learning import near_trajectories, trusted_background
 from mlbs_actors.messages import (
-    UNEXPLAINED_STEP,
     Array,
     FrameEvidence,
     LayerAppearance,
@@ -59,7 +59,6 @@ from mlbs_actors.messages import (
 from mlbs_actors.object_regions import contested, object_region
 from mlbs_actors.photometric import FramePart, photometric_advantage
 from mlbs_actors.region_groups import slices_in
-from mlbs_actors.trajectory_distance import closed_distance, trajectory_distance
 from mlbs_actors.warp import warp_map
 
 __all__ = ["Layer", "LayerState"]
@@ -203,10 +202,10 @@ class Layer:
         weights = self.config.posterior
         prior = warp_map(posterior, state.region, region, motion, needed)
         if self.kind == "background":
-            trusted = self._trusted_background(evidence, frame_evidence, side)
+            trusted = trusted_background(self.config, evidence, frame_evidence, side)
             own_terms: Array = np.zeros(needed.shape, np.float32)
         else:
-            trusted, away = self._near_trajectories(evidence, frame_evidence, region, side)
+            trusted, away = near_trajectories(self.config, evidence, frame_evidence, region, side)
             before, now = FramePart(state.region, state.image), FramePart(region, image)
             advantage = photometric_advantage(
                 before, now, motion, frame_evidence.camera, prior[0] >= 0.5, weights.photometric_cap
@@ -338,64 +337,3 @@ class Layer:
         elif region.area:
             prior = -self.state.velocity
         return motion_field(evidence.positions - corner, evidence.motions, shape, prior, self._motion)
-
-    def _near_trajectories(
-        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region, side: int
-    ) -> tuple[Array, Array]:
-        """Cells in which an object may learn, and its cost in [0, 1] away from its trajectories, (h, w).
-
-        What is labelled wrongly near an outline must not be learnt: an object learns close to its own
-        trajectories, where the camera's motion fails to explain the image.
-        """
-        weights, scale = self.config.posterior, length_scale(*frame_evidence.shape)
-        cells = in_cells(region, side)
-        own = trajectory_distance([evidence], cells, side)
-        others = trajectory_distance(_others(evidence, frame_evidence), cells, side)
-        trusted = (own <= weights.learn_px * scale) & (own < others)
-        unexplained = _unexplained(frame_evidence, side)[cells.slices]
-        trusted &= unexplained >= self.config.layers.unexplained_noise / UNEXPLAINED_STEP
-        body = closed_distance(own, weights.close_px * scale, side)
-        away = np.clip((body - weights.near_px * scale) / (weights.fade_px * scale), 0.0, 1.0)
-        return trusted, enlarged(away, side, (region.height, region.width))
-
-    def _trusted_background(self, evidence: LayerEvidence, frame_evidence: FrameEvidence, side: int) -> Array:
-        """Cells of the frame in which the background may learn, bool.
-
-        Near an object it learns beside its own trajectories only, or where nothing moves against the camera.
-        """
-        weights, shape = self.config.posterior, frame_evidence.shape
-        scale = length_scale(*shape)
-        whole = in_cells(Region(0, 0, shape[1], shape[0]), side)
-        trusted = np.ones((whole.height, whole.width), np.bool_)
-        objects = _others(evidence, frame_evidence)
-        # A cell is judged up to this far from the objects, by own trajectories up to this far from it.
-        near = in_cells(
-            aligned(_surroundings(objects, 2.0 * weights.keep_off_px * scale, shape), side, shape), side
-        )
-        own, others = (trajectory_distance(some, near, side) for some in ([evidence], objects))
-        trusted[near.slices] = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
-        if frame_evidence.frame_index > frame_evidence.epoch:
-            unexplained = _unexplained(frame_evidence, side)[near.slices]
-            still = unexplained < 0.5 * self.config.layers.unexplained_noise / UNEXPLAINED_STEP
-            trusted[near.slices] |= still & (others > weights.learn_px * scale)
-        return trusted
-
-
-def _others(evidence: LayerEvidence, frame_evidence: FrameEvidence) -> list[LayerEvidence]:
-    return [one for one in frame_evidence.layers if one.layer != evidence.layer]
-
-
-def _surroundings(layers: list[LayerEvidence], margin: float, shape: tuple[int, int]) -> Region:
-    """Box of some layers' trajectories with a margin, inside the frame."""
-    positions = np.concatenate([np.zeros((0, 2), np.float32), *(one.positions for one in layers)])
-    if len(positions) == 0:
-        return Region(0, 0, 0, 0)
-    x0, y0 = np.maximum(np.floor(positions.min(axis=0) - margin), 0).astype(int)
-    x1, y1 = np.minimum(np.ceil(positions.max(axis=0) + margin) + 1, shape[::-1]).astype(int)
-    return Region(int(x0), int(y0), int(x1 - x0), int(y1 - y0))
-
-
-def _unexplained(evidence: FrameEvidence, side: int) -> Array:
-    """How badly the camera's motion explains the image, at the frame's cells of this side, uint8."""
-    height, width = evidence.shape
-    return np.asarray(cv2.resize(evidence.unexplained, (-(-width // side), -(-height // side))))

@@ -215,8 +215,8 @@ def _drive(
 ) -> tuple[tuple[StreamState, ...], int]:
     output = sys.stdout
     # Ray prints its own warnings; standard output belongs to the progress.
-    ray_log = (folder.path / "ray.log").open("a", encoding="utf-8")
-    with ray_log as log, redirect_stdout(log), Interruption() as interruption:
+    ray_log = folder.path / "ray.log"
+    with ray_log.open("a", encoding="utf-8") as log, redirect_stdout(log), Interruption() as interruption:
         progress = progress_for(output)
         try:
             host: Node | Cluster

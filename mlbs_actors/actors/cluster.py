@@ -17,13 +17,12 @@ from typing import Any
 
 import ray
 from ray.exceptions import GetTimeoutError, RayError
-from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from mlbs_actors.actors.failures import last_line
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.pool import PoolPolicy
-from mlbs_actors.actors.processes import Reference
+from mlbs_actors.actors.processes import Reference, ask
 from mlbs_actors.actors.stream_protocol import RunningStream, StreamProgress, StreamSpec
 from mlbs_actors.errors import ActorLostError
 
@@ -112,7 +111,7 @@ class Cluster:
         """Forget lost nodes, and mend the others; streams that were there must be started again."""
         with self._changing:
             # Ray takes some time to find a node lost; whether it answers is known at once.
-            answers = {node: _on_node(node, _here) for node in self._members}
+            answers = {node: ask(_here, node=node) for node in self._members}
             for node in [node for node, answer in answers.items() if not _is_true(answer)]:
                 self._lose(node)
             members = list(self._members.values())
@@ -135,7 +134,7 @@ class Cluster:
             self._lose(node)
         for node in alive.keys() - self._seen:
             self._seen.add(node)
-            self._asked[node] = _on_node(node, self._places)
+            self._asked[node] = ask(self._places, node=node)
         if self._asked:
             asked = list(self._asked.values())
             answered, _ = ray.wait(asked, num_returns=len(asked), timeout=patience)
@@ -159,7 +158,7 @@ class Cluster:
         """Nodes where a file is; all if it is nowhere, so that the stream itself says so."""
         if len(self._members) == 1:
             return self._members
-        asked = {node: _on_node(node, path.exists) for node in self._members}
+        asked = {node: ask(path.exists, node=node) for node in self._members}
         return {node: self._members[node] for node in asked if _is_true(asked[node])} or self._members
 
 
@@ -182,14 +181,6 @@ class _Placed:
                 self._member = None
 
 
-def _on_node(node: str, call: Callable[[], object]) -> Reference:
-    """Run a function in a process of one node."""
-    place = NodeAffinitySchedulingStrategy(node_id=node, soft=False)
-    task = ray.remote(num_cpus=0, max_retries=0)(_run)
-    answer: Reference = task.options(scheduling_strategy=place).remote(call)
-    return answer
-
-
 def _here() -> bool:
     """The answer of a node that is there."""
     return True
@@ -201,7 +192,3 @@ def _is_true(answer: Reference) -> bool:
         return bool(ray.get(answer, timeout=_ANSWER_SECONDS))
     except (RayError, GetTimeoutError):
         return False
-
-
-def _run(call: Callable[[], object]) -> object:
-    return call()

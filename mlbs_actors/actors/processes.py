@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
 import ray
 from ray.exceptions import GetTimeoutError, RayActorError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-__all__ = ["Handle", "Reference", "end", "identity", "spawn"]
+__all__ = ["Handle", "Reference", "ask", "end", "identity", "spawn"]
 
 #: A Ray actor handle; Ray makes its methods at run time, so there is no type to state.
 Handle: TypeAlias = Any
@@ -40,8 +40,22 @@ def spawn(kind: type, *arguments: object, node: str) -> Handle:
         What goes wrong at the start shows in the first call.
     """
     actor: Handle = ray.remote(num_cpus=0, max_restarts=0, max_task_retries=0)(kind)
-    place = NodeAffinitySchedulingStrategy(node_id=node, soft=False)
-    return actor.options(scheduling_strategy=place).remote(*arguments)
+    return actor.options(scheduling_strategy=_there_or_nowhere(node)).remote(*arguments)
+
+
+def ask(call: Callable[[], object], *, node: str) -> Reference:
+    """Call a picklable function once in some process of a node; return its answer's reference at once."""
+    task: Handle = ray.remote(num_cpus=0, max_retries=0)(_called)
+    answer: Reference = task.options(scheduling_strategy=_there_or_nowhere(node)).remote(call)
+    return answer
+
+
+def _called(call: Callable[[], object]) -> object:
+    return call()
+
+
+def _there_or_nowhere(node: str) -> NodeAffinitySchedulingStrategy:
+    return NodeAffinitySchedulingStrategy(node_id=node, soft=False)
 
 
 def identity(handle: Handle) -> str:

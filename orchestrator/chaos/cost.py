@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from mlbs_actors.actors.stream_protocol import GapStatus, Opening, Snapshot, SourceFrame, StreamSink
+from mlbs_actors.actors.stream_protocol import StreamSink
 from mlbs_actors.config import Config
-from mlbs_actors.messages import LayerAppearance, Segmentation
+from orchestrator.benchmark.empty_parts import EmptySink
 from orchestrator.benchmark.pipeline import Pipeline, pipeline
 from orchestrator.evaluation.figures import format_table
 from orchestrator.sinks.record import StreamRecord
@@ -90,36 +90,5 @@ def _record(folder: Path) -> StreamRecord:
     return StreamRecord(folder, folder.name, frozenset({"masks", "parquet"}))
 
 
-class _NoRecord:
-    """Takes results and forgets them; no snapshots are asked for."""
-
-    opening = Opening()
-
-    def __init__(self) -> None:
-        self._label_maps = 0
-
-    def write(
-        self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
-    ) -> int:
-        """See :class:`StreamSink`."""
-        self._label_maps += 1
-        return self._label_maps
-
-    def gap(self, index: int, pts: float, status: GapStatus) -> int:
-        """See :class:`StreamSink`."""
-        return self._label_maps
-
-    def keep(self, snapshot: Snapshot) -> bool:
-        """See :class:`StreamSink`."""
-        return False
-
-    def provisional(self) -> None:
-        """See :class:`StreamSink`."""
-
-    def close(self, *, whole: bool) -> int:
-        """See :class:`StreamSink`."""
-        return self._label_maps
-
-
-def _nothing(folder: Path) -> _NoRecord:
-    return _NoRecord()
+def _nothing(folder: Path) -> EmptySink:
+    return EmptySink()

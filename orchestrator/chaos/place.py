@@ -35,6 +35,9 @@ VICTIM = f"victim 'synthetic:demo?frames={FRAMES}&width=160&height=120'"
 BESIDE = f"beside 'synthetic:pan?frames={FRAMES}&width=160&height=120'"
 LINES = (VICTIM, BESIDE)
 
+#: Their names.
+NAMES = ("victim", "beside")
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -82,12 +85,12 @@ def undisturbed(folder: Path) -> dict[str, Any]:
     """Run the streams with nothing going wrong; return what they must always give."""
     with ObservedRun(LINES, folder) as run:
         expect_end(run, 0)
-        return {name: content(run.output / name) for name in ("victim", "beside")}
+        return {name: content(run.output / name) for name in NAMES}
 
 
 def expect_identical(place: Place, run: ObservedRun, *names: str) -> None:
     """Expect of these streams, by default of both, what an undisturbed run gives."""
-    for name in names or ("victim", "beside"):
+    for name in names or NAMES:
         expect(content(run.output / name) == place.expected[name], f"{name} is not as without the fault")
 
 
@@ -126,9 +129,8 @@ def expect_no_secret(run: ObservedRun, words: str, secret: str) -> None:
 def seconds_until_back(run: ObservedRun) -> float:
     """Wait until whichever stream has just lost something is at work again, and tell how long that took."""
     started = time.monotonic()
-    names = ("victim", "beside")
-    run.wait(lambda: any(run.status()[name]["returns"] for name in names), "the loss noticed")
-    hit = next(name for name in names if run.status()[name]["returns"])
+    run.wait(lambda: any(run.status()[name]["returns"] for name in NAMES), "the loss noticed")
+    hit = next(name for name in NAMES if run.status()[name]["returns"])
     run.wait(lambda: run.status()[hit]["state"] in ("running", "done"), f"{hit} back at work")
     return time.monotonic() - started
 

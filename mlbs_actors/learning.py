@@ -1,0 +1,82 @@
+"""Where a layer may learn the colours that it won, and how far an object reaches from its trajectories (§6).
+
+A pixel that is labelled wrongly once, and learnt, would be taken for the layer's own ever after; so only
+cells are learnt whose label is sure. Not in the paper.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mlbs_actors.cells import aligned, enlarged, in_cells
+from mlbs_actors.config import Config, length_scale
+from mlbs_actors.messages import UNEXPLAINED_STEP, Array, FrameEvidence, LayerEvidence, Region
+from mlbs_actors.trajectory_distance import closed_distance, trajectory_distance
+
+__all__ = ["near_trajectories", "trusted_background"]
+
+
+def near_trajectories(
+    config: Config, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region, side: int
+) -> tuple[Array, Array]:
+    """Cells in which an object may learn, and its cost in [0, 1] away from its trajectories, (h, w).
+
+    What is labelled wrongly near an outline must not be learnt: an object learns close to its own
+    trajectories, where the camera's motion fails to explain the image.
+    """
+    weights, scale = config.posterior, length_scale(*frame_evidence.shape)
+    cells = in_cells(region, side)
+    own = trajectory_distance([evidence], cells, side)
+    others = trajectory_distance(_others(evidence, frame_evidence), cells, side)
+    trusted = (own <= weights.learn_px * scale) & (own < others)
+    unexplained = _unexplained(frame_evidence, side)[cells.slices]
+    trusted &= unexplained >= config.layers.unexplained_noise / UNEXPLAINED_STEP
+    body = closed_distance(own, weights.close_px * scale, side)
+    away = np.clip((body - weights.near_px * scale) / (weights.fade_px * scale), 0.0, 1.0)
+    return trusted, enlarged(away, side, (region.height, region.width))
+
+
+def trusted_background(
+    config: Config, evidence: LayerEvidence, frame_evidence: FrameEvidence, side: int
+) -> Array:
+    """Cells of the frame in which the background may learn, bool.
+
+    Near an object it learns beside its own trajectories only, or where nothing moves against the camera.
+    """
+    weights, shape = config.posterior, frame_evidence.shape
+    scale = length_scale(*shape)
+    whole = in_cells(Region(0, 0, shape[1], shape[0]), side)
+    trusted = np.ones((whole.height, whole.width), np.bool_)
+    objects = _others(evidence, frame_evidence)
+    # A cell is judged up to this far from the objects, by own trajectories up to this far from it.
+    near = in_cells(
+        aligned(_surroundings(objects, 2.0 * weights.keep_off_px * scale, shape), side, shape), side
+    )
+    own, others = (trajectory_distance(some, near, side) for some in ([evidence], objects))
+    trusted[near.slices] = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
+    if frame_evidence.frame_index > frame_evidence.epoch:
+        unexplained = _unexplained(frame_evidence, side)[near.slices]
+        still = unexplained < 0.5 * config.layers.unexplained_noise / UNEXPLAINED_STEP
+        trusted[near.slices] |= still & (others > weights.learn_px * scale)
+    return trusted
+
+
+def _others(evidence: LayerEvidence, frame_evidence: FrameEvidence) -> list[LayerEvidence]:
+    return [one for one in frame_evidence.layers if one.layer != evidence.layer]
+
+
+def _surroundings(layers: list[LayerEvidence], margin: float, shape: tuple[int, int]) -> Region:
+    """Box of some layers' trajectories with a margin, inside the frame."""
+    positions = np.concatenate([np.zeros((0, 2), np.float32), *(one.positions for one in layers)])
+    if len(positions) == 0:
+        return Region(0, 0, 0, 0)
+    x0, y0 = np.maximum(np.floor(positions.min(axis=0) - margin), 0).astype(int)
+    x1, y1 = np.minimum(np.ceil(positions.max(axis=0) + margin) + 1, shape[::-1]).astype(int)
+    return Region(int(x0), int(y0), int(x1 - x0), int(y1 - y0))
+
+
+def _unexplained(evidence: FrameEvidence, side: int) -> Array:
+    """How badly the camera's motion explains the image, at the frame's cells of this side, uint8."""
+    height, width = evidence.shape
+    return np.asarray(cv2.resize(evidence.unexplained, (-(-width // side), -(-height // side))))
