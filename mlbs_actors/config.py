@@ -54,7 +54,13 @@ class FlowConfig(_Section):
         0, ge=0, le=3, description="DIS: last level of the pyramid, 0 = the shrunk frame itself."
     )
     search_iterations: int = Field(6, ge=1, description="DIS: gradient descent iterations of a patch.")
-    refinement_iterations: int = Field(2, ge=0, description="DIS: iterations of variational refinement.")
+    refinement_iterations: int = Field(1, ge=0, description="DIS: iterations of variational refinement.")
+    patch_stride_px: int = Field(5, ge=1, le=8, description="DIS: distance of patches (which are 8 px wide).")
+    first_search_iterations: int = Field(
+        16, ge=1, description="The same in the frames that are held until the first clustering."
+    )
+    first_refinement_iterations: int = Field(5, ge=0, description="The same there.")
+    first_patch_stride_px: int = Field(3, ge=1, le=8, description="The same there.")
 
 
 class TrajectoriesConfig(_Section):

@@ -109,18 +109,20 @@ def dense_flow(
     checks : TrajectoriesConfig
         Thresholds of the forward–backward and motion-boundary checks.
     focus : sequence of Region, optional
-        Disjoint boxes of the shrunk frame where the finest level is computed; everywhere by default.
+        Disjoint boxes of the shrunk frame where the finest level is computed. By default it is everywhere,
+        and with the settings of the first frames: what is not told apart there is not found for long.
 
     Returns
     -------
     DenseFlow
     """
     step = (shape[1] / current.shape[1], shape[0] / current.shape[0])
+    first = focus is None
     if focus is None:
         focus = [Region(0, 0, current.shape[1], current.shape[0])]
     factor = np.array(step, np.float32)
-    forward = _flow(previous, current, config, focus) * factor
-    backward = _flow(current, previous, config, focus) * factor
+    forward = _flow(_solver(config, first=first), previous, current, config.finest_scale, focus) * factor
+    backward = _flow(_solver(config, first=first), current, previous, config.finest_scale, focus) * factor
     thresholds = (
         checks.consistency_relative,
         checks.consistency_px2,
@@ -136,20 +138,34 @@ def dense_flow(
     )
 
 
-def _flow(source: Array, target: Array, config: FlowConfig, focus: Sequence[Region]) -> Array:
-    """DIS from one grey frame to another, (h, w, 2) float32, px of theirs."""
+def _solver(config: FlowConfig, *, first: bool) -> cv2.DISOpticalFlow:
+    """One for a single direction: what it keeps between calls must not meet another size."""
     solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-    solver.setGradientDescentIterations(config.search_iterations)
-    solver.setVariationalRefinementIterations(config.refinement_iterations)
+    if first:
+        search, refinement = config.first_search_iterations, config.first_refinement_iterations
+        stride = config.first_patch_stride_px
+    else:
+        search, refinement = config.search_iterations, config.refinement_iterations
+        stride = config.patch_stride_px
+    solver.setGradientDescentIterations(search)
+    solver.setVariationalRefinementIterations(refinement)
+    solver.setPatchStride(stride)
+    return solver
+
+
+def _flow(
+    solver: cv2.DISOpticalFlow, source: Array, target: Array, finest: int, focus: Sequence[Region]
+) -> Array:
+    """DIS from one grey frame to another, (h, w, 2) float32, px of theirs."""
     # The presets stop at half the size they are given: flow bleeds 10–20 px past an object's outline then.
-    solver.setFinestScale(config.finest_scale)
+    solver.setFinestScale(finest)
     if len(focus) == 1 and focus[0].area == source.size:
         # None, which the stubs do not know: no initial flow.
         return np.asarray(solver.calc(source, target, None))  # type: ignore[call-overload]
-    solver.setFinestScale(config.finest_scale + 1)
+    solver.setFinestScale(finest + 1)
     flow = np.asarray(solver.calc(source, target, None))  # type: ignore[call-overload]
-    solver.setFinestScale(config.finest_scale)
-    solver.setCoarsestScale(config.finest_scale)
+    solver.setFinestScale(finest)
+    solver.setCoarsestScale(finest)
     for box in focus:
         part = np.ascontiguousarray(flow[box.slices])
         cut_source, cut_target = (np.ascontiguousarray(frame[box.slices]) for frame in (source, target))
