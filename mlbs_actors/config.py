@@ -81,6 +81,11 @@ class TrajectoriesConfig(_Section):
     consistency_px2: float = Field(0.5, ge=0, description="Forward–backward error allowed besides, px².")
     boundary_relative: float = Field(0.01, ge=0, description="Squared flow gradient allowed, × |w|².")
     boundary_absolute: float = Field(0.002, ge=0, description="Squared flow gradient allowed besides.")
+    most_mismatch: float = Field(
+        8.0,
+        gt=0,
+        description="A point is lost where even the flow leaves this much of the image unexplained, × noise.",
+    )
     history_frames: int = Field(40, ge=2, description="Frames of motion that a trajectory remembers.")
 
 

@@ -52,6 +52,7 @@ from mlbs_actors.trajectories import (
     empty_trajectories,
     evenly_spread,
     seed_trajectories,
+    selected,
     with_residuals,
 )
 
@@ -199,6 +200,11 @@ class Coordinator:
             against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
             if flow is not None:
                 against_camera = camera_evidence(state.gray, gray, camera, flow.backward, flow.step)
+                mismatch = (against_camera.unexplained - against_camera.advantage)[..., None]
+                mismatch = sample_flow(mismatch, trajectories.positions, flow.step)[:, 0]
+                same = np.flatnonzero(mismatch <= config.trajectories.most_mismatch)
+                trajectories, labels = selected(trajectories, same), labels[same]
+                survivors = len(trajectories)
             # Small movers need more points than the grid gives them.
             dense = against_camera.advantage > config.trajectories.dense_advantage
             trajectories = seed_trajectories(trajectories, gray, flow, shape, config.trajectories, dense)

@@ -2,7 +2,9 @@
 
 Differs from the paper: a point seeded in frame t is at once followed back to frame t−1 by the (checked)
 backward flow, so it brings one motion with it and can be compared with its neighbours from its first
-frame on; and a trajectory remembers a bounded number of motions.
+frame on; a trajectory remembers a bounded number of motions; and a point is lost, too, where the image
+around it is no longer what it was, however well forward and backward flow agree
+(``TrajectoriesConfig.most_mismatch``).
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ __all__ = [
     "empty_trajectories",
     "evenly_spread",
     "seed_trajectories",
+    "selected",
     "with_residuals",
 ]
 
@@ -112,15 +115,27 @@ def advance_trajectories(state: TrajectoryState, flow: DenseFlow, shape: tuple[i
         & (positions[:, 1] >= 0)
         & (positions[:, 1] <= height - 1)
     )
-    residuals = np.zeros((int(alive.sum()), *state.residuals.shape[1:]), np.float32)
-    residuals[:, 1:] = state.residuals[alive, :-1]
+    kept = selected(state, np.flatnonzero(alive))
+    residuals = np.zeros_like(kept.residuals)
+    residuals[:, 1:] = kept.residuals[:, :-1]
+    return replace(
+        kept,
+        positions=positions[alive],
+        motions=-motion[alive],
+        residuals=residuals,
+        ages=np.minimum(kept.ages + 1, state.residuals.shape[1]).astype(np.int32),
+    )
+
+
+def selected(state: TrajectoryState, positions: Array) -> TrajectoryState:
+    """The trajectories at some positions of the arrays, ascending (n,) intp; the others are lost."""
     return TrajectoryState(
-        state.ids[alive],
-        positions[alive],
-        -motion[alive],
-        residuals,
-        np.minimum(state.ages[alive] + 1, state.residuals.shape[1]).astype(np.int32),
-        state.evidence[alive],
+        state.ids[positions],
+        state.positions[positions],
+        state.motions[positions],
+        state.residuals[positions],
+        state.ages[positions],
+        state.evidence[positions],
         state.next_id,
     )
 
