@@ -15,7 +15,7 @@ import numpy as np
 
 from mlbs_actors.messages import Array
 
-__all__ = ["CameraEvidence", "camera_evidence", "camera_homography", "homography_motion"]
+__all__ = ["CameraEvidence", "camera_evidence", "camera_homography", "homography_motion", "shrunk_homography"]
 
 #: Reprojection error of an inlier, px.
 INLIER_PX = 1.0
@@ -78,6 +78,26 @@ def homography_motion(matrix: Array, positions: Array) -> Array:
     return np.asarray(mapped[:, :2] / mapped[:, 2:] - positions, np.float32)
 
 
+def shrunk_homography(matrix: Array, step: tuple[float, float]) -> Array:
+    """The same homography between pictures of which every pixel is ``step`` px wide and high.
+
+    Parameters
+    ----------
+    matrix : (3, 3) float64
+    step : (float, float)
+        Full-size px per shrunk px in x and y.
+
+    Returns
+    -------
+    (3, 3) float64
+    """
+    # Full-size pixel centres lie at (shrunk + ½)·step − ½.
+    shrink = np.array(
+        [[1 / step[0], 0, 0.5 / step[0] - 0.5], [0, 1 / step[1], 0.5 / step[1] - 0.5], [0, 0, 1]]
+    )
+    return np.asarray(shrink @ matrix @ np.linalg.inv(shrink))
+
+
 @dataclass(frozen=True, slots=True)
 class CameraEvidence:
     """How well the camera's own motion explains a new frame, place by place, in units of the frame's noise.
@@ -117,11 +137,7 @@ def camera_evidence(
         The noise is the median difference to the camera's motion, between ``LEAST_NOISE`` and ``MOST_NOISE``
         grey levels. Both are 0 where the camera's motion leads out of frame t−1.
     """
-    # Full-size pixel centres lie at (shrunk + ½)·step − ½.
-    shrink = np.array(
-        [[1 / step[0], 0, 0.5 / step[0] - 0.5], [0, 1 / step[1], 0.5 / step[1] - 0.5], [0, 0, 1]]
-    )
-    mapping = shrink @ matrix @ np.linalg.inv(shrink)
+    mapping = shrunk_homography(matrix, step)
     height, width = current.shape
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     by_camera = cv2.warpPerspective(previous, mapping, (width, height), flags=flags)

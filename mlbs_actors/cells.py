@@ -1,10 +1,11 @@
-"""Square cells of pixels that share what a layer remembers of its colours.
+"""Square cells of pixels for which a layer's posterior is one number.
 
-Colours are kept for cells of 2×2 pixels of a 640×480 frame, so for about as many cells whatever the frame's
-size: the graph cut draws the outlines from the pixels themselves, and what a cell's mean colour says is
-nearly as much at a fraction of the time and the memory. Objects' regions begin and end between cells.
+A layer is evaluated, and keeps its colours, for cells of 2×2 pixels of a 640×480 frame, so for about as many
+cells whatever the frame's size: the dense flow is no finer, the graph cut draws the outlines from the pixels
+themselves, and what a cell's mean colour says is nearly as much at a fraction of the time, the memory and
+the messages. Objects' regions begin and end between cells.
 
-Differs from the paper, which keeps samples for every pixel.
+Differs from the paper, which evaluates and keeps samples for every pixel.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from mlbs_actors.config import length_scale
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["aligned", "cell_side", "enlarged", "in_cells", "mean_of_cells", "spread_over_cells"]
+__all__ = ["aligned", "cell_side", "in_cells", "in_pixels", "mean_of_cells", "spread_over_cells"]
 
 
 def cell_side(shape: tuple[int, int], cell_px: float) -> int:
@@ -34,6 +35,14 @@ def aligned(region: Region, side: int, shape: tuple[int, int]) -> Region:
 def in_cells(region: Region, side: int) -> Region:
     """An aligned region in units of cells."""
     return Region(region.x // side, region.y // side, -(-region.width // side), -(-region.height // side))
+
+
+def in_pixels(cells: Region, side: int, shape: tuple[int, int]) -> Region:
+    """The pixels of a region of cells, as far as the (H, W) frame goes."""
+    x, y = cells.x * side, cells.y * side
+    right = min(x + cells.width * side, shape[1])
+    bottom = min(y + cells.height * side, shape[0])
+    return Region(x, y, right - x, bottom - y)
 
 
 def mean_of_cells(values: Array, side: int) -> Array:
@@ -61,21 +70,12 @@ def mean_of_cells(values: Array, side: int) -> Array:
     return np.asarray(cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA))
 
 
-def enlarged(values: Array, side: int, shape: tuple[int, int]) -> Array:
-    """Values of an aligned region's cells, (rows, columns) float32, interpolated at its (h, w) pixels."""
-    if side == 1 or values.size == 0:
-        return values
-    size = (values.shape[1] * side, values.shape[0] * side)
-    pixels: Array = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
-    return np.ascontiguousarray(pixels[: shape[0], : shape[1]])
-
-
 def spread_over_cells(values: Array, side: int, shape: tuple[int, int]) -> Array:
     """Every pixel of an aligned region takes its cell's value.
 
     Parameters
     ----------
-    values : (⌈h/side⌉, ⌈w/side⌉[, c]) of one byte each
+    values : (⌈h/side⌉, ⌈w/side⌉[, c]) uint8, int8, bool or int32
     side : int
     shape : (h, w)
 
@@ -87,5 +87,6 @@ def spread_over_cells(values: Array, side: int, shape: tuple[int, int]) -> Array
     if side == 1 or values.size == 0:
         return values
     size = (values.shape[1] * side, values.shape[0] * side)
-    spread = cv2.resize(values.view(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    known = values.view(np.uint8) if values.itemsize == 1 else values  # cv2 has no bool
+    spread = cv2.resize(known, size, interpolation=cv2.INTER_NEAREST)
     return np.ascontiguousarray(spread[: shape[0], : shape[1]]).view(values.dtype)

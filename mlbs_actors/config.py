@@ -198,7 +198,7 @@ class MotionConfig(_Section):
 class AppearanceConfig(_Section):
     """Kernel density of a layer's colours (§6.2)."""
 
-    samples: int = Field(20, ge=1, le=255, description="N: samples kept a cell.")
+    samples: int = Field(16, ge=1, le=255, description="N: samples kept a cell.")
     cell_px: float = Field(
         2.0, gt=0, description="Side of the square of pixels that share their samples, px."
     )
@@ -260,7 +260,7 @@ class PosteriorConfig(_Section):
     learn_px: float = Field(6.0, ge=0, description="An object learns only this near to its trajectories, px.")
     offset: float = Field(4.0, ge=0, description="Added to every cost so that it is not negative, nats.")
     region_margin_px: float = Field(
-        40.0, ge=0, description="Margin of an object's region around its trajectories, px."
+        32.0, ge=0, description="Margin of an object's region around its trajectories, px."
     )
 
 

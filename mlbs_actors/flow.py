@@ -30,19 +30,27 @@ class DenseFlow:
         t−1 → t, in full-size px, defined on the pixels of frame t−1.
     backward : (h, w, 2) float32
         t → t−1, in full-size px, defined on the pixels of frame t.
-    forward_reliable : (h, w) bool
-        Forward flow that the backward flow confirms and that is not on a motion boundary.
     backward_reliable : (h, w) bool
-        The same for the backward flow.
+        Backward flow that the forward flow confirms and that is not on a motion boundary.
     step : (float, float)
         Full-size px per grid step in x and y.
+    thresholds : four float
+        a, b, c and d of the checks |w+w'(x+w)|² < a(|w|²+|w'|²)+b and |∇u|²+|∇v|² ≤ c|w|²+d.
     """
 
     forward: Array
     backward: Array
-    forward_reliable: Array
     backward_reliable: Array
     step: tuple[float, float]
+    thresholds: tuple[float, float, float, float]
+
+    def forward_reliable(self) -> Array:
+        """Which forward flow the backward flow confirms and is not on a motion boundary, (h, w) bool."""
+        return _reliable(self.forward, self.backward, *self.step, self.thresholds)
+
+    def forward_reliable_at(self, x: Array, y: Array) -> Array:
+        """The same at some places of the grid, (n,) int64 each: (n,) bool."""
+        return _reliable_at(self.forward, self.backward, *self.step, self.thresholds, x, y)
 
 
 def flow_gray(frame: Array, config: FlowConfig) -> Array:
@@ -120,22 +128,17 @@ def dense_flow(
     first = focus is None
     if focus is None:
         focus = [Region(0, 0, current.shape[1], current.shape[0])]
-    factor = np.array(step, np.float32)
-    forward = _flow(_solver(config, first=first), previous, current, config.finest_scale, focus) * factor
-    backward = _flow(_solver(config, first=first), current, previous, config.finest_scale, focus) * factor
+    forward = _flow(_solver(config, first=first), previous, current, config.finest_scale, focus)
+    backward = _flow(_solver(config, first=first), current, previous, config.finest_scale, focus)
+    for flow in (forward, backward):
+        flow *= np.array(step, np.float32)
     thresholds = (
         checks.consistency_relative,
         checks.consistency_px2,
         checks.boundary_relative,
         checks.boundary_absolute,
     )
-    return DenseFlow(
-        forward,
-        backward,
-        _reliable(forward, backward, *step, thresholds),
-        _reliable(backward, forward, *step, thresholds),
-        step,
-    )
+    return DenseFlow(forward, backward, _reliable(backward, forward, *step, thresholds), step, thresholds)
 
 
 def _solver(config: FlowConfig, *, first: bool) -> cv2.DISOpticalFlow:
@@ -175,55 +178,103 @@ def _flow(
 
 @njit(cache=True)
 def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks: tuple[float, ...]) -> Array:
-    """|w+w'(x+w)|² < a(|w|²+|w'|²)+b inside the frame, and |∇u|²+|∇v|² ≤ c|w|²+d, for checks (a, b, c, d)."""
+    """The checks of `DenseFlow.thresholds`, inside the frame."""
     height, width = flow.shape[:2]
-    relative, absolute = np.float32(checks[0]), np.float32(checks[1])
-    boundary_relative, boundary_absolute = np.float32(checks[2]), np.float32(checks[3])
-    shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
-    # Scharr's central differences, per full-size px.
-    by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
-    three, ten, one = np.float32(3), np.float32(10), np.float32(1)
-    right_end, bottom_end = np.float32(width - 1), np.float32(height - 1)
-    back = reverse.reshape(-1)
     reliable = np.zeros((height, width), np.bool_)
-    # Loops without a branch run in vector registers.
+    by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
+    shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
     smoothed, sheared = np.empty((width, 2), np.float32), np.empty((width, 2), np.float32)
     steepness = np.empty(width, np.float32)
+    back = reverse.reshape(-1)
+    limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     for y in range(height):
+        # Loops without a branch run in vector registers.
         upper, middle, lower = flow[max(y - 1, 0)], flow[y], flow[min(y + 1, height - 1)]
         for x in range(width):
             for axis in range(2):
-                smoothed[x, axis] = three * (upper[x, axis] + lower[x, axis]) + ten * middle[x, axis]
-                sheared[x, axis] = lower[x, axis] - upper[x, axis]
+                smoothed[x, axis], sheared[x, axis] = _across(upper, middle, lower, x, axis)
         for x in range(width):
             before, after = max(x - 1, 0), min(x + 1, width - 1)
             gradient = np.float32(0)
             for axis in range(2):
-                across = by_x * (smoothed[after, axis] - smoothed[before, axis])
-                down = by_y * (
-                    three * (sheared[before, axis] + sheared[after, axis]) + ten * sheared[x, axis]
-                )
-                gradient += across * across + down * down
+                gradient += _slope(
+                    smoothed[before, axis], smoothed[after, axis],
+                    sheared[before, axis], sheared[x, axis], sheared[after, axis], by_x, by_y,
+                )  # fmt: skip
             steepness[x] = gradient
         for x in range(width):
-            u, v = middle[x, 0], middle[x, 1]
-            there_x, there_y = np.float32(x) + u * shrink_x, np.float32(y) + v * shrink_y
-            if not (0 <= there_x <= right_end and 0 <= there_y <= bottom_end):
-                continue
-            squared = u * u + v * v
-            column, row = int(there_x), int(there_y)
-            along, across = there_x - np.float32(column), there_y - np.float32(row)
-            near = np.uint64(2 * (row * width + column))
-            aside = np.uint64(2 if column < width - 1 else 0)
-            below = np.uint64(2 * width if row < height - 1 else 0)
-            w00, w01 = (one - across) * (one - along), (one - across) * along
-            w10, w11 = across * (one - along), across * along
-            back_u = w00 * back[near] + w01 * back[near + aside]
-            back_u += w10 * back[near + below] + w11 * back[near + below + aside]
-            near += np.uint64(1)
-            back_v = w00 * back[near] + w01 * back[near + aside]
-            back_v += w10 * back[near + below] + w11 * back[near + below + aside]
-            error = (u + back_u) * (u + back_u) + (v + back_v) * (v + back_v)
-            agrees = error < relative * (squared + back_u * back_u + back_v * back_v) + absolute
-            reliable[y, x] = agrees & (steepness[x] <= boundary_relative * squared + boundary_absolute)
+            reliable[y, x] = _agrees(flow, back, x, y, steepness[x], shrink_x, shrink_y, limits)
     return reliable
+
+
+@njit(cache=True)
+def _reliable_at(
+    flow: Array, reverse: Array, step_x: float, step_y: float, checks: tuple[float, ...], xs: Array, ys: Array
+) -> Array:
+    """The same at some places: trajectories are at a few in a hundred."""
+    height, width = flow.shape[:2]
+    reliable = np.zeros(xs.size, np.bool_)
+    by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
+    shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
+    back = reverse.reshape(-1)
+    limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
+    for point in range(xs.size):
+        x, y = xs[point], ys[point]
+        before, after = max(x - 1, 0), min(x + 1, width - 1)
+        upper, middle, lower = flow[max(y - 1, 0)], flow[y], flow[min(y + 1, height - 1)]
+        gradient = np.float32(0)
+        for axis in range(2):
+            left, sheared_left = _across(upper, middle, lower, before, axis)
+            _, sheared = _across(upper, middle, lower, x, axis)
+            right, sheared_right = _across(upper, middle, lower, after, axis)
+            gradient += _slope(left, right, sheared_left, sheared, sheared_right, by_x, by_y)
+        reliable[point] = _agrees(flow, back, x, y, gradient, shrink_x, shrink_y, limits)
+    return reliable
+
+
+@njit(cache=True, inline="always")
+def _across(upper: Array, middle: Array, lower: Array, x: int, axis: int) -> tuple[np.float32, np.float32]:
+    """Scharr's smoothing and difference over three rows."""
+    smoothed = np.float32(3) * (upper[x, axis] + lower[x, axis]) + np.float32(10) * middle[x, axis]
+    return smoothed, lower[x, axis] - upper[x, axis]
+
+
+@njit(cache=True, inline="always")
+def _slope(
+    left: np.float32, right: np.float32, sheared_left: np.float32, sheared: np.float32,
+    sheared_right: np.float32, by_x: np.float32, by_y: np.float32,
+) -> np.float32:  # fmt: skip
+    """Squared gradient of one component by Scharr's central differences, per full-size px."""
+    along = by_x * (right - left)
+    down = by_y * (np.float32(3) * (sheared_left + sheared_right) + np.float32(10) * sheared)
+    return along * along + down * down
+
+
+@njit(cache=True, inline="always")
+def _agrees(
+    flow: Array, back: Array, x: int, y: int, gradient: np.float32,
+    shrink_x: np.float32, shrink_y: np.float32, limits: tuple[np.float32, ...],
+) -> bool:  # fmt: skip
+    height, width = flow.shape[:2]
+    one = np.float32(1)
+    u, v = flow[y, x, 0], flow[y, x, 1]
+    there_x = np.float32(x) + u * shrink_x
+    there_y = np.float32(y) + v * shrink_y
+    if not (0 <= there_x <= np.float32(width - 1) and 0 <= there_y <= np.float32(height - 1)):
+        return False
+    squared = u * u + v * v
+    column, row = int(there_x), int(there_y)
+    along, across = there_x - np.float32(column), there_y - np.float32(row)
+    near = np.uint64(2 * (row * width + column))
+    aside = np.uint64(2 if column < width - 1 else 0)
+    below = np.uint64(2 * width if row < height - 1 else 0)
+    w00, w01 = (one - across) * (one - along), (one - across) * along
+    w10, w11 = across * (one - along), across * along
+    back_u = w00 * back[near] + w01 * back[near + aside]
+    back_u += w10 * back[near + below] + w11 * back[near + below + aside]
+    near += np.uint64(1)
+    back_v = w00 * back[near] + w01 * back[near + aside]
+    back_v += w10 * back[near + below] + w11 * back[near + below + aside]
+    error = (u + back_u) * (u + back_u) + (v + back_v) * (v + back_v)
+    agrees = error < limits[0] * (squared + back_u * back_u + back_v * back_v) + limits[1]
+    return bool(agrees & (gradient <= limits[2] * squared + limits[3]))

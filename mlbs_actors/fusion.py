@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from mlbs_actors.cells import in_cells
 from mlbs_actors.kde import AppearanceParameters, confidence
 from mlbs_actors.messages import COST_STEP, Array, LayerPosterior, Region
 from mlbs_actors.region_groups import common, slices_in
@@ -84,7 +85,7 @@ def with_appearance(
 
 @dataclass(frozen=True, slots=True)
 class FusedCosts:
-    """What the layers say together in one box of the frame.
+    """What the layers say together in one box of cells.
 
     Attributes
     ----------
@@ -111,7 +112,7 @@ def fused_costs(
     posteriors : sequence of LayerPosterior
         In ascending layer id; the background's region holds the box.
     box : Region
-        Where they are compared.
+        Where they are compared, in units of cells.
     weight, half_confidence : float
         As for :func:`with_appearance`.
 
@@ -150,8 +151,9 @@ class _Part:
 
     @classmethod
     def of(cls, one: LayerPosterior, box: Region) -> _Part:
-        both = common(one.region, box)
-        own = slices_in(both, one.region)
+        cells = in_cells(one.region, one.cell)
+        both = common(cells, box)
+        own = slices_in(both, cells)
         return cls(
             slices_in(both, box),
             one.cost[own].copy(),

@@ -51,9 +51,6 @@ from mlbs_actors.screened_poisson import inverse_diagonal, solve
 
 __all__ = ["MotionField", "MotionParameters", "motion_field", "node_positions"]
 
-#: The part of a region that is all of it.
-EVERYWHERE = (slice(None), slice(None))
-
 #: Relative residual of the solves before the last, see :func:`motion_field`.
 _ROUGH_TOLERANCE = 1e-2
 
@@ -133,21 +130,27 @@ class MotionField:
     residual: float
     solver: Literal["multigrid", "direct"]
 
-    def dense(self, part: tuple[slice, slice] = EVERYWHERE) -> Array:
-        """Mean at a part's pixels: (h, w, 2) float32, px/frame; bilinear, constant past the outer nodes."""
-        return _to_pixels(self.mean, self.spacing, self.shape, part)
+    def dense(self) -> Array:
+        """Mean at every pixel: (h, w, 2) float32, px/frame; bilinear, constant past the outer nodes."""
+        return _to_pixels(self.mean, self.spacing, self.shape)
 
-    def dense_variance(self, part: tuple[slice, slice] = EVERYWHERE) -> Array:
-        """Variance at every pixel of a part: (h, w) float32, px², interpolated like :meth:`dense`."""
-        return _to_pixels(self.variance, self.variance_spacing, self.shape, part)
+    def dense_variance(self) -> Array:
+        """Variance at every pixel: (h, w) float32, px², interpolated like :meth:`dense`."""
+        return _to_pixels(self.variance, self.variance_spacing, self.shape)
 
     def of_cells(self, side: int) -> Array:
-        """Mean of the pixels of each cell of this side: (⌈h/side⌉, ⌈w/side⌉, 2) float32, sides/frame."""
-        if self.spacing % side:
-            return np.asarray(mean_of_cells(self.dense(), side) / np.float32(side))
+        """Mean over the pixels of each cell of this side: (⌈h/side⌉, ⌈w/side⌉, 2) float32, px/frame."""
+        return self._in_cells(self.mean, self.spacing, side)
+
+    def variance_of_cells(self, side: int) -> Array:
+        """Variance, mean over the pixels of each cell of this side: (⌈h/side⌉, ⌈w/side⌉) float32, px²."""
+        return self._in_cells(self.variance, self.variance_spacing, side)
+
+    def _in_cells(self, nodes: Array, spacing: int, side: int) -> Array:
+        if spacing % side:
+            return mean_of_cells(_to_pixels(nodes, spacing, self.shape), side)
         # As the field is linear between the nodes, the value in the middle of a cell is nearly its mean.
-        cells = (-(-self.shape[0] // side), -(-self.shape[1] // side))
-        return _to_pixels(self.mean, self.spacing // side, cells, EVERYWHERE) / np.float32(side)
+        return _to_pixels(nodes, spacing // side, (-(-self.shape[0] // side), -(-self.shape[1] // side)))
 
 
 def node_positions(shape: tuple[int, int], spacing: int) -> Array:
@@ -276,20 +279,13 @@ def _grid_shape(shape: tuple[int, int], spacing: int) -> tuple[int, int]:
     return -(-shape[0] // spacing), -(-shape[1] // spacing)
 
 
-def _to_pixels(values: Array, spacing: int, shape: tuple[int, int], part: tuple[slice, slice]) -> Array:
+def _to_pixels(values: Array, spacing: int, shape: tuple[int, int]) -> Array:
     """Bilinear: cv2 aligns cell centres too and repeats the border."""
-    (top, bottom, _), (left, right, _) = (
-        along.indices(length) for along, length in zip(part, shape, strict=True)
-    )
-    if bottom <= top or right <= left:
-        return np.zeros((max(bottom - top, 0), max(right - left, 0), *values.shape[2:]), np.float32)
-    # The nodes that any pixel of the part lies between.
-    row, column = max(top // spacing - 1, 0), max(left // spacing - 1, 0)
-    nodes = values[row : -(-bottom // spacing) + 1, column : -(-right // spacing) + 1]
-    size = (nodes.shape[1] * spacing, nodes.shape[0] * spacing)
-    pixels: Array = cv2.resize(nodes, size, interpolation=cv2.INTER_LINEAR)
-    y, x = top - row * spacing, left - column * spacing
-    return np.ascontiguousarray(pixels[y : y + bottom - top, x : x + right - left])
+    if 0 in shape:
+        return np.zeros((*shape, *values.shape[2:]), np.float32)
+    size = (values.shape[1] * spacing, values.shape[0] * spacing)
+    pixels: Array = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(pixels[: shape[0], : shape[1]])
 
 
 def _bilinear_taps(points: Array, grid: tuple[int, int], spacing: int) -> tuple[Array, Array]:

@@ -105,7 +105,7 @@ def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array,
         evidence=np.clip(advantage, *EVIDENCE_BOUNDS),
         camera=camera,
         flow=(-flow.forward).astype(np.float16),
-        flow_reliable=flow.forward_reliable,
+        flow_reliable=flow.forward_reliable(),
         unexplained=_quantised(evidence.unexplained),
     )
 

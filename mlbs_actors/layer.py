@@ -39,6 +39,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
+from mlbs_actors.camera import shrunk_homography
 from mlbs_actors.cells import cell_side, in_cells, mean_of_cells, spread_over_cells
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
@@ -77,16 +78,16 @@ class LayerState:
     region : Region
         Where it was evaluated.
     cell : int
-        Side of the cells that the model is kept for, px.
+        Side of the cells of which all these arrays are made, px.
     model : AppearanceModel
         Samples at ``last_frame``, without that frame's own colours, cell by cell of ``home``.
-    cost : (h, w) uint8
+    cost : (rows, columns) uint8
         Unnormalised posterior of ``last_frame`` without the colours, as sent to the segmenter.
-    log_ratio : (h, w) int8
-    samples : (h, w) uint8
+    log_ratio : (rows, columns) int8
+    samples : (rows, columns) uint8
         What the colours said, as sent to the segmenter.
-    image : (home.height, home.width, 3) uint8
-        That frame's colours, to learn from once its labels are known.
+    image : (home's rows, home's columns, 3) uint8
+        Mean colours of that frame, to learn from once its labels are known.
     velocity : (2,) float32
         Median forward motion of the layer's trajectories, px/frame.
     trusted : bool
@@ -193,29 +194,52 @@ class Layer:
             region, needed = contested(frame_evidence, previous, margin, side)
         else:
             home = region = object_region(evidence, previous, shape, margin, side)
-            needed = np.ones((region.height, region.width), np.bool_)
+            own = in_cells(region, side)
+            needed = np.ones((own.height, own.width), np.bool_)
+        cells = in_cells(region, side)
         field = self._motion_field(evidence, frame_evidence, home)
-        motion, variance = field.dense(slices_in(region, home)), field.dense_variance(slices_in(region, home))
+        part = slices_in(cells, in_cells(home, side))
+        home_motion = field.of_cells(side)
+        motion = np.ascontiguousarray(home_motion[part])
+        variance = np.ascontiguousarray(field.variance_of_cells(side)[part])
+        per_cell = np.float32(1.0 / side)
         moved = perf_counter()
-        image = np.ascontiguousarray(frame[home.slices])
-        model, log_ratio, samples = self._colours(home, region, field, image, needed, side)
+        image = mean_of_cells(frame[home.slices], side)
+        density = self._density(side)
+        opened = np.zeros(image.shape[:2], np.bool_)
+        opened[part] = needed
+        model, log_density = warp_and_evaluate(
+            state.model, in_cells(home, side), home_motion * per_cell, image, density, opened
+        )
         weights = self.config.posterior
-        prior = warp_map(posterior, state.region, region, motion, needed)
+        log_ratio, samples = quantised_colours(
+            np.ascontiguousarray(log_density[part]),
+            np.ascontiguousarray(model.count[part]),
+            needed,
+            weights.appearance_cap,
+        )
+        before = in_cells(state.region, side)
+        prior = warp_map(posterior, before, cells, motion * per_cell, needed)
         if self.kind == "background":
             trusted = trusted_background(self.config, evidence, frame_evidence, side)
             own_terms: Array = np.zeros(needed.shape, np.float32)
         else:
             trusted, away = near_trajectories(self.config, evidence, frame_evidence, region, side)
-            before, now = FramePart(state.region, state.image), FramePart(region, image)
             advantage = photometric_advantage(
-                before, now, motion, frame_evidence.camera, prior[0] >= 0.5, weights.photometric_cap
+                FramePart(before, state.image),
+                FramePart(cells, image),
+                motion * per_cell,
+                shrunk_homography(frame_evidence.camera, (side, side)),
+                prior[0] >= 0.5,
+                weights.photometric_cap,
             )
             own_terms = np.float32(weights.distance) * away - np.float32(weights.photometric) * advantage
         cost = layer_cost(
             self.config,
             self.kind,
             frame_evidence,
-            region,
+            cells,
+            side,
             needed,
             motion,
             variance,
@@ -241,12 +265,13 @@ class Layer:
             velocity,
             trusted,
         )
-        trust = confidence(np.arange(256), self._density(side))
+        trust = confidence(np.arange(256), density)
         return LayerPosterior(
             layer=self.layer,
             frame_index=frame_evidence.frame_index,
             kind=self.kind,
             region=region,
+            cell=side,
             cost=cost,
             log_ratio=log_ratio,
             samples=samples,
@@ -279,47 +304,18 @@ class Layer:
             half_confidence_samples=colours.half_confidence_samples,
         )
 
-    def _colours(
-        self, home: Region, region: Region, field: MotionField, image: Array, needed: Array, side: int
-    ) -> tuple[AppearanceModel, Array, Array]:
-        """The model moved to this frame, and what it says in the region, spread over its cells.
-
-        Returns
-        -------
-        model : AppearanceModel
-        log_ratio : (h, w) int8
-        samples : (h, w) uint8
-            As :func:`~mlbs_actors.layer_cost.quantised_colours` returns them, for every pixel.
-        """
-        shape = needed.shape
-        own, part = in_cells(home, side), slices_in(in_cells(region, side), in_cells(home, side))
-        opened = np.zeros((own.height, own.width), np.bool_)
-        opened[part] = mean_of_cells(needed.view(np.uint8), side) > 0
-        model, log_density = warp_and_evaluate(
-            self.state.model,
-            own,
-            field.of_cells(side),
-            mean_of_cells(image, side),
-            self._density(side),
-            opened,
-        )
-        density, count, opened = (
-            np.ascontiguousarray(one[part]) for one in (log_density, model.count, opened)
-        )
-        log_ratio, samples = quantised_colours(density, count, opened, self.config.posterior.appearance_cap)
-        return model, spread_over_cells(log_ratio, side, shape), spread_over_cells(samples, side, shape)
-
     def _finish(self, previous: Segmentation | None) -> Array:
         """Learn frame t−1; return this layer's normalised posterior of it, empty if it had no part in it."""
         state = self.state
         if previous is None or previous.frame_index != state.last_frame:
             return np.zeros((0, 0), np.float32)
         mask = previous.labels[state.home.slices] == self.layer
-        won = mean_of_cells(mask.view(np.uint8) * np.uint8(255), state.cell) == 255
-        update(state.model, mean_of_cells(state.image, state.cell), won & state.trusted)
-        mask = np.ascontiguousarray(mask[slices_in(state.region, state.home)])
+        won = mean_of_cells(mask.view(np.uint8) * np.uint8(255), state.cell)
+        update(state.model, state.image, (won == 255) & state.trusted)
+        cells, home = in_cells(state.region, state.cell), in_cells(state.home, state.cell)
+        own = np.ascontiguousarray(won[slices_in(cells, home)])
         return finished_posterior(
-            self.config, state.cost, state.log_ratio, state.samples, previous, state.region, mask
+            self.config, state.cost, state.log_ratio, state.samples, previous, cells, own
         )
 
     def _motion_field(

@@ -1,6 +1,6 @@
 """The kernels of a layer's posterior: its cost without the colours, and its share of a finished frame (§6).
 
-Each is one pass over the pixels that are needed, with the flow read from its coarse grid where it is heard.
+Each is one pass over the cells that are needed, with the flow read from its own grid where it is heard.
 :mod:`mlbs_actors.layer` says what the terms are. Motion and prior are functions of one number each and read
 from tables, 0.003 nats from exact before they are weighed.
 """
@@ -42,7 +42,8 @@ def layer_cost(
     config: Config,
     kind: LayerKind,
     evidence: FrameEvidence,
-    region: Region,
+    cells: Region,
+    side: int,
     needed: Array,
     motion: Array,
     variance: Array,
@@ -57,10 +58,12 @@ def layer_cost(
     kind : {"background", "object", "other"}
     evidence : FrameEvidence
         Camera and dense flow of the frame.
-    region : Region
-        The layer's.
+    cells : Region
+        The layer's region, in units of cells.
+    side : int
+        Of a cell, px.
     needed : (h, w) bool
-        Where to evaluate.
+        Cells to evaluate.
     motion : (h, w, 2) float32
         Mean of the motion field, px.
     variance : (h, w) float32
@@ -87,8 +90,9 @@ def layer_cost(
     floor = weights.neutral_prior if background else weights.prior_floor
     surprise = -np.log(np.maximum(np.arange(_PRIOR_STEPS + 1) / _PRIOR_STEPS, floor))
     flow_variance = (config.motion.flow_std_px * length_scale(*evidence.shape)) ** 2
-    rows, top, bottom, down = _taps(region.y, region.height, evidence.shape[0], evidence.flow.shape[0])
-    columns, left, right, along = _taps(region.x, region.width, evidence.shape[1], evidence.flow.shape[1])
+    (height, width), grid = evidence.shape, evidence.flow.shape
+    rows, top, bottom, down = _taps(cells.y, cells.height, height / side, grid[0])
+    columns, left, right, along = _taps(cells.x, cells.width, width / side, grid[1])
     _layer_cost(
         needed,
         motion,
@@ -115,12 +119,12 @@ def layer_cost(
     return cost
 
 
-def _taps(first: int, count: int, fine: int, coarse: int) -> tuple[slice, Array, Array, Array]:
-    """The part of a coarser axis that some pixels lie in, between which two of its places each pixel's centre
-    lies, and its share in the second."""
-    place = np.clip((np.arange(first, first + count) + 0.5) * coarse / fine - 0.5, 0, coarse - 1)
+def _taps(first: int, count: int, length: float, grid: int) -> tuple[slice, Array, Array, Array]:
+    """Some cells of an axis on a grid of the same axis: the part that they lie in, between which two of its
+    places each cell's centre lies, and its share in the second. The whole axis is ``length`` cells long."""
+    place = np.clip((np.arange(first, first + count) + 0.5) * grid / length - 0.5, 0, grid - 1)
     low = place.astype(np.int64)
-    high = np.minimum(low + 1, coarse - 1)
+    high = np.minimum(low + 1, grid - 1)
     part = slice(int(low[0]), int(high[-1]) + 1) if count else slice(0, 0)
     return part, low - part.start, high - part.start, (place - low).astype(np.float32)
 
@@ -167,7 +171,7 @@ def _layer_cost(
 
 
 def quantised_colours(log_density: Array, count: Array, needed: Array, largest: float) -> tuple[Array, Array]:
-    """What the colours say of the pixels that are needed, as it is sent.
+    """What the colours say of the cells that are needed, as it is sent.
 
     Parameters
     ----------
@@ -210,8 +214,8 @@ def finished_posterior(
     log_ratio: Array,
     samples: Array,
     published: Segmentation,
-    region: Region,
-    mask: Array,
+    cells: Region,
+    won: Array,
 ) -> Array:
     """A layer's normalised posterior of a finished frame, of which the published map is half.
 
@@ -223,10 +227,11 @@ def finished_posterior(
         As the layer sent them to the segmenter.
     published : Segmentation
         Result of that frame.
-    region : Region
-        The layer's.
-    mask : (h, w) bool
-        Its published pixels: the better half of the knowledge, having seen the outlines.
+    cells : Region
+        The layer's region, in units of cells.
+    won : (h, w) uint8
+        Its share of each cell in the published map, 255 = all: the better half of the knowledge, having seen
+        the outlines.
 
     Returns
     -------
@@ -237,22 +242,22 @@ def finished_posterior(
         cost,
         log_ratio,
         samples,
-        np.ascontiguousarray(published.fallback[region.slices]),
+        np.ascontiguousarray(published.fallback[cells.slices]),
         config.posterior.appearance,
         config.appearance.half_confidence_samples,
     )
     posterior = np.empty(cost.shape, np.float32)
-    normaliser = np.ascontiguousarray(published.normaliser[region.slices])
-    _finished_posterior(fused, normaliser, mask, LIKELIHOOD, posterior)
+    normaliser = np.ascontiguousarray(published.normaliser[cells.slices])
+    _finished_posterior(fused, normaliser, won, LIKELIHOOD, posterior)
     return posterior
 
 
 @njit(cache=True)
 def _finished_posterior(
-    fused: Array, normaliser: Array, mask: Array, likelihood: Array, posterior: Array
+    fused: Array, normaliser: Array, won: Array, likelihood: Array, posterior: Array
 ) -> None:
-    half = np.float32(0.5)
+    half, share = np.float32(0.5), np.float32(0.5 / 255)
     for y in range(fused.shape[0]):
         for x in range(fused.shape[1]):
             above = int(max(np.int64(fused[y, x]) - np.int64(normaliser[y, x]), np.int64(0)))
-            posterior[y, x] = half * likelihood[above] + (half if mask[y, x] else np.float32(0))
+            posterior[y, x] = half * likelihood[above] + share * np.float32(won[y, x])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mlbs_actors.cells import aligned, enlarged, in_cells
+from mlbs_actors.cells import aligned, in_cells
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.messages import UNEXPLAINED_STEP, Array, FrameEvidence, LayerEvidence, Region
 from mlbs_actors.trajectory_distance import closed_distance, trajectory_distance
@@ -20,7 +20,7 @@ __all__ = ["near_trajectories", "trusted_background"]
 def near_trajectories(
     config: Config, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region, side: int
 ) -> tuple[Array, Array]:
-    """Cells in which an object may learn, and its cost in [0, 1] away from its trajectories, (h, w).
+    """Cells in which an object may learn, and their cost in [0, 1] away from its trajectories.
 
     What is labelled wrongly near an outline must not be learnt: an object learns close to its own
     trajectories, where the camera's motion fails to explain the image.
@@ -34,7 +34,7 @@ def near_trajectories(
     trusted &= unexplained >= config.layers.unexplained_noise / UNEXPLAINED_STEP
     body = closed_distance(own, weights.close_px * scale, side)
     away = np.clip((body - weights.near_px * scale) / (weights.fade_px * scale), 0.0, 1.0)
-    return trusted, enlarged(away, side, (region.height, region.width))
+    return trusted, away
 
 
 def trusted_background(

@@ -149,12 +149,14 @@ class LayerPosterior:
     region : Region
         Where the layer was evaluated; outside it the cost is ``outside_cost`` (a layer lives on its own
         support).
-    cost : (region.height, region.width) uint8
+    cell : int
+        Side of the cells that the maps are made of, px; the region begins and ends between them.
+    cost : (⌈region.height / cell⌉, ⌈region.width / cell⌉) uint8
         −log(likelihood × prior) without the colours, in units of ``COST_STEP`` nats.
-    log_ratio : (region.height, region.width) int8
+    log_ratio : int8, of the same shape
         log of the colours' density over the uniform one, in units of ``fusion.RATIO_STEP`` nats; 0 where
         nothing is known.
-    samples : (region.height, region.width) uint8
+    samples : uint8, of the same shape
         Colour samples behind it.
     outside_cost : int
         The unit of ``cost``.
@@ -170,6 +172,7 @@ class LayerPosterior:
     frame_index: int
     kind: LayerKind
     region: Region
+    cell: int
     cost: Array
     log_ratio: Array
     samples: Array
@@ -245,10 +248,11 @@ class Segmentation:
     frame_index : int
     labels : (H, W) uint16
         Layer id of every pixel, 0 = background, cleaned.
-    normaliser : (H, W) uint8
-        −log Z in units of ``COST_STEP`` nats, Z the sum of the unnormalised posteriors over the layers; 255
-        away from all objects, where the background's posterior is 1 whatever its cost.
-    fallback : (H, W) int8
+    normaliser : (rows, columns) uint8
+        For each cell of the layers' posteriors (:mod:`mlbs_actors.cells`), −log Z in units of ``COST_STEP``
+        nats, Z the sum of the unnormalised posteriors over the layers; 255 away from all objects, where the
+        background's posterior is 1 whatever its cost.
+    fallback : (rows, columns) int8
         What a layer without samples is taken to know of a pixel's colour, in units of ``fusion.RATIO_STEP``
         nats (:mod:`mlbs_actors.fusion`); 0 away from all objects.
     layers : tuple of LayerSummary

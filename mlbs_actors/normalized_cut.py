@@ -88,7 +88,11 @@ def best_cut(affinity: Array, sizes: Array, min_side: int) -> TwoWayCut:
     scale = 1.0 / np.sqrt(degree)
     # The largest eigenvalue of D^-½ A D^-½ has the trivial eigenvector.
     wanted = min(EIGENVECTORS, n - 1)
-    _, vectors = eigh(affinity * np.outer(scale, scale), subset_by_index=[n - 1 - wanted, n - 2])
+    # Only the order of a vector's entries counts, so single precision does.
+    normalised = (affinity * np.outer(scale, scale)).astype(np.float32)
+    _, vectors = eigh(
+        normalised, subset_by_index=[n - 1 - wanted, n - 2], overwrite_a=True, check_finite=False
+    )
     for vector in vectors.T[::-1]:
         order = np.argsort(scale * vector, kind="stable")
         severed = _severed(affinity, order)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mlbs_actors.cells import aligned
+from mlbs_actors.cells import aligned, in_cells
 from mlbs_actors.config import length_scale
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region, Segmentation
 from mlbs_actors.region_groups import around, common, slices_in
@@ -83,9 +83,9 @@ def contested(
     Returns
     -------
     box : Region
-        Around it and one pixel more on each side, as far as the frame goes; of whole cells.
-    inside : (box.height, box.width) bool
-        Its pixels.
+        Around it and one pixel more on each side, as far as the frame goes; of whole cells, px.
+    inside : (rows, columns) bool
+        Which of the box's cells are in it.
     """
     regions = [
         object_region(one, previous, evidence.shape, margin_px, cell)
@@ -94,7 +94,8 @@ def contested(
     ]
     whole = Region(0, 0, evidence.shape[1], evidence.shape[0])
     box = aligned(common(around(regions, 1), whole), cell, evidence.shape)
-    inside = np.zeros((box.height, box.width), np.bool_)
+    cells = in_cells(box, cell)
+    inside = np.zeros((cells.height, cells.width), np.bool_)
     for region in regions:
-        inside[slices_in(region, box)] = True
+        inside[slices_in(in_cells(region, cell), cells)] = True
     return box, inside

@@ -18,13 +18,15 @@ import cv2
 import numpy as np
 from numba import njit
 
-from mlbs_actors.camera import LEAST_NOISE, MOST_NOISE
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["FramePart", "photometric_advantage"]
 
-#: Side of the window over which a motion is judged, px.
-WINDOW = 5
+#: Side of the window over which a motion is judged.
+WINDOW = 3
+#: Bounds of what is taken for noise, grey levels: lower than those of the camera's evidence, for the means of
+#: cells are less noisy.
+LEAST_NOISE, MOST_NOISE = 1.5, 3.0
 #: Error from which on a motion is not believed at all, and from one less on altogether, × noise.
 OWN_BELIEVED, CAMERA_BELIEVED = 4.0, 2.5
 

@@ -18,6 +18,7 @@ from time import perf_counter
 import numpy as np
 from numba import njit
 
+from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells, spread_over_cells
 from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.contrast import COST_QUANTUM, MAX_COST, contrast_weights
@@ -37,7 +38,7 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 from mlbs_actors.region_groups import common, group_regions, slices_in
-from mlbs_actors.shadows import contact_shadow, darkening, ground_colour, shadow_likelihood
+from mlbs_actors.shadows import Darkening, contact_shadow, darkening, ground_colour, shadow_likelihood
 
 __all__ = ["Segmenter", "SegmenterState"]
 
@@ -107,13 +108,18 @@ class Segmenter:
         ground = None
         if settings.shadow > 0 or settings.contact_shadow > 0:
             ground = ground_colour(frame, evidence, self.state.labels, length_scale(*evidence.shape))
-        result = _Maps.of_background(evidence.shape)
+        side = posteriors[0].cell
+        small = mean_of_cells(frame, side)
+        grid = in_cells(Region(0, 0, evidence.shape[1], evidence.shape[0]), side)
+        result = _Maps.of_background(evidence.shape, (grid.height, grid.width))
         stage_ms = {"fusion": 1e3 * (perf_counter() - start), "cut": 0.0, "cleaning": 0.0}
         layers = list(zip(posteriors, evidence.layers, strict=True))
         summaries: list[LayerSummary] = []
-        for group in group_regions([one.region for one in posteriors[1:]], evidence.shape):
+        regions = [in_cells(one.region, side) for one in posteriors[1:]]
+        for group in group_regions(regions, (grid.height, grid.width)):
             members = [layers[0], *(layers[1 + position] for position in group.members)]
-            summaries += self._label(group.box, members, frame, ground, result, stage_ms)
+            dark = None if ground is None else darkening(small, ground, group.box, 1.0 / side)
+            summaries += self._label(group.box, members, frame, dark, result, stage_ms)
         self.state = SegmenterState(evidence.frame_index + 1, result.labels)
         for shared in (result.labels, result.normaliser, result.fallback):  # the layers read them back
             shared.setflags(write=False)
@@ -131,27 +137,29 @@ class Segmenter:
 
     def _label(
         self,
-        box: Region,
+        cells: Region,
         members: list[tuple[LayerPosterior, LayerEvidence]],
         frame: Array,
-        ground: Array | None,
+        dark: Darkening | None,
         result: _Maps,
         stage_ms: dict[str, float],
     ) -> list[LayerSummary]:
-        """Fill in one group's box of the maps, in which only the background and its members live."""
+        """Fill in one group's cells of the maps, in which only the background and its members live."""
         config, scale = self.config.segmentation, length_scale(*result.labels.shape)
         start = perf_counter()
         posteriors = [posterior for posterior, _ in members]
+        side = posteriors[0].cell
+        box = in_pixels(cells, side, result.labels.shape)
         weight, half = self.config.posterior.appearance, self.config.appearance.half_confidence_samples
-        fused = fused_costs(posteriors, box, weight, half)
-        unary = _data_costs(fused.cost, posteriors, box)
+        fused = fused_costs(posteriors, cells, weight, half)
+        costs = _data_costs(fused.cost, posteriors, cells)
+        if dark is not None and config.shadow > 0:
+            _discount_shadows(costs, posteriors, cells, shadow_likelihood(dark), config.shadow)
+        unary = np.stack([spread_over_cells(cost, side, (box.height, box.width)) for cost in costs])
         _pull_tracks(
             unary, [evidence for _, evidence in members], box, result.labels.shape, config.track_cost
         )
         image = np.ascontiguousarray(frame[box.slices])
-        dark = None if ground is None else darkening(frame, ground, box)
-        if dark is not None and config.shadow > 0:
-            _discount_shadows(unary, posteriors, box, shadow_likelihood(dark), config.shadow)
         ready = perf_counter()
         label_costs = np.full(len(members), round(config.label_cost * scale**2 / COST_QUANTUM), np.int64)
         label_costs[0] = 0  # the background is always there
@@ -163,8 +171,8 @@ class Segmenter:
         speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
         labels[...] = clean_labels(result.labels, box, speck_px=speck_px, hole_px=hole_px)
         if dark is not None and config.contact_shadow > 0:
-            labels[contact_shadow(labels, image, dark, scale, config.contact_shadow)] = BACKGROUND
-        result.normaliser[box.slices], result.fallback[box.slices] = fused.normaliser, fused.fallback
+            labels[contact_shadow(labels, image, dark, side, scale, config.contact_shadow)] = BACKGROUND
+        result.normaliser[cells.slices], result.fallback[cells.slices] = fused.normaliser, fused.fallback
         summaries = _summaries(labels, fused, posteriors, box)
         done = perf_counter()
         for stage, duration in (
@@ -185,18 +193,19 @@ class _Maps:
     fallback: Array
 
     @classmethod
-    def of_background(cls, shape: tuple[int, int]) -> _Maps:
-        """What holds where no object has a say."""
-        return cls(np.zeros(shape, np.uint16), np.full(shape, 255, np.uint8), np.zeros(shape, np.int8))
+    def of_background(cls, shape: tuple[int, int], grid: tuple[int, int]) -> _Maps:
+        """What holds where no object has a say, of so many pixels and cells."""
+        return cls(np.zeros(shape, np.uint16), np.full(grid, 255, np.uint8), np.zeros(grid, np.int8))
 
 
 def _data_costs(cost: Array, posteriors: list[LayerPosterior], box: Region) -> Array:
-    """Unary costs (K, h, w) int32 in ``COST_QUANTUM``; outside its region no layer can own a pixel."""
-    unary = np.full(cost.shape, MAX_COST, np.int32)
-    for own, fused, one in zip(unary, cost, posteriors, strict=True):
-        place = slices_in(common(one.region, box), box)
+    """Costs of a box's cells (K, rows, columns) int32, ``COST_QUANTUM`` a pixel; outside its region no layer
+    can own one."""
+    costs = np.full(cost.shape, MAX_COST, np.int32)
+    for own, fused, one in zip(costs, cost, posteriors, strict=True):
+        place = slices_in(common(in_cells(one.region, one.cell), box), box)
         np.multiply(fused[place], round(COST_STEP / COST_QUANTUM), out=own[place], dtype=np.int32)
-    return unary
+    return costs
 
 
 def _pull_tracks(
@@ -215,12 +224,12 @@ def _pull_tracks(
 
 
 def _discount_shadows(
-    unary: Array, posteriors: list[LayerPosterior], box: Region, shadow: Array, strength: float
+    costs: Array, posteriors: list[LayerPosterior], box: Region, shadow: Array, strength: float
 ) -> None:
-    """Take away, as far as a pixel is a shadow, what an object has over the background, and a little more."""
-    for own, one in zip(unary[1:], posteriors[1:], strict=True):
-        place = slices_in(one.region, box)
-        _discount(own[place], unary[0][place], shadow[place], np.float32(strength / COST_QUANTUM))
+    """Take away, as far as a cell is a shadow, what an object has over the background, and a little more."""
+    for own, one in zip(costs[1:], posteriors[1:], strict=True):
+        place = slices_in(in_cells(one.region, one.cell), box)
+        _discount(own[place], costs[0][place], shadow[place], np.float32(strength / COST_QUANTUM))
 
 
 @njit(cache=True)
@@ -240,10 +249,10 @@ def _summaries(
         own = np.flatnonzero(labels[place] == one.layer)
         if len(own) == 0:
             continue
-        normaliser = fused.normaliser[place].reshape(-1)[own].astype(np.float64)
-        log_posterior = (normaliser - cost[place].reshape(-1)[own]) * COST_STEP
         y, x = np.divmod(own, one.region.width)
         y, x = y + one.region.y, x + one.region.x
+        cells = ((y - box.y) // one.cell, (x - box.x) // one.cell)
+        log_posterior = (fused.normaliser[cells].astype(np.float64) - cost[cells]) * COST_STEP
         rows.append(
             LayerSummary(
                 layer=one.layer,

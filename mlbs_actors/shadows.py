@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numba import njit
 
+from mlbs_actors.cells import spread_over_cells
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 from mlbs_actors.region_groups import common, slices_in
 from mlbs_actors.trajectory_distance import trajectory_distance
@@ -27,7 +28,7 @@ __all__ = ["Darkening", "contact_shadow", "darkening", "ground_colour", "shadow_
 SHRINK = 4
 #: Pixels this near to an object's trajectory may be the object itself, px of a 640×480 frame.
 NEAR_PX = 16.0
-#: How far the blur of the frame looks, px.
+#: How far the blur of the picture looks, px.
 BLUR_REACH = 4
 #: Side of the square around a shrunk pixel in which last frame's map must show no object either.
 GROWN = 3
@@ -53,7 +54,7 @@ CONTACT_EDGE_PX = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Darkening:
-    """How each pixel's colour differs from that of the ground near it, in one box of the frame.
+    """How each pixel's colour differs from that of the ground near it, in one box of a picture.
 
     Attributes
     ----------
@@ -105,23 +106,27 @@ def ground_colour(frame: Array, evidence: FrameEvidence, previous: Array, scale:
     return _spread_into_objects(colour, free)
 
 
-def darkening(frame: Array, ground: Array, box: Region) -> Darkening:
+def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darkening:
     """Compare each pixel of a box with the ground near it.
 
     Parameters
     ----------
-    frame : (H, W, 3) uint8
+    picture : (h, w, 3) uint8
+        The frame, or the means of its cells.
     ground : (H / SHRINK, W / SHRINK, 4) float32
         Of :func:`ground_colour`.
     box : Region
+        Of the picture.
+    blur : float
+        Standard deviation by which it is smoothed first, px of the picture, at most 1.
 
     Returns
     -------
     Darkening
     """
-    around = _grown(box, BLUR_REACH, frame.shape)
-    smooth = cv2.GaussianBlur(frame[around.slices], (0, 0), 1.0)[slices_in(box, around)]
-    return Darkening(*_compared(np.ascontiguousarray(smooth), ground, box.y, box.x, frame.shape[:2], _LOG))
+    around = _grown(box, BLUR_REACH, picture.shape)
+    smooth = cv2.GaussianBlur(picture[around.slices], (0, 0), blur)[slices_in(box, around)]
+    return Darkening(*_compared(np.ascontiguousarray(smooth), ground, box.y, box.x, picture.shape[:2], _LOG))
 
 
 def shadow_likelihood(dark: Darkening) -> Array:
@@ -153,7 +158,9 @@ def _likelihood(mean: Array, spread: Array, brightness: Array, variance: Array) 
     return likelihood
 
 
-def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, rise: float) -> Array:
+def contact_shadow(
+    labels: Array, frame: Array, dark: Darkening, side: int, scale: float, rise: float
+) -> Array:
     """The dark strip between an object's foot and the ground, as far as the label map gives it to the object.
 
     Parameters
@@ -164,6 +171,8 @@ def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, r
     frame : (h, w, 3) uint8
         The same box of the frame.
     dark : Darkening
+        Of its pixels, or of the box's cells of ``side`` px.
+    side : int
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
     rise : float
@@ -174,6 +183,7 @@ def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, r
     (h, w) bool
     """
     found = np.zeros(labels.shape, bool)
+    unlit = spread_over_cells(_unlit(dark), side, labels.shape)
     edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
     present = np.flatnonzero(np.bincount(labels.reshape(-1)))
@@ -187,7 +197,7 @@ def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, r
             body = pieces[feet.slices] == piece
             box = Region(feet.x + part.x, feet.y + part.y, feet.width, feet.height)
             above = _height_above_ground(labels, box.x, box.y, box.width, box.height)
-            foot = body & _unlit(dark, box) & (above <= rise * height)
+            foot = body & unlit[box.slices] & (above <= rise * height)
             if not foot.any():
                 continue
             flat = _wide(foot & (_steepness(frame, box) < CONTACT_SMOOTH / scale), CONTACT_WIDTH * height)
@@ -199,10 +209,10 @@ def contact_shadow(labels: Array, frame: Array, dark: Darkening, scale: float, r
     return found
 
 
-def _unlit(dark: Darkening, box: Region) -> Array:
-    """Where a box is much darker than the ground, and alike in all channels."""
-    tolerance = CHANNEL_SPREAD + CHANNEL_NOISE / dark.brightness[box.slices]
-    return np.asarray((dark.mean[box.slices] < CONTACT_DARK) & (dark.spread[box.slices] < tolerance))
+def _unlit(dark: Darkening) -> Array:
+    """What is much darker than the ground, and alike in all channels."""
+    tolerance = CHANNEL_SPREAD + CHANNEL_NOISE / dark.brightness
+    return np.asarray((dark.mean < CONTACT_DARK) & (dark.spread < tolerance))
 
 
 def _steepness(frame: Array, box: Region) -> Array:

@@ -109,7 +109,7 @@ def advance_trajectories(state: TrajectoryState, flow: DenseFlow, shape: tuple[i
     cell_x = np.clip((state.positions[:, 0] / flow.step[0]).astype(np.intp), 0, flow.forward.shape[1] - 1)
     cell_y = np.clip((state.positions[:, 1] / flow.step[1]).astype(np.intp), 0, flow.forward.shape[0] - 1)
     alive = (
-        flow.forward_reliable[cell_y, cell_x]
+        flow.forward_reliable_at(cell_x, cell_y)
         & (positions[:, 0] >= 0)
         & (positions[:, 0] <= width - 1)
         & (positions[:, 1] >= 0)

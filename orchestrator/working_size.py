@@ -87,8 +87,6 @@ def enlarged(segmentation: Segmentation, shape: tuple[int, int]) -> Segmentation
     return replace(
         segmentation,
         labels=labels,
-        normaliser=_nearest(segmentation.normaliser, shape),
-        fallback=_nearest(segmentation.fallback, shape),
         layers=tuple(_measured(layer, labels, per_px) for layer in segmentation.layers),
         camera_motion=_scaled(segmentation.camera_motion, per_px),
     )

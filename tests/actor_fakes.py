@@ -167,6 +167,7 @@ class _Layer:
             frame_index=t,
             kind=self._kind,
             region=region,
+            cell=1,
             cost=cost,
             log_ratio=np.zeros(SHAPE, np.int8),
             samples=np.zeros(SHAPE, np.uint8),

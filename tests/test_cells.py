@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mlbs_actors.cells import aligned, cell_side, in_cells, mean_of_cells, spread_over_cells
+from mlbs_actors.cells import aligned, cell_side, in_cells, in_pixels, mean_of_cells, spread_over_cells
 from mlbs_actors.messages import Array, Region
 
 
@@ -30,7 +30,7 @@ def test_a_cell_has_the_mean_of_its_pixels(side: int, shape: tuple[int, ...]) ->
     np.testing.assert_allclose(mean_of_cells(motion, side), plain_means(motion, side), atol=1e-5)
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.bool_])
+@pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.bool_, np.int32])
 def test_every_pixel_takes_the_value_of_its_cell(dtype: type) -> None:
     values: Array = np.random.default_rng(0).integers(-100, 100, (3, 4)).astype(dtype)
     found = spread_over_cells(values, 3, (8, 11))
@@ -52,6 +52,7 @@ def test_an_aligned_region_holds_whole_cells_and_ends_at_the_frame() -> None:
         assert (cells.height, cells.width) == mean_of_cells(
             np.zeros((found.height, found.width), np.uint8), 2
         ).shape
+        assert in_pixels(cells, 2, shape) == found
     assert aligned(Region(3, 3, 0, 0), 2, shape).area == 0
 
 

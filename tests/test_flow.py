@@ -40,7 +40,7 @@ def test_a_pan_is_found_in_both_directions() -> None:
     inner = np.s_[12:-12, 12:-12]
     np.testing.assert_allclose(np.median(flow.forward[inner], axis=(0, 1)), [3, -2], atol=0.05)
     np.testing.assert_allclose(np.median(flow.backward[inner], axis=(0, 1)), [-3, 2], atol=0.05)
-    assert flow.forward_reliable[inner].mean() > 0.99
+    assert flow.forward_reliable()[inner].mean() > 0.99
     assert flow.backward_reliable[inner].mean() > 0.99
 
 
@@ -85,11 +85,11 @@ def test_what_is_covered_or_uncovered_is_not_reliable() -> None:
     covered[32:64, 72:80] = True  # background in the first frame, behind the square in the second
     uncovered = np.zeros_like(square)
     uncovered[32:64, 40:48] = True
-    assert flow.forward_reliable[covered].mean() < 0.1
+    assert flow.forward_reliable()[covered].mean() < 0.1
     assert flow.backward_reliable[uncovered].mean() < 0.1
     far = cv2.dilate((square | covered).astype(np.uint8), np.ones((25, 25), np.uint8)) == 0
-    assert flow.forward_reliable[far].mean() > 0.9
-    assert flow.forward_reliable[40:56, 48:64].mean() > 0.9  # the inside of the square
+    assert flow.forward_reliable()[far].mean() > 0.9
+    assert flow.forward_reliable()[40:56, 48:64].mean() > 0.9  # the inside of the square
 
 
 def reference_checks(flow: DenseFlow) -> tuple[Array, Array]:
@@ -137,7 +137,17 @@ def test_the_checks_are_those_of_plain_loops(step: tuple[float, float]) -> None:
     assert clear.mean() > 0.9
     assert reliable[clear].any()
     assert not reliable[clear].all()
-    np.testing.assert_array_equal(flow.forward_reliable[clear], reliable[clear])
+    np.testing.assert_array_equal(flow.forward_reliable()[clear], reliable[clear])
+
+
+@pytest.mark.parametrize("step", [(1.0, 1.0), (2.5, 2.0)])
+def test_the_checks_at_some_places_are_those_of_the_whole_field(step: tuple[float, float]) -> None:
+    first, second, _ = covered_scene()
+    flow = dense_flow(first, second, (round(96 * step[1]), round(128 * step[0])), CONFIG, CHECKS)
+    y, x = (one.ravel() for one in np.indices(first.shape))
+    found = flow.forward_reliable_at(x, y)
+    np.testing.assert_array_equal(found, flow.forward_reliable().ravel())
+    assert 0 < found.mean() < 1
 
 
 def test_flow_is_sampled_bilinearly_between_the_centres_of_its_cells() -> None:

@@ -22,6 +22,7 @@ def posterior(layer: int, region: Region, cost: Array, log_ratio: Array, samples
         frame_index=0,
         kind="object" if layer else "background",
         region=region,
+        cell=1,
         cost=cost,
         log_ratio=log_ratio,
         samples=samples,

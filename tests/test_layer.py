@@ -158,7 +158,7 @@ def test_an_object_can_leave_the_frame() -> None:
 
 
 def test_the_background_is_evaluated_where_an_object_can_be_and_learns_everywhere() -> None:
-    config = configured(appearance=1.0, motion=1.0, prior=1.0)
+    config = configured(appearance=1.0, motion=1.0, prior=1.0, region_margin_px=40.0)
     contested = np.zeros(SHAPE, bool)
     contested[32:77, 52:109] = True  # the trajectories, and 10 px around
     layer = Layer(config, 0, "background")

@@ -72,18 +72,37 @@ def test_the_cost_is_the_weighted_sum_of_the_terms_where_it_is_needed(kind: Laye
     prior = (share * rng.random(SIZE)).astype(np.float32), share
     own_terms = rng.normal(0, 1, SIZE).astype(np.float32)
     needed = rng.random(SIZE) < 0.7
-    found = layer_cost(CONFIG, kind, evidence, REGION, needed, motion, variance, prior, own_terms)
+    found = layer_cost(CONFIG, kind, evidence, REGION, 1, needed, motion, variance, prior, own_terms)
     expected = nats_by_arrays(kind, evidence, motion, variance, prior, own_terms) / COST_STEP
     assert (found[~needed] == uncontested_cost(CONFIG)).all()
     assert np.abs(found - np.clip(expected, 0, 255))[needed].max() < 0.5 + 0.05  # of the tables
     assert np.ptp(found[needed]) > 50
 
 
+def test_the_cost_of_cells_is_that_of_the_pixels_in_their_middle() -> None:
+    rng, evidence, side = np.random.default_rng(5), evidence_of(6), 3
+    cells = Region(8, 5, 20, 15)
+    pixels = Region(side * cells.x, side * cells.y, side * cells.width, side * cells.height)
+    shape, centre = (cells.height, cells.width), np.s_[1::side, 1::side]
+    still, ones = np.zeros((*shape, 2), np.float32), np.ones(shape, np.float32)
+    given = (rng.normal(0, 1, shape).astype(np.float32), ones, rng.random(shape).astype(np.float32))
+    found = layer_cost(
+        CONFIG, "object", evidence, cells, side, ones > 0, still, given[1], (given[2], ones), given[0]
+    )
+    own_terms, variance, prior = (one.repeat(side, axis=0).repeat(side, axis=1) for one in given)
+    motion = np.zeros((*own_terms.shape, 2), np.float32)
+    share = np.ones_like(prior)
+    by_pixels = layer_cost(
+        CONFIG, "object", evidence, pixels, 1, share > 0, motion, variance, (prior, share), own_terms
+    )
+    np.testing.assert_array_equal(found, by_pixels[centre])
+
+
 def test_a_cost_is_held_inside_its_byte() -> None:
     zeros, still = np.zeros(SIZE, np.float32), np.zeros((*SIZE, 2), np.float32)
     own_terms = np.where(np.arange(SIZE[1]) < 40, -100, 100) * np.ones(SIZE)
     found = layer_cost(
-        CONFIG, "object", evidence_of(2), REGION, np.ones(SIZE, bool), still, zeros,
+        CONFIG, "object", evidence_of(2), REGION, 1, np.ones(SIZE, bool), still, zeros,
         (zeros, zeros), own_terms.astype(np.float32),
     )  # fmt: skip
     assert (found[:, :40] == 0).all()
@@ -111,18 +130,18 @@ def test_the_finished_posterior_is_normalised_and_half_of_it_is_the_published_ma
     rng = np.random.default_rng(4)
     cost, samples = (rng.integers(0, most, SIZE).astype(np.uint8) for most in (256, 5))
     log_ratio = np.where(samples > 0, rng.integers(-128, 128, SIZE), 0).astype(np.int8)
-    mask = rng.random(SIZE) < 0.5
+    won = rng.integers(0, 256, SIZE).astype(np.uint8)
     result = replace(
         published(0, np.zeros(SHAPE, int)),
         normaliser=rng.integers(0, 256, SHAPE).astype(np.uint8),
         fallback=rng.integers(0, 128, SHAPE).astype(np.int8),
     )
-    found = finished_posterior(CONFIG, cost, log_ratio, samples, result, REGION, mask)
+    found = finished_posterior(CONFIG, cost, log_ratio, samples, result, REGION, won)
     fallback = np.ascontiguousarray(result.fallback[REGION.slices])
     weight, half = CONFIG.posterior.appearance, CONFIG.appearance.half_confidence_samples
     fused = with_appearance(cost, log_ratio, samples, fallback, weight, half)
     above = np.maximum(fused.astype(float) - result.normaliser[REGION.slices], 0) * COST_STEP
-    expected = 0.5 * np.exp(-above) + 0.5 * mask
+    expected = 0.5 * np.exp(-above) + 0.5 * won / 255
     # A cost on the edge of two quanta may fall to either.
     assert np.mean(np.abs(found - expected) > 1e-6) < 1e-3
     assert np.abs(found - expected).max() < 0.5 * COST_STEP

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from layer_fakes import CAR, SHAPE, WHOLE, frame_of, grid, owned, published, tracks
 
+from mlbs_actors.cells import spread_over_cells
 from mlbs_actors.messages import BACKGROUND, Region
 from mlbs_actors.object_regions import contested, object_region
 
@@ -50,4 +51,8 @@ def test_contested_is_the_union_of_the_objects_regions_and_of_no_others() -> Non
         expected[object_region(one, previous, SHAPE, 12.0).slices] = True
     np.testing.assert_array_equal(found, expected[box.slices])
     assert found.sum() == expected.sum()
+    box, found = contested(frame_of([*everyone, other], 1), previous, 12.0, 2)
+    held = spread_over_cells(found, 2, (box.height, box.width))
+    assert held[expected[box.slices]].all()
+    assert expected.sum() < held.sum() < 1.2 * expected.sum()
     assert contested(frame_of(everyone[:1], 1), None, 12.0)[0].area == 0

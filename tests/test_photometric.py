@@ -142,8 +142,8 @@ def plain_advantage(before: Array, now: Array, motion: Array, camera: Array, own
     for x, y in ((columns + motion[..., 0], rows + motion[..., 1]), np.moveaxis(by_camera, 2, 0)):
         known &= (x >= 0) & (x <= SHAPE[1] - 1) & (y >= 0) & (y <= SHAPE[0] - 1)
         moved = cv2.remap(last, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
-        errors.append(cv2.blur(np.abs(newest.astype(np.float32) - moved), (5, 5)))
-    noise = np.clip(np.median(errors[1]), 2.0, 3.5)
+        errors.append(cv2.blur(np.abs(newest.astype(np.float32) - moved), (3, 3)))
+    noise = np.clip(np.median(errors[1]), 1.5, 3.0)
     difference = np.clip((errors[1] - errors[0]) / noise, -LARGEST, LARGEST)
     for_it = own * np.clip(4.0 - errors[0] / noise, 0, 1)
     against_it = np.clip(2.5 - errors[1] / noise, 0, 1)

@@ -78,6 +78,7 @@ def posterior(
         frame_index=frame_index,
         kind=kind_of(layer),
         region=region,
+        cell=1,
         cost=full,
         log_ratio=np.zeros(full.shape, np.int8),
         samples=np.zeros(full.shape, np.uint8),
@@ -157,6 +158,27 @@ def test_groups_of_regions_are_labelled_as_one_problem_of_the_whole_frame(
     labels = np.searchsorted(list(regions), result.labels)
     assert labels.any()
     assert whole.energy(labels) == minimise(whole).energy
+
+
+def test_posteriors_of_cells_are_those_of_all_their_pixels() -> None:
+    rng, side = np.random.default_rng(3), 2
+    by_cells, by_pixels = [], []
+    for layer, region in ((0, WHOLE), (4, Region(4, 2, 20, 14)), (9, Region(10, 8, 22, 16))):
+        cost = rng.integers(0, 200, (region.height // side, region.width // side)).astype(np.uint8)
+        by_pixels.append(posterior(layer, cost.repeat(side, axis=0).repeat(side, axis=1), region))
+        unknown = np.zeros(cost.shape, np.int8), np.zeros_like(cost)
+        by_cells.append(
+            replace(by_pixels[-1], cell=side, cost=cost, log_ratio=unknown[0], samples=unknown[1])
+        )
+    config = configured(contrast_strength=1.0, contrast_scale=5e3)
+    found, expected = segmented(by_cells, config), segmented(by_pixels, config)
+    assert found.labels.any()
+    np.testing.assert_array_equal(found.labels, expected.labels)
+    told = np.s_[2:16, 4:24]
+    np.testing.assert_array_equal(
+        found.normaliser.repeat(side, axis=0).repeat(side, axis=1)[told], expected.normaliser[told]
+    )
+    assert found.layers == expected.layers
 
 
 def test_every_pixel_gets_the_id_of_the_layer_that_costs_least() -> None:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from mlbs_actors.cells import mean_of_cells
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region
 from mlbs_actors.shadows import (
     CONTACT_DARK,
@@ -75,7 +76,7 @@ def darkened(
     """On the whole frame."""
     ground = ground_colour(image, given, previous, scale)
     assert ground is not None
-    return darkening(image, ground, Region(0, 0, image.shape[1], image.shape[0]))
+    return darkening(image, ground, Region(0, 0, image.shape[1], image.shape[0]), 1.0)
 
 
 def likelihood(image: Array, previous: Array = NO_LABELS) -> Array:
@@ -154,7 +155,7 @@ EDGE = 3
 
 
 def strip_found(image: Array, found: Array) -> Array:
-    return contact_shadow(found, image, darkened(image, evidence(), found), SCALE, RISE)
+    return contact_shadow(found, image, darkened(image, evidence(), found), 1, SCALE, RISE)
 
 
 def with_strip(strip: tuple[slice, slice] = STRIP, grey: int = 9) -> tuple[Array, Array]:
@@ -218,7 +219,7 @@ def test_the_lighter_rim_under_the_strip_goes_with_it() -> None:
     image, found = (one.repeat(2, axis=0).repeat(2, axis=1) for one in (image, found))
     dark = darkened(image, evidence(), found, 2 * SCALE)
     assert dark.mean[258:260, 264:336].min() > CONTACT_DARK
-    assert contact_shadow(found, image, dark, 2 * SCALE, RISE)[258:260, 264:336].all()
+    assert contact_shadow(found, image, dark, 1, 2 * SCALE, RISE)[258:260, 264:336].all()
 
 
 def test_nothing_is_taken_beyond_the_ground() -> None:
@@ -237,7 +238,7 @@ def test_what_does_not_stand_on_the_ground_has_no_contact_shadow(below: str) -> 
     else:
         dark = darkened(image, evidence(), found)
         cut = Darkening(dark.mean[:130], dark.spread[:130], dark.brightness[:130], dark.variance[:130])
-        assert not contact_shadow(found[:130], image[:130], cut, SCALE, RISE).any()
+        assert not contact_shadow(found[:130], image[:130], cut, 1, SCALE, RISE).any()
 
 
 def test_the_ground_of_a_mirrored_frame_is_mirrored() -> None:
@@ -255,7 +256,7 @@ def test_a_box_is_darkened_as_the_whole_frame_is(box: Region) -> None:
     image = picture(0.5)
     ground = ground_colour(image, evidence(), labels(), SCALE)
     assert ground is not None
-    whole, part = darkened(image, evidence(), labels()), darkening(image, ground, box)
+    whole, part = darkened(image, evidence(), labels()), darkening(image, ground, box, 1.0)
     for name in ("mean", "spread", "brightness", "variance"):
         np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[box.slices])
     np.testing.assert_array_equal(shadow_likelihood(part), shadow_likelihood(whole)[box.slices])
@@ -281,5 +282,19 @@ def test_a_contact_shadow_is_found_in_a_box_as_in_the_whole_frame() -> None:
     assert ground is not None
     box = Region(100, 60, 100, 100)
     part = np.ascontiguousarray(image[box.slices])
-    strip = contact_shadow(found[box.slices], part, darkening(image, ground, box), SCALE, RISE)
+    strip = contact_shadow(found[box.slices], part, darkening(image, ground, box, 1.0), 1, SCALE, RISE)
     np.testing.assert_array_equal(strip, strip_found(image, found)[box.slices])
+
+
+def test_a_contact_shadow_is_found_from_the_means_of_cells_too() -> None:
+    image, found = (one.repeat(2, axis=0).repeat(2, axis=1) for one in with_strip())
+    ground = ground_colour(image, evidence(), found, 2 * SCALE)
+    assert ground is not None
+    small = mean_of_cells(image, 2)
+    dark = darkening(small, ground, Region(0, 0, small.shape[1], small.shape[0]), 0.5)
+    strip = contact_shadow(found, image, dark, 2, 2 * SCALE, RISE)
+    assert strip.any()
+    by_pixels = contact_shadow(
+        found, image, darkened(image, evidence(), found, 2 * SCALE), 1, 2 * SCALE, RISE
+    )
+    assert (strip != by_pixels).sum() <= 0.1 * by_pixels.sum()

@@ -49,8 +49,11 @@ def flow_between(first: Array, second: Array) -> DenseFlow:
 def constant_flow(motion: tuple[float, float]) -> DenseFlow:
     """The same motion everywhere, confirmed everywhere."""
     forward = np.full((*SHAPE, 2), motion, np.float32)
-    sure = np.ones(forward.shape[:2], bool)
-    return DenseFlow(forward, -forward, sure, sure, (1.0, 1.0))
+    return DenseFlow(forward, -forward, np.ones(SHAPE, bool), (1.0, 1.0), THRESHOLDS)
+
+
+#: Nothing but flow that leads elsewhere is refused.
+THRESHOLDS = (0.01, 0.5, 1e6, 1e6)
 
 
 def seeded(gray: Array) -> TrajectoryState:
@@ -106,9 +109,9 @@ def test_a_point_that_leaves_the_frame_is_dropped() -> None:
 def test_a_point_whose_flow_is_not_confirmed_is_dropped() -> None:
     state = seeded(shifted(texture(), (0, 0)))
     flow = constant_flow((0.0, 0.0))
-    confirmed = flow.forward_reliable.copy()
-    confirmed[:, :80] = False
-    followed = advance_trajectories(state, replace(flow, forward_reliable=confirmed), SHAPE)
+    contradicted = flow.backward.copy()
+    contradicted[:, :80] = 9.0
+    followed = advance_trajectories(state, replace(flow, backward=contradicted), SHAPE)
     np.testing.assert_array_equal(followed.ids, state.ids[state.positions[:, 0] >= 80])
 
 
@@ -127,8 +130,7 @@ def test_seeds_keep_their_distance_and_leave_no_gap_in_a_textured_frame() -> Non
 def test_a_tiny_frame_has_no_more_trajectories_than_its_pixels_can_tell_apart(shape: tuple[int, int]) -> None:
     gray = np.ascontiguousarray(shifted(texture(), (0, 0))[: shape[0], : shape[1]])
     motion = np.full((*shape, 2), (0.4, 0.3), np.float32)
-    sure = np.ones(shape, bool)
-    flow = DenseFlow(motion, -motion, sure, sure, (1.0, 1.0))
+    flow = DenseFlow(motion, -motion, np.ones(shape, bool), (1.0, 1.0), THRESHOLDS)
     state = empty_trajectories(CONFIG)
     for _ in range(12):
         state = advance_trajectories(state, flow, shape)
@@ -152,9 +154,9 @@ def test_only_the_places_that_trajectories_left_are_seeded_again() -> None:
     again = seed_trajectories(state, gray, still, SHAPE, CONFIG)
     assert len(again) == len(state)
     kept = np.flatnonzero(state.positions[:, 0] < 80)
-    confirmed = still.forward_reliable.copy()
-    confirmed[:, 80:] = False
-    half = advance_trajectories(state, replace(still, forward_reliable=confirmed), SHAPE)
+    contradicted = still.backward.copy()
+    contradicted[:, 80:] = 9.0
+    half = advance_trajectories(state, replace(still, backward=contradicted), SHAPE)
     np.testing.assert_array_equal(half.ids, state.ids[kept])
     refilled = seed_trajectories(half, gray, still, SHAPE, CONFIG)
     fresh = refilled.positions[len(half) :]

@@ -40,7 +40,6 @@ def test_each_pixel_takes_the_label_of_the_nearest_one(shape: tuple[int, int]) -
             near = small[np.ix_(rows <= rows.min() + 1e-9, columns <= columns.min() + 1e-9)]
             assert result.labels[y, x] in near
     assert result.labels.dtype == np.uint16
-    assert result.normaliser.shape == result.fallback.shape == shape
 
 
 def test_what_the_tables_tell_is_measured_in_full_size() -> None:

@@ -133,6 +133,7 @@ class EngineParts:
     def _run_two_layers(self) -> None:
         config = Config()
         height, width = 480, 640
+        grid = (height // 2, width // 2)  # of the cells, and of the flow
         random = np.random.default_rng(0)
         frame = _read_only(random.integers(0, 256, (height, width, 3), dtype=np.uint8))
         columns, rows = np.meshgrid(np.arange(140, 180, 8), np.arange(100, 140, 8))
@@ -154,9 +155,9 @@ class EngineParts:
                     frame_index=t,
                     shape=(height, width),
                     camera=_read_only(np.eye(3)),
-                    flow=_read_only(np.zeros((height // 2, width // 2, 2), np.float16)),
-                    flow_reliable=_read_only(np.ones((height // 2, width // 2), bool)),
-                    unexplained=_read_only(np.full((height // 2, width // 2), 255, np.uint8)),
+                    flow=_read_only(np.zeros((*grid, 2), np.float16)),
+                    flow_reliable=_read_only(np.ones(grid, bool)),
+                    unexplained=_read_only(np.full(grid, 255, np.uint8)),
                     layers=(own,),
                     retired=(),
                     latency_frames=0,
@@ -165,8 +166,8 @@ class EngineParts:
                 previous = Segmentation(
                     frame_index=t,
                     labels=_read_only(np.full((height, width), layer, np.uint16)),
-                    normaliser=_read_only(np.zeros((height, width), np.uint8)),
-                    fallback=_read_only(np.zeros((height, width), np.int8)),
+                    normaliser=_read_only(np.zeros(grid, np.uint8)),
+                    fallback=_read_only(np.zeros(grid, np.int8)),
                     layers=(),
                     camera_motion=(0.0, 0.0),
                     latency_frames=0,
