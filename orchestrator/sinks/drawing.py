@@ -35,6 +35,7 @@ def draw_labels(image: Array, labels: Array) -> Array:
     (H, W, 3) uint8
     """
     drawn = image.copy()
+    dark, free = np.zeros_like(drawn), (labels == BACKGROUND).view(np.uint8)
     line = max(1, round(min(image.shape[:2]) * _LINE_PX))
     around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * line + 1, 2 * line + 1))
     texts = []
@@ -46,11 +47,12 @@ def draw_labels(image: Array, labels: Array) -> Array:
         # Some pixels more on each side for the dark rim.
         left, top = max(x - line, 0), max(y - line, 0)
         box = slice(top, y + height + line), slice(left, x + width + line)
-        mask, canvas, colour = mask[box], drawn[box], layer_colour(layer)
-        tinted = cv2.addWeighted(canvas, 1 - _OPACITY, np.full_like(canvas, colour), _OPACITY, 0)
-        cv2.copyTo(tinted, mask, canvas)
-        canvas[mask != cv2.erode(mask, around)] = colour
-        canvas[(cv2.dilate(mask, around) != 0) & (labels[box] == BACKGROUND)] = 0
+        # OpenCV's masked copies take a tenth of the time of assignments by a mask.
+        mask, canvas = mask[box], drawn[box]
+        colour = np.full_like(canvas, layer_colour(layer))
+        cv2.copyTo(cv2.addWeighted(canvas, 1 - _OPACITY, colour, _OPACITY, 0), mask, canvas)
+        cv2.copyTo(colour, cv2.absdiff(mask, cv2.erode(mask, around)), canvas)
+        cv2.copyTo(dark[box], cv2.bitwise_and(cv2.dilate(mask, around), free[box]), canvas)
         x, y = _inner_point(mask)
         texts.append((str(layer), (left + x, top + y)))
     for text, place in texts:

@@ -18,7 +18,7 @@ LARGEST_INDEXED_LABEL = 254
 _DAVIS_COLOURS = 22  # from here on its palette is a grey ramp
 
 # Label maps are large flat areas: a higher level takes longer and saves nothing.
-_COMPRESSION = 3
+_COMPRESSION = 1
 
 
 def voc_colours(count: int = 256) -> Array:
