@@ -106,7 +106,8 @@ class Driver:
         self._bursts: dict[Future[StreamProgress], str] = {}
         self._asked: dict[str, float] = {}
         self._returns = {spec.name: Returns() for spec in specs}
-        self._returning: set[str] = set()
+        # Streams that go back, until they are started again.
+        self._returning: dict[str, RunningStream] = {}
         # A stream that ended holds its place until its processes are gone.
         self._endings: dict[Future[StreamProgress | None], str] = {}
 
@@ -153,7 +154,8 @@ class Driver:
     def _start(self, name: str) -> None:
         try:
             self._streams[name] = self._host.start(
-                replace(self._specs[name], last_try=self._returns[name].last_try)
+                replace(self._specs[name], last_try=self._returns[name].last_try),
+                self._returning.pop(name, None),
             )
             self._advance(name)
         except Exception as error:
@@ -173,11 +175,11 @@ class Driver:
             self._take_ending(ending)
 
     def _give_up_hanging(self) -> None:
-        """A burst that takes too long is not waited for; a live source may keep its stream waiting."""
+        """A burst that takes too long is not waited for; of a live source that is silent none does."""
         now = self._clock()
         for burst, name in list(self._bursts.items()):
             most = START_SECONDS if self._states[name].state == "starting" else STALL_SECONDS
-            if now - self._asked[name] > most and self._specs[name].replayable:
+            if now - self._asked[name] > most:
                 del self._bursts[burst]
                 self._fail(name, ActorLostError(f"The stream has not got on for {most:.0f} seconds."))
 
@@ -204,11 +206,10 @@ class Driver:
         name = self._endings.pop(ending)
         if name in self._removed:
             self._removed.remove(name)
-            self._returning.discard(name)
+            self._returning.pop(name, None)
             progress = None if ending.exception() else ending.result()
             self._set(after_removal(self._states[name], progress))
         elif name in self._returning and self._interruption.signal_number is None:
-            self._returning.remove(name)
             self._start(name)
 
     def _advance(self, name: str) -> None:
@@ -222,7 +223,7 @@ class Driver:
             returns = self._returns[name].after_loss(state.committed)
             if returns is not None:
                 self._returns[name] = returns
-                self._returning.add(name)
+                self._returning[name] = self._streams[name]
                 self._set(after_loss(state, _sentence(error)))
                 self._end(name, drain=False)
                 return
@@ -232,9 +233,7 @@ class Driver:
             self._end(name, drain=False)
 
     def _may_return(self, name: str, error: Exception) -> bool:
-        if not isinstance(error, ActorLostError) or name not in self._streams or name in self._removed:
-            return False
-        return self._specs[name].replayable
+        return isinstance(error, ActorLostError) and name in self._streams and name not in self._removed
 
     def _end(self, name: str, *, drain: bool) -> Future[StreamProgress | None]:
         stream = self._streams.pop(name)
@@ -242,7 +241,7 @@ class Driver:
 
         def stop() -> StreamProgress | None:
             try:
-                return stream.stop(drain=drain)
+                return stream.stop(drain=drain, returns=returning)
             finally:
                 if returning:
                     self._host.repair()

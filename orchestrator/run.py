@@ -31,7 +31,7 @@ from orchestrator.report.page import render_report
 from orchestrator.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.overlay import overlays
-from orchestrator.sinks.record import StreamRecord, ends_group, recorded_frames
+from orchestrator.sinks.record import StreamRecord, ends_group, has_snapshot, recorded_frames
 from orchestrator.sources.address import SourceKind
 from orchestrator.sources.opening import open_reader
 from orchestrator.stream_list import ListedStream
@@ -189,16 +189,18 @@ class _Job:
         if max_side is not None:
             reader, record = partial(ShrinkingReader, reader, max_side), FullSizeRecord
         picture = None if self._live is None else LivePicture(live_picture_path(self._live, stream.name))
+        folder = self._folder.stream(stream.name)
+        replayable = stream.source.kind in (SourceKind.PATH, SourceKind.SYNTHETIC)
         return StreamSpec(
             name=stream.name,
             config=self._config,
             open_reader=reader,
-            open_sink=partial(record, self._folder.stream(stream.name), stream.name, save, picture),
+            open_sink=partial(record, folder, stream.name, save, picture, replayable=replayable),
             max_frames=self._arguments.max_frames,
             wants_background=ends_group if "background" in save else None,
             source=str(stream.source),
             line=stream.line,
-            replayable=stream.source.kind in (SourceKind.PATH, SourceKind.SYNTHETIC),
+            replayable=replayable,
             path=stream.source.path,
         )
 
@@ -248,12 +250,10 @@ def _drive(
 
 
 def _not_to_be_resumed(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[str, StreamState]:
-    """Streams that are left as they are: those that have ended, and cameras that have begun.
-
-    What a camera showed meanwhile is lost.
-    """
+    """Streams that are left as they are: those that ended, and cameras that have nothing to go on from."""
     words = (
-        "A camera's stream cannot be resumed; what was committed is kept. Start it anew in another folder."
+        "This camera's stream has no snapshot to go on from; what was committed is kept. "
+        "Start it anew in another folder."
     )
     states, left = folder.states(), {}
     for spec in specs:
@@ -261,7 +261,7 @@ def _not_to_be_resumed(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[s
         frames = recorded_frames(folder.stream(spec.name))
         if state.state == "done" or (state.state == "partial" and not state.interrupted):
             left[spec.name] = state
-        elif frames and not spec.replayable:
+        elif frames and not spec.replayable and not has_snapshot(folder.stream(spec.name)):
             counted = with_record(after_failure(state, words), frames)
             left[spec.name] = replace(counted, state="partial")
     return left

@@ -67,6 +67,7 @@ class FakeStream:
     error: Exception = field(default_factory=lambda: SourceError("The source is gone."))
     read: int = 0
     stops: list[bool] = field(default_factory=list)
+    returns: bool = False
     on_advance: Callable[[], None] = lambda: None
 
     def advance(self) -> Future[StreamProgress]:
@@ -80,8 +81,9 @@ class FakeStream:
             future.set_result(progress(self.read, done=self.read == self.frames, problem=self.problem))
         return future
 
-    def stop(self, *, drain: bool) -> StreamProgress | None:
+    def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
         self.stops.append(drain)
+        self.returns = returns
         return progress(self.read, done=True) if drain else None
 
 
@@ -94,7 +96,7 @@ class FakeHost:
         self.most_at_once = 0
         self.repairs = 0
 
-    def start(self, spec: StreamSpec) -> RunningStream:
+    def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
         self.started.append(spec.name)
         running = sum(not self.streams[name].stops for name in self.started)
         self.most_at_once = max(self.most_at_once, running)
@@ -165,10 +167,10 @@ def test_a_place_is_free_only_when_the_stream_before_has_given_its_processes_bac
     gone = threading.Event()
 
     class Slow(FakeStream):
-        def stop(self, *, drain: bool) -> StreamProgress | None:
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
             time.sleep(0.3)
             gone.set()
-            return super().stop(drain=drain)
+            return super().stop(drain=drain, returns=returns)
 
     def check() -> None:
         assert gone.is_set()
@@ -192,10 +194,10 @@ def test_a_stream_that_fails_ends_alone(fails_at: int, error: Exception) -> None
 
 def test_a_stream_that_cannot_even_be_started_fails_alone() -> None:
     class Broken(FakeHost):
-        def start(self, spec: StreamSpec) -> RunningStream:
+        def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
             if spec.name == "bad":
                 raise SourceError("No such thing.")
-            return super().start(spec)
+            return super().start(spec, before)
 
     host = Broken({"good": FakeStream(5)})
     driver = Driver([spec("bad"), spec("good")], host, limit=1, observers=[], interruption=Interruption())
@@ -205,7 +207,7 @@ def test_a_stream_that_cannot_even_be_started_fails_alone() -> None:
 
 def test_a_stream_whose_processes_cannot_be_ended_holds_up_nobody() -> None:
     class Stuck(FakeStream):
-        def stop(self, *, drain: bool) -> StreamProgress | None:
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
             raise RuntimeError("lost")
 
     status, states, _, _ = drive({"a": Stuck(4), "b": FakeStream(4)}, limit=1)
@@ -262,7 +264,7 @@ def test_a_stream_that_fails_while_it_is_drained_is_told_apart() -> None:
     interruption = Interruption()
 
     class Lost(FakeStream):
-        def stop(self, *, drain: bool) -> StreamProgress | None:
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
             interruption.signal_number = signal.SIGINT
             self.stops.append(drain)
             return None
@@ -284,10 +286,12 @@ class Again(FakeHost):
     def __init__(self, attempts: dict[str, list[FakeStream]]) -> None:
         super().__init__({name: streams[0] for name, streams in attempts.items()})
         self.attempts = attempts
+        self.before: list[RunningStream | None] = []
         self.last_tries: list[bool] = []
 
-    def start(self, spec: StreamSpec) -> RunningStream:
+    def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
         self.started.append(spec.name)
+        self.before.append(before)
         self.last_tries.append(spec.last_try)
         return self.attempts[spec.name].pop(0)
 
@@ -323,12 +327,12 @@ def test_a_stream_that_gets_no_further_fails_after_a_few_returns_and_knows_its_l
     assert states["bad"].returns == MOST_RETURNS
 
 
-def test_a_stream_that_cannot_be_replayed_fails_at_its_first_loss() -> None:
-    host = Again({"camera": [losing(8)]})
-    live = replace(spec("camera"), replayable=False)
-    driver = Driver([live], host, limit=1, observers=[], interruption=Interruption())
-    assert driver.run() == 1
-    assert driver.states[0].state == "failed"
+def test_a_stream_is_started_again_with_what_its_last_start_has_left() -> None:
+    first, second = losing(8), losing(16)
+    host = Again({"camera": [first, second, FakeStream(20)]})
+    assert drive_again(host)["camera"].state == "done"
+    assert host.before == [None, first, second]
+    assert (first.returns, second.returns) == (True, True)
 
 
 def test_a_stream_that_does_not_get_on_is_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -347,9 +351,9 @@ def test_a_stream_that_leaves_the_list_while_it_goes_back_is_not_started_again()
     asked: list[StreamState] = []
 
     class Slow(FakeStream):
-        def stop(self, *, drain: bool) -> StreamProgress | None:
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
             time.sleep(0.5)
-            return super().stop(drain=drain)
+            return super().stop(drain=drain, returns=returns)
 
     host = Again({"bad": [Slow(20, fails_at=8, error=ActorLostError("It lost its layer 3."))]})
 
@@ -373,10 +377,10 @@ def test_a_signal_while_a_stream_goes_back_leaves_it_to_be_resumed() -> None:
     interruption = Interruption()
 
     class Stopping(FakeStream):
-        def stop(self, *, drain: bool) -> StreamProgress | None:
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
             interruption.signal_number = signal.SIGTERM
             time.sleep(0.3)
-            return super().stop(drain=drain)
+            return super().stop(drain=drain, returns=returns)
 
     first = Stopping(20, fails_at=8, error=ActorLostError("It lost its layer 3."))
     host = Again({"bad": [first, FakeStream(20)]})

@@ -202,9 +202,9 @@ def test_cut_outs_and_plates_of_a_resumed_record_are_those_of_a_whole_one(tmp_pa
     assert sum(name.startswith("background/") for name in pictures(tmp_path / "yard")) == 2
 
 
-def test_streams_that_ended_and_cameras_are_left_as_they_are(tmp_path: Path) -> None:
+def test_streams_that_ended_and_cameras_without_a_snapshot_are_left_as_they_are(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
-    names = ("done", "cut", "killed", "failed", "camera", "full", "new")
+    names = ("done", "cut", "killed", "failed", "camera", "full", "saved", "new")
     specs = [
         StreamSpec(
             name,
@@ -212,7 +212,7 @@ def test_streams_that_ended_and_cameras_are_left_as_they_are(tmp_path: Path) -> 
             partial(StreamRecord, tmp_path, name, SAVE),  # type: ignore[arg-type]
             partial(StreamRecord, tmp_path, name, SAVE),
             line=line,
-            replayable=name not in ("camera", "full", "new"),
+            replayable=name not in ("camera", "full", "saved", "new"),
         )
         for line, name in enumerate(names, 1)
     ]
@@ -223,23 +223,26 @@ def test_streams_that_ended_and_cameras_are_left_as_they_are(tmp_path: Path) -> 
         StreamState("failed", "failed", read=9),
         StreamState("camera", "reconnecting", read=40, committed=8, dropped=3, gaps=1),
         StreamState("full", "done", read=32, committed=32),
+        StreamState("saved", "running", read=40, committed=28, dropped=3, gaps=1),
         StreamState("new", "starting"),
     ]
     StatusFile(tmp_path / "status.json").finish(states, 1)
-    for name in ("camera", "full"):
+    for name in ("camera", "full", "saved"):
         record = StreamRecord(tmp_path / name, name, frozenset())
         for index in range(32):
             if index < 4:
                 record.gap(index, index / 25, "gap" if index == 0 else "dropped")
             else:
                 record.write(result(index), frame(index))
+            if name == "saved" and index == 20:
+                take(record, 20)
         record.close(whole=False)
     left = _not_to_be_resumed(folder, specs)
     assert list(left) == ["done", "camera", "full"]
     assert left["done"] == StreamState("done", "done", read=9, committed=9, line=1)
     camera = left["camera"]
     assert (camera.state, camera.read, camera.committed, camera.dropped) == ("partial", 40, 28, 3)
-    assert "cannot be resumed" in (camera.error or "")
+    assert "has no snapshot to go on from" in (camera.error or "")
     assert left["full"].state == "done"
 
 

@@ -20,7 +20,7 @@ from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.failures import last_line
 from mlbs_actors.actors.parts import PartFactory
-from mlbs_actors.actors.pipeline import Node
+from mlbs_actors.actors.pipeline import Node, StreamActors
 from mlbs_actors.actors.pool import PoolPolicy
 from mlbs_actors.actors.processes import Reference, ask
 from mlbs_actors.actors.stream_protocol import RunningStream, StreamProgress, StreamSpec
@@ -89,8 +89,8 @@ class Cluster:
             self._look(0.0)
             return max(1, sum(member.places for member in self._members.values()))
 
-    def start(self, spec: StreamSpec) -> RunningStream:
-        """Start a stream on the node with most room, of those that have its file.
+    def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
+        """Start a stream where its reader lives, else on the node with most room, of those with its file.
 
         Raises
         ------
@@ -103,9 +103,11 @@ class Cluster:
             if not members:
                 raise ActorLostError("No node of the cluster can be used; look at the messages above.")
             chosen = max(members, key=lambda node: (members[node].room, node == self._own))
-            member = members[chosen]
+            member, earlier = members[chosen], None
+            if isinstance(before, _Placed) and before.reader_lives and before.place in members.values():
+                member, earlier = before.place, before.stream
             member.running += 1
-        return _Placed(member.node.start(spec), member)
+        return _Placed(member.node.start(spec, earlier), member)
 
     def repair(self) -> None:
         """Forget lost nodes, and mend the others; streams that were there must be started again."""
@@ -165,20 +167,25 @@ class Cluster:
 class _Placed:
     """A running stream that gives its place on a node back when it is stopped."""
 
-    def __init__(self, stream: RunningStream, member: _Member) -> None:
-        self._stream = stream
-        self._member: _Member | None = member
+    def __init__(self, stream: StreamActors, place: _Member) -> None:
+        self.stream = stream
+        self.place = place
+        self._holds_place = True
+
+    @property
+    def reader_lives(self) -> bool:
+        return self.stream.living_reader is not None
 
     def advance(self) -> Future[StreamProgress]:
-        return self._stream.advance()
+        return self.stream.advance()
 
-    def stop(self, *, drain: bool) -> StreamProgress | None:
+    def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
         try:
-            return self._stream.stop(drain=drain)
+            return self.stream.stop(drain=drain, returns=returns)
         finally:
-            if self._member is not None:
-                self._member.running -= 1
-                self._member = None
+            if self._holds_place:
+                self.place.running -= 1
+                self._holds_place = False
 
 
 def _here() -> bool:

@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import logging
 import sys
+import time
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import ray
-from ray.exceptions import RayError
+from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.failures import POOL, SEGMENTER, SINK, explain, is_loss, reader_lost, source_failure
 from mlbs_actors.actors.layer import LiveLayers
+from mlbs_actors.actors.live_reader import LiveReadAhead
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.processes import Handle, Reference, identity
 from mlbs_actors.actors.reader import ReadAhead
@@ -36,6 +38,7 @@ from mlbs_actors.actors.sink import Record
 from mlbs_actors.actors.stream_protocol import (
     Snapshot,
     SourceFrame,
+    SourcePosition,
     SourceSilence,
     SourceStatus,
     StreamProgress,
@@ -52,6 +55,9 @@ _log = logging.getLogger(__name__)
 
 #: Frames that are passed over in one burst on the way back to a snapshot.
 _SKIPPED_FRAMES = 64
+
+#: How long a snapshot is waited for without which frames would be lost, s.
+_SNAPSHOT_SECONDS = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,12 +95,17 @@ class CoordinatorActor:
         self._spec = spec
         self._links = links
         self._coordinator = parts.coordinator(spec.config)
-        self._source = ReadAhead(links.reader, spec.max_frames)
+        self._source = (
+            ReadAhead(links.reader, spec.max_frames)
+            if spec.replayable
+            else LiveReadAhead(links.reader, run, spec.max_frames)
+        )
         self._layers = LiveLayers(links.pool, run, spec.config)
         self._record = Record(links.sink, run, spec.open_sink)
         self._waiting: deque[tuple[Reference, SourceFrame]] = deque()  # not yet labelled, in source order
         self._segmentations: dict[int, Reference] = {}  # of the newest frames, by the engine's frame index
         self._counts: Counter[SourceStatus] = Counter()
+        self._position = SourcePosition()
         self._silence: SourceSilence | None = None
         self._length: int | None = None  # of the source, as that says
         self._problem: str | None = None
@@ -102,6 +113,7 @@ class CoordinatorActor:
         self._ended: StreamProgress | MlbsError | None = None
         self._begun = self._interrupted = False
         self._to_skip = 0
+        self._saved = 0  # rows of the source before the newest snapshot
         self._writer = StateWriter()
 
     def advance(self, frames: int) -> StreamProgress:
@@ -118,8 +130,10 @@ class CoordinatorActor:
         """Read no more, label and commit what was read, close the record; raises as :meth:`advance`."""
         self._interrupted = True
         self._to_skip = 0
-        self._source.stop()
-        return self._guarded(1)
+        self._source.finish()
+        while not (progress := self._guarded(1)).done:
+            continue
+        return progress
 
     def _guarded(self, frames: int) -> StreamProgress:
         if self._ended is None:
@@ -155,6 +169,7 @@ class CoordinatorActor:
             if isinstance(frame, SourceSilence):
                 break
             self._counts[frame.status] += 1
+            self._position = SourcePosition(self._counts.total(), frame.pts, time.time())
             self._length = frame.length
             self._waiting.append((reference, frame))
             if frame.image is None:
@@ -164,6 +179,7 @@ class CoordinatorActor:
             if self._record.rows >= self._next_snapshot:
                 self._save()
         self._record.collect()
+        self._source.forget(self._record.kept)
         return self._progress(done=False)
 
     def _begin(self) -> None:
@@ -172,6 +188,10 @@ class CoordinatorActor:
         self._snapshots = opening.snapshots
         if opening.resume_from is not None:
             self._restore(opening.resume_from.folder)
+        if isinstance(self._source, LiveReadAhead):
+            self._go_on(self._source)
+        else:
+            self._to_skip = 0 if self._interrupted else self._read
         self._await_snapshot()
         self._begun = True
 
@@ -184,7 +204,14 @@ class CoordinatorActor:
         for segmentation in ray.get(published):
             self._segmentations[segmentation.frame_index] = ray.put(segmentation)
         self._counts.update(state.counts)
-        self._to_skip = 0 if self._interrupted else self._read
+        self._position = state.position
+        self._saved = state.position.rows
+
+    def _go_on(self, source: LiveReadAhead) -> None:
+        try:
+            source.go_on(self._position, self._read)
+        except RayError as error:
+            raise self._reader_failure(error) from None
 
     def _skip(self) -> None:
         """Pass over some of the frames that the snapshot has seen: in bursts, so that others see it go on."""
@@ -199,20 +226,28 @@ class CoordinatorActor:
         """Let every part write its state, each after the same frame; the work goes on meanwhile."""
         assert self._snapshots is not None
         self._await_snapshot()
-        folder = self._snapshots / f"{self._record.rows:08d}"
+        folder = self._snapshots / f"{self._position.rows:08d}"
         self._layers.save(folder)
         self._links.segmenter.save.remote(folder)
         layers = self._layers.state()
         waiting = tuple(frame for _, frame in self._waiting)
-        own = ConductorState(self._counts, waiting, layers)
+        own = ConductorState(self._counts, self._position, waiting, layers)
         self._writer.write({CONDUCTOR_FILE: own, COORDINATOR_FILE: self._coordinator.state}, folder)
         shared = (CONDUCTOR_FILE, COORDINATOR_FILE, SEGMENTER_FILE, PUBLISHED_FILE)
         parts = (*shared, *(layer_file(one.layer) for one in layers))
         self._record.offer(Snapshot(folder, self._record.rows, self._record.label_maps, parts))
+        self._saved = self._position.rows
+
+    def _save_where_it_stands(self) -> None:
+        """Have a snapshot of right now: what a live source has given will not be given again."""
+        if self._snapshots is not None and not self._spec.replayable:
+            if self._saved != self._position.rows:
+                self._save()
+            self._record.await_snapshot(_SNAPSHOT_SECONDS)
 
     def _await_snapshot(self) -> None:
         every, rows = self._spec.snapshot_rows, self._record.rows
-        wanted = self._snapshots is not None and self._spec.replayable
+        wanted = self._snapshots is not None
         self._next_snapshot = (rows // every + 1) * every if wanted else sys.maxsize
 
     def _next_frame(self) -> tuple[Reference, SourceFrame | SourceSilence] | None:
@@ -220,14 +255,17 @@ class CoordinatorActor:
             return self._source.next()
         except RayError as error:
             failure = self._reader_failure(error)
-            if self._read == 0 or isinstance(failure, ActorLostError):
+            if isinstance(failure, ActorLostError):
+                self._save_where_it_stands()
+                raise failure from None
+            if self._read == 0:
                 raise failure from None
             self._problem = str(failure)
             self._source.stop()
             return None
 
     def _reader_failure(self, error: RayError) -> MlbsError:
-        if self._spec.replayable and not self._spec.last_try and is_loss(error):
+        if not self._spec.last_try and (is_loss(error) or isinstance(error, GetTimeoutError)):
             return reader_lost(self._spec.name, self._read)
         return source_failure(error, self._spec.source, self._read)
 
@@ -269,6 +307,7 @@ class CoordinatorActor:
     def _finish(self) -> StreamProgress:
         self._silence = None  # of a stream that ends it is no fault
         if self._interrupted:
+            self._save_where_it_stands()
             self._record.provisional()
         for evidence in self._coordinator.flush():
             self._label(evidence)

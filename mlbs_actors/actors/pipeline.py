@@ -16,13 +16,14 @@ from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.coordinator import CoordinatorActor, StreamLinks
 from mlbs_actors.actors.failures import COORDINATOR, explain
+from mlbs_actors.actors.live_reader import LiveReaderActor
 from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.pool import PoolActor, PoolCensus, PoolPolicy
 from mlbs_actors.actors.processes import Handle, Reference, end, identity, spawn
 from mlbs_actors.actors.reader import ReaderActor
 from mlbs_actors.actors.segmenter import SegmenterActor
 from mlbs_actors.actors.sink import SinkActor
-from mlbs_actors.actors.stream_protocol import StreamProgress, StreamSpec
+from mlbs_actors.actors.stream_protocol import RunningStream, StreamProgress, StreamSpec
 from mlbs_actors.errors import MlbsError
 
 __all__ = ["Node", "StreamActors"]
@@ -33,7 +34,7 @@ _BURST_FRAMES = 8
 #: How long the ends of a stream that is stopped are waited for, s.
 _STOP_SECONDS = 10.0
 
-#: How long the pool or the sink may not answer until it is taken to be lost, s.
+#: How long a pool, sink or live reader may not answer until it is taken to be lost, s.
 _ANSWER_SECONDS = 10.0
 
 
@@ -67,10 +68,20 @@ class Node:
         self._repairing = Lock()
         self._closed = False
 
-    def start(self, spec: StreamSpec) -> StreamActors:
+    def start(self, spec: StreamSpec, before: RunningStream | None = None) -> StreamActors:
         """Create a stream's actors and return at once; what goes wrong is raised by ``advance``."""
+        reader = before.living_reader if isinstance(before, StreamActors) else None
+        if reader is None:
+            kind = ReaderActor if spec.replayable else LiveReaderActor
+            reader = spawn(kind, spec.open_reader, node=self._node)
         return StreamActors(
-            spec, self._parts, self._node, run=next(self._runs), pool=self._pool, sink=self._sink
+            spec,
+            self._parts,
+            self._node,
+            run=next(self._runs),
+            reader=reader,
+            pool=self._pool,
+            sink=self._sink,
         )
 
     def repair(self) -> None:
@@ -110,23 +121,38 @@ def _answers(actor: Handle) -> bool:
 
 
 class StreamActors:
-    """One stream's actors; a :class:`RunningStream`. Made by :meth:`Node.start`."""
+    """One stream's actors; a :class:`RunningStream`. Made by :meth:`Node.start`.
+
+    Attributes
+    ----------
+    living_reader : Handle, optional
+        What :meth:`stop` has left for the start that follows; it ends when nobody holds it any more.
+    """
 
     def __init__(
-        self, spec: StreamSpec, parts: PartFactory, node: str, *, run: int, pool: Handle, sink: Handle
+        self,
+        spec: StreamSpec,
+        parts: PartFactory,
+        node: str,
+        *,
+        run: int,
+        reader: Handle,
+        pool: Handle,
+        sink: Handle,
     ) -> None:
         self._name = spec.name
+        self._live = not spec.replayable
         self._pool = pool
         self._sink = sink
         # The number reaches the coordinator by reference: it is not created before the pool has let the
         # stream in.
         self._run: Reference = pool.begin.remote(run)
-        reader = spawn(ReaderActor, spec.open_reader, node=node)
         segmenter = spawn(SegmenterActor, parts, spec.config, node=node)
         links = StreamLinks(reader=reader, segmenter=segmenter, pool=pool, sink=sink)
         self._reader = reader
         self._coordinator = spawn(CoordinatorActor, spec, parts, links, self._run, node=node)
-        self._own = [self._coordinator, segmenter, reader]
+        self._others = [self._coordinator, segmenter]
+        self.living_reader: Handle | None = None
         self._stopped = False
         self._final: StreamProgress | None = None
 
@@ -140,13 +166,15 @@ class StreamActors:
         """
         return self._explained(self._coordinator.advance.remote(_BURST_FRAMES))
 
-    def stop(self, *, drain: bool) -> StreamProgress | None:
+    def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
         """End the stream and give its processes back; may be called twice, and after a failure.
 
         Parameters
         ----------
         drain : bool
             Label and commit what was read, and wait for it; else what was handed to the sink is the end.
+        returns : bool
+            The stream is to be started again: a live reader stays, if it answers.
 
         Returns
         -------
@@ -159,10 +187,14 @@ class StreamActors:
         if drain:
             with suppress(MlbsError):
                 self._final = self._explained(self._coordinator.finish.remote()).result()
-        # The reader releases its device or file if it can; a stuck one is ended all the same.
-        with suppress(RayError, GetTimeoutError):
-            ray.get(self._reader.close.remote(), timeout=1.0)
-        end(self._own, _STOP_SECONDS)
+        if self._live and returns and _answers(self._reader):
+            self.living_reader = self._reader
+        else:
+            # It releases its device or file if it can; a stuck one is ended all the same.
+            with suppress(RayError, GetTimeoutError):
+                ray.get(self._reader.close.remote(), timeout=1.0)
+            self._others.append(self._reader)
+        end(self._others, _STOP_SECONDS)
         for last in (self._pool.end.remote(self._run), self._sink.close.remote(self._run)):
             with suppress(RayError, GetTimeoutError):
                 ray.get(last, timeout=_STOP_SECONDS)

@@ -66,8 +66,7 @@ class ReadAhead:
 
     def skip(self, frames: int) -> None:
         """Pass over frames, before the first :meth:`next`; raises as that does."""
-        if self._left is not None:
-            self._left -= frames
+        self._pass_over(frames)
         ray.get(self._reader.skip.remote(frames))
 
     def next(self) -> tuple[Reference, SourceFrame | SourceSilence] | None:
@@ -82,7 +81,7 @@ class ReadAhead:
         if not self._asked:
             return None
         reference = self._asked.popleft()
-        frame: SourceFrame | SourceSilence | None = ray.get(reference)
+        frame = self._value(reference)
         if frame is None:
             self.stop()
             return None
@@ -101,8 +100,27 @@ class ReadAhead:
         self._left = 0
         self._asked.clear()
 
+    def finish(self) -> None:
+        """Come to an end soon, without a frame that could not be had again."""
+        self.stop()
+
+    def forget(self, rows: int) -> None:
+        """Note that nobody will go back to before so many rows."""
+
+    def _pass_over(self, frames: int) -> None:
+        if self._left is not None:
+            self._left -= frames
+
     def _ask(self, wanted: int) -> None:
         while len(self._asked) < wanted and self._left != 0:
-            self._asked.append(self._reader.read.remote())
+            self._asked.append(self._read())
             if self._left is not None:
                 self._left -= 1
+
+    def _read(self) -> Reference:
+        reference: Reference = self._reader.read.remote()
+        return reference
+
+    def _value(self, reference: Reference) -> SourceFrame | SourceSilence | None:
+        value: SourceFrame | SourceSilence | None = ray.get(reference)
+        return value

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
 
-from mlbs_actors.actors.stream_protocol import SourceFrame, SourceStatus
+from mlbs_actors.actors.stream_protocol import SourceFrame, SourcePosition, SourceStatus
 from mlbs_actors.messages import LayerKind, Segmentation
 from mlbs_actors.state_file import CapturedState, capture
 
@@ -66,12 +66,14 @@ class ConductorState:
     ----------
     counts : mapping of str to int
         Frames taken from the source, by their status.
+    position : SourcePosition
     waiting : tuple of SourceFrame
         Read and not yet labelled, in source order.
     layers : tuple of SavedLayer
     """
 
     counts: Mapping[SourceStatus, int]
+    position: SourcePosition
     waiting: tuple[SourceFrame, ...]
     layers: tuple[SavedLayer, ...]
 

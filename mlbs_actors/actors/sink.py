@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable
 
@@ -19,6 +20,12 @@ __all__ = ["Record", "SinkActor"]
 
 #: Rows that may be under way to the sink; the stream waits at more. Each holds a frame and a label map.
 _PENDING_ROWS = 8
+
+#: Snapshots that may be under way to the disk; at more the oldest is given up.
+_PENDING_SNAPSHOTS = 3
+
+#: From one look for a snapshot that is waited for to the next, s.
+_LOOK_SECONDS = 0.05
 
 
 class SinkActor:
@@ -90,6 +97,8 @@ class Record:
         Label maps committed, as far as the sink has answered.
     rows, label_maps : int
         What was handed over, before the snapshot that the stream went back to and since.
+    kept : int
+        Rows before the newest snapshot that is kept.
     """
 
     def __init__(self, sink: Handle, run: int, open_sink: Callable[[], StreamSink]) -> None:
@@ -97,16 +106,17 @@ class Record:
         self._run = run
         self._opened: Reference = sink.open.remote(run, open_sink)
         self._pending: deque[Reference] = deque()
-        self._offered: Snapshot | None = None
+        self._offered: deque[Snapshot] = deque(maxlen=_PENDING_SNAPSHOTS)
         self._asked: tuple[Snapshot, Reference] | None = None
-        self.committed = self.rows = self.label_maps = 0
+        self._turn = 0
+        self.committed = self.rows = self.label_maps = self.kept = 0
 
     def opening(self) -> Opening:
         """Wait until the record is open; raises what its opening raised."""
         opening: Opening = ray.get(self._opened)
         if opening.resume_from is not None:
             self.rows, self.label_maps = opening.resume_from.rows, opening.resume_from.label_maps
-            self.committed = self.label_maps
+            self.committed, self.kept = self.label_maps, self.rows
         return opening
 
     def write(self, segmentation: Reference, frame: Reference, background: Reference | None) -> None:
@@ -122,8 +132,16 @@ class Record:
         self._hold_back()
 
     def offer(self, snapshot: Snapshot) -> None:
-        """Have a snapshot kept once its files are there; one that is not kept yet is given up."""
-        self._offered = snapshot
+        """Have a snapshot kept once its files are there."""
+        self._offered.append(snapshot)
+
+    def await_snapshot(self, seconds: float) -> None:
+        """Wait until the newest snapshot is kept, but not longer than that; raises what a row raised."""
+        deadline = time.monotonic() + seconds
+        self.collect()
+        while self._offered and time.monotonic() < deadline:
+            time.sleep(_LOOK_SECONDS)
+            self.collect()
 
     def provisional(self) -> None:
         """See :meth:`StreamSink.provisional`."""
@@ -135,11 +153,17 @@ class Record:
             self._take_answer()
         if self._asked is not None and ray.wait([self._asked[1]], timeout=0)[0]:
             snapshot, kept = self._asked
-            if ray.get(kept) and self._offered is snapshot:
-                self._offered = None
             self._asked = None
-        if self._offered is not None and self._asked is None:
-            self._asked = self._offered, self._sink.keep.remote(self._run, self._offered)
+            if ray.get(kept):
+                self.kept = snapshot.rows
+                if snapshot in self._offered:
+                    while self._offered.popleft() != snapshot:
+                        continue
+        if self._offered and self._asked is None:
+            # In turn: the files of one may never come.
+            self._turn = (self._turn + 1) % len(self._offered)
+            snapshot = self._offered[self._turn]
+            self._asked = snapshot, self._sink.keep.remote(self._run, snapshot)
 
     def close(self, *, whole: bool) -> None:
         """Wait until every row is committed and the files are closed; see :meth:`StreamSink.close`."""

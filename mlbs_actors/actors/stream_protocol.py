@@ -38,6 +38,7 @@ __all__ = [
     "RunningStream",
     "Snapshot",
     "SourceFrame",
+    "SourcePosition",
     "SourceSilence",
     "SourceStatus",
     "StreamHost",
@@ -70,7 +71,7 @@ class SourceFrame:
     status : {"ok", "quarantined", "dropped", "gap"}
         ``"quarantined"``: the frame is there but could not be decoded. ``"dropped"``: a camera sent it
         and nobody had time for it. ``"gap"``: no frame but a time, beginning at ``pts``, in which a camera
-        sent none. They never reach the engine; the conductor tells the sink of them
+        sent none, or none that is left. They never reach the engine; the conductor tells the sink of them
         (:meth:`StreamSink.gap`) in their place.
     original : (H', W', 3) uint8, optional
         The picture as it was before its reader shrunk it, for the record; None if ``image`` is that.
@@ -101,6 +102,25 @@ class SourceSilence:
 
     state: Literal["stalled", "reconnecting"] | None
     note: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SourcePosition:
+    """How far a stream has read its source.
+
+    Attributes
+    ----------
+    rows : int
+        Frames and gaps taken.
+    pts : float
+        Time of the last one, seconds from the source's first frame.
+    time : float
+        When that was taken, by the machine's clock, seconds since 1970.
+    """
+
+    rows: int = 0
+    pts: float = 0.0
+    time: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +190,8 @@ class StreamSink(Protocol):
     """The open record of one stream, in the node's sink process.
 
     Rows come in the order of their source indices, those once more that came before the stream went back to a
-    snapshot. Every method raises SinkError if the record cannot be written; the stream then fails.
+    snapshot. The record of a live source counts what a snapshot covers: there is nothing else to go on from.
+    Every method raises SinkError if the record cannot be written; the stream then fails.
     """
 
     @property
@@ -232,7 +253,7 @@ class StreamSpec:
     line : int, optional
         Where the stream stands in the list, from 1.
     replayable : bool
-        Whether the source gives the same frames again when it is opened again.
+        Whether the source gives the same frames again when it is opened again; else it is live.
     last_try : bool
         The stream will not be started again: the death of its reader ends it with the frames before.
     snapshot_rows : int
@@ -307,17 +328,20 @@ class RunningStream(Protocol):
         be opened (SourceError), the record could not be written (SinkError), or a process was lost
         (ActorLostError); started again, it goes on from its record. Damage of the source after its
         first frame ends the stream instead: what was read is committed and the last progress is ``done``
-        with its ``problem``. So does, for a source that cannot be replayed and at the last try, the death of
-        the reader; before the first frame that is a SourceError.
+        with its ``problem``. So does, at the last try, the death of the reader; before the first frame that
+        is a SourceError.
         """
 
-    def stop(self, *, drain: bool) -> StreamProgress | None:
+    def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
         """End the stream and give its processes back; may be called twice, and after a failure.
 
         With ``drain`` no more frames are read, those read before are labelled and committed, the
         sink is closed and the final progress is returned. Without it the actors end at once, the
         sink keeps what is committed, and None is returned. Blocks until the stream's own actors
         are gone. Never raises for a stream that has already failed.
+
+        With ``returns`` the reader of a live source, if it answers, lives on for the start that follows
+        (see :meth:`StreamHost.start`), or until this object is forgotten.
         """
 
 
@@ -327,8 +351,15 @@ class StreamHost(Protocol):
     ``mlbs_actors.actors.pipeline.Node`` is the real one.
     """
 
-    def start(self, spec: StreamSpec) -> RunningStream:
-        """Create a stream's actors and return at once; what goes wrong is raised by ``advance``."""
+    def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
+        """Create a stream's actors and return at once; what goes wrong is raised by ``advance``.
+
+        Parameters
+        ----------
+        spec : StreamSpec
+        before : RunningStream, optional
+            An earlier start of this stream, stopped because it ``returns``.
+        """
 
     def repair(self) -> None:
         """Replace the pool or the sink process if it is lost; their streams must be started again."""

@@ -7,10 +7,14 @@ they count. Where a group ends follows from the frame's index alone, so the part
 the stream ran.
 
 A record that exists is gone on with: rows that it holds already are passed over when they come again.
+
+What a live source gave comes only once. Its record commits what a snapshot covers, when that is whole: so
+there is always a snapshot after exactly the rows that count.
 """
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -29,7 +33,7 @@ from orchestrator.sinks.record_tables import part_path
 from orchestrator.sinks.snapshot_folder import SNAPSHOTS, SnapshotFolder
 from orchestrator.sinks.tables import FrameRow, ResultRow, stages_of, write_frames, write_layers
 
-__all__ = ["FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "ends_group", "recorded_frames"]
+__all__ = ["FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "ends_group", "has_snapshot", "recorded_frames"]
 
 #: Frames of the first commit.
 FIRST_COMMIT = 8
@@ -60,6 +64,8 @@ class StreamRecord:
         Which of ``"masks"``, ``"parquet"``, ``"overlay"``, ``"background"``, ``"cutouts"`` to write.
     live : LivePicture, optional
         Shown every frame, for the monitor.
+    replayable : bool
+        Whether rows that do not count can come again after the end of the run.
 
     Attributes
     ----------
@@ -72,14 +78,21 @@ class StreamRecord:
     """
 
     def __init__(
-        self, folder: Path, name: str, save: frozenset[str], live: LivePicture | None = None
+        self,
+        folder: Path,
+        name: str,
+        save: frozenset[str],
+        live: LivePicture | None = None,
+        *,
+        replayable: bool = True,
     ) -> None:
         self._folder = folder
         self._name = name
         self._save = save
         self._live = live
+        self._replayable = replayable
         self._rows: list[FrameRow] = []
-        self._unpublished: list[Path] = []
+        self._unpublished: list[tuple[int, Path]] = []  # with their frames
         self._withdrawn: list[Path] = []  # cut-outs of an earlier run that are made anew
         self._provisional = False
         try:
@@ -93,8 +106,13 @@ class StreamRecord:
             self._cutouts = _by_frame(folder / "cutouts")
         except OSError as error:
             raise self._unwritable(error) from None
-        self.opening = Opening(self._snapshots.place, self._snapshots.newest)
         before = self._snapshots.newest
+        if not replayable and self._log.rows != (0 if before is None else before.rows):
+            raise SinkError(
+                f"The stream in {folder} cannot go on: its last snapshot is missing or damaged, and a camera "
+                "shows nothing twice. What was committed is kept; begin anew in another folder."
+            )
+        self.opening = Opening(self._snapshots.place, before)
         self._label_maps = 0 if before is None else before.label_maps
         self._committed = self._label_maps
         overlay = overlay_path(folder, self._log.rows)
@@ -110,14 +128,14 @@ class StreamRecord:
             return self._committed
         try:
             if "masks" in self._save:
-                self._put(f"masks/{frame.name}.png", encode_label_image(segmentation.labels))
+                self._put(frame, f"masks/{frame.name}.png", encode_label_image(segmentation.labels))
             if "cutouts" in self._save and frame.image is not None:
                 self._withdrawn += self._cutouts.pop(frame.name, [])
                 for layer, picture in cutouts(segmentation, frame.image):
-                    self._put(f"cutouts/{frame.name}-{layer}.png", encode_picture(picture))
+                    self._put(frame, f"cutouts/{frame.name}-{layer}.png", encode_picture(picture))
             if "background" in self._save and background is not None and frame.image is not None:
                 plate = background_plate(background, frame.image, segmentation.labels)
-                self._put(f"background/{frame.name}.png", encode_picture(plate))
+                self._put(frame, f"background/{frame.name}.png", encode_picture(plate))
             self._add(FrameRow(frame.index, frame.pts, "ok", ResultRow.of(segmentation), frame.name))
         except OSError as error:
             raise self._unwritable(error) from None
@@ -139,9 +157,12 @@ class StreamRecord:
     def keep(self, snapshot: Snapshot) -> bool:
         """Note a snapshot that may be gone back to; False if its files are not all there yet."""
         try:
-            return self._snapshots.keep(snapshot)
+            kept = self._snapshots.keep(snapshot)
+            if kept and not self._replayable:
+                self._commit(snapshot.rows)
         except OSError as error:
             raise self._unwritable(error) from None
+        return kept
 
     def provisional(self) -> None:
         """Commit what is there; the label maps from here on are made anew by a run that resumes."""
@@ -154,7 +175,10 @@ class StreamRecord:
     def close(self, *, whole: bool) -> int:
         """Commit what is left and finish the overlay; return how many label maps are committed."""
         try:
-            self._commit()
+            if self._replayable or self._provisional or whole:
+                self._commit()
+            for _, path in self._unpublished:
+                temporary_path(path).unlink(missing_ok=True)
         except OSError as error:
             raise self._unwritable(error) from None
         if self._overlay is not None:
@@ -163,11 +187,11 @@ class StreamRecord:
             self._snapshots.forget_all()
         return self._committed
 
-    def _put(self, name: str, content: bytes) -> None:
-        """Write a file that counts from the next commit on."""
+    def _put(self, frame: SourceFrame, name: str, content: bytes) -> None:
+        """Write a file that counts once its frame is committed."""
         path = self._folder / name
         temporary_path(path).write_bytes(content)
-        self._unpublished.append(path)
+        self._unpublished.append((frame.index, path))
 
     def _clear_up(self) -> tuple[str, ...] | None:
         """Remove what a killed run left half done; return the stages that the tables have columns for."""
@@ -184,13 +208,15 @@ class StreamRecord:
 
     def _add(self, row: FrameRow) -> None:
         self._rows.append(row)
-        if ends_group(row.frame):
+        if self._replayable and ends_group(row.frame):
             self._commit()
 
-    def _commit(self) -> None:
-        if not self._rows:
+    def _commit(self, before: float = math.inf) -> None:
+        """Commit the rows before a number, by default all."""
+        rows = [row for row in self._rows if row.frame < before]
+        if not rows:
             return
-        rows, files = self._rows, list(self._unpublished)
+        files = [path for frame, path in self._unpublished if frame < before]
         last = rows[-1].frame
         if "parquet" in self._save:
             files += self._write_tables(rows, rows[0].frame)
@@ -200,8 +226,10 @@ class StreamRecord:
             publish(files)
             self._log.add(last, self._snapshots.name_after(last + 1), provisional=self._provisional)
             self._snapshots.forget_before(last + 1)
-        self._committed = self._label_maps
-        self._rows, self._unpublished, self._withdrawn = [], [], []
+        self._rows = self._rows[len(rows) :]
+        self._unpublished = [(frame, path) for frame, path in self._unpublished if frame >= before]
+        self._withdrawn = []
+        self._committed = self._label_maps - sum(row.result is not None for row in self._rows)
 
     def _write_tables(self, rows: list[FrameRow], first: int) -> list[Path]:
         if self._stages is None:
@@ -224,6 +252,13 @@ def recorded_frames(folder: Path) -> int:
     """Number of the source's frames that a stream's commit log holds, those without a label map included."""
     commits = read_commits(folder)
     return commits[-1].last + 1 if commits else 0
+
+
+def has_snapshot(folder: Path) -> bool:
+    """Whether the snapshot is there that the last line of a stream's log names, of those that stay."""
+    commits = [commit for commit in read_commits(folder) if not commit.provisional]
+    newest = commits[-1].snapshot if commits else None
+    return newest is not None and (folder / SNAPSHOTS / newest).exists()
 
 
 def _by_frame(cutouts: Path) -> dict[str, list[Path]]:
