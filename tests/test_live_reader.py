@@ -23,19 +23,21 @@ from mlbs_actors.actors import live_reader as live_reader_module
 from mlbs_actors.actors.live_reader import FrameRing, LiveReaderActor
 from mlbs_actors.actors.stream_protocol import (
     FrameReader,
+    Snapshot,
     SourceFrame,
     SourcePosition,
     SourceSilence,
     SourceStatus,
-    StreamSink,
     StreamSpec,
 )
 from mlbs_actors.errors import SinkError, SourceError
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
+from mlbs_actors.state_file import capture
 from orchestrator.driver import Driver
 from orchestrator.interruption import Interruption
 from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.record import StreamRecord, has_snapshot, recorded_frames
+from orchestrator.sinks.snapshot_folder import SnapshotFolder
 from orchestrator.stream_state import StreamState
 
 SAVE = frozenset({"masks", "parquet"})
@@ -225,6 +227,18 @@ def test_a_live_stream_without_its_last_snapshot_keeps_what_was_committed_and_is
     assert recorded_frames(tmp_path / "door") == 64
 
 
+def test_of_snapshots_after_the_same_row_the_last_one_is_gone_back_to(tmp_path: Path) -> None:
+    for generation, read in ((9, 43), (10, 44)):
+        found = SnapshotFolder(tmp_path, generation, 40)
+        folder = found.place / f"{read:08d}"
+        folder.mkdir(parents=True)
+        capture(SourcePosition(read)).write(folder / "one")
+        assert found.keep(Snapshot(folder, 40, 40, ("one",)))
+    newest = SnapshotFolder(tmp_path, 11, 40).newest
+    assert newest is not None
+    assert newest.folder == tmp_path / "10/00000044"
+
+
 # Streams of actors
 
 
@@ -290,7 +304,7 @@ def delivered(folder: Path) -> list[Array]:
 def live_spec(camera: OnceOnly, folder: Path) -> StreamSpec:
     (folder / "delivered").mkdir(exist_ok=True)
     camera.folder.mkdir(exist_ok=True)
-    sink: partial[StreamSink] = partial(NotingRecord, folder / "door", "door", SAVE, replayable=False)
+    sink = partial(NotingRecord, folder / "door", "door", SAVE, replayable=False)
     return StreamSpec("door", CONFIG, camera.opened, sink, snapshot_rows=8, replayable=False)
 
 
@@ -357,6 +371,8 @@ def test_a_live_stream_that_loses_a_process_loses_no_frame(
         state = drive(node, live_spec(camera, tmp_path))
     assert state.returns == 1
     expect_whole(state, parts, tmp_path, shown=44, gaps=0)
+    told, commits = statuses(tmp_path), read_commits(tmp_path / "door")
+    assert {told[: one.last + 1].count("ok") % 8 for one in commits[:-1]} == {0}  # snapshots, not rows
 
 
 @pytest.mark.long

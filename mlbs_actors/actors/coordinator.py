@@ -176,7 +176,7 @@ class CoordinatorActor:
                 self._write_gaps()
             else:
                 self._track(frame.image)
-            if self._record.rows >= self._next_snapshot:
+            if self._progressed >= self._next_snapshot:
                 self._save()
         self._record.collect()
         self._source.forget(self._record.kept)
@@ -246,9 +246,13 @@ class CoordinatorActor:
             self._record.await_snapshot(_SNAPSHOT_SECONDS)
 
     def _await_snapshot(self) -> None:
-        every, rows = self._spec.snapshot_rows, self._record.rows
-        wanted = self._snapshots is not None
-        self._next_snapshot = (rows // every + 1) * every if wanted else sys.maxsize
+        every, wanted = self._spec.snapshot_rows, self._snapshots is not None
+        self._next_snapshot = (self._progressed // every + 1) * every if wanted else sys.maxsize
+
+    @property
+    def _progressed(self) -> int:
+        """What snapshots are counted by: most rows of a live source can be drops, which cost no work."""
+        return self._record.rows if self._spec.replayable else self._record.label_maps
 
     def _next_frame(self) -> tuple[Reference, SourceFrame | SourceSilence] | None:
         try:
@@ -265,7 +269,9 @@ class CoordinatorActor:
             return None
 
     def _reader_failure(self, error: RayError) -> MlbsError:
-        if not self._spec.last_try and (is_loss(error) or isinstance(error, GetTimeoutError)):
+        # What aborts the decoding of a file every time is its damage; a live source shows it only once.
+        damaged = self._spec.replayable and self._spec.last_try
+        if not damaged and (is_loss(error) or isinstance(error, GetTimeoutError)):
             return reader_lost(self._spec.name, self._read)
         return source_failure(error, self._spec.source, self._read)
 

@@ -180,6 +180,7 @@ class LiveReadAhead(ReadAhead):
         self._run = run
         self._fresh = True
         self._answers = False
+        self._forgotten = 0
 
     def go_on(self, position: SourcePosition, frames: int) -> None:
         """Have what comes after ``position`` and ``frames`` frames, before the first :meth:`next`."""
@@ -192,7 +193,9 @@ class LiveReadAhead(ReadAhead):
 
     def forget(self, rows: int) -> None:
         """See :meth:`LiveReaderActor.forget`."""
-        self._reader.forget.remote(rows)
+        if rows > self._forgotten:
+            self._reader.forget.remote(rows)
+            self._forgotten = rows
 
     def _read(self) -> Reference:
         reference: Reference = self._reader.read.remote(self._run, fresh=self._fresh)

@@ -255,9 +255,9 @@ class StreamSpec:
     replayable : bool
         Whether the source gives the same frames again when it is opened again; else it is live.
     last_try : bool
-        The stream will not be started again: the death of its reader ends it with the frames before.
+        The stream will not be started again: the death of a file's reader ends it with the frames before.
     snapshot_rows : int
-        Rows of the record from one snapshot to the next.
+        Rows of the record from one snapshot to the next; of a live source label maps.
     path : Path, optional
         The file or folder that ``open_reader`` reads; None for what every machine can reach.
     """
@@ -328,8 +328,8 @@ class RunningStream(Protocol):
         be opened (SourceError), the record could not be written (SinkError), or a process was lost
         (ActorLostError); started again, it goes on from its record. Damage of the source after its
         first frame ends the stream instead: what was read is committed and the last progress is ``done``
-        with its ``problem``. So does, at the last try, the death of the reader; before the first frame that
-        is a SourceError.
+        with its ``problem``. So does, for a source that can be replayed and at the last try, the death of the
+        reader; before the first frame that is a SourceError.
         """
 
     def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:

@@ -1,8 +1,8 @@
 """Where the snapshots of a stream lie: which are whole, which one to go back to, which are not needed.
 
-``snapshots/GENERATION/ROWS/`` holds a file for each part. The parts' processes write them; once all are there
-a list of them is added, and only then the snapshot is one. Folders of different generations never meet, so
-what a killed run's processes still write is not mistaken for a file of this run.
+``snapshots/GENERATION/READ/`` holds a file for each part, after so many rows read. The parts' processes write
+them; once all are there a list of them is added, and only then the snapshot is one. Folders of different
+generations never meet, so what a killed run's processes still write is not mistaken for a file of this run.
 """
 
 from __future__ import annotations
@@ -65,7 +65,8 @@ class SnapshotFolder:
             snapshot = _found(folder)
             if snapshot is not None and snapshot.rows <= rows:
                 self._whole.append(snapshot)
-        self._whole.sort(key=lambda one: (one.rows, one.folder))
+        # Of those after the same row the last one: by numbers, of which the longer is the greater.
+        self._whole.sort(key=lambda one: (one.rows, len(str(one.folder)), one.folder))
         self.newest = self._whole[-1] if self._whole else None
         self._forget_all_but(self._whole[-_KEPT:])
 
