@@ -211,7 +211,7 @@ def _parser() -> argparse.ArgumentParser:
         "--resume",
         action="store_true",
         help="go on with the run in DIR that was killed or interrupted; all else must be as it was, "
-        "without --watch; streams of cameras stay as they are",
+        "without --watch; cameras go on after a row gap",
     )
     parser.add_argument(
         "--save",

@@ -1,4 +1,4 @@
-"""Processes of a camera's stream that are killed, and its run: what the camera gave is labelled all the same."""
+"""Processes of a camera's stream that are killed, and its run: what the camera gave is labelled as ever."""
 
 from __future__ import annotations
 
@@ -25,8 +25,15 @@ _FOREVER = 1_000_000
 #: Label maps that are committed before each kill, beyond those at the kill before.
 _BETWEEN = 8
 
-#: In turn; the reader's loss is the only one that costs pictures.
-_KINDS = ("Segmenter", "Layer", "Reader", "Coordinator", "Pool", "Sink")
+#: Titles of processes; the loss of the reader is the only one that costs pictures. Of the layers one at work.
+_KINDS = (
+    "ray::SegmenterActor",
+    "ray::LayerActor.step",
+    "ray::LiveReaderActor",
+    "ray::CoordinatorActor",
+    "ray::PoolActor",
+    "ray::SinkActor",
+)
 
 
 class _Door:
@@ -42,7 +49,7 @@ class _Door:
         return ObservedRun([f"door {self.camera.address}"], self._place.folder, *flags, plant=plant)
 
     def interrupt(self, run: ObservedRun, gaps: int) -> None:
-        """End a run; expect that its rows are true, and every label map that of the pictures that were given."""
+        """End a run; expect that its rows are true, and the label maps those of the pictures that came."""
         run.signal_driver(signal.SIGTERM)
         expect_no_secret(run, expect_end(run, 128 + signal.SIGTERM), self.camera.password)
         door = run.status()["door"]
@@ -87,20 +94,15 @@ def _wait_for_more(run: ObservedRun, returns: int) -> None:
     run.wait(lambda: run.status()["door"]["committed"] >= before + _BETWEEN, "more label maps")
 
 
-def _kill(run: ObservedRun, kind: str, choice: int = 0) -> None:
-    title = "ray::LiveReaderActor" if kind == "Reader" else f"ray::{kind}Actor"
-    run.signal_actor(title, signal.SIGKILL, choice)
-
-
 def _killed_in_turn(place: Place) -> float:
     """The time is that from the last kill until there were more label maps than ever before."""
     door = _Door(place)
     with door.camera, door.run() as run:
-        for returns, kind in enumerate(place.random.permutation(_KINDS).tolist()):
+        for returns, title in enumerate(place.random.permutation(_KINDS).tolist()):
             _wait_for_more(run, returns)
             time.sleep(place.random.uniform(0, 1.0))
             killed = time.monotonic()
-            _kill(run, kind, int(place.random.integers(8)))
+            run.signal_actor(title, signal.SIGKILL, int(place.random.integers(8)))
         _wait_for_more(run, len(_KINDS))
         seconds = time.monotonic() - killed
         door.interrupt(run, gaps=1)
@@ -109,16 +111,15 @@ def _killed_in_turn(place: Place) -> float:
 
 def _killed_while_slow(place: Place) -> None:
     """A camera that is faster than labelling and writing, and loses a part at that."""
-    slow = [
-        Trap(
-            "mlbs_actors.actors.segmenter:SegmenterActor.step", "wait", value=place.random.uniform(0.1, 0.2)
-        ),
-        Trap("orchestrator.sinks.record:StreamRecord.write", "wait", value=place.random.uniform(0.1, 0.2)),
-    ]
+    steps = (
+        "mlbs_actors.actors.segmenter:SegmenterActor.step",
+        "orchestrator.sinks.record:StreamRecord.write",
+    )
+    slow = [Trap(step, "wait", value=place.random.uniform(0.1, 0.2)) for step in steps]
     door = _Door(place)
     with door.camera, door.run(plant=Plant(place.folder / "plant", slow)) as run:
         _wait_for_more(run, 0)
-        _kill(run, str(place.random.choice(["Segmenter", "Coordinator", "Sink"])))
+        run.signal_actor(str(place.random.choice(_KINDS[:2])), signal.SIGKILL)
         _wait_for_more(run, 1)
         expect(run.status()["door"]["dropped"] > 0, "nothing was dropped")
         door.interrupt(run, gaps=0)
@@ -141,7 +142,7 @@ def _run_killed(place: Place) -> float:
 
 
 FAULTS = (
-    Fault("12 13 15", "every process of a camera's stream killed, in turn", _killed_in_turn),
-    Fault("24 25", "slow sink and pipeline, a live source, one killed", _killed_while_slow),
-    Fault("19", "driver killed, a live source, then --resume", _run_killed),
+    Fault("12 13 15", "a live source, every process killed in turn", _killed_in_turn),
+    Fault("24 25", "a live source, slow sink and pipeline, a part killed", _killed_while_slow),
+    Fault("19", "a live source, driver killed, then --resume", _run_killed),
 )
