@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from mlbs_actors.cut_pruning import UNDECIDED, LabelCostEnergy, UndecidedEnergy, undecided_energy
+from mlbs_actors.label_cost_energy import UNDECIDED, LabelCostEnergy, UndecidedEnergy, undecided_energy
 from mlbs_actors.messages import Array
 
 __all__ = ["band_around_outlines", "halved", "unhalved"]

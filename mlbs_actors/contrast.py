@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numba import njit
 
-from mlbs_actors.cut_pruning import NEIGHBOUR_OFFSETS
 from mlbs_actors.errors import ConfigError, FrameError
+from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS
 from mlbs_actors.messages import Array
 
 __all__ = ["COST_QUANTUM", "MAX_COST", "contrast_weights"]

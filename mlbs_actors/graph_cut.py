@@ -34,8 +34,9 @@ from numba import njit
 
 from mlbs_actors.coarse_cut import band_around_outlines, halved, unhalved
 from mlbs_actors.contrast import MAX_COST
-from mlbs_actors.cut_pruning import LabelCostEnergy, UndecidedEnergy, movable, prune
+from mlbs_actors.cut_pruning import movable, prune
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.label_cost_energy import LabelCostEnergy, UndecidedEnergy
 from mlbs_actors.messages import Array
 from mlbs_actors.min_cut import min_cut
 

@@ -22,10 +22,10 @@ from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells, spread_over_ce
 from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.contrast import COST_QUANTUM, MAX_COST, contrast_weights
-from mlbs_actors.cut_pruning import LabelCostEnergy
 from mlbs_actors.errors import FrameError
 from mlbs_actors.fusion import FusedCosts, fused_costs
 from mlbs_actors.graph_cut import minimise
+from mlbs_actors.label_cost_energy import LabelCostEnergy
 from mlbs_actors.messages import (
     BACKGROUND,
     COST_STEP,

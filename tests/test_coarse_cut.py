@@ -10,8 +10,8 @@ from test_graph_cut import in_quanta, problem_of, random_problem, slow_energy
 from mlbs_actors import graph_cut
 from mlbs_actors.coarse_cut import BAND, MAX_BLOCK_COST, band_around_outlines, halved, unhalved
 from mlbs_actors.contrast import contrast_weights
-from mlbs_actors.cut_pruning import LabelCostEnergy
 from mlbs_actors.graph_cut import minimise
+from mlbs_actors.label_cost_energy import LabelCostEnergy
 from mlbs_actors.messages import Array
 
 

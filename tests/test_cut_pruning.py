@@ -6,13 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from mlbs_actors.cut_pruning import (
-    NEIGHBOUR_OFFSETS,
-    UNDECIDED,
-    LabelCostEnergy,
-    movable,
-    prune,
-)
+from mlbs_actors.cut_pruning import movable, prune
+from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS, UNDECIDED, LabelCostEnergy
 from mlbs_actors.messages import Array
 
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from mlbs_actors import graph_cut
 from mlbs_actors.contrast import COST_QUANTUM, MAX_COST, contrast_weights
-from mlbs_actors.cut_pruning import NEIGHBOUR_OFFSETS, LabelCostEnergy
 from mlbs_actors.errors import ConfigError, FrameError
 from mlbs_actors.graph_cut import minimise
+from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS, LabelCostEnergy
 from mlbs_actors.messages import Array
 
 

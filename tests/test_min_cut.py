@@ -9,7 +9,7 @@ import maxflow
 import numpy as np
 import pytest
 
-from mlbs_actors.cut_pruning import NEIGHBOUR_OFFSETS
+from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS
 from mlbs_actors.messages import Array
 from mlbs_actors.min_cut import min_cut
 

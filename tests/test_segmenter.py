@@ -10,10 +10,10 @@ import pytest
 
 from mlbs_actors.config import Config
 from mlbs_actors.contrast import COST_QUANTUM, MAX_COST, contrast_weights
-from mlbs_actors.cut_pruning import LabelCostEnergy
 from mlbs_actors.errors import FrameError
 from mlbs_actors.fusion import fused_costs
 from mlbs_actors.graph_cut import minimise
+from mlbs_actors.label_cost_energy import LabelCostEnergy
 from mlbs_actors.messages import (
     BACKGROUND,
     COST_STEP,
