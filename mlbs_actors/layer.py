@@ -197,7 +197,7 @@ class Layer:
             own = in_cells(region, side)
             needed = np.ones((own.height, own.width), np.bool_)
         cells = in_cells(region, side)
-        field = self._motion_field(evidence, frame_evidence, home)
+        field = self.motion_field(evidence, frame_evidence, home)
         part = slices_in(cells, in_cells(home, side))
         home_motion = field.of_cells(side)
         motion = np.ascontiguousarray(home_motion[part])
@@ -293,6 +293,36 @@ class Layer:
         known = spread_over_cells(state.model.count > 0, state.cell, shape)
         return LayerAppearance(self.layer, state.last_frame, state.home, colours, known)
 
+    def motion_field(
+        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region
+    ) -> MotionField:
+        """Infer how the layer moves on a region; nothing is changed.
+
+        Where no trajectory tells, it is the camera's motion, an object's the median of its trajectories.
+
+        Parameters
+        ----------
+        evidence : LayerEvidence
+            Of the frame that :meth:`step` takes or has just taken; both give the same field.
+        frame_evidence : FrameEvidence
+        region : Region
+
+        Returns
+        -------
+        MotionField
+        """
+        shape = (region.height, region.width)
+        corner = np.array([region.x, region.y], np.float32)
+        prior: Array = np.zeros(2)
+        if self.kind == "background" and region.area:
+            nodes = node_positions(shape, self._motion.spacing_px).astype(np.float64)
+            prior = cv2.perspectiveTransform(nodes, frame_evidence.camera) - nodes
+        elif len(evidence.motions):
+            prior = np.median(evidence.motions, axis=0)
+        elif region.area:
+            prior = -self.state.velocity
+        return motion_field(evidence.positions - corner, evidence.motions, shape, prior, self._motion)
+
     def _density(self, side: int) -> AppearanceParameters:
         """Of colours that are kept for cells of this side, px."""
         colours = self.config.appearance
@@ -317,19 +347,3 @@ class Layer:
         return finished_posterior(
             self.config, state.cost, state.log_ratio, state.samples, previous, cells, own
         )
-
-    def _motion_field(
-        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region
-    ) -> MotionField:
-        """GaBP on the region; where nothing is known the camera's motion, or an object's own median."""
-        shape = (region.height, region.width)
-        corner = np.array([region.x, region.y], np.float32)
-        prior: Array = np.zeros(2)
-        if self.kind == "background" and region.area:
-            nodes = node_positions(shape, self._motion.spacing_px).astype(np.float64)
-            prior = cv2.perspectiveTransform(nodes, frame_evidence.camera) - nodes
-        elif len(evidence.motions):
-            prior = np.median(evidence.motions, axis=0)
-        elif region.area:
-            prior = -self.state.velocity
-        return motion_field(evidence.positions - corner, evidence.motions, shape, prior, self._motion)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from mlbs_actors.config import Config
 from mlbs_actors.coordinator import Coordinator
 from mlbs_actors.determinism import single_threaded
+from mlbs_actors.inspection import FrameInspection, inspect_frame
 from mlbs_actors.layer import Layer
 from mlbs_actors.messages import Array, FrameEvidence, Segmentation
 from mlbs_actors.segmenter import Segmenter
@@ -19,6 +22,9 @@ class MultilayerSubtractor:
     ----------
     config : Config, optional
         All parameters; the defaults serve every video.
+    inspector : callable, optional
+        Called with a :class:`~mlbs_actors.inspection.FrameInspection` for every frame that is labelled, in
+        order: trajectories, motion fields and posteriors. The results are the same with it.
 
     Examples
     --------
@@ -30,8 +36,11 @@ class MultilayerSubtractor:
     ...     show(result.frame_index, result.labels)
     """
 
-    def __init__(self, config: Config | None = None) -> None:
+    def __init__(
+        self, config: Config | None = None, inspector: Callable[[FrameInspection], None] | None = None
+    ) -> None:
         self.config = config or Config()
+        self._inspector = inspector
         self._coordinator = Coordinator(self.config)
         self._segmenter = Segmenter(self.config)
         self._layers: dict[int, Layer] = {}
@@ -83,4 +92,6 @@ class MultilayerSubtractor:
         segmentation = self._segmenter.step(evidence, frame, posteriors)
         self._published = {known: result for known, result in self._published.items() if known > index - 3}
         self._published[index] = segmentation
+        if self._inspector is not None:
+            self._inspector(inspect_frame(self.config, evidence, self._layers, posteriors, segmentation))
         return segmentation

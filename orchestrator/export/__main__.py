@@ -6,6 +6,7 @@ import argparse
 import shutil
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
@@ -17,14 +18,15 @@ from orchestrator.export.palette_masks import write_davis, write_youtube_vos
 __all__ = ["FORMATS", "main"]
 
 
-def _write_rerun(run: Path, out: Path) -> None:
+def _write_rerun(run: Path, out: Path, *, internals: bool = False) -> None:
     try:
         from orchestrator.export.rerun_recording import write_rerun
     except ImportError:
         raise ConfigError(
             "The export to rerun needs the package rerun-sdk; pip install 'mlbs-actors[rerun]'."
         ) from None
-    write_rerun(run, out)
+    for remark in write_rerun(run, out, internals=internals):
+        print(remark, file=sys.stderr)
 
 
 #: Formats by name.
@@ -52,9 +54,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("format", choices=FORMATS)
     parser.add_argument("run", type=Path, metavar="RUN_DIR", help="the run's output folder")
     parser.add_argument("out", type=Path, metavar="OUT", help="what to write; must not be there yet")
+    parser.add_argument(
+        "--internals",
+        action="store_true",
+        help="rerun only: segment the streams once more, which takes its time, and record the trajectories, "
+        "motion fields and posteriors of every layer too; not of cameras",
+    )
     given = parser.parse_args(argv)
+    write = FORMATS[given.format]
     try:
-        _export(given.format, given.run, given.out)
+        if given.internals:
+            if given.format != "rerun":
+                raise ConfigError("--internals goes with the format rerun only; leave it out.")
+            write = partial(_write_rerun, internals=True)
+        _export(write, given.format in _FILES, given.run, given.out)
     except ConfigError as error:
         print(error, file=sys.stderr)
         return 2
@@ -65,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _export(name: str, run: Path, out: Path) -> None:
+def _export(write: Callable[[Path, Path], None], is_file: bool, run: Path, out: Path) -> None:
     """Write under a temporary name, so that ``out`` is whole or not there."""
     if out.exists():
         raise ConfigError(f"{out} is there already; name another place to write to.")
@@ -73,10 +86,10 @@ def _export(name: str, run: Path, out: Path) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     if draft.is_dir():  # of an export that was killed
         shutil.rmtree(draft)
-    if name not in _FILES:
+    if not is_file:
         draft.mkdir()
     try:
-        FORMATS[name](run, draft)
+        write(run, draft)
         draft.rename(out)
     finally:
         if draft.is_dir():

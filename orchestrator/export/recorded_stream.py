@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -16,7 +17,7 @@ from mlbs_actors.messages import Array, Region
 from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.record_tables import part_path
 
-__all__ = ["RecordedFrame", "RecordedObject", "recorded_stream", "streams_of"]
+__all__ = ["RecordedFrame", "RecordedObject", "description_of", "recorded_stream", "streams_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +83,8 @@ class RecordedFrame:
         return labels
 
 
-def streams_of(run: Path) -> dict[str, str]:
-    """Names of a run's streams, in the order of its list → their addresses, passwords hidden.
+def description_of(run: Path) -> dict[str, Any]:
+    """What a run was asked for: its ``run.json``.
 
     Raises
     ------
@@ -91,12 +92,23 @@ def streams_of(run: Path) -> dict[str, str]:
         If the folder holds no run, or its tables were not saved.
     """
     try:
-        description = json.loads((run / "run.json").read_text(encoding="utf-8"))
+        description: dict[str, Any] = json.loads((run / "run.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         raise ConfigError(f"{run} holds no run; name the folder given to --output.") from None
     if "parquet" not in description["save"]:
         raise ConfigError(f"The run in {run} has no tables to export; run it again with parquet in --save.")
-    return dict(description["sources"])
+    return description
+
+
+def streams_of(run: Path) -> dict[str, str]:
+    """Names of a run's streams, in the order of its list → their addresses, passwords hidden.
+
+    Raises
+    ------
+    ConfigError
+        From :func:`description_of`.
+    """
+    return dict(description_of(run)["sources"])
 
 
 def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:

@@ -1,33 +1,38 @@
 """Rerun: a recording that its viewer plays, with the pictures if their source can be read again.
 
 It holds what the record holds: label maps, the boxes, areas and motions of the objects, the motion of the
-camera. The trajectories of single points, the motion fields and the posteriors are in no record.
+camera. What no record holds (:mod:`orchestrator.export.rerun_internals`) is made once more if asked for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import closing
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import cv2
 import rerun
+from rich.console import Console
+from rich.progress import track
 
-from mlbs_actors.actors.stream_protocol import SourceFrame
-from mlbs_actors.errors import ConfigError, SourceError
+from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
-from orchestrator.export.recorded_stream import RecordedFrame, RecordedObject, recorded_stream, streams_of
-from orchestrator.sinks.layer_colours import layer_colour
-from orchestrator.sources.address import SourceKind, parse_address
-from orchestrator.sources.opening import open_reader
+from orchestrator.export.recorded_stream import (
+    RecordedFrame,
+    RecordedObject,
+    description_of,
+    recorded_stream,
+    streams_of,
+)
+from orchestrator.export.replay import inspected, replayed
+from orchestrator.export.rerun_internals import layer_rgb, layout, write_internals
 
 __all__ = ["write_rerun"]
 
 _JPEG_QUALITY = 85
 
 
-def write_rerun(run: Path, out: Path) -> None:
+def write_rerun(run: Path, out: Path, *, internals: bool = False) -> list[str]:
     """Write a recording with the timelines ``frame`` and ``time``, and these entities for each stream.
 
     =========================  =======================================
@@ -44,12 +49,38 @@ def write_rerun(run: Path, out: Path) -> None:
     run : Path
     out : Path
         The file.
+    internals : bool
+        Segment every stream once more, which is shown on standard error, and log what is inside: see
+        :func:`~orchestrator.export.rerun_internals.write_internals`.
+
+    Returns
+    -------
+    list of str
+        Sentences about internals that are missing, or are not those of the recorded label maps.
     """
+    sources = streams_of(run)
     with rerun.RecordingStream("mlbs-actors") as recording:
         recording.save(out)
         recording.set_log_time_enabled(False)  # the time of the export tells nothing
-        for name, source in streams_of(run).items():
+        for name, source in sources.items():
             _StreamLog(recording, name).write(_with_pictures(recorded_stream(run / name), source))
+        return _add_internals(recording, run, sources) if internals else []
+
+
+def _add_internals(recording: rerun.RecordingStream, run: Path, sources: Mapping[str, str]) -> list[str]:
+    asked = description_of(run)
+    config = Config.model_validate(asked["config"])
+    layers: dict[str, tuple[int, ...]] = {}
+    remarks: list[str] = []
+    for name, source in sources.items():
+        recorded = list(recorded_stream(run / name))
+        frames = inspected(recorded, source, config, asked["max_frames"], asked["max_side"])
+        shown = track(frames, name, len(recorded), console=Console(stderr=True))
+        written = write_internals(recording, name, shown)
+        layers[name] = written.layers
+        remarks += written.remarks(name, len(recorded))
+    recording.send_blueprint(layout(layers))
+    return remarks
 
 
 class _StreamLog:
@@ -78,7 +109,7 @@ class _StreamLog:
             shown = present
             seen |= present
         classes = [
-            rerun.AnnotationInfo(id=layer, label=str(layer), color=_rgb(layer)) for layer in sorted(seen)
+            rerun.AnnotationInfo(id=layer, label=str(layer), color=layer_rgb(layer)) for layer in sorted(seen)
         ]
         self._log(rerun.AnnotationContext(classes), static=True)
 
@@ -98,7 +129,7 @@ def _with_pictures(
     frames: Iterable[RecordedFrame], source: str
 ) -> Iterator[tuple[RecordedFrame, Array | None]]:
     """Pair the frames with their pictures: None for all that cannot be read (again)."""
-    pictures = _pictures(source)
+    pictures = replayed(source)
     newest = next(pictures, None)
     for frame in frames:
         while newest is not None and newest.index < frame.index:
@@ -106,24 +137,6 @@ def _with_pictures(
         yield frame, newest.image if newest is not None and newest.index == frame.index else None
 
 
-def _pictures(source: str) -> Iterator[SourceFrame]:
-    """Read a source again; nothing comes from a camera, nor from what is not there any more."""
-    try:
-        address = parse_address(source, Path("/"))
-        if address.kind not in (SourceKind.PATH, SourceKind.SYNTHETIC):
-            return
-        with closing(open_reader(address)) as reader:
-            while isinstance(frame := reader.read(), SourceFrame):
-                yield frame
-    except (ConfigError, SourceError):
-        return
-
-
 def _jpeg(picture: Array) -> bytes:
     _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     return data.tobytes()
-
-
-def _rgb(layer: int) -> tuple[int, int, int]:
-    blue, green, red = layer_colour(layer)
-    return red, green, blue

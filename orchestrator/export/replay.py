@@ -1,0 +1,104 @@
+"""A recorded stream's source read once more, and segmented once more to look inside."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from mlbs_actors.actors.stream_protocol import SourceFrame
+from mlbs_actors.config import Config
+from mlbs_actors.errors import ConfigError, SourceError
+from mlbs_actors.inspection import FrameInspection
+from mlbs_actors.messages import Segmentation
+from mlbs_actors.subtractor import MultilayerSubtractor
+from orchestrator.export.recorded_stream import RecordedFrame
+from orchestrator.sources.address import SourceKind, parse_address
+from orchestrator.sources.opening import open_reader
+from orchestrator.working_size import enlarged, shrunk
+
+__all__ = ["InspectedFrame", "inspected", "replayed"]
+
+
+@dataclass(frozen=True, slots=True)
+class InspectedFrame:
+    """A frame of the record, and what was inside when it was labelled once more.
+
+    Attributes
+    ----------
+    recorded : RecordedFrame
+    inspection : FrameInspection
+        In pixels of the picture that was worked on, which may be smaller than the recorded one.
+    same_labels : bool
+        Whether its label map is the recorded one.
+    """
+
+    recorded: RecordedFrame
+    inspection: FrameInspection
+    same_labels: bool
+
+
+def replayed(source: str) -> Iterator[SourceFrame]:
+    """Read a source again; nothing comes from a camera, nor from what is not there any more."""
+    try:
+        address = parse_address(source, Path("/"))
+        if address.kind not in (SourceKind.PATH, SourceKind.SYNTHETIC):
+            return
+        with closing(open_reader(address)) as reader:
+            while isinstance(frame := reader.read(), SourceFrame):
+                yield frame
+    except (ConfigError, SourceError):
+        return
+
+
+def inspected(
+    recorded: Iterable[RecordedFrame],
+    source: str,
+    config: Config,
+    max_frames: int | None = None,
+    max_side: int | None = None,
+) -> Iterator[InspectedFrame]:
+    """Segment a source as a run did, in this process.
+
+    Parameters
+    ----------
+    recorded : iterable of RecordedFrame
+    source : str
+        What they are of; where it cannot be read again nothing comes.
+    config : Config
+    max_frames, max_side : int, optional
+        Of the run.
+
+    Yields
+    ------
+    InspectedFrame
+        In order, for every recorded frame that the source still gives.
+    """
+    inspections: deque[FrameInspection] = deque()
+    subtractor = MultilayerSubtractor(config, inspections.append)
+    given: deque[SourceFrame] = deque()
+
+    def results() -> Iterator[Segmentation]:
+        for frame in islice(replayed(source), max_frames):
+            if frame.image is not None:
+                given.append(frame)
+                image = frame.image if max_side is None else shrunk(frame.image, max_side)
+                yield from subtractor.apply(image)
+        yield from subtractor.flush()
+
+    known = iter(recorded)
+    newest = next(known, None)
+    for result in results():
+        frame, inspection = given.popleft(), inspections.popleft()
+        while newest is not None and newest.index < frame.index:
+            newest = next(known, None)
+        if newest is None:
+            return
+        if newest.index == frame.index:
+            labels = enlarged(result, (newest.height, newest.width)).labels
+            yield InspectedFrame(newest, inspection, np.array_equal(labels, newest.labels()))
