@@ -77,7 +77,7 @@ class JsonLines:
 
 
 class LiveTable:
-    """A table that is redrawn in place; streams at work come first if not all fit.
+    """A table that is redrawn in place; streams at work come first, then those gone wrong, waiting and done.
 
     Parameters
     ----------
@@ -98,10 +98,8 @@ class LiveTable:
         self._live.stop()
 
     def _table(self, states: Sequence[StreamState]) -> Table:
-        rows = max(3, self._console.height - 7)
-        shown = list(states)
-        if len(shown) > rows:
-            shown = sorted(shown, key=_interest)[:rows]
+        states = sorted(states, key=lambda state: state.rank)
+        shown = states[: max(3, self._console.height - 7)]
         table = Table(caption=_summary(states, len(shown)), caption_justify="left")
         for heading in ("stream", "state"):
             table.add_column(heading, no_wrap=True)
@@ -131,13 +129,6 @@ def _read(state: StreamState) -> str:
     if state.length is None or state.state in ENDED:
         return str(state.read)
     return f"{state.read} of {state.length}"
-
-
-def _interest(state: StreamState) -> int:
-    """Rank for a table that is too small: at work, gone wrong, waiting, done."""
-    if state.state not in ENDED and state.state != "waiting":
-        return 0
-    return {"failed": 1, "partial": 1, "waiting": 2}.get(state.state, 3)
 
 
 def _summary(states: Sequence[StreamState], shown: int) -> str:

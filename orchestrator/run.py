@@ -15,6 +15,7 @@ from mlbs_actors.actors import Cluster, Node
 from mlbs_actors.actors.stream_protocol import FrameReader, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import SinkError
+from mlbs_actors.wording import count_of
 from orchestrator.admission import available_memory, cores, places, places_here
 from orchestrator.command_line import Arguments
 from orchestrator.credentials import mask
@@ -36,7 +37,6 @@ from orchestrator.sources.address import SourceKind
 from orchestrator.sources.opening import open_reader
 from orchestrator.stream_list import ListedStream
 from orchestrator.stream_state import StreamState, after_failure, stopped, with_record
-from orchestrator.wording import count_of
 from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
 __all__ = ["run"]

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError, SourceError
+from mlbs_actors.wording import count_of
 from orchestrator.credentials import mask
 from orchestrator.sources.address import SourceAddress, SourceKind, parse_address
 from orchestrator.sources.presence import require_source, videos_of
-from orchestrator.wording import count_of
 
 __all__ = [
     "MAX_BYTES",

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from mlbs_actors.actors.stream_protocol import SourceSilence, StreamProgress
+from mlbs_actors.wording import count_of
 from orchestrator.credentials import mask
-from orchestrator.wording import count_of
 
 __all__ = [
     "ENDED",
@@ -44,7 +44,7 @@ class StreamState:
     layers : int
         Live layers, the background included.
     frames_per_second : float
-        Recent rate at which frames were read; 0 when not running.
+        Recent rate at which frames were read; 0 when not running, and while a camera sends nothing.
     latency_ms : float
         For how long a frame was worked on lately, the sum of its stages, ms; 0 as long as it is unknown.
     error : str, optional
@@ -79,6 +79,13 @@ class StreamState:
     def queued(self) -> int:
         """Frames that were read and are neither committed nor lost."""
         return max(self.read - self.committed - self.dropped - self.quarantined, 0)
+
+    @property
+    def rank(self) -> int:
+        """Where it is shown among others: 0 at work, 1 gone wrong, 2 waiting, 3 done."""
+        if self.state not in ENDED and self.state != "waiting":
+            return 0
+        return {"failed": 1, "partial": 1, "waiting": 2}.get(self.state, 3)
 
     @property
     def seconds_left(self) -> float | None:
@@ -120,7 +127,7 @@ def after_progress(state: StreamState, progress: StreamProgress, frames_per_seco
         quarantined=progress.quarantined,
         gaps=progress.gaps,
         layers=progress.layers,
-        frames_per_second=frames_per_second,
+        frames_per_second=0.0 if silence.state else frames_per_second,
         latency_ms=sum(progress.stage_ms.values()) or state.latency_ms,
         error=None if error is None else mask(error),
         length=progress.length,

@@ -8,8 +8,10 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -17,7 +19,7 @@ import pytest
 from chromium import open_page
 from record_fakes import frame, segmentation
 
-from mlbs_actors.actors.stream_protocol import StreamProgress
+from mlbs_actors.actors.stream_protocol import SourceSilence, StreamProgress
 from mlbs_actors.errors import ConfigError
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.monitor.board import Board
@@ -89,6 +91,7 @@ def test_the_status_tells_of_every_stream_what_it_does_and_what_waits(url: str) 
     assert (yard["length"], yard["seconds_left"]) == (37, 4.0)
     assert (yard["waits_for"], late["waits_for"]) == (None, "its processes and its first frames")
     assert failed["error"] == "The file <is> gone."
+    assert [one["rank"] for one in (yard, failed, late)] == [0, 1, 0]
     assert (failed["picture"], late["picture"], late["state"]) == (None, None, "starting")
 
 
@@ -148,6 +151,15 @@ def test_the_latency_is_the_sum_of_the_stages_and_stays_when_a_burst_labelled_no
     assert state.latency_ms == pytest.approx(312.4)
     nothing = StreamProgress(16, 8, 0, 0, 2, False)
     assert after_progress(state, nothing, 1.0).latency_ms == pytest.approx(312.4)
+
+
+@pytest.mark.parametrize("away", ["stalled", "reconnecting"])
+def test_a_camera_that_sends_nothing_has_no_rate(away: Literal["stalled", "reconnecting"]) -> None:
+    silent = replace(progress(8), silence=SourceSilence(away, "The camera is away."))
+    state = after_progress(StreamState("gate", "running", frames_per_second=4.0), silent, 3.5)
+    assert (state.state, state.frames_per_second, state.seconds_left) == (away, 0.0, None)
+    usual = replace(progress(8), silence=SourceSilence(None))
+    assert after_progress(state, usual, 3.5).frames_per_second == 3.5
 
 
 # To whom
@@ -248,6 +260,8 @@ def test_a_browser_shows_every_stream_without_complaint(url: str) -> None:
         assert words in page.document
     for words in ("20 of 37", "00:00:04", "waits for its processes and its first frames"):
         assert words in page.document
-    assert "1 running, 1 failed, 1 starting" in page.document
+    assert "1 running, 1 starting, 1 failed" in page.document
     assert 'alt="Newest frame of yard with its objects outlined and numbered"' in page.document
     assert "Layers of yard over time: now 2, at most 2" in page.document
+    # In the document itself, which is what a keyboard and a screen reader go through.
+    assert re.findall(r'<h2 id="name-\d">(.*?)</h2>', page.document) == ["yard", "late", "&lt;b&gt;"]

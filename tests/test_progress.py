@@ -89,5 +89,13 @@ def test_a_table_of_more_streams_than_fit_shows_those_at_work_and_counts_the_oth
     shown = table(states, height=20)
     assert "busy" in shown
     assert "broken" in shown
-    assert "198 waiting, 1 running, 1 failed" in shown
+    assert "1 running, 1 failed, 198 waiting" in shown
     assert "not shown" in shown
+
+
+def test_streams_at_work_come_first_then_those_gone_wrong_waiting_and_done() -> None:
+    order = ["d done", "w waiting", "f failed", "r running", "e waiting", "s stalled", "p partial", "x done"]
+    states = [StreamState(*name.split()) for name in order]  # type: ignore[arg-type]
+    shown = table(states).splitlines()
+    names = [line.split()[1] for line in shown if any(f" {name.split()[0]} " in line for name in order)]
+    assert names[-8:] == ["r", "s", "f", "p", "w", "e", "d", "x"]

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from ray.exceptions import ObjectLostError, RayActorError, RayTaskError
 
 from mlbs_actors.errors import ActorLostError, LayerError, MlbsError, SourceError
+from mlbs_actors.wording import count_of
 
 __all__ = [
     "COORDINATOR",
@@ -74,7 +75,7 @@ def is_loss(error: BaseException) -> bool:
 
 def reader_lost(stream: str, frames: int) -> ActorLostError:
     """Say that the process that reads a stream is gone, after so many frames."""
-    return ActorLostError(f"The process that reads stream {stream!r} died after {frames} frames.")
+    return ActorLostError(f"The process that reads stream {stream!r} died after {count_of(frames, 'frame')}.")
 
 
 def source_failure(error: BaseException, source: str, frames: int) -> SourceError:
@@ -95,7 +96,7 @@ def source_failure(error: BaseException, source: str, frames: int) -> SourceErro
     cause = cause_of(error)
     if isinstance(cause, SourceError):
         return cause
-    where = f"after {frames} frames" if frames else "before its first frame"
+    where = f"after {count_of(frames, 'frame')}" if frames else "before its first frame"
     if isinstance(cause, RayActorError):
         return SourceError(
             f"The process that reads {source} died {where}; it is probably damaged there. "

@@ -61,8 +61,8 @@ class Board:
         -------
         dict
             ``seconds`` since the start; ``streams``, in the order of the list: those of ``status.json`` and
-            ``name``, ``picture`` (changes with the picture, null if there is none),
-            ``layers_over_time`` (pairs of frames read and layers).
+            ``name``, ``rank`` (where it is shown: :attr:`StreamState.rank`), ``picture`` (changes with the
+            picture, null if there is none), ``layers_over_time`` (pairs of frames read and layers).
         """
         with self._lock:
             states, past = self._states, {name: list(points) for name, points in self._past.items()}
@@ -71,6 +71,7 @@ class Board:
             "streams": [
                 state.figures()
                 | {
+                    "rank": state.rank,
                     "picture": self._version(state.name),
                     "layers_over_time": past.get(state.name, []),
                 }

@@ -5,7 +5,8 @@ const SECOND = 1000;
 const ENDED = ["done", "partial", "failed"];
 const summary = document.getElementById("summary");
 const pause = document.getElementById("pause");
-const cards = [];
+const list = document.getElementById("streams");
+const cards = []; // in the order of the list of streams
 
 function write(element, text) {
   if (element.textContent !== text) element.textContent = text; // else a screen reader would repeat it
@@ -16,7 +17,7 @@ function card(number) {
     const copy = document.getElementById("stream").content.cloneNode(true).firstElementChild;
     copy.querySelector("h2").id = `name-${number}`;
     copy.setAttribute("aria-labelledby", `name-${number}`);
-    document.getElementById("streams").append(copy);
+    list.append(copy);
     cards[number] = copy;
   }
   return cards[number];
@@ -66,9 +67,19 @@ function show(stream, number) {
     image.dataset.picture = stream.picture;
     image.src = `/pictures/${number}.jpg?${stream.picture}`;
     image.alt = `Newest frame of ${stream.name} with its objects outlined and numbered`;
-    image.hidden = false;
   }
+  image.hidden = !stream.picture;
   drawLayers(element.querySelector("svg"), stream.name, stream.layers_over_time);
+}
+
+// Those at work first. The cards themselves change places, so that a screen reader reads what the eye sees.
+function arrange(streams) {
+  while (cards.length > streams.length) cards.pop().remove(); // one was taken from the list
+  const numbers = [...streams.keys()].sort((a, b) => streams[a].rank - streams[b].rank || a - b);
+  numbers.forEach((number, place) => {
+    if (list.children[place] !== cards[number]) list.insertBefore(cards[number], list.children[place]);
+  });
+  return numbers.map((number) => streams[number]);
 }
 
 async function refresh() {
@@ -78,7 +89,7 @@ async function refresh() {
       const status = await answer.json();
       status.streams.forEach(show);
       const counts = new Map();
-      for (const stream of status.streams) counts.set(stream.state, (counts.get(stream.state) || 0) + 1);
+      for (const stream of arrange(status.streams)) counts.set(stream.state, (counts.get(stream.state) || 0) + 1);
       write(summary, [...counts].map(([state, count]) => `${count} ${state}`).join(", "));
     } catch {
       write(summary, "The run has ended, or cannot be reached; this is how it stood last.");

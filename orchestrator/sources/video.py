@@ -16,9 +16,9 @@ from av.video.frame import VideoFrame
 
 from mlbs_actors.actors.stream_protocol import SourceFrame, SourceStatus
 from mlbs_actors.errors import SourceError
+from mlbs_actors.wording import count_of
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import open_video, reason, upright_bgr
-from orchestrator.wording import count_of
 
 __all__ = ["VideoReader"]
 
