@@ -96,6 +96,29 @@ def test_palette_masks_are_read_by_pillow_and_give_back_every_mask(
         assert len(objects["5"]["frames"]) == 34
 
 
+def test_a_davis_export_has_what_the_loader_of_the_benchmark_goes_by(run: Path, tmp_path: Path) -> None:
+    # It takes the sequences from a list and the frames by their stems, in the order of the alphabet. Pillow
+    # must give a map of indices, all of the size of the first, in which an object is its id and 255 nothing.
+    out = export("davis", run, tmp_path / "davis")
+    for sequence in (out / "ImageSets/2017/val.txt").read_text().split():
+        paths = sorted((out / "Annotations/480p" / sequence).glob("*.png"), key=str)
+        assert [path.stem for path in paths] == [f"img{index:03d}" for index in range(40) if index != 10]
+        maps = []
+        for path in paths:
+            with Image.open(path) as image:
+                assert (image.format, image.mode) == ("PNG", "P")
+                maps.append(np.array(image))
+        stack = np.stack(maps)  # fails if sizes differ
+        assert stack.dtype == np.uint8
+        assert stack.shape == (39, HEIGHT, WIDTH)
+        assert stack.max() == 5
+        saved = masks(run, sequence)
+        for layer in range(1, 6):
+            expected = np.stack([saved[path.stem] == layer for path in paths])
+            np.testing.assert_array_equal(stack == layer, expected)
+            assert expected.any() == (layer in (3, 5))
+
+
 @pytest.mark.parametrize("name", ["mots", "davis"])
 def test_trackeval_reads_every_mask_and_id_and_finds_an_export_equal_to_itself(
     run: Path, tmp_path: Path, name: str

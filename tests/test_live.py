@@ -5,8 +5,12 @@ from __future__ import annotations
 import queue
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import av
+import cv2
 import numpy as np
 import pytest
 from camera_server import camera, free_port, needs_rtsp_server
@@ -335,3 +339,39 @@ def test_an_rtsp_camera_that_goes_away_and_comes_back_is_read_again_and_its_pass
     assert f"127.0.0.1:{port}/door" in str(said)
     steady = [frame.pts for frame in after if frame.status != "gap"]
     np.testing.assert_allclose(np.diff(steady) * 20, np.rint(np.diff(steady) * 20), atol=0.1)
+
+
+# Local cameras: no machine of the tests has one, so libav's answers are those of a file
+
+
+def test_a_local_camera_is_opened_as_video4linux_and_nothing_else_and_its_pictures_come(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    video = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25, (64, 48), True)
+    for number in range(3):
+        video.write(np.full((48, 64, 3), 60 * number, np.uint8))
+    video.release()
+    asked: list[tuple[str, dict[str, Any]]] = []
+    really_open = av.open
+
+    def open_device(location: str, **how: Any) -> Any:
+        asked.append((location, how))
+        return really_open(str(tmp_path / "a.avi"))
+
+    monkeypatch.setattr(av, "open", open_device)
+    connection = LibavConnection(parse_address("/dev/video7", tmp_path))
+    images = [taken.convert() for taken in connection.pictures()]
+    connection.close()
+    assert [round(float(np.mean(one)) / 60) for one in images if one is not None] == [0, 1, 2]
+    ((location, how),) = asked
+    assert (location, how["format"]) == ("/dev/video7", "v4l2")
+    assert how["options"] == {"format_whitelist": "video4linux2,v4l2"}
+    assert 0 < how["timeout"] < 60
+
+
+def test_what_is_no_camera_is_refused_by_libavs_own_video4linux(tmp_path: Path) -> None:
+    assert "video4linux2,v4l2" in av.formats_available
+    (tmp_path / "file").write_bytes(b"no camera")
+    address = replace(parse_address("/dev/video7", tmp_path), location=str(tmp_path / "file"))
+    with pytest.raises(SourceError, match="Inappropriate ioctl for device"):
+        LibavConnection(address)
