@@ -74,6 +74,9 @@ class Arguments:
         Parts of :data:`SAVABLE`.
     monitor : MonitorAddress, optional
         Where to serve the live page.
+    ray_metrics : int, optional
+        Port of this machine where Ray gives the figures of the streams to a Prometheus; 0 for those of the
+        cluster at ``address``.
     max_frames : int, optional
         Frames to read of each stream.
     max_side : int, optional
@@ -90,6 +93,7 @@ class Arguments:
     resume: bool
     save: frozenset[str]
     monitor: MonitorAddress | None
+    ray_metrics: int | None
     max_frames: int | None
     max_side: int | None
     watch: bool
@@ -147,6 +151,7 @@ def parse(argv: Sequence[str]) -> Arguments:
         resume=given.resume,
         save=_parts(given.save),
         monitor=None if given.monitor is None else _monitor_address(given.monitor),
+        ray_metrics=None if given.ray_metrics is None else _metrics_port(given.ray_metrics, given.address),
         max_frames=given.max_frames,
         max_side=given.max_side,
         watch=given.watch,
@@ -167,6 +172,20 @@ def _monitor_address(text: str) -> MonitorAddress:
     if text and not (port.isascii() and port.isdecimal() and int(port) < 2**16):
         raise ConfigError(f"--monitor takes PORT or HOST:PORT, not {text!r}.")
     return MonitorAddress(host or "127.0.0.1", int(port or 0))
+
+
+def _metrics_port(text: str, address: str | None) -> int:
+    if address is not None:
+        if text:
+            raise ConfigError(
+                "With --address metrics come from ports of the cluster; give --ray-metrics without PORT."
+            )
+        return 0
+    if not (text.isascii() and text.isdecimal() and 0 < int(text) < 2**16):
+        raise ConfigError(
+            "--ray-metrics takes a PORT of this machine, from 1 to 65535, such as --ray-metrics 9465."
+        )
+    return int(text)
 
 
 def _positive(text: str) -> int:
@@ -226,6 +245,14 @@ def _parser() -> argparse.ArgumentParser:
         metavar="[HOST:]PORT",
         help="serve a live page on this machine; at another HOST whoever looks must know the token in the "
         f"environment variable {TOKEN_VARIABLE} (default PORT: any that is free)",
+    )
+    parser.add_argument(
+        "--ray-metrics",
+        nargs="?",
+        const="",
+        metavar="PORT",
+        help="let Ray give the figures of every stream to a Prometheus at this PORT of this machine; with "
+        "--address, without PORT, at those of the cluster; needs pip install 'mlbs-actors[ray-metrics]'",
     )
     parser.add_argument(
         "--max-frames", type=_positive, metavar="N", help="stop each stream after its first N frames"

@@ -1,7 +1,7 @@
 """Ray for one run: started on this machine with safe settings, or a cluster that is joined.
 
-Ray's ports listen on all interfaces and whoever reaches them can run code. So a session of our own asks for
-a token that only this user can read, and has no dashboard. A cluster is joined only when asked for:
+Whoever reaches Ray's ports can run code. So a session of our own listens on this machine only, asks for a
+token that only this user can read, and has no dashboard. A cluster is joined only when asked for:
 ``RAY_ADDRESS`` in the environment alone does nothing.
 """
 
@@ -69,6 +69,8 @@ def ray_settings(address: str | None) -> Iterator[Path]:
             "RAY_AUTH_TOKEN": None,
             "RAY_AUTH_TOKEN_PATH": str(token),
             "RAY_USAGE_STATS_ENABLED": "0",
+            # Its name tells where Ray needs it; without clusters it listens at the loopback address only.
+            "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
             # What is told of every call, for a dashboard that is not there, costs some per cent of it.
             "RAY_task_events_report_interval_ms": "0",
             "RAY_event_stats": "0",
@@ -111,7 +113,7 @@ def _remove_abandoned() -> None:
 
 
 @contextmanager
-def ray_session(address: str | None, scratch: Path) -> Iterator[None]:
+def ray_session(address: str | None, scratch: Path, metrics_port: int | None = None) -> Iterator[None]:
     """Have a Ray session while the ``with`` block runs; ends what it has started, and nothing else.
 
     Parameters
@@ -120,16 +122,20 @@ def ray_session(address: str | None, scratch: Path) -> Iterator[None]:
         Cluster to join, ``HOST:PORT`` or ``auto``; None for a session of our own.
     scratch : Path
         From :func:`ray_settings`.
+    metrics_port : int, optional
+        Of this machine, where a session of our own gives its metrics to a Prometheus.
 
     Raises
     ------
     ConfigError
-        If the cluster cannot be joined.
+        If the cluster cannot be joined, or metrics cannot be exported.
     MlbsError
         If Ray does not start.
     """
     import ray
 
+    if metrics_port is not None:
+        _refuse_unexportable(metrics_port)
     try:
         if address is None:
             ray.init(
@@ -139,6 +145,7 @@ def ray_session(address: str | None, scratch: Path) -> Iterator[None]:
                 logging_level=logging.ERROR,
                 object_store_memory=_object_store_bytes(),
                 _temp_dir=str(scratch),
+                _metrics_export_port=metrics_port,
             )
         else:
             _refuse_unreachable(address)
@@ -161,6 +168,22 @@ def _refuse_unreachable(address: str) -> None:
     host, _, port = address.rpartition(":")
     with socket.create_connection((host, int(port)), timeout=_CONNECT_SECONDS):
         return
+
+
+def _refuse_unexportable(port: int) -> None:
+    """Raise ConfigError if Ray could not export metrics at this port; it would say nothing and go on."""
+    try:
+        import ray.dashboard.optional_deps  # noqa: F401
+    except ImportError:
+        raise ConfigError(
+            "--ray-metrics needs the exporter of Ray; pip install 'mlbs-actors[ray-metrics]'."
+        ) from None
+    try:
+        socket.create_server(("127.0.0.1", port)).close()
+    except OSError as error:
+        raise ConfigError(
+            f"--ray-metrics cannot listen at port {port}: {error.strerror}. Choose another one."
+        ) from None
 
 
 def _start_failure(address: str | None, error: Exception) -> MlbsError:

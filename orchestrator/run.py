@@ -25,6 +25,7 @@ from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.list_watch import ListWatch
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.monitor.board import Board
+from orchestrator.monitor.ray_metrics import RayMetrics
 from orchestrator.monitor.server import serving
 from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
@@ -99,13 +100,17 @@ def run(
             _say(f"Starting Ray; {count}, up to {limit} at a time.")
         else:
             _say(f"Joining Ray at {arguments.address}; {count}.")
-        boards = session.enter_context(_monitored(arguments.monitor, live))
-        session.enter_context(ray_session(arguments.address, scratch))
+        onlookers = session.enter_context(_monitored(arguments.monitor, live))
+        session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
+        if arguments.ray_metrics is not None:
+            onlookers.append(RayMetrics())
+            if arguments.address is None:
+                _say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
         if not arguments.resume:
             folder.claim(job.description)
             hold.enter_context(folder.held())
         changes = job.changes if arguments.watch else None
-        states, exit_status = _drive(job, ended, changes, limit, status, boards, folder, arguments.address)
+        states, exit_status = _drive(job, ended, changes, limit, status, onlookers, folder, arguments.address)
         session.close()
         states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
         try:
@@ -118,7 +123,7 @@ def run(
 
 
 @contextmanager
-def _monitored(address: MonitorAddress | None, live: Path | None) -> Iterator[list[Board]]:
+def _monitored(address: MonitorAddress | None, live: Path | None) -> Iterator[list[Observer]]:
     """Serve the monitor's page if it is asked for; what it shows is to observe the driver."""
     if address is None or live is None:
         yield []
@@ -211,7 +216,7 @@ def _drive(
     changes: Callable[[], SpecChange | None] | None,
     limit: int,
     status: StatusFile,
-    boards: Sequence[Observer],
+    onlookers: Sequence[Observer],
     folder: RunFolder,
     address: str | None,
 ) -> tuple[tuple[StreamState, ...], int]:
@@ -232,7 +237,7 @@ def _drive(
                 job.specs,
                 host,
                 limit=most,
-                observers=[status, *boards, progress],
+                observers=[status, *onlookers, progress],
                 interruption=interruption,
                 ended=ended,
                 changes=changes,
