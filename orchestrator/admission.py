@@ -12,9 +12,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.wording import count_of
 from orchestrator.stream_state import ENDED, StreamState
 
-__all__ = ["STREAM_BYTES", "available_memory", "cores", "places", "places_here", "streams_to_start"]
+__all__ = [
+    "STREAM_BYTES",
+    "available_memory",
+    "cores",
+    "places",
+    "places_here",
+    "streams_to_start",
+    "warn_of_cameras",
+]
 
 #: Private memory of a stream of three layers at 640×480: reader, coordinator, segmenter and layers, bytes.
 STREAM_BYTES = 1_200 * 2**20
@@ -42,6 +51,27 @@ def places(memory_bytes: int, core_count: int) -> int:
     """
     by_memory = (memory_bytes - _RESERVED_BYTES) // STREAM_BYTES
     return max(1, min(by_memory, core_count * _STREAMS_A_CORE))
+
+
+def warn_of_cameras(cameras: int, streams: int, limit: int) -> str | None:
+    """Say that some streams may never start, if cameras, which do not end by themselves, can take all places.
+
+    Parameters
+    ----------
+    cameras : int
+        Streams without an end.
+    streams : int
+        Those and the others.
+    limit : int
+        Streams that may run at once.
+    """
+    if cameras < limit or streams <= limit:
+        return None
+    return (
+        f"Cameras do not end by themselves and will hold all {limit} places of this machine; "
+        f"{count_of(streams - limit, 'stream')} may never start. Leave some out, set --max-frames, or add "
+        "machines with --address."
+    )
 
 
 def places_here(folder: Path) -> int:

@@ -21,7 +21,8 @@ the list of streams, one a line (shell quoting, # comments, relative paths count
   NAME URI
 a URI is a video file, a folder or a glob of images, rtsp://HOST/PATH, rtsps://HOST/PATH, /dev/videoN
 or a made scene, synthetic:demo?frames=60&seed=1
-a folder or a glob of videos is a stream for each of them, named after the file, or NAME-FILE
+a folder or a glob of videos is a stream for each of them, named after the file, or NAME-FILE; so is a glob of
+folders of images, such as 'DAVIS/JPEGImages/480p/*'
 a camera is read until --max-frames or a signal; one that goes away is tried again until it is back
 
 output:

@@ -16,7 +16,7 @@ from mlbs_actors.actors.stream_protocol import FrameReader, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import SinkError
 from mlbs_actors.wording import count_of
-from orchestrator.admission import available_memory, cores, places, places_here
+from orchestrator.admission import available_memory, cores, places, places_here, warn_of_cameras
 from orchestrator.command_line import Arguments
 from orchestrator.credentials import mask
 from orchestrator.driver import Driver, Observer, SpecChange
@@ -98,6 +98,10 @@ def run(
         count = count_of(len(streams) - len(ended), "stream")
         if arguments.address is None:
             _say(f"Starting Ray; {count}, up to {limit} at a time.")
+            due = [spec for spec in job.specs if spec.name not in ended]
+            endless = sum(not spec.replayable and spec.max_frames is None for spec in due)
+            if (warning := warn_of_cameras(endless, len(due), limit)) is not None:
+                _say(warning)
         else:
             _say(f"Joining Ray at {arguments.address}; {count}.")
         onlookers = session.enter_context(_monitored(arguments.monitor, live))

@@ -1,6 +1,6 @@
 """The list of streams: a line a stream, ``URI`` or ``NAME URI``, shell quoting, ``#`` comments.
 
-A folder or glob of videos is a stream for each of them.
+A folder or glob of videos is a stream for each of them, and so is a glob of folders of images.
 
 The list may come from elsewhere, so it is read with distrust: bounded in size, only the addresses of
 :mod:`orchestrator.sources.address`, names that stay inside the output folder. All bad lines are reported
@@ -19,7 +19,7 @@ from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.wording import count_of
 from orchestrator.credentials import mask
 from orchestrator.sources.address import SourceAddress, SourceKind, parse_address
-from orchestrator.sources.presence import require_source, videos_of
+from orchestrator.sources.presence import image_folders_of, require_source, videos_of
 
 __all__ = [
     "MAX_BYTES",
@@ -198,13 +198,18 @@ def _parse_line(raw: bytes, number: int, folder: Path) -> list[ListedStream]:
         raise ConfigError(f"has {len(words)} words, not URI or NAME URI; quote a path that holds spaces")
     source = parse_address(words[-1], folder)
     given = words[0] if len(words) == 2 else None
-    videos = videos_of(source.location) if source.kind is SourceKind.PATH else []
-    if not videos:
+    parts: dict[Path, str] = {}  # of a line that is several streams
+    if source.kind is SourceKind.PATH:
+        parts = {video: video.stem for video in videos_of(source.location)}
+        parts |= {folder: name for name, folder in image_folders_of(source.location).items()}
+    if not parts:
         name = source.default_name if given is None else given
         return [_named(name, source, number, is_given=given is not None)]
-    sources = [SourceAddress(SourceKind.PATH, str(video), video.stem) for video in videos]
     prefix = "" if given is None else f"{given}-"
-    return [_named(prefix + one.default_name, one, number, is_given=False) for one in sources]
+    return [
+        _named(prefix + name, SourceAddress(SourceKind.PATH, str(path), name), number, is_given=False)
+        for path, name in parts.items()
+    ]
 
 
 def _named(name: str, source: SourceAddress, number: int, *, is_given: bool) -> ListedStream:

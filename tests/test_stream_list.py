@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.sources.address import SourceKind
-from orchestrator.stream_list import MAX_BYTES, MAX_STREAMS, ListedStream, read_stream_list
+from orchestrator.stream_list import MAX_BYTES, MAX_STREAMS, ListedStream, missing_sources, read_stream_list
 
 
 def read(folder: Path, text: str | bytes) -> tuple[ListedStream, ...]:
@@ -231,3 +231,27 @@ def test_a_folder_of_videos_and_images_is_refused_and_two_videos_of_one_name_too
     assert "holds videos and images, such as a.mp4 and a.png" in message
     assert "line 2: the name 'a' is taken by line 2" in message
     assert "line 3" not in message
+
+
+def test_a_glob_of_folders_of_images_is_a_stream_for_each(tmp_path: Path) -> None:
+    for name in ("dog", "car10", "car9"):
+        for kind in ("frames", "gt"):
+            (tmp_path / "set" / name / kind).mkdir(parents=True)
+            (tmp_path / "set" / name / kind / "00000.jpg").touch()
+    (tmp_path / "set/empty/frames").mkdir(parents=True)
+    expected = {name: str(tmp_path / f"set/{name}/frames") for name in ("car9", "car10", "dog")}
+    streams = read(tmp_path, "set/*/frames\n")
+    assert {one.name: one.source.location for one in streams} == expected
+    assert [one.name for one in streams] == ["car9", "car10", "dog"]
+    assert [one.name for one in read(tmp_path, "day 'set/car*/frames/'\n")] == ["day-car9", "day-car10"]
+    assert [one.name for one in read(tmp_path, "x set/dog/*\n")] == ["x-frames", "x-gt"]
+    assert "would have the same name" in refusal(tmp_path, "set/*/[fg]*/../frames\n")
+
+
+def test_a_folder_of_folders_of_images_is_told_how_to_be_written(tmp_path: Path) -> None:
+    (tmp_path / "480p/dog").mkdir(parents=True)
+    (tmp_path / "480p/dog/00000.jpg").touch()
+    streams = read(tmp_path, "480p\n")
+    with pytest.raises(ConfigError, match=r"write '.*480p/\*'"):
+        missing_sources(tmp_path / "list.txt", streams)
+    assert [one.name for one in read(tmp_path, "'480p/*'\n")] == ["dog"]

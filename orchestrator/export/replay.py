@@ -99,6 +99,7 @@ def inspected(
             newest = next(known, None)
         if newest is None:
             return
-        if newest.index == frame.index:
-            labels = enlarged(result, (newest.height, newest.width)).labels
+        if newest.index == frame.index and frame.image is not None:
+            height, width = frame.image.shape[:2]
+            labels = enlarged(result, (height, width)).labels
             yield InspectedFrame(newest, inspection, np.array_equal(labels, newest.labels()))

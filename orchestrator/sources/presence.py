@@ -14,7 +14,7 @@ from pathlib import Path
 from mlbs_actors.errors import SourceError
 from orchestrator.sources.address import SourceAddress, SourceKind, has_wildcards
 
-__all__ = ["holds_images", "images_of", "require_source", "videos_of"]
+__all__ = ["holds_images", "image_folders_of", "images_of", "require_source", "videos_of"]
 
 _IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
@@ -89,6 +89,32 @@ def videos_of(location: str) -> list[Path]:
     return videos
 
 
+def image_folders_of(location: str) -> dict[str, Path]:
+    """Find the folders of images that match a glob, in natural order.
+
+    Returns
+    -------
+    dict of str to Path
+        What the last wildcard stands for → the folder; empty if the location is no glob or matches images
+        themselves.
+
+    Raises
+    ------
+    SourceError
+        If two folders would have the same name.
+    """
+    if not has_wildcards(location) or Path(location).exists() or _files_of(location, _IMAGE_SUFFIXES):
+        return {}
+    depth = max(place for place, part in enumerate(Path(location).parts) if has_wildcards(part))
+    found: dict[str, Path] = {}
+    for path in sorted(map(Path, glob.glob(location)), key=_natural_order):  # noqa: PTH207
+        if path.is_dir() and _files_of(str(path), _IMAGE_SUFFIXES):
+            other = found.setdefault(path.parts[depth], path)
+            if other is not path:
+                raise SourceError(f"{other} and {path} would have the same name; write a line for each.")
+    return found
+
+
 def images_of(location: str) -> list[Path]:
     """List the images of a folder, or those that match a glob, in natural order.
 
@@ -98,6 +124,10 @@ def images_of(location: str) -> list[Path]:
         If there are none, or two would give their masks the same name.
     """
     visible = _files_of(location, _IMAGE_SUFFIXES)
+    if not visible and image_folders_of(f"{location}/*"):
+        raise SourceError(
+            f"There are no images in {location} itself; for a stream a folder write '{location}/*'."
+        )
     if not visible:
         raise SourceError(f"There are no images at {location}; check the path ({_suffix_list()} are read).")
     first_of: dict[str, Path] = {}
