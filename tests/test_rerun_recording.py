@@ -93,6 +93,8 @@ def test_each_object_has_its_box_motion_and_area_and_is_cleared_while_it_is_hidd
 def test_a_class_has_the_id_and_the_colour_of_its_layer(tables: dict[str, list[dict[str, Any]]]) -> None:
     (row,) = tables["/gate"]
     classes = [one["class_description"]["info"] for one in row["AnnotationContext:context"][0]]
+    background = classes.pop(0)
+    assert (background["id"], background["color"] & 255) == (0, 0)  # else it would hide the picture
     for one, layer in zip(classes, (3, 5), strict=True):
         blue, green, red = layer_colour(layer)
         assert (one["id"], one["label"]) == (layer, str(layer))

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import track
 
 from mlbs_actors.config import Config
-from mlbs_actors.messages import Array
+from mlbs_actors.messages import BACKGROUND, Array
 from orchestrator.export.recorded_stream import (
     RecordedFrame,
     RecordedObject,
@@ -108,7 +108,9 @@ class _StreamLog:
                 self._log(rerun.Clear(recursive=True), "layers", str(gone))
             shown = present
             seen |= present
-        classes = [
+        # Without a class of its own the background is painted over the picture in a colour of the viewer's.
+        classes = [rerun.AnnotationInfo(id=BACKGROUND, label="background", color=(0, 0, 0, 0))]
+        classes += [
             rerun.AnnotationInfo(id=layer, label=str(layer), color=layer_rgb(layer)) for layer in sorted(seen)
         ]
         self._log(rerun.AnnotationContext(classes), static=True)
