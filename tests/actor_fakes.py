@@ -284,6 +284,9 @@ class FakeParts:
                 (self.folder / f"hangs-{number}").touch(exist_ok=False)
                 time.sleep(1_000)
 
+    def warm_stream(self) -> None:
+        self._note()
+
     def processes(self) -> set[int]:
         return {int(note.name.removeprefix("pid-")) for note in self.folder.glob("pid-*")}
 

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import ray
 from actor_fakes import (
     CONFIG,
+    SHAPE,
     FakeCamera,
     FakeParts,
     FakeReader,
@@ -27,6 +33,7 @@ from actor_fakes import (
     wait_until,
 )
 from conftest import RaySession
+from ray.exceptions import RayActorError
 
 from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
@@ -37,7 +44,7 @@ from mlbs_actors.actors.saved_states import SavedLayer
 from mlbs_actors.actors.sink import SinkActor
 from mlbs_actors.actors.stream_protocol import SourceFrame, SourceSilence, SourceStatus, StreamProgress
 from mlbs_actors.errors import ActorLostError, LayerError, SinkError, SourceError
-from mlbs_actors.messages import Array
+from mlbs_actors.messages import Array, FrameEvidence, LayerEvidence
 from orchestrator.sources.synthetic import scene
 
 pytestmark = pytest.mark.ray
@@ -244,15 +251,81 @@ def test_a_layer_process_that_hangs_at_its_start_is_replaced(
     node.close()
 
 
+def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_ended(
+    ray_session: RaySession, parts: FakeParts
+) -> None:
+    policy = PoolPolicy(spare=0, release_seconds=2.0)
+    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote(1))
+    kept, hanging = (
+        ray.get(pool.acquire.remote(run, SavedLayer(layer, "object", -1), CONFIG, None)) for layer in (1, 2)
+    )
+    os.kill(ray.get(hanging.__ray_call__.remote(_pid)), signal.SIGSTOP)
+    ray.get(pool.end.remote(run))
+    assert ray.get(pool.census.remote()) == PoolCensus(idle=1, busy=0)
+    with pytest.raises(RayActorError):
+        ray.get(hanging.__ray_ready__.remote())
+    again = ray.get(pool.begin.remote(2))
+    assert ray.get(pool.acquire.remote(again, SavedLayer(3, "object", -1), CONFIG, None)) == kept
+    # What the first stream's coordinator has asked for before may still come.
+    ray.get(kept.release.remote(run))
+    with pytest.raises(LayerError, match="no layer of that stream"):
+        ray.get(kept.step.remote(run, SimpleNamespace(frame_index=0), None, None))
+    evidence = FrameEvidence(
+        frame_index=0,
+        shape=SHAPE,
+        camera=np.eye(3),
+        flow=np.zeros((2, 2, 2), np.float16),
+        flow_reliable=np.ones((2, 2), np.bool_),
+        unexplained=np.zeros((1, 1), np.uint8),
+        layers=(LayerEvidence(3, "object", -1, np.zeros((1, 2), np.float32), np.zeros((1, 2), np.float32)),),
+        retired=(),
+        latency_frames=0,
+    )
+    assert ray.get(kept.step.remote(again, evidence, SourceFrame(0, picture(0), 0.0, "0"), None)).layer == 3
+    end([pool])
+
+
+def _pid(actor: object) -> int:
+    return os.getpid()
+
+
 def test_a_stream_that_has_ended_gets_no_more_processes(ray_session: RaySession, parts: FakeParts) -> None:
-    pool = spawn(PoolActor, parts, PoolPolicy(spare=0), node=ray.get_runtime_context().get_node_id())
+    policy = PoolPolicy(spare=0, release_seconds=60.0)
+    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
     run = ray.get(pool.begin.remote(1))
     late = pool.acquire.remote(run, SavedLayer(1, "object", -1), CONFIG, None)
     ray.get(pool.end.remote(run))
     with pytest.raises(LayerError, match="has ended"):
         ray.get(late)
-    assert ray.get(pool.census.remote()) == PoolCensus(idle=0, busy=0)
+    assert ray.get(pool.census.remote()) == PoolCensus(idle=1, busy=0)
     end([pool])
+
+
+# ---- processes that wait for a stream
+
+
+def test_a_stream_starts_in_processes_that_were_warm_before(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    first = node.start(spec("first", FakeReader([*crowd(60, 1)], tmp_path / "first")))
+    for _ in range(5):
+        first.advance().result(timeout=120)
+    own, layers, waiting = 3, 2 + 1, 3
+    wait_until(lambda: len(parts.processes()) >= own + layers + waiting, 60.0)
+    warm = parts.processes()
+    pictures = crowd(12, 1)
+    reader = FakeReader([*pictures], tmp_path / "second")
+    second = node.start(replace(spec("second", reader), open_reader=partial(_noting_its_process, reader)))
+    run_to_end(second)
+    assert int((tmp_path / "second/process").read_text()) in warm
+    assert rows(tmp_path / "second") == rows_in_one_process(parts, pictures)
+    first.stop(drain=False)
+
+
+def _noting_its_process(reader: FakeReader) -> FakeReader:
+    (reader.folder / "process").write_text(str(os.getpid()))
+    return reader
 
 
 # ---- failures

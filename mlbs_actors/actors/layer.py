@@ -30,7 +30,11 @@ __all__ = ["LayerActor", "LiveLayers"]
 
 
 class LayerActor:
-    """A warm process that is one layer after the other, of whatever stream."""
+    """A warm process that is one layer after the other, of whatever stream.
+
+    Calls carry the number of the start of a stream that they belong to: those of a stream that has lost its
+    coordinator may still come when the process is another stream's layer, and do nothing then.
+    """
 
     def __init__(self, parts: PartFactory) -> None:
         limit_process()
@@ -39,8 +43,9 @@ class LayerActor:
         self._part: LayerPart | None = None
         self._writer = StateWriter()
 
-    def assign(self, own: SavedLayer, config: Config, folder: Path | None) -> None:
+    def assign(self, run: int, own: SavedLayer, config: Config, folder: Path | None) -> None:
         """Become a layer: a new-born one, or that of the snapshot in ``folder``."""
+        self._run = run
         self._layer = own.layer
         self._part = self._parts.layer(config, own.layer, own.kind)
         self._order = FrameOrder(own.last_frame)
@@ -48,12 +53,12 @@ class LayerActor:
             self._part.state = read_state(folder / layer_file(own.layer), type(self._part.state))
 
     def step(
-        self, evidence: FrameEvidence, frame: SourceFrame, previous: Segmentation | None
+        self, run: int, evidence: FrameEvidence, frame: SourceFrame, previous: Segmentation | None
     ) -> LayerPosterior:
         """Finish the frame before with its labels, then evaluate this one; each frame once and in order."""
-        if self._part is None:
+        if self._part is None or run != self._run:
             raise LayerError(
-                f"Frame {evidence.frame_index} came to a process that is no layer; assign it first."
+                f"Frame {evidence.frame_index} came to a process that is no layer of that stream; assign it."
             )
         assert frame.image is not None  # a quarantined frame has no evidence
         own = next(own for own in evidence.layers if own.layer == self._layer)
@@ -65,14 +70,15 @@ class LayerActor:
         assert self._part is not None  # asked for by whoever asked for that frame
         return self._part.appearance()
 
-    def save(self, folder: Path) -> None:
+    def save(self, run: int, folder: Path) -> None:
         """Write the state into a snapshot's folder, beside the work on the next frames."""
-        if self._part is not None:
+        if self._part is not None and run == self._run:
             self._writer.write({layer_file(self._layer): self._part.state}, folder)
 
-    def release(self) -> None:
+    def release(self, run: int) -> None:
         """Forget the layer, and with it its memory."""
-        self._part = None
+        if self._part is not None and run == self._run:
+            self._part = None
 
 
 @dataclass(slots=True)
@@ -119,7 +125,7 @@ class LiveLayers:
     def save(self, folder: Path) -> None:
         """Let every layer write its state after the last frame it was asked for."""
         for lent in self._lent.values():
-            lent.handle.save.remote(folder)
+            lent.handle.save.remote(self._run, folder)
 
     def restore(self, layers: Iterable[SavedLayer], folder: Path) -> None:
         """Go back to a snapshot; raises RayError as :meth:`follow`."""
@@ -147,7 +153,7 @@ class LiveLayers:
         for own in evidence.layers:
             lent = self._lent[own.layer]
             lent.last_frame = evidence.frame_index
-            posteriors.append(lent.handle.step.remote(by_reference, frame, previous))
+            posteriors.append(lent.handle.step.remote(self._run, by_reference, frame, previous))
         return posteriors
 
     def background(self) -> Reference:
@@ -170,4 +176,4 @@ class LiveLayers:
         # The layer's own answer is an argument of the pool's call, so the pool hears of it only when the
         # process has done all its steps.
         handle = self._lent.pop(layer).handle
-        self._pool.release.remote(self._run, identity(handle), handle.release.remote())
+        self._pool.release.remote(self._run, identity(handle), handle.release.remote(self._run))

@@ -96,6 +96,9 @@ class PartFactory(Protocol):
     def warm_layer(self) -> None:
         """Do once what would delay the first frame of a layer, in a process that waits for one."""
 
+    def warm_stream(self) -> None:
+        """Do once what would delay a stream's start, in a process that waits for one."""
+
 
 class EngineParts:
     """The engine of this package, imported only in the processes that run it."""
@@ -129,6 +132,11 @@ class EngineParts:
 
         with _turn():
             self._run_two_layers()
+
+    def warm_stream(self) -> None:
+        """Import the parts."""
+        import mlbs_actors.coordinator
+        import mlbs_actors.segmenter  # noqa: F401
 
     def _run_two_layers(self) -> None:
         config = Config()

@@ -6,6 +6,7 @@ coordinator; the node's pool creates its layers.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from itertools import count
@@ -19,7 +20,7 @@ from mlbs_actors.actors.failures import COORDINATOR, explain
 from mlbs_actors.actors.live_reader import LiveReaderActor
 from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.pool import PoolActor, PoolCensus, PoolPolicy
-from mlbs_actors.actors.processes import Handle, Reference, end, identity, spawn
+from mlbs_actors.actors.processes import Handle, Reference, end, identity, spawn, spawn_standby
 from mlbs_actors.actors.reader import ReaderActor
 from mlbs_actors.actors.segmenter import SegmenterActor
 from mlbs_actors.actors.sink import SinkActor
@@ -30,6 +31,10 @@ __all__ = ["Node", "StreamActors"]
 
 #: Frames of one burst: enough that the driver's part is lost in them, few enough to stop soon.
 _BURST_FRAMES = 8
+
+#: Bursts of a stream before processes are made ready for its return: until then it has no snapshot to go back
+#: to, and its own processes have just been started.
+_BURSTS_ALONE = 4
 
 #: How long the ends of a stream that is stopped are waited for, s.
 _STOP_SECONDS = 10.0
@@ -65,6 +70,8 @@ class Node:
         self._pool = self._new_pool()
         self._sink = spawn(SinkActor, node=self._node)
         self._runs = count(1)
+        self._standby: list[Handle] = []
+        self._preparing = Lock()
         self._repairing = Lock()
         self._closed = False
 
@@ -74,15 +81,28 @@ class Node:
         if reader is None:
             kind = ReaderActor if spec.replayable else LiveReaderActor
             reader = spawn(kind, spec.open_reader, node=self._node)
+        self.prepare()
+        with self._preparing:
+            standby, self._standby = self._standby, []
         return StreamActors(
             spec,
             self._parts,
-            self._node,
+            standby,
             run=next(self._runs),
             reader=reader,
             pool=self._pool,
             sink=self._sink,
+            under_way=self.prepare,
         )
+
+    def prepare(self) -> None:
+        """Have the processes ready in which the next stream starts, or goes on that lost one of its own."""
+        with self._preparing:
+            if not self._standby and not self._closed:
+                self._standby = [
+                    spawn_standby(kind, self._parts.warm_stream, node=self._node)
+                    for kind in (CoordinatorActor, SegmenterActor)
+                ]
 
     def repair(self) -> None:
         """Replace the pool or the sink process if it is lost; their streams must be started again."""
@@ -101,12 +121,13 @@ class Node:
 
     def close(self) -> None:
         """End the layer processes, the pool and the sink. May be called twice."""
-        if self._closed:
-            return
-        self._closed = True
+        with self._preparing:
+            if self._closed:
+                return
+            self._closed = True
         with suppress(RayError, GetTimeoutError):
             ray.get(self._pool.close.remote(), timeout=_STOP_SECONDS)
-        end([self._pool, self._sink])
+        end([self._pool, self._sink, *self._standby])
 
     def _new_pool(self) -> Handle:
         return spawn(PoolActor, self._parts, self._policy, node=self._node)
@@ -123,6 +144,20 @@ def _answers(actor: Handle) -> bool:
 class StreamActors:
     """One stream's actors; a :class:`RunningStream`. Made by :meth:`Node.start`.
 
+    Parameters
+    ----------
+    spec : StreamSpec
+    parts : PartFactory
+    standby : list of Handle
+        Coordinator and segmenter, each still to become one.
+    run : int
+        The stream's number.
+    reader : Handle
+    pool, sink : Handle
+        The node's.
+    under_way : callable
+        Called again and again once the stream has some frames behind it.
+
     Attributes
     ----------
     living_reader : Handle, optional
@@ -133,25 +168,32 @@ class StreamActors:
         self,
         spec: StreamSpec,
         parts: PartFactory,
-        node: str,
+        standby: list[Handle],
         *,
         run: int,
         reader: Handle,
         pool: Handle,
         sink: Handle,
+        under_way: Callable[[], None],
     ) -> None:
         self._name = spec.name
         self._live = not spec.replayable
         self._pool = pool
         self._sink = sink
-        # The number reaches the coordinator by reference: it is not created before the pool has let the
+        self._others = standby
+        self._coordinator, segmenter = standby
+        self._reader = reader
+        # The number reaches the coordinator by reference: it does not begin before the pool has let the
         # stream in.
         self._run: Reference = pool.begin.remote(run)
-        segmenter = spawn(SegmenterActor, parts, spec.config, node=node)
+        segmenter_begun: Reference = segmenter.become.remote(parts, spec.config)
         links = StreamLinks(reader=reader, segmenter=segmenter, pool=pool, sink=sink)
-        self._reader = reader
-        self._coordinator = spawn(CoordinatorActor, spec, parts, links, self._run, node=node)
-        self._others = [self._coordinator, segmenter]
+        begun: Reference = self._coordinator.become.remote(
+            spec, parts, links, self._run, segmenter=segmenter_begun
+        )
+        self._begun: Future[None] = begun.future()
+        self._under_way = under_way
+        self._bursts = 0
         self.living_reader: Handle | None = None
         self._stopped = False
         self._final: StreamProgress | None = None
@@ -164,6 +206,9 @@ class StreamActors:
         Future of StreamProgress
             Carries an MlbsError if the stream failed (see :class:`RunningStream`).
         """
+        if self._bursts >= _BURSTS_ALONE:
+            self._under_way()
+        self._bursts += 1
         return self._explained(self._coordinator.advance.remote(_BURST_FRAMES))
 
     def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
@@ -211,7 +256,11 @@ class StreamActors:
             if error is None:
                 explained.set_result(answered.result())
             else:
-                explained.set_exception(explain(error, self._name, roles))
+                explained.set_exception(explain(self._failure_at_start() or error, self._name, roles))
 
         answer.add_done_callback(pass_on)
         return explained
+
+    def _failure_at_start(self) -> BaseException | None:
+        """What kept the stream from beginning, of which later calls know nothing."""
+        return self._begun.exception() if self._begun.done() else None

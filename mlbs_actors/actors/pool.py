@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import ray
-from ray.exceptions import RayActorError
+from ray.exceptions import RayActorError, RayError
 
 from mlbs_actors.actors.failures import last_line
 from mlbs_actors.actors.layer import LayerActor
@@ -39,11 +39,14 @@ class PoolPolicy:
         Idle processes beyond these are ended once they were idle for this long, s.
     start_seconds : float
         A process that is waited for and takes longer to start hangs, and is replaced, s.
+    release_seconds : float
+        How long a layer's process may take to leave a stream that has ended until it is ended too, s.
     """
 
     spare: int = 2
     idle_seconds: float = 10.0
     start_seconds: float = 180.0
+    release_seconds: float = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +128,8 @@ class PoolActor:
             self._busy[run][identity(process.handle)] = process.handle
             try:
                 await asyncio.wait_for(asyncio.shield(process.ready), self._policy.start_seconds)
-                await process.handle.assign.remote(own, config, folder)
+                if run in self._busy:  # else it may be another stream's by now
+                    await process.handle.assign.remote(run, own, config, folder)
             except asyncio.TimeoutError:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
                 ray.kill(process.handle)
@@ -150,17 +154,16 @@ class PoolActor:
         Not by its layer: a layer that begins anew can have another process before the old one comes back.
         """
         handle = self._busy.get(run, {}).pop(process, None)
-        if handle is None:
-            return
-        ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        ready.set_result(None)
-        self._idle.append(_Idle(handle, ready, time.monotonic()))
-        asyncio.get_running_loop().call_later(self._policy.idle_seconds, self._shrink)
+        if handle is not None:
+            self._keep(handle)
 
     async def end(self, run: int) -> None:
-        """End the processes that a stream still has, and wait until they are gone."""
+        """Take the processes that a stream still has back; wait until those that do not answer are gone.
+
+        A stream that lost a process is started again at once, and those that it did not lose are warm.
+        """
         lent = self._busy.pop(run, {})
-        await asyncio.gather(*(_end(handle) for handle in lent.values()))
+        await asyncio.gather(*(self._take_back(run, handle) for handle in lent.values()))
 
     async def close(self) -> None:
         """End every process, and wait until all are gone."""
@@ -173,9 +176,23 @@ class PoolActor:
         """Count the processes."""
         return PoolCensus(idle=len(self._idle), busy=sum(len(lent) for lent in self._busy.values()))
 
+    async def _take_back(self, run: int, handle: Handle) -> None:
+        try:
+            await asyncio.wait_for(_answered(handle.release.remote(run)), self._policy.release_seconds)
+        except (asyncio.TimeoutError, RayError):
+            await _end(handle)
+        else:
+            self._keep(handle)
+
+    def _keep(self, handle: Handle) -> None:
+        ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        ready.set_result(None)
+        self._idle.append(_Idle(handle, ready, time.monotonic()))
+        asyncio.get_running_loop().call_later(self._policy.idle_seconds, self._shrink)
+
     def _start(self) -> _Idle:
         handle = spawn(LayerActor, self._parts, node=self._node)
-        ready = asyncio.ensure_future(_started(handle.__ray_ready__.remote()))
+        ready = asyncio.ensure_future(_answered(handle.__ray_ready__.remote()))
         return _Idle(handle, ready, time.monotonic())
 
     def _refill(self) -> None:
@@ -190,7 +207,7 @@ class PoolActor:
                 ray.kill(process.handle)
 
 
-async def _started(answer: Awaitable[object]) -> None:
+async def _answered(answer: Awaitable[object]) -> None:
     await answer
 
 

@@ -10,7 +10,7 @@ import ray
 from ray.exceptions import GetTimeoutError, RayActorError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-__all__ = ["Handle", "Reference", "ask", "end", "identity", "spawn"]
+__all__ = ["Handle", "Reference", "ask", "end", "identity", "spawn", "spawn_standby"]
 
 #: A Ray actor handle; Ray makes its methods at run time, so there is no type to state.
 Handle: TypeAlias = Any
@@ -41,6 +41,33 @@ def spawn(kind: type, *arguments: object, node: str) -> Handle:
     """
     actor: Handle = ray.remote(num_cpus=0, max_restarts=0, max_task_retries=0)(kind)
     return actor.options(scheduling_strategy=_there_or_nowhere(node)).remote(*arguments)
+
+
+def spawn_standby(kind: type, warm: Callable[[], object], *, node: str) -> Handle:
+    """Start an actor's process before it is known what the actor is to do; returns at once.
+
+    Parameters
+    ----------
+    kind : type
+        As for :func:`spawn`.
+    warm : callable
+        Picklable; called in the process, to import what the actor will need.
+    node : str
+
+    Returns
+    -------
+    Handle
+        Call its ``become`` first, with the constructor's arguments; what goes wrong at the start shows there.
+        Arguments with a name are only waited for: calls of different actors may overtake each other.
+    """
+
+    def wait(self: object) -> None:
+        warm()
+
+    def become(self: object, *arguments: object, **after: object) -> None:
+        kind.__init__(self, *arguments)  # type: ignore[misc]
+
+    return spawn(type(kind.__name__, (kind,), {"__init__": wait, "become": become}), node=node)
 
 
 def ask(call: Callable[[], object], *, node: str) -> Reference:

@@ -132,6 +132,9 @@ class EmptyParts:
     def warm_layer(self) -> None:
         """Nothing is to be compiled."""
 
+    def warm_stream(self) -> None:
+        """Nothing is to be imported."""
+
 
 @dataclass
 class EmptyReader:

@@ -45,6 +45,9 @@ _LOOK_SECONDS = 0.2
 #: What a layer process is as long as it has been no layer.
 SPARE = "spare layer"
 
+#: What the processes are that wait for the next stream.
+STANDBY = "standby"
+
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
@@ -99,12 +102,14 @@ class SteadyWindow:
 
 @dataclass(frozen=True)
 class _NotingParts:
-    """Other parts, and a file for each layer process that says what it is."""
+    """Other parts, and a file for each layer process that says what it is; one for those that wait."""
 
     parts: PartFactory
     folder: Path
+    waiting: Path
 
     def coordinator(self, config: Config) -> CoordinatorPart:
+        self._wait_no_more()
         return self.parts.coordinator(config)
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
@@ -112,11 +117,24 @@ class _NotingParts:
         return self.parts.layer(config, layer, kind)
 
     def segmenter(self, config: Config) -> SegmenterPart:
+        self._wait_no_more()
         return self.parts.segmenter(config)
 
     def warm_layer(self) -> None:
         self.parts.warm_layer()
         self._note(SPARE)
+
+    def warm_stream(self) -> None:
+        self.parts.warm_stream()
+        (self.waiting / str(os.getpid())).touch()
+
+    def open(self, open_reader: Callable[[], FrameReader]) -> FrameReader:
+        """Open a source, in a process that has waited for one."""
+        self._wait_no_more()
+        return open_reader()
+
+    def _wait_no_more(self) -> None:
+        (self.waiting / str(os.getpid())).unlink(missing_ok=True)
 
     def _note(self, kind: str) -> None:
         (self.folder / str(os.getpid())).write_text(kind, encoding="utf-8")
@@ -176,6 +194,7 @@ class Pipeline:
     started: float
     ready: float
     _node: Node
+    _parts: _NotingParts
     _config: Config
     _folder: Path
     _streams: list[StreamActors] = field(default_factory=list)
@@ -191,7 +210,8 @@ class Pipeline:
         open_sink = partial(
             _NotingSink, partial(open_record, self._folder / f"record-{number}"), self._notes(number)
         )
-        spec = StreamSpec(f"stream {number}", self._config, open_reader, open_sink, max_frames)
+        open_noted = partial(self._parts.open, open_reader)
+        spec = StreamSpec(f"stream {number}", self._config, open_noted, open_sink, max_frames)
         self._streams.append(self._node.start(spec))
         return number
 
@@ -234,6 +254,7 @@ class Pipeline:
         end, after = time.monotonic(), process_tree(os.getpid())
         memory = {pid: private_bytes(pid) for pid in after}
         kinds = kinds_of(after, os.getpid(), self._layer_kinds())
+        kinds |= {pid: STANDBY for pid in after if (self._parts.waiting / str(pid)).exists()}
         for stream in self._streams:
             stream.stop(drain=False)
         arrived = sum(begin < one.seconds <= end for number in counts for one in self.arrivals(number))
@@ -286,9 +307,11 @@ def pipeline(config: Config, scratch: Path, parts: PartFactory | None = None) ->
         ready = time.monotonic()
         signal.signal(signal.SIGTERM, at_sigterm)  # Ray replaces it, and would end without the block's exits
         folder = Path(name)
-        (folder / "layers").mkdir()
-        node = Node(parts=_NotingParts(parts or EngineParts(), folder / "layers"))
-        made = Pipeline(started, ready, node, config, folder)
+        noting = _NotingParts(parts or EngineParts(), folder / "layers", folder / "waiting")
+        noting.folder.mkdir()
+        noting.waiting.mkdir()
+        node = Node(parts=noting)
+        made = Pipeline(started, ready, node, noting, config, folder)
         try:
             yield made
         finally:
