@@ -14,17 +14,20 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.messages import Segmentation
-from orchestrator.chaos import command, kills
+from orchestrator.chaos import command
 from orchestrator.chaos.camera import RATE, Camera, as_received, play
 from orchestrator.chaos.faults import FAULTS
-from orchestrator.chaos.observed_run import NotHeldError, content
-from orchestrator.chaos.place import Fault, Place
+from orchestrator.chaos.kills import COMMIT_STEPS, KILLS, STEPS
+from orchestrator.chaos.observed_run import NotHeldError, content, expect
+from orchestrator.chaos.place import Back, Fault, Place, Scenario, Verdicts, alone, beginning
 from orchestrator.chaos.planted import Plant, Trap
+from orchestrator.chaos.reference import References
 from orchestrator.chaos.soak import Look, SoakFigures, growth
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.address import parse_address
@@ -68,41 +71,91 @@ def test_content_leaves_times_out_and_refuses_what_is_not_complete(tmp_path: Pat
     assert [json.loads(line)["last"] for line in lines] == [7, 31, 39]
 
 
+def test_what_is_committed_is_compared_without_what_may_yet_change(tmp_path: Path) -> None:
+    write(tmp_path / "a", 40)
+    whole = content(tmp_path / "a", committed=True)
+    assert whole == content(tmp_path / "a")
+    log = tmp_path / "a/commits.jsonl"
+    lines = log.read_text().splitlines(keepends=True)
+    provisional = lines[-1].replace("}", ', "provisional": true}')
+    for ends in ([], [provisional]):
+        log.write_text("".join(lines[:-1] + ends))
+        begun = content(tmp_path / "a", committed=True)
+        assert begun == beginning(whole, 32)
+        assert (len(begun["masks"]), len(begun["frames"])) == (32, 32)
+
+
 def test_the_table_says_which_seeds_were_held_and_why_not(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    def held(place: Place) -> float:
-        return float(place.random.uniform(1, 2))
+    def held(place: Place) -> Back:
+        return Back(float(place.random.uniform(1, 2)), 3.0)
 
-    def not_always(place: Place) -> None:
-        if place.folder.name.endswith("1"):
-            raise NotHeldError("a frame is missing")
+    def not_always(place: Place, verdicts: Verdicts) -> None:
+        for name in ("two", "three", "four"):
+            with verdicts.of(name) as verdict:
+                verdict.back = Back(1.0)
+                if name == "two" and place.folder.name.endswith("2"):
+                    raise NotHeldError("a frame is missing")
+        with verdicts.of("three"):
+            expect(not place.folder.name.endswith("3"), "in the end a frame is missing")
+        with verdicts.of("two"):
+            raise NotHeldError("all is lost")
 
-    monkeypatch.setattr(command, "FAULTS", (Fault("1", "one", held), Fault("2 3", "two", not_always)))
+    faults = tuple(Fault(number, name) for number, name in (("2 3", "two"), ("4", "three"), ("5", "never")))
+    series = Scenario("a series", faults, not_always)
+    monkeypatch.setattr(command, "FAULTS", (alone("1", "one", held), series))
     assert command.main([], tmp_path) == 1
-    rows = capsys.readouterr().out.splitlines()
-    assert rows[1].split()[:3] == ["1", "one", "3/3"]
-    assert rows[2].split() == ["2", "3", "two", "2/3"]
-    assert rows[3].strip() == "seed 1: a frame is missing"
+    rows = [row.split() for row in capsys.readouterr().out.splitlines()]
+    assert rows[1][:3] == ["1", "one", "3/3"]
+    assert rows[1][-2:] == ["3.0–3.0", "s"]
+    assert rows[2] == ["2", "3", "two", "0/3", "1.0–1.0", "s"]
+    assert [" ".join(row[2:]) for row in rows[3:6]] == ["all is lost", "a frame is missing", "all is lost"]
+    assert rows[6][:3] == ["4", "three", "2/3"]
+    assert " ".join(rows[7]) == "seed 3: in the end a frame is missing"
+    assert rows[8] == ["5", "never", "0/3"]
+    assert " ".join(rows[9]) == "seed 1: it was not brought about"
     assert command.main(["--faults", "1,9"], tmp_path) == 0
     assert command.main(["--faults", "9"], tmp_path) == 2
+    capsys.readouterr()
+    assert command.main(["--only", "three", "--seeds", "2"], tmp_path) == 0
+    assert [row.split()[:3] for row in capsys.readouterr().out.splitlines()[1:]] == [["4", "three", "2/2"]]
 
 
-def test_every_fault_of_the_list_is_brought_about() -> None:
-    assert {int(number) for fault in FAULTS for number in fault.number.split()} == set(range(1, 29))
+def test_every_fault_of_the_list_is_brought_about_and_each_has_one_row() -> None:
+    faults = [fault for scenario in FAULTS for fault in scenario.faults]
+    assert {int(number) for fault in faults for number in fault.number.split()} == set(range(1, 29))
+    kills = [fault for scenario in KILLS for fault in scenario.faults]
+    assert len(kills) == 2 * len(STEPS) + 2 * len(COMMIT_STEPS) + 4
+    for rows in (faults, kills):
+        assert len({fault.name for fault in rows}) == len(rows)
 
 
 def test_kills_are_at_functions_that_there_are() -> None:
-    functions = [step[2] for step in kills.STEPS] + [step[1] for step in kills.COMMIT_STEPS]
-    for function in functions:
-        module, _, name = function.partition(":")
+    for step in (*STEPS, *COMMIT_STEPS):
+        module, _, name = step.function.partition(":")
         assert callable(functools.reduce(getattr, name.split("."), importlib.import_module(module)))
+
+
+def test_a_reference_is_what_a_run_records(tmp_path: Path) -> None:
+    """Also with a picture that cannot be decoded; each is made once."""
+    made = scene("demo", frames=8, width=96, height=72)
+    (tmp_path / "yard").mkdir()
+    for t in range(8):
+        cv2.imwrite(str(tmp_path / f"yard/{t}.png"), made.frame(t))
+    (tmp_path / "yard/3.png").write_bytes(b"no picture")
+    references = References(tmp_path / "references")
+    record = references.of("yard yard/", tmp_path)
+    assert [row["status"] for row in record["frames"]] == [*["ok"] * 3, "quarantined", *["ok"] * 4]
+    assert sorted(record["masks"]) == [f"{t}.png" for t in range(8) if t != 3]
+    assert record["layers"]
+    assert references.of("yard 'yard/'", tmp_path) is record
 
 
 # Traps
 
 
-STEPS = """
+PART = """
 import sys
 LIMIT = 60.0
 class Part:
@@ -115,7 +168,7 @@ class Part:
 
 def in_process(folder: Path, code: str, *traps: Trap) -> subprocess.CompletedProcess[str]:
     """Run code over a module ``steps`` with traps in it."""
-    (folder / "steps.py").write_text(STEPS)
+    (folder / "steps.py").write_text(PART)
     plant = Plant(folder / "plant", traps)
     plant.tell_driver(-1)
     return subprocess.run(
@@ -135,6 +188,36 @@ def test_a_trap_kills_its_process_at_one_call_and_once_in_a_run(tmp_path: Path) 
         killed.args, env=_environment(tmp_path), capture_output=True, text=True, check=True
     )
     assert again.stdout.split() == ["0", "1", "2", "3"]
+
+
+def test_a_trap_counts_calls_from_when_it_is_armed_and_not_once_it_is_disarmed(tmp_path: Path) -> None:
+    traps = [Trap("steps:Part.work", "fail", 1, value=errno.ENOSPC, armed=False)]
+    code = (
+        f"from pathlib import Path; armed = Path({str(tmp_path)!r}) / 'plant/armed-0'\n"
+        "for number in range(6):\n"
+        "    armed.touch() if number == 1 else armed.unlink() if number == 4 else None\n"
+        "    try: print(part.work(number))\n"
+        "    except OSError: print('failed')"
+    )
+    assert in_process(tmp_path, code, *traps).stdout.split() == ["0", "1", "failed", "failed", "4", "5"]
+    plant = Plant(tmp_path / "other", traps)
+    assert not [*(tmp_path / "other").glob("armed-*")]
+    plant.arm(traps[0])
+    assert [path.name for path in (tmp_path / "other").glob("armed-*")] == ["armed-0"]
+    plant.disarm(traps[0])
+    assert not plant.has_sprung(traps[0])
+
+
+def test_a_trap_notes_when_each_process_comes_to_it_first(tmp_path: Path) -> None:
+    trap = Trap("steps:Part.work", "note", when="after")
+    before = time.monotonic()
+    ended = in_process(tmp_path, "for number in range(3): part.work(number)", trap)
+    subprocess.run(ended.args, env=_environment(tmp_path), check=True)
+    times = Plant(tmp_path / "another", [trap]).noted(trap)
+    assert times == []
+    notes = sorted(float(note.read_text()) for note in (tmp_path / "plant").glob("noted-0-*"))
+    assert len(notes) == 2
+    assert before < notes[0] < notes[1] < time.monotonic()
 
 
 def test_a_trap_is_sprung_only_in_processes_of_its_kind(tmp_path: Path) -> None:

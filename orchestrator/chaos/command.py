@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import sys
 import tempfile
 import zlib
@@ -21,7 +20,8 @@ from orchestrator.chaos.cost import measure_cost
 from orchestrator.chaos.faults import FAULTS
 from orchestrator.chaos.kills import KILLS
 from orchestrator.chaos.observed_run import NotHeldError
-from orchestrator.chaos.place import Fault, Place, undisturbed
+from orchestrator.chaos.place import Fault, Place, Scenario, Verdict, Verdicts
+from orchestrator.chaos.reference import References
 from orchestrator.chaos.soak import memory_plot, soak
 
 __all__ = ["main"]
@@ -32,10 +32,11 @@ _FAST = ("1", "28")
 _DESCRIPTION = """\
 Bring faults about in real runs of the command, and tell which of them are survived.
 
-  faults   every fault of the list: a row each, the seeds that were held, the seconds until work went on
+  faults   every fault of the list: a row each, how often it was held; how long until label maps were made
+           again ("back after"), and until there was one that had not been there before ("got on after")
   kills    every kind of process killed at every step, the command between any two steps of a commit
   soak     long streams whose objects come and go: memory, processes and descriptors over time
-  cost     the rate with masks, tables, commits and snapshots beside that with nothing kept, in turn
+  cost     the rate with synced commits and snapshots beside that with the same files alone, in turns
 """
 
 
@@ -73,45 +74,57 @@ def main(argv: Sequence[str] | None, ray_scratch: Path) -> int:
         return 2
 
 
-def _chosen(arguments: argparse.Namespace) -> list[Fault]:
+def _chosen(arguments: argparse.Namespace) -> list[tuple[Scenario, tuple[Fault, ...]]]:
+    """Scenarios, and which of their faults are wanted."""
     all_ = KILLS if arguments.what == "kills" else FAULTS
-    wanted = _FAST if arguments.fast else arguments.faults and arguments.faults.split(",")
-    faults = [fault for fault in all_ if not wanted or set(wanted) & set(fault.number.split())]
+    numbers = _FAST if arguments.fast else arguments.faults and arguments.faults.split(",")
     words = arguments.only or ""
-    faults = [fault for fault in faults if words in fault.name]
-    if not faults:
-        numbers = sorted({number for fault in all_ for number in fault.number.split()}, key=int)
-        raise ConfigError(f"There is no such fault; choose from {', '.join(numbers)}.")
-    return faults
+
+    def wanted(fault: Fault) -> bool:
+        return words in fault.name and (not numbers or bool(set(numbers) & set(fault.number.split())))
+
+    chosen = [(scenario, tuple(filter(wanted, scenario.faults))) for scenario in all_]
+    if not any(faults for _, faults in chosen):
+        known = {number for scenario in all_ for fault in scenario.faults for number in fault.number.split()}
+        raise ConfigError(f"There is no such fault; choose from {', '.join(sorted(known, key=int))}.")
+    return [(scenario, faults) for scenario, faults in chosen if faults]
 
 
-def _bring_about(faults: Sequence[Fault], arguments: argparse.Namespace, scratch: Path) -> int:
-    seeds = range(1 if arguments.fast else arguments.seeds)
-    expected = functools.cache(lambda: undisturbed(scratch / "undisturbed"))
-    places = [
-        Place(
-            scratch / f"{position}-{seed}",
-            expected,
-            np.random.default_rng([zlib.crc32(fault.name.encode()), seed]),
-        )
-        for position, fault in enumerate(faults)
+def _bring_about(
+    chosen: Sequence[tuple[Scenario, tuple[Fault, ...]]], arguments: argparse.Namespace, scratch: Path
+) -> int:
+    seeds = range(1, 1 + _seeds(arguments))
+    references = References(scratch / "references")
+    turns = [
+        (scenario, faults, Place(scratch / f"{position}-{seed}", references, _random(scenario, seed)))
+        for position, (scenario, faults) in enumerate(chosen)
         for seed in seeds
     ]
-    each = [fault for fault in faults for _ in seeds]
     held = True
-    print(f"{'fault':8} {'what':56} {'held':>6} {'back after':>12}", flush=True)
+    print(f"{'fault':8} {'what':56} {'held':>6} {'back after':>12} {'got on after':>12}", flush=True)
     with _mapping(arguments.jobs) as map_:
-        if arguments.jobs > 1:
-            expected()  # once, and not by two at once
-        outcomes = iter(map_(_outcome, each, places))
-        for fault in faults:
+        outcomes = iter(map_(_outcome, *zip(*turns, strict=True)))
+        for _, faults in chosen:
             of_seeds = [next(outcomes) for _ in seeds]
-            print(_row(fault, of_seeds), flush=True)
-            for seed, outcome in zip(seeds, of_seeds, strict=True):
-                if isinstance(outcome, NotHeldError):
-                    held = False
-                    print(f"{'':8} seed {seed}: {outcome}", flush=True)
+            for fault in faults:
+                verdicts = [verdicts.by_name[fault.name] for verdicts in of_seeds]
+                print(_row(fault, verdicts), flush=True)
+                for seed, verdict in zip(seeds, verdicts, strict=True):
+                    if verdict.why_not_held is not None:
+                        held = False
+                        print(f"{'':8} seed {seed}: {verdict.why_not_held}", flush=True)
     return 0 if held else 1
+
+
+def _seeds(arguments: argparse.Namespace) -> int:
+    """How often each is brought about: kills are many, so by default each once."""
+    if arguments.fast or (arguments.seeds is None and arguments.what == "kills"):
+        return 1
+    return 3 if arguments.seeds is None else int(arguments.seeds)
+
+
+def _random(scenario: Scenario, seed: int) -> np.random.Generator:
+    return np.random.default_rng([zlib.crc32(scenario.name.encode()), seed])
 
 
 @contextmanager
@@ -127,20 +140,26 @@ def _mapping(jobs: int) -> Iterator[Callable[..., Iterable[Any]]]:
         pool.shutdown(cancel_futures=True)
 
 
-def _outcome(fault: Fault, place: Place) -> float | NotHeldError | None:
+def _outcome(scenario: Scenario, faults: Sequence[Fault], place: Place) -> Verdicts:
+    verdicts = Verdicts(fault.name for fault in faults)
     try:
-        return fault.bring_about(place)
-    except NotHeldError as error:
-        return error
-    except Exception as error:  # such as a missing file; the rest of the table is wanted all the same
-        return NotHeldError(f"{type(error).__name__}: {error}")
+        scenario.bring_about(place, verdicts)
+    except Exception as error:  # the rest of the table is wanted all the same
+        for verdict in verdicts.by_name.values():
+            verdict.add(f"{type(error).__name__}: {error}")
+    return verdicts
 
 
-def _row(fault: Fault, outcomes: Sequence[float | NotHeldError | None]) -> str:
-    held = sum(not isinstance(outcome, NotHeldError) for outcome in outcomes)
-    seconds = [outcome for outcome in outcomes if isinstance(outcome, float)]
-    back = f"{min(seconds):.1f}–{max(seconds):.1f} s" if seconds else ""
-    return f"{fault.number:8} {fault.name:56} {f'{held}/{len(outcomes)}':>6} {back:>12}"
+def _row(fault: Fault, verdicts: Sequence[Verdict]) -> str:
+    held = sum(verdict.why_not_held is None for verdict in verdicts)
+    backs = [verdict.back for verdict in verdicts if verdict.back is not None]
+    first = _range([back.first for back in backs])
+    new = _range([back.new for back in backs if back.new is not None])
+    return f"{fault.number:8} {fault.name:56} {f'{held}/{len(verdicts)}':>6} {first:>12} {new:>12}"
+
+
+def _range(seconds: Sequence[float]) -> str:
+    return f"{min(seconds):.1f}–{max(seconds):.1f} s" if seconds else ""
 
 
 def _soak(arguments: argparse.Namespace, scratch: Path) -> int:
@@ -166,10 +185,12 @@ def _parser() -> argparse.ArgumentParser:
         default="faults",
         help="what to do (default: faults)",
     )
-    add("--seeds", type=int, default=3, metavar="N", help="seeds a fault or kill (default: 3)")
+    add(
+        "--seeds", type=int, metavar="N", help="how often each, at other moments (default: faults 3, kills 1)"
+    )
     add("--faults", metavar="NUMBERS", help="only these, with commas (default: all)")
     add("--only", metavar="WORDS", help="only those with these words in their name")
-    add("--jobs", type=int, default=1, metavar="N", help="runs at once, which makes them slower (default: 1)")
+    add("--jobs", type=int, default=1, metavar="N", help="runs at once, which makes each slower (default: 1)")
     add("--fast", action="store_true", help="a few quick ones, one seed")
     add("--streams", type=int, default=2, metavar="N", help="streams of the soak (default: 2)")
     add("--frames", type=int, metavar="N", help="frames of each stream (default: soak 300, cost 144)")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
-from io import BytesIO
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -13,19 +12,31 @@ import av
 import cv2
 import numpy as np
 from av.video.stream import VideoStream
-from PIL import Image
 
+from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.messages import Array
 from orchestrator.chaos.observed_run import ObservedRun, content, expect
-from orchestrator.chaos.place import BESIDE, LINES, Fault, Place, expect_end, expect_identical
+from orchestrator.chaos.place import (
+    BESIDE,
+    Fault,
+    Place,
+    Scenario,
+    Verdicts,
+    alone,
+    expect_end,
+    expect_identical,
+)
 from orchestrator.sources.address import parse_address
+from orchestrator.sources.opening import open_reader
 from orchestrator.sources.synthetic import scene
-from orchestrator.sources.video import VideoReader
 
-__all__ = ["FAULTS", "write_video"]
+__all__ = ["SCENARIOS", "write_video"]
 
 _RATE = 25
 _NO_PNG = b"\x89PNG damaged"
+
+#: Frames before a change of size, and after it.
+_OF_A_SIZE = 20
 
 
 def write_video(
@@ -58,70 +69,6 @@ def write_video(
             container.mux(packet)
 
 
-def _missing_sources(place: Place) -> None:
-    place.folder.mkdir()
-    (place.folder / "text.mp4").write_text("no video")
-    (place.folder / "empty").mkdir()
-    bad = ["missing none.mp4", "text text.mp4", "empty empty/"]
-    with ObservedRun([*bad, *LINES], place.folder) as run:
-        expect_end(run, 1)
-        states = {name: stream["state"] for name, stream in run.status().items()}
-        expect(
-            states
-            == dict.fromkeys(("missing", "text", "empty"), "failed") | dict.fromkeys(place.expected, "done"),
-            f"the states are {states}",
-        )
-        expect_identical(place, run)
-
-
-def _odd_video(name: str, make: Callable[[Path, Place], None]) -> Callable[[Place], None]:
-    """A video that is not as it should be: labelled like the pictures that can be decoded of it."""
-
-    def bring_about(place: Place) -> None:
-        path = place.folder / name
-        make(path, place)
-        whole = _decode(path, place.folder / "same")
-        with ObservedRun([f"odd {name}", "same same/", BESIDE], place.folder) as run:
-            odd_state, same_state = ("done" if one else "partial" for one in whole)
-            expect_end(run, 0 if all(whole) else 1)
-            status = run.status()
-            expect(
-                (status["odd"]["state"], status["same"]["state"]) == (odd_state, same_state),
-                f"the states are {status['odd']}, {status['same']}",
-            )
-            odd, same = content(run.output / "odd"), content(run.output / "same")
-            expect(
-                _without(odd, "stream", "pts") == _without(same, "stream", "pts"), "it is labelled otherwise"
-            )
-            expect_identical(place, run, "beside")
-
-    return bring_about
-
-
-def _decode(video: Path, folder: Path) -> tuple[bool, bool]:
-    """Write what can be decoded of a video as pictures; tell whether it is undamaged, and so are they."""
-    folder.mkdir()
-    reader = VideoReader(parse_address(str(video), Path("/")))
-    whole = True
-    while (frame := reader.read()) is not None:
-        path = folder / f"{frame.name}.png"
-        if frame.image is None:
-            path.write_bytes(_NO_PNG)
-            whole = False
-        else:
-            cv2.imwrite(str(path), frame.image)
-    reader.close()
-    return reader.problem is None and whole, whole
-
-
-def _without(record: dict[str, Any], *columns: str) -> dict[str, Any]:
-    rows = {
-        table: [{key: row[key] for key in row if key not in columns} for row in record[table]]
-        for table in ("layers", "frames")
-    }
-    return record | rows
-
-
 def _pictures(frames: int) -> list[Array]:
     made = scene("demo", frames=frames, width=160, height=120)
     return [made.frame(t) for t in range(frames)]
@@ -150,32 +97,16 @@ def _disordered_times(path: Path, place: Place) -> None:
     write_video(path, _pictures(30), "mjpeg", (int(time) for time in times))
 
 
-def _changing_size(place: Place) -> None:
+def _changing_size(folder: Path, place: Place) -> None:
     sizes = [(160, 120), (120, 160)] if place.random.integers(2) else [(160, 120), (96, 72)]
-    half = 20
+    folder.mkdir()
     for number, (width, height) in enumerate(sizes):
-        made = scene("demo", frames=half, width=width, height=height, seed=number)
-        for folder in ("both", f"only{number}"):
-            (place.folder / folder).mkdir(parents=True, exist_ok=True)
-            for t in range(half):
-                cv2.imwrite(str(place.folder / folder / f"{number}-{t:02d}.png"), made.frame(t))
-    with ObservedRun(["both both/", "only0 only0/", "only1 only1/"], place.folder) as run:
-        expect_end(run, 0)
-        both = content(run.output / "both")["masks"]
-        first, second = (content(run.output / f"only{number}")["masks"] for number in (0, 1))
-        expect({name: both[name] for name in first} == first, "the frames before the change are otherwise")
-        largest = max(_labels(mask).max() for mask in first.values())
-        for name, alone in second.items():
-            labels, there = _labels(both[name]), _labels(alone) > 0
-            expect(np.array_equal(labels > 0, there), f"{name} is labelled otherwise")
-            expect(bool((labels[there] > largest).all()), "an id from before the change is used again")
+        made = scene("demo", frames=_OF_A_SIZE, width=width, height=height, seed=number)
+        for t in range(_OF_A_SIZE):
+            cv2.imwrite(str(folder / f"{number}-{t:02d}.png"), made.frame(t))
 
 
-def _labels(mask: bytes) -> Array:
-    return np.asarray(Image.open(BytesIO(mask)))
-
-
-def _odd_pictures(place: Place) -> None:
+def _odd_pictures(place: Place) -> list[str]:
     """An undecodable picture; black, white, constant, smooth ones; a cut; grey, 16 bits, alpha, odd sizes."""
     made = scene("demo", frames=8, width=97, height=73)
     colours = [made.frame(t) for t in range(8)]
@@ -198,13 +129,81 @@ def _odd_pictures(place: Place) -> None:
         for index, picture in enumerate(pictures):
             cv2.imwrite(str(place.folder / name / f"{index}.png"), picture)
     (place.folder / "damaged" / f"{place.random.integers(8)}.png").write_bytes(_NO_PNG)
-    with ObservedRun([f"{name} {name}/" for name in kinds], place.folder) as run:
-        expect_end(run, 1)
-        for name in kinds:
-            expected = ("partial", 7) if name == "damaged" else ("done", 8)
-            state = run.status()[name]
-            expect((state["state"], state["committed"]) == expected, f"{name}: {state}")
-            content(run.output / name)
+    return list(kinds)
+
+
+_MISSING = Fault("1", "sources that are missing, empty, no video")
+_CUT_OFF = Fault("2", "a video cut off in the middle of a frame")
+_PICTURES = Fault("6 8 10", "odd and undecodable pictures")
+_FLIPPED = Fault("7", "an H.264 video with flipped bits")
+_SIZES = Fault("9", "another size in the middle")
+_TIMES = Fault("11", "times that go back, stand still, jump")
+
+
+#: Odd sources of which each is one stream: the fault, the file or folder, and what makes it.
+_ODD: tuple[tuple[Fault, str, Callable[[Path, Place], None]], ...] = (
+    (_CUT_OFF, "cut.mkv", _cut_off),
+    (_FLIPPED, "flipped.mp4", _flipped_bits),
+    (_TIMES, "times.mkv", _disordered_times),
+    (_SIZES, "sizes", _changing_size),
+)
+
+
+def _odd_sources(place: Place, verdicts: Verdicts) -> None:
+    """All in one run: each is labelled like what can be decoded of it, and beside it all is as ever."""
+    folder = place.folder
+    folder.mkdir()
+    lines = [BESIDE, "missing none.mp4", "text text.mp4", "empty empty/"]
+    (folder / "text.mp4").write_text("no video")
+    (folder / "empty").mkdir()
+    odd = [(fault, path, make) for fault, path, make in _ODD if fault.name in verdicts]
+    for _, path, make in odd:
+        make(folder / path, place)
+        lines.append(f"{path} {path}")
+    kinds = _odd_pictures(place) if _PICTURES.name in verdicts else []
+    lines += [f"{kind} {kind}" for kind in kinds]
+    with ObservedRun(lines, folder) as run:
+        words = expect_end(run, 1)
+        status = run.status()
+        with verdicts.of(_MISSING.name):
+            failed = {name for name, stream in status.items() if stream["state"] == "failed"}
+            expect(failed == {"missing", "text", "empty"}, f"failed: {failed}")
+            expect(all(name in words for name in failed), f"they are not told: {words}")
+            expect_identical(place, run, BESIDE)
+        for fault, path, _ in odd:
+            with verdicts.of(fault.name):
+                _expect_as_decoded(place, run, path)
+                if fault == _CUT_OFF:
+                    expect(status[path]["state"] == "partial", f"it is told as {status[path]}")
+                if fault == _SIZES:
+                    _expect_new_ids(content(run.output / path))
+        for kind in kinds:
+            with verdicts.of(_PICTURES.name):
+                _expect_as_decoded(place, run, kind)
+                whole = ("partial", 7) if kind == "damaged" else ("done", 8)
+                stream = status[kind]
+                expect((stream["state"], stream["committed"]) == whole, f"{kind}: {stream}")
+
+
+def _expect_as_decoded(place: Place, run: ObservedRun, path: str) -> None:
+    """Expect what another process has decoded to be labelled as in this one, and its state to be true."""
+    expect_identical(place, run, f"{path} {path}")
+    reader = open_reader(parse_address(path, place.folder))
+    whole = True
+    while isinstance(frame := reader.read(), SourceFrame):
+        whole = whole and frame.status == "ok"
+    state = run.status()[path]["state"]
+    expect(state == ("done" if whole and reader.problem is None else "partial"), f"{path} is told as {state}")
+
+
+def _expect_new_ids(record: dict[str, Any]) -> None:
+    """Expect that no id from before the change of size is used after it."""
+    ids = [
+        {row["layer"] for row in record["layers"] if later == (row["frame"] >= _OF_A_SIZE)}
+        for later in (0, 1)
+    ]
+    expect(bool(ids[0]) and bool(ids[1]), "no object was found")
+    expect(max(ids[0]) < min(ids[1]), "an id from before the change is used again")
 
 
 def _hostile_list(place: Place) -> None:
@@ -221,12 +220,11 @@ def _hostile_list(place: Place) -> None:
         expect(len(words) < 10_000 and not run.output.exists(), "a million lines are not refused in short")
 
 
-FAULTS = (
-    Fault("1", "sources that are missing, empty, no video", _missing_sources),
-    Fault("2", "a video cut off in the middle of a frame", _odd_video("odd.mkv", _cut_off)),
-    Fault("6 8 10", "odd and undecodable pictures", _odd_pictures),
-    Fault("7", "an H.264 video with flipped bits", _odd_video("odd.mp4", _flipped_bits)),
-    Fault("9", "another size in the middle", _changing_size),
-    Fault("11", "times that go back, stand still, jump", _odd_video("odd.mkv", _disordered_times)),
-    Fault("28", "hostile list", _hostile_list),
+SCENARIOS = (
+    Scenario(
+        "odd and damaged sources",
+        (_MISSING, _CUT_OFF, _PICTURES, _FLIPPED, _SIZES, _TIMES),
+        _odd_sources,
+    ),
+    alone("28", "hostile list", _hostile_list),
 )

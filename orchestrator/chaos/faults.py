@@ -1,25 +1,24 @@
-"""All faults that are brought about, in the order of their numbers."""
+"""All faults that are brought about, by the scenarios that they share."""
 
 from __future__ import annotations
 
 from orchestrator.chaos import (
     damaged_sources,
+    ended_commands,
     lost_camera_processes,
     lost_frames,
     lost_processes,
     scarce_resources,
 )
-from orchestrator.chaos.place import Fault
+from orchestrator.chaos.place import Scenario
 
 __all__ = ["FAULTS"]
 
-FAULTS: tuple[Fault, ...] = tuple(
-    sorted(
-        damaged_sources.FAULTS
-        + lost_processes.FAULTS
-        + lost_camera_processes.FAULTS
-        + lost_frames.FAULTS
-        + scarce_resources.FAULTS,
-        key=lambda fault: int(fault.number.split()[0]),
-    )
+FAULTS: tuple[Scenario, ...] = (
+    *damaged_sources.SCENARIOS,
+    *lost_frames.SCENARIOS,
+    *lost_processes.SCENARIOS,
+    *lost_camera_processes.SCENARIOS,
+    *ended_commands.SCENARIOS,
+    *scarce_resources.SCENARIOS,
 )

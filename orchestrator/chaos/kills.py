@@ -1,100 +1,215 @@
-"""Every kind of process killed at every step, and the command killed between any two steps of a commit."""
+"""Every kind of process killed at every step, and the command killed between any two steps of a commit.
+
+Many kills come one after the other in one run, and all bytes are compared after each; a run is started for
+each kill only where the loss is noticed by nobody, or at the end of the stream.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+from dataclasses import dataclass
 from functools import partial
+from typing import Literal, TypeAlias
 
-from orchestrator.chaos.lost_processes import driver_killed, resumed
+from orchestrator.chaos.end_series import FRAMES_OF_AN_END, End, bring_about_ends, kill
+from orchestrator.chaos.loss_series import FRAMES_OF_A_LOSS, Loss, bring_about_losses
 from orchestrator.chaos.observed_run import ObservedRun, expect
-from orchestrator.chaos.place import VICTIM, Fault, Place, expect_end, expect_identical
+from orchestrator.chaos.place import (
+    VICTIM,
+    Fault,
+    Place,
+    Scenario,
+    Verdicts,
+    alone,
+    expect_end,
+    expect_identical,
+    victim,
+)
 from orchestrator.chaos.planted import Plant, Trap, When
 
-__all__ = ["COMMIT_STEPS", "KILLS", "STEPS"]
+__all__ = ["COMMIT_STEPS", "KILLS", "STEPS", "Step"]
 
 _ACTORS = "mlbs_actors.actors"
 _SINKS = "orchestrator.sinks"
 
-#: A stream alone: the whole table is long. What a loss does to the streams beside is seen among the faults.
-_LINES = (VICTIM,)
+#: When a step comes: again and again; when a stream is started, also after a loss; seldom, or at its end.
+Time: TypeAlias = Literal["going on", "start", "end"]
 
-#: Steps of each kind of actor: what it is, its function, and up to which of its calls it may be hit.
-STEPS: tuple[tuple[str, str, str, int], ...] = (
-    ("reader", "read", f"{_ACTORS}.reader:ReaderActor.read", 40),
-    ("coordinator", "begin", f"{_ACTORS}.coordinator:CoordinatorActor._begin", 1),
-    ("coordinator", "track", f"{_ACTORS}.coordinator:CoordinatorActor._track", 40),
-    ("coordinator", "label", f"{_ACTORS}.coordinator:CoordinatorActor._label", 40),
-    ("coordinator", "save", f"{_ACTORS}.coordinator:CoordinatorActor._save", 1),
-    ("layer", "init", f"{_ACTORS}.layer:LayerActor.assign", 1),
-    ("layer", "motion field", "mlbs_actors.gabp:motion_field", 20),
-    ("layer", "warp and KDE", "mlbs_actors.kde:warp_and_evaluate", 20),
-    ("layer", "step", f"{_ACTORS}.layer:LayerActor.step", 20),
-    ("layer", "save", f"{_ACTORS}.layer:LayerActor.save", 1),
-    ("layer", "release", f"{_ACTORS}.layer:LayerActor.release", 1),
-    ("segmenter", "step", f"{_ACTORS}.segmenter:SegmenterActor.step", 40),
-    ("segmenter", "save", f"{_ACTORS}.segmenter:SegmenterActor.save", 1),
-    ("pool", "begin", f"{_ACTORS}.pool:PoolActor.begin", 1),
-    ("pool", "acquire", f"{_ACTORS}.pool:PoolActor.acquire", 3),
-    ("pool", "release", f"{_ACTORS}.pool:PoolActor.release", 1),
-    ("sink", "open", f"{_ACTORS}.sink:SinkActor.open", 1),
-    ("sink", "write", f"{_ACTORS}.sink:SinkActor.write", 40),
-    ("sink", "keep", f"{_ACTORS}.sink:SinkActor.keep", 1),
-    ("sink", "close", f"{_ACTORS}.sink:SinkActor.close", 1),
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What a process may be killed at.
+
+    Attributes
+    ----------
+    actor, name : str
+    function : str
+        As in :class:`Trap`.
+    time : {"going on", "start", "end"}
+    calls : int
+        Up to which of its calls it may be hit.
+    """
+
+    actor: str
+    name: str
+    function: str
+    time: Time
+    calls: int = 1
+
+
+#: Steps of each kind of actor.
+STEPS: tuple[Step, ...] = (
+    Step("reader", "read", f"{_ACTORS}.reader:ReaderActor.read", "going on", 16),
+    Step("coordinator", "begin", f"{_ACTORS}.coordinator:CoordinatorActor._begin", "start"),
+    Step("coordinator", "track", f"{_ACTORS}.coordinator:CoordinatorActor._track", "going on", 16),
+    Step("coordinator", "label", f"{_ACTORS}.coordinator:CoordinatorActor._label", "going on", 16),
+    Step("coordinator", "save", f"{_ACTORS}.coordinator:CoordinatorActor._save", "going on"),
+    Step("layer", "init", f"{_ACTORS}.layer:LayerActor.assign", "start"),
+    Step("layer", "motion field", "mlbs_actors.gabp:motion_field", "going on", 16),
+    Step("layer", "warp and KDE", "mlbs_actors.kde:warp_and_evaluate", "going on", 16),
+    Step("layer", "step", f"{_ACTORS}.layer:LayerActor.step", "going on", 16),
+    Step("layer", "save", f"{_ACTORS}.layer:LayerActor.save", "going on"),
+    Step("layer", "release", f"{_ACTORS}.layer:LayerActor.release", "end"),
+    Step("segmenter", "step", f"{_ACTORS}.segmenter:SegmenterActor.step", "going on", 16),
+    Step("segmenter", "save", f"{_ACTORS}.segmenter:SegmenterActor.save", "going on"),
+    Step("pool", "begin", f"{_ACTORS}.pool:PoolActor.begin", "start"),
+    Step("pool", "acquire", f"{_ACTORS}.pool:PoolActor.acquire", "start", 3),
+    Step("pool", "release", f"{_ACTORS}.pool:PoolActor.release", "end"),
+    Step("sink", "open", f"{_ACTORS}.sink:SinkActor.open", "start"),
+    Step("sink", "write", f"{_ACTORS}.sink:SinkActor.write", "going on", 16),
+    Step("sink", "keep", f"{_ACTORS}.sink:SinkActor.keep", "going on"),
+    Step("sink", "close", f"{_ACTORS}.sink:SinkActor.close", "end"),
 )
 
-#: Steps of a commit, and of opening and closing a record, in their order.
-COMMIT_STEPS: tuple[tuple[str, str, int], ...] = (
-    ("take the log", f"{_SINKS}.commit_log:CommitLog.__init__", 1),
-    ("clear up", f"{_SINKS}.record:StreamRecord._clear_up", 1),
-    ("write tables", f"{_SINKS}.record:StreamRecord._write_tables", 3),
-    ("sync a file", "orchestrator.durable_files:_sync", 50),
-    ("rename a file", "pathlib:Path.replace", 40),
-    ("add the line", f"{_SINKS}.commit_log:CommitLog.add", 3),
-    ("keep a snapshot", f"{_SINKS}.snapshot_folder:SnapshotFolder.keep", 1),
-    ("forget snapshots", f"{_SINKS}.snapshot_folder:SnapshotFolder.forget_before", 3),
+#: Steps of a commit, and of opening a record, in their order.
+COMMIT_STEPS: tuple[Step, ...] = (
+    Step("driver and sink", "take the log", f"{_SINKS}.commit_log:CommitLog.__init__", "start"),
+    Step("driver and sink", "clear up", f"{_SINKS}.record:StreamRecord._clear_up", "start"),
+    Step("driver and sink", "write tables", f"{_SINKS}.record:StreamRecord._write_tables", "going on"),
+    Step("driver and sink", "sync a file", "orchestrator.durable_files:_sync", "going on", 32),
+    Step("driver and sink", "rename a file", "pathlib:Path.replace", "going on", 32),
+    Step("driver and sink", "add the line", f"{_SINKS}.commit_log:CommitLog.add", "going on"),
+    Step("driver and sink", "keep a snapshot", f"{_SINKS}.snapshot_folder:SnapshotFolder.keep", "going on"),
+    Step(
+        "driver and sink",
+        "forget snapshots",
+        f"{_SINKS}.snapshot_folder:SnapshotFolder.forget_before",
+        "going on",
+    ),
 )
 
 #: Kills of the command at any time.
 _ANY_TIME = 4
 
-
-def _actor_dies(function: str, when: When, calls: int, place: Place) -> None:
-    trap = Trap(function, "die", int(place.random.integers(calls)), when)
-    plant = Plant(place.folder / "plant", [trap])
-    with ObservedRun(_LINES, place.folder, plant=plant) as run:
-        run.wait(lambda: plant.sprung > 0, "the kill")
-        expect_end(run, 0)
-        expect_identical(place, run, "victim")
+#: Rows of the table of faults that the kills of each kind of process belong to.
+_NUMBERS = {"reader": "12", "coordinator": "15", "segmenter": "15", "driver and sink": "19"}
 
 
-def _run_dies(function: str, when: When, calls: int, place: Place) -> float:
+def _name(step: Step, when: When) -> str:
+    return f"{step.actor}: {'before' if when == 'before' else 'after'} {step.name}"
+
+
+def _fault(step: Step, when: When) -> Fault:
+    return Fault(_NUMBERS.get(step.actor, "13"), _name(step, when))
+
+
+def _moments(step: Step) -> tuple[When, When]:
+    # A process that dies right at its return dies before its answer is sent; the sink and the command die
+    # together in any case.
+    return ("before", "after") if step in COMMIT_STEPS else ("before", "soon after")
+
+
+def _trap(step: Step, when: When, place: Place, *, armed: bool = False) -> Trap:
+    action: Literal["die", "kill driver"] = "kill driver" if step in COMMIT_STEPS else "die"
+    process = "ray::SinkActor" if step in COMMIT_STEPS else ""
+    call = int(place.random.integers(step.calls))
+    return Trap(step.function, action, call, when, process=process, armed=armed)
+
+
+def _provoke(step: Step, trap: Trap, run: ObservedRun, plant: Plant) -> None:
+    """Arm a trap; one at a start needs a loss before."""
+    plant.arm(trap)
+    if step.time == "start":
+        run.signal_actor("ray::SegmenterActor.step", signal.SIGKILL)
+
+
+def _actor_dies(step: Step, trap: Trap) -> Loss:
+    def bring_about(run: ObservedRun, plant: Plant) -> None:
+        _provoke(step, trap, run, plant)
+        run.wait(lambda: plant.has_sprung(trap), "the kill")
+
+    return bring_about
+
+
+def _run_dies(step: Step, trap: Trap) -> End:
     """The sink and the command are killed at one moment, as by a power cut; the rest ends as it may."""
-    call = int(place.random.integers(calls))
-    trap = Trap(function, "kill driver", call, when, process="ray::SinkActor")
-    plant = Plant(place.folder / "plant", [trap])
-    with ObservedRun(_LINES, place.folder, plant=plant) as run:
+
+    def bring_about(run: ObservedRun, plant: Plant) -> None:
+        _provoke(step, trap, run, plant)
         status, words = run.end(killed=True)
-        expect(plant.sprung > 0, f"the run ended before the kill, with status {status}: {words}")
-        return resumed(place, _LINES)
+        expect(plant.has_sprung(trap), f"the run ended before the kill, with status {status}: {words}")
+
+    return bring_about
 
 
-def _kills() -> tuple[Fault, ...]:
-    kills: list[Fault] = []
-
-    def add(number: str, name: str, bring_about: Callable[[Place], float | None]) -> None:
-        kills.append(Fault(number, name, bring_about))
-
-    for kind, step, function, calls in STEPS:
-        number = "15" if kind in ("coordinator", "segmenter") else "12" if kind == "reader" else "13"
-        add(number, f"{kind}: before {step}", partial(_actor_dies, function, "before", calls))
-        add(number, f"{kind}: after {step}", partial(_actor_dies, function, "soon after", calls))
-    for step, function, calls in COMMIT_STEPS:
-        add("19", f"driver and sink: before {step}", partial(_run_dies, function, "before", calls))
-        add("19", f"driver and sink: after {step}", partial(_run_dies, function, "after", calls))
-    for time in range(1, _ANY_TIME + 1):
-        add("19", f"driver: at any time, {time}", partial(driver_killed, lines=_LINES))
-    return tuple(kills)
+def _actors_die(steps: tuple[Step, ...], place: Place, verdicts: Verdicts) -> None:
+    kills = [
+        (step, when, _trap(step, when, place))
+        for step in steps
+        for when in _moments(step)
+        if _name(step, when) in verdicts
+    ]
+    losses = [(_name(step, when), _actor_dies(step, trap)) for step, when, trap in kills]
+    lines = (victim(FRAMES_OF_A_LOSS * len(losses)),)
+    bring_about_losses(place, verdicts, losses, lines, [trap for _, _, trap in kills])
 
 
-#: All of them, by kind.
-KILLS = _kills()
+def _runs_die(place: Place, verdicts: Verdicts) -> None:
+    kills = [
+        (step, when, _trap(step, when, place))
+        for step in COMMIT_STEPS
+        for when in _moments(step)
+        if _name(step, when) in verdicts
+    ]
+    ends = [(_name(step, when), _run_dies(step, trap)) for step, when, trap in kills]
+    ends += [(fault.name, kill) for fault in _AT_ANY_TIME if fault.name in verdicts]
+    lines = (victim(FRAMES_OF_AN_END * len(ends)),)
+    bring_about_ends(place, verdicts, ends, lines, [trap for _, _, trap in kills])
+
+
+def _dies_at_the_end(step: Step, when: When, place: Place) -> None:
+    trap = _trap(step, when, place, armed=True)
+    plant = Plant(place.folder / "plant", [trap])
+    with ObservedRun([VICTIM], place.folder, plant=plant) as run:
+        run.wait(lambda: plant.has_sprung(trap), "the kill")
+        expect_end(run, 0)
+        expect_identical(place, run, VICTIM)
+
+
+_AT_ANY_TIME = tuple(Fault("19", f"driver: at any time, {time}") for time in range(1, _ANY_TIME + 1))
+
+
+def _series(*actors: str) -> Scenario:
+    """The kills of these kinds of processes that can be brought about in one run."""
+    steps = tuple(step for step in STEPS if step.actor in actors and step.time != "end")
+    faults = tuple(_fault(step, when) for step in steps for when in _moments(step))
+    return Scenario(", ".join(actors), faults, partial(_actors_die, steps))
+
+
+#: All of them, by what is killed.
+KILLS: tuple[Scenario, ...] = (
+    _series("reader", "coordinator"),
+    _series("layer", "segmenter"),
+    _series("pool", "sink"),
+    *(
+        alone(_fault(step, when).number, _name(step, when), partial(_dies_at_the_end, step, when))
+        for step in STEPS
+        if step.time == "end"
+        for when in _moments(step)
+    ),
+    Scenario(
+        "driver and sink",
+        (*(_fault(step, when) for step in COMMIT_STEPS for when in _moments(step)), *_AT_ANY_TIME),
+        _runs_die,
+    ),
+)

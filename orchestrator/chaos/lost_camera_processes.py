@@ -14,23 +14,23 @@ from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.messages import Array
 from orchestrator.chaos.camera import RATE, Camera, as_received, play
 from orchestrator.chaos.observed_run import ObservedRun, content, expect
-from orchestrator.chaos.place import Fault, Place, expect_end, expect_no_secret
+from orchestrator.chaos.place import Back, Place, alone, expect_end, expect_no_secret
 from orchestrator.chaos.planted import Plant, Trap
 from orchestrator.sources.synthetic import scene
 
-__all__ = ["FAULTS"]
+__all__ = ["SCENARIOS"]
 
 _FOREVER = 1_000_000
 
 #: Label maps that are committed before each kill, beyond those at the kill before.
 _BETWEEN = 8
 
-#: Titles of processes; the loss of the reader is the only one that costs pictures. Of the layers one at work.
+#: Titles of processes at work; the loss of the reader is the only one that costs pictures.
 _KINDS = (
-    "ray::SegmenterActor",
+    "ray::SegmenterActor.step",
     "ray::LayerActor.step",
     "ray::LiveReaderActor",
-    "ray::CoordinatorActor",
+    "ray::CoordinatorActor.advance",
     "ray::PoolActor",
     "ray::SinkActor",
 )
@@ -94,7 +94,7 @@ def _wait_for_more(run: ObservedRun, returns: int) -> None:
     run.wait(lambda: run.status()["door"]["committed"] >= before + _BETWEEN, "more label maps")
 
 
-def _killed_in_turn(place: Place) -> float:
+def _killed_in_turn(place: Place) -> Back:
     """The time is that from the last kill until there were more label maps than ever before."""
     door = _Door(place)
     with door.camera, door.run() as run:
@@ -106,7 +106,7 @@ def _killed_in_turn(place: Place) -> float:
         _wait_for_more(run, len(_KINDS))
         seconds = time.monotonic() - killed
         door.interrupt(run, gaps=1)
-        return seconds
+        return Back(seconds)
 
 
 def _killed_while_slow(place: Place) -> None:
@@ -125,7 +125,7 @@ def _killed_while_slow(place: Place) -> None:
         door.interrupt(run, gaps=0)
 
 
-def _run_killed(place: Place) -> float:
+def _run_killed(place: Place) -> Back:
     door = _Door(place)
     with door.camera:
         with door.run() as run:
@@ -138,11 +138,11 @@ def _run_killed(place: Place) -> float:
             _wait_for_more(run, 0)
             seconds = time.monotonic() - resumed
             door.interrupt(run, gaps=1)
-            return seconds
+            return Back(seconds)
 
 
-FAULTS = (
-    Fault("12 13 15", "a live source, every process killed in turn", _killed_in_turn),
-    Fault("24 25", "a live source, slow sink and pipeline, a part killed", _killed_while_slow),
-    Fault("19", "a live source, driver killed, then --resume", _run_killed),
+SCENARIOS = (
+    alone("12 13 15", "a live source, every process killed in turn", _killed_in_turn),
+    alone("24 25", "a live source, slow sink and pipeline, a part killed", _killed_while_slow),
+    alone("19", "a live source, driver killed, then --resume", _run_killed),
 )

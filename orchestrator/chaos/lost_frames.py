@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,12 @@ from orchestrator.chaos.observed_run import ObservedRun, content, expect
 from orchestrator.chaos.place import (
     BESIDE,
     LINES,
+    Back,
     Fault,
     Place,
+    Scenario,
+    Verdicts,
+    alone,
     expect_end,
     expect_identical,
     expect_no_secret,
@@ -25,7 +29,7 @@ from orchestrator.chaos.place import (
 from orchestrator.chaos.planted import Plant, Trap
 from orchestrator.sources.synthetic import scene
 
-__all__ = ["FAULTS"]
+__all__ = ["SCENARIOS"]
 
 #: Pictures of a camera that are read, the dropped ones included.
 _ROWS = 120
@@ -38,24 +42,19 @@ _MOST_FRAMES_AHEAD = 24
 
 _FOREVER = 1_000_000
 
+#: Connections that a camera refuses before it accepts.
+_REFUSALS = 4
+
 
 def _pictures() -> list[Array]:
     made = scene("demo", frames=100, width=160, height=120)
     return [made.frame(t) for t in range(100)]
 
 
-def _watched(place: Place, camera: Camera, *, gaps: int) -> None:
-    """Run over a camera that goes wrong, and expect that every gap and drop is told."""
-    with ObservedRun([f"door {camera.address}", BESIDE], place.folder, "--max-frames", str(_ROWS)) as run:
-        words = expect_end(run, 0)
-        expect_no_secret(run, words, camera.password)
-        expect_identical(place, run, "beside")
-        _expect_told(run, gaps)
-
-
-def _expect_told(run: ObservedRun, gaps: int) -> list[dict[str, Any]]:
-    door = run.status()["door"]
-    rows: list[dict[str, Any]] = content(run.output / "door")["frames"]
+def _expect_told(run: ObservedRun, name: str, gaps: int) -> list[dict[str, Any]]:
+    """Expect that the rows and the status of a camera tell the same; return the rows."""
+    door = run.status()[name]
+    rows: list[dict[str, Any]] = content(run.output / name)["frames"]
     statuses = [row["status"] for row in rows]
     told = {"ok": door["committed"], "dropped": door["dropped"], "gap": door["gaps"]}
     expect(door["state"] == "done" and door["read"] == _ROWS, f"the camera's stream is told as {door}")
@@ -75,19 +74,12 @@ def _expect_pauses(camera: Camera, failures: int, hung_up: Sequence[float]) -> N
         expect(longest / 2 - 0.1 <= pause <= longest + _LATE, f"pause {number} was {pause:.1f} s")
 
 
-def _refuses(place: Place) -> float:
-    def script(number: int) -> Iterator[int] | None:
-        return None if number < 4 else play(0, _FOREVER, time.monotonic())
-
-    with Camera(_pictures(), script) as camera:
-        _watched(place, camera, gaps=0)
-        _expect_pauses(camera, 4, camera.connected)
-        return camera.connected[4] - camera.connected[0]
+def _refusing(number: int) -> Iterator[int] | None:
+    return None if number < _REFUSALS else play(0, _FOREVER, time.monotonic())
 
 
-def _stalls(place: Place) -> float:
+def _stalling(silence: float) -> Callable[[int], Iterator[int]]:
     """A silence that ends by itself, or one after which the camera has to be connected anew."""
-    silence = float(place.random.choice([6.5, 13.0]))
     began = time.monotonic()
 
     def script(number: int) -> Iterator[int]:
@@ -99,25 +91,60 @@ def _stalls(place: Place) -> float:
         else:
             yield from play(round((time.monotonic() - began) * RATE), _FOREVER, began)
 
-    with Camera(_pictures(), script) as camera:
-        _watched(place, camera, gaps=1)
-        expect(len(camera.connected) == (1 if silence < 10 else 2), f"{len(camera.connected)} connections")
-        return silence
+    return script
 
 
-def _flaps(place: Place) -> float:
-    began, hung_up = time.monotonic(), list[float]()
-    flaps, length = int(place.random.integers(2, 4)), int(place.random.integers(5, 20))
+def _flapping(flaps: int, length: int, hung_up: list[float]) -> Callable[[int], Iterator[int]]:
+    """So many connections end after some pictures; tells when."""
+    began = time.monotonic()
 
     def script(number: int) -> Iterator[int]:
         first = round((time.monotonic() - began) * RATE)
         yield from play(first, _FOREVER if number == flaps else first + length, began)
         hung_up.append(time.monotonic())
 
-    with Camera(_pictures(), script) as camera:
-        _watched(place, camera, gaps=flaps)
-        _expect_pauses(camera, flaps, hung_up)
-        return max(back - away for away, back in zip(hung_up, camera.connected[1:], strict=False))
+    return script
+
+
+_REFUSES = Fault("3", "a camera refuses four times")
+_STALLS = Fault("4", "a camera stalls without an error")
+_FLAPS = Fault("5", "a flapping camera")
+
+
+def _cameras(place: Place, verdicts: Verdicts) -> None:
+    """Cameras that go wrong, each in its own way, and a file beside: every gap and drop is told."""
+    pictures = _pictures()
+    silence = float(place.random.choice([6.5, 13.0]))
+    flaps, length = int(place.random.integers(2, 4)), int(place.random.integers(5, 20))
+    hung_up: list[float] = []
+    with (
+        Camera(pictures, _refusing) as refusing,
+        Camera(pictures, _stalling(silence)) as stalling,
+        Camera(pictures, _flapping(flaps, length, hung_up)) as flapping,
+    ):
+        cameras = {"refuses": refusing, "stalls": stalling, "flaps": flapping}
+        lines = [f"{name} {camera.address}" for name, camera in cameras.items()]
+        with ObservedRun([*lines, BESIDE], place.folder, "--max-frames", str(_ROWS)) as run:
+            words = expect_end(run, 0)
+            for fault, name, gaps in (
+                (_REFUSES, "refuses", 0),
+                (_STALLS, "stalls", 1),
+                (_FLAPS, "flaps", flaps),
+            ):
+                with verdicts.of(fault.name):
+                    _expect_told(run, name, gaps)
+                    expect_no_secret(run, words, Camera.password)
+                    expect_identical(place, run, BESIDE)
+            with verdicts.of(_REFUSES.name) as verdict:
+                _expect_pauses(refusing, _REFUSALS, refusing.connected)
+                verdict.back = Back(refusing.connected[_REFUSALS] - refusing.connected[0])
+            with verdicts.of(_STALLS.name):
+                connections = len(stalling.connected)
+                expect(connections == (1 if silence < 10 else 2), f"{connections} connections")
+            with verdicts.of(_FLAPS.name) as verdict:
+                _expect_pauses(flapping, flaps, hung_up)
+                pauses = zip(hung_up, flapping.connected[1:], strict=False)
+                verdict.back = Back(max(back - away for away, back in pauses))
 
 
 def _slow_pipeline(place: Place) -> None:
@@ -131,7 +158,7 @@ def _slow_pipeline(place: Place) -> None:
         lines, flags = [f"door {camera.address}"], ("--max-frames", str(_ROWS))
         with ObservedRun(lines, place.folder, *flags, plant=plant) as run:
             expect_no_secret(run, expect_end(run, 0), camera.password)
-            rows = _expect_told(run, 0)
+            rows = _expect_told(run, "door", 0)
             dropped = sum(row["status"] == "dropped" for row in rows)
             expect(dropped > _ROWS // 4, f"only {dropped} pictures were dropped")
             labelled = [row for row in rows if row["status"] == "ok"]
@@ -166,10 +193,8 @@ def _slow_sink(place: Place) -> None:
         expect(max(ahead) <= _MOST_FRAMES_AHEAD, f"{max(ahead)} frames were read and not written")
 
 
-FAULTS = (
-    Fault("3", "a camera refuses four times", _refuses),
-    Fault("4", "a camera stalls without an error", _stalls),
-    Fault("5", "a flapping camera", _flaps),
-    Fault("24", "slow sink, a file as source", _slow_sink),
-    Fault("25", "slow pipeline, a live source", _slow_pipeline),
+SCENARIOS = (
+    Scenario("cameras that go wrong", (_REFUSES, _STALLS, _FLAPS), _cameras),
+    alone("24", "slow sink, a file as source", _slow_sink),
+    alone("25", "slow pipeline, a live source", _slow_pipeline),
 )

@@ -38,29 +38,40 @@ def expect(holds: bool, otherwise: str) -> None:
         raise NotHeldError(otherwise)
 
 
-def content(stream: Path) -> dict[str, Any]:
+def content(stream: Path, *, committed: bool = False) -> dict[str, Any]:
     """All of a stream's record that must not depend on faults: masks, and rows without times; checks it.
+
+    Parameters
+    ----------
+    stream : Path
+    committed : bool
+        Only what counts for good: of a stream that is being written, or was interrupted.
 
     Raises
     ------
     NotHeldError
         If a frame is there twice, missing or out of order, or does not count.
     """
-    rows, layers = _rows(stream, "frames"), _rows(stream, "layers")
-    frames = [row["frame"] for row in rows]
-    commits = read_commits(stream)
+    commits = [commit for commit in read_commits(stream) if not (committed and commit.provisional)]
     counted = commits[-1].last + 1 if commits else 0
+    most = counted if committed else None
+    rows, layers = _rows(stream, "frames", most), _rows(stream, "layers", most)
+    frames = [row["frame"] for row in rows]
     expect(frames == list(range(counted)), f"{stream.name}: the rows are not the {counted} committed frames")
     masks = {path.name: path.read_bytes() for path in sorted((stream / "masks").glob("*.png"))}
-    labelled = sum(row["status"] == "ok" for row in rows)
-    expect(len(masks) == labelled, f"{stream.name}: {len(masks)} masks for {labelled} labelled frames")
+    labelled = {f"{row['name']}.png" for row in rows if row["status"] == "ok"}
+    if committed:
+        masks = {name: mask for name, mask in masks.items() if name in labelled}
+    expect(masks.keys() == labelled, f"{stream.name}: {len(masks)} masks for {len(labelled)} labelled frames")
     frame_rows = [{key: row[key] for key in row if not key.startswith("ms_")} for row in rows]
     return {"masks": masks, "layers": layers, "frames": frame_rows}
 
 
-def _rows(stream: Path, table: str) -> list[dict[str, Any]]:
+def _rows(stream: Path, table: str, most: int | None) -> list[dict[str, Any]]:
+    """Rows of a table's parts, without those parts that begin after the first ``most`` frames."""
     parts = sorted(stream.glob(f"{table}-*.parquet"))
-    return [row for part in parts for row in pq.read_table(part).to_pylist()]
+    counted = [part for part in parts if most is None or int(part.stem.rpartition("-")[2]) < most]
+    return [row for part in counted for row in pq.read_table(part).to_pylist()]
 
 
 class ObservedRun:
@@ -89,6 +100,7 @@ class ObservedRun:
     ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.output = folder / "out"
+        self.lines = tuple(lines)
         (folder / "list.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
         self._seen: dict[int, str] = {}
         self._found = self._status_text()  # of the run that this one goes on with
@@ -172,9 +184,14 @@ class ObservedRun:
         self._process.send_signal(number)
 
     def signal_actor(self, title: str, number: signal.Signals, choice: int = 0) -> None:
-        """Send a signal to one of the run's processes of that title; waits until there is one."""
-        self.wait(lambda: bool(self.processes(title)), f"a process {title}")
-        found = self.processes(title)
+        """Send a signal to one of the run's processes whose title begins so; waits until there is one."""
+        found: list[int] = []
+
+        def there() -> bool:
+            found[:] = self.processes(title)
+            return bool(found)
+
+        self.wait(there, f"a process {title}")
         self.signal_process(found[choice % len(found)], number)
 
     def signal_process(self, pid: int, number: signal.Signals) -> None:

@@ -3,95 +3,224 @@
 from __future__ import annotations
 
 import json
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from orchestrator.chaos.observed_run import ObservedRun, content, expect
+from orchestrator.chaos.observed_run import NotHeldError, ObservedRun, content, expect
+from orchestrator.chaos.reference import References
 
 __all__ = [
     "BESIDE",
     "FRAMES",
     "LINES",
     "VICTIM",
+    "Back",
     "Fault",
     "Place",
+    "Scenario",
+    "Verdict",
+    "Verdicts",
+    "alone",
+    "beginning",
+    "beside",
     "expect_end",
     "expect_identical",
     "expect_no_secret",
-    "seconds_until_back",
-    "states_of",
-    "undisturbed",
+    "expect_prefix",
+    "victim",
 ]
 
-#: Length of the streams that faults are brought into: three commits, and a snapshot before the last.
+
+def victim(frames: int) -> str:
+    """Line of the list: the stream that faults are brought into."""
+    return f"victim 'synthetic:demo?frames={frames}&width=160&height=120'"
+
+
+def beside(frames: int) -> str:
+    """Line of the list: the stream that must not notice."""
+    return f"beside 'synthetic:pan?frames={frames}&width=160&height=120'"
+
+
+#: Length of the streams where one fault is brought about: three commits, and a snapshot before the last.
 FRAMES = 48
 
-VICTIM = f"victim 'synthetic:demo?frames={FRAMES}&width=160&height=120'"
-BESIDE = f"beside 'synthetic:pan?frames={FRAMES}&width=160&height=120'"
+VICTIM, BESIDE = victim(FRAMES), beside(FRAMES)
 LINES = (VICTIM, BESIDE)
 
-#: Their names.
-NAMES = ("victim", "beside")
+
+@dataclass(frozen=True, slots=True)
+class Back:
+    """How long it took until work went on.
+
+    Attributes
+    ----------
+    first : float
+        Until the first label map, those included that are made a second time, s.
+    new : float, optional
+        Until the first one that was not there before, s.
+    """
+
+    first: float
+    new: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a fault is brought about.
+    """Where faults are brought about.
 
     Attributes
     ----------
     folder : Path
         For the run's files.
-    undisturbed : callable
-        Gives the content of the undisturbed streams, by name; slow the first time.
+    references : References
     random : numpy Generator
-        Of this fault and seed.
+        Of this scenario and seed.
     """
 
     folder: Path
-    undisturbed: Callable[[], dict[str, Any]]
+    references: References
     random: np.random.Generator
 
-    @property
-    def expected(self) -> dict[str, Any]:
-        """Content of the undisturbed streams, by name."""
-        return self.undisturbed()
+    def expected(self, line: str) -> dict[str, Any]:
+        """Content of the undisturbed stream of a list's line."""
+        return self.references.of(line, self.folder)
+
+    def prepare(self, lines: Iterable[str]) -> None:
+        """Label undisturbed streams now, because it takes a while, and a run goes on meanwhile."""
+        for line in lines:
+            self.expected(line)
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A fault of the list of those that must be survived.
+    """A row of the table.
 
     Attributes
     ----------
     number : str
-        In that list.
+        In the list of the faults that must be survived; several where one source has several of them.
     name : str
-    bring_about : callable
-        Raises NotHeldError; returns the seconds until work went on, if that has a meaning.
     """
 
     number: str
     name: str
-    bring_about: Callable[[Place], float | None]
 
 
-def undisturbed(folder: Path) -> dict[str, Any]:
-    """Run the streams with nothing going wrong; return what they must always give."""
-    with ObservedRun(LINES, folder) as run:
-        expect_end(run, 0)
-        return {name: content(run.output / name) for name in NAMES}
+@dataclass(slots=True)
+class Verdict:
+    """What became of a fault.
+
+    Attributes
+    ----------
+    problem : str or None
+        Why it was not held.
+    back : Back or None
+        None where it has no meaning.
+    """
+
+    problem: str | None = None
+    back: Back | None = None
+    _looked_at: bool = False
+
+    def add(self, problem: str | None) -> None:
+        """Take what one more look has shown; the first problem is kept."""
+        self.problem = self.problem or problem
+        self._looked_at = True
+
+    @property
+    def why_not_held(self) -> str | None:
+        """A sentence, None if it was held."""
+        return self.problem if self._looked_at else "it was not brought about"
 
 
-def expect_identical(place: Place, run: ObservedRun, *names: str) -> None:
+class Verdicts:
+    """What becomes of the faults of a scenario, as far as anybody wants to know it.
+
+    Parameters
+    ----------
+    wanted : iterable of str
+        Names of faults.
+    """
+
+    def __init__(self, wanted: Iterable[str]) -> None:
+        self.by_name = {name: Verdict() for name in wanted}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.by_name
+
+    @contextmanager
+    def of(self, name: str) -> Iterator[Verdict]:
+        """Bring a fault about, or look at what it has done; the first thing that does not hold is kept."""
+        verdict = self.by_name.setdefault(name, Verdict())
+        try:
+            yield verdict
+        except NotHeldError as error:
+            verdict.add(str(error))
+        except Exception as error:  # such as a missing file; the rest of the table is wanted all the same
+            verdict.add(f"{type(error).__name__}: {error}")
+        else:
+            verdict.add(None)
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """Faults that are brought about together, in one run or in some that follow each other.
+
+    Attributes
+    ----------
+    name : str
+    faults : tuple of Fault
+    bring_about : callable
+        Tells the verdicts, of those at least that are wanted.
+    """
+
+    name: str
+    faults: tuple[Fault, ...]
+    bring_about: Callable[[Place, Verdicts], None]
+
+
+def alone(number: str, name: str, bring_about: Callable[[Place], Back | None]) -> Scenario:
+    """Make a scenario of one fault; ``bring_about`` raises NotHeldError."""
+
+    def tell(place: Place, verdicts: Verdicts) -> None:
+        with verdicts.of(name) as verdict:
+            verdict.back = bring_about(place)
+
+    return Scenario(name, (Fault(number, name),), tell)
+
+
+def expect_identical(place: Place, run: ObservedRun, *lines: str) -> None:
     """Expect of these streams, by default of both, what an undisturbed run gives."""
-    for name in names or NAMES:
-        expect(content(run.output / name) == place.expected[name], f"{name} is not as without the fault")
+    for line in lines or LINES:
+        name = line.split()[0]
+        expect(content(run.output / name) == place.expected(line), f"{name} is not as without the fault")
+
+
+def expect_prefix(place: Place, run: ObservedRun, *lines: str) -> None:
+    """Expect that what these streams, by default both, have committed is that of an undisturbed run."""
+    for line in lines or LINES:
+        name = line.split()[0]
+        committed = content(run.output / name, committed=True)
+        expect(
+            committed == beginning(place.expected(line), len(committed["frames"])),
+            f"{name}: what was committed is not as without the fault",
+        )
+
+
+def beginning(whole: dict[str, Any], frames: int) -> dict[str, Any]:
+    """The first frames of a content."""
+    rows = whole["frames"][:frames]
+    names = {f"{row['name']}.png" for row in rows if row["status"] == "ok"}
+    return {
+        "masks": {name: mask for name, mask in whole["masks"].items() if name in names},
+        "layers": [row for row in whole["layers"] if row["frame"] < frames],
+        "frames": rows,
+    }
 
 
 def expect_end(run: ObservedRun, status: int) -> str:
@@ -124,17 +253,3 @@ def expect_no_secret(run: ObservedRun, words: str, secret: str) -> None:
         expect(
             not path.is_file() or secret.encode() not in path.read_bytes(), f"a password is in {path.name}"
         )
-
-
-def seconds_until_back(run: ObservedRun) -> float:
-    """Wait until whichever stream has just lost something is at work again, and tell how long that took."""
-    started = time.monotonic()
-    run.wait(lambda: any(run.status()[name]["returns"] for name in NAMES), "the loss noticed")
-    hit = next(name for name in NAMES if run.status()[name]["returns"])
-    run.wait(lambda: run.status()[hit]["state"] in ("running", "done"), f"{hit} back at work")
-    return time.monotonic() - started
-
-
-def states_of(run: ObservedRun) -> set[str]:
-    """States of the streams; "none" before they are told."""
-    return {stream["state"] for stream in run.status().values()} or {"none"}

@@ -43,28 +43,32 @@ class Trap:
     ----------
     function : str
         ``module:Class.method`` or ``module:function``.
-    action : {"die", "abort", "kill driver", "fail", "wait", "set"}
-        The process is killed, aborts, takes the run's driver with it; the call raises OSError, is late; or
-        the name is no function and gets ``value``.
+    action : {"die", "abort", "kill driver", "fail", "wait", "note", "set"}
+        The process is killed, aborts, takes the run's driver with it; the call raises OSError, is late, is
+        noted; or the name is no function and gets ``value``.
     call : int
-        The first call of a process at which that happens, from 0; for "fail" and "wait" at later ones too.
+        The first call of a process at which that happens, from 0, since the trap was laid or armed; for
+        "fail" and "wait" at later ones too.
     when : {"before", "after", "soon after"}
         The call, or the return.
     times : int
-        How often at most in the whole run; "fail" and "wait" have no end.
+        How often at most in the whole run; "fail", "wait" and "note" have no end.
     value : float
         The number of the error, the seconds to wait, what to set.
     process : str
         How the titles of the processes begin in which that happens.
+    armed : bool
+        Whether it is from the start; else :meth:`Plant.arm` does it.
     """
 
     function: str
-    action: Literal["die", "abort", "kill driver", "fail", "wait", "set"]
+    action: Literal["die", "abort", "kill driver", "fail", "wait", "note", "set"]
     call: int = 0
     when: When = "before"
     times: int = 1
     value: float = 0.0
     process: str = ""
+    armed: bool = True
 
 
 class Plant:
@@ -79,11 +83,23 @@ class Plant:
 
     def __init__(self, folder: Path, traps: Sequence[Trap]) -> None:
         folder.mkdir(parents=True)
+        self._traps = tuple(traps)
         (folder / "traps.json").write_text(json.dumps([asdict(trap) for trap in traps]))
         (folder / "sitecustomize.py").write_text(
             f"from orchestrator.chaos.planted import spring\nspring({str(folder)!r})\n"
         )
         self._folder = folder
+        for trap in traps:
+            if trap.armed:
+                self.arm(trap)
+
+    def arm(self, trap: Trap) -> None:
+        """Let one of the traps snap from now on, in processes that run already too."""
+        _arming(self._folder, self._traps.index(trap)).touch()
+
+    def disarm(self, trap: Trap) -> None:
+        """Let one of the traps snap no more."""
+        _arming(self._folder, self._traps.index(trap)).unlink()
 
     def environment(self) -> dict[str, str]:
         """The environment with which a run has the traps."""
@@ -98,6 +114,15 @@ class Plant:
     def sprung(self) -> int:
         """How often traps have snapped."""
         return len([*self._folder.glob("sprung-*")])
+
+    def has_sprung(self, trap: Trap) -> bool:
+        """Whether one of the traps has snapped."""
+        return any(self._folder.glob(f"sprung-{self._traps.index(trap)}-*"))
+
+    def noted(self, trap: Trap) -> list[float]:
+        """When processes first came to a trap that notes it: one time each, monotonic, s, in order."""
+        notes = self._folder.glob(f"noted-{self._traps.index(trap)}-*")
+        return sorted(float(text) for note in notes if (text := note.read_text()))
 
 
 def spring(folder: str) -> None:
@@ -157,13 +182,19 @@ class _Laid:
     def _snaps(self) -> bool:
         if not Path("/proc/self/cmdline").read_text(errors="replace").startswith(self.trap.process):
             return False
+        if not _arming(self._folder, self._number).exists():
+            return False
         call, self._calls = self._calls, self._calls + 1
         return call == self.trap.call or (self.trap.action in _LASTING and call > self.trap.call)
 
     def _act(self) -> None:
+        action, value = self.trap.action, self.trap.value
+        if action == "note":
+            note = self._folder / f"noted-{self._number}-{os.getpid()}"
+            note.write_text(repr(time.monotonic()))
+            return
         if not self._counted():
             return
-        action, value = self.trap.action, self.trap.value
         if action == "wait":
             time.sleep(value)
         elif action == "fail":
@@ -187,6 +218,11 @@ class _Laid:
                 continue
             return True
         return False
+
+
+def _arming(folder: Path, number: int) -> Path:
+    """The file that is there while a trap is armed."""
+    return folder / f"armed-{number}"
 
 
 class _Finder(importlib.abc.MetaPathFinder):

@@ -2,50 +2,42 @@
 
 from __future__ import annotations
 
-import errno
 import mmap
-import signal
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-from orchestrator.chaos.lost_processes import resumed
-from orchestrator.chaos.observed_run import ObservedRun, content, expect
+from orchestrator.benchmark.process_costs import process_tree
+from orchestrator.chaos.loss_series import LABELLED, newest_label_map, seconds_back
+from orchestrator.chaos.observed_run import ObservedRun, expect
 from orchestrator.chaos.place import (
+    BESIDE,
     FRAMES,
     LINES,
-    Fault,
+    Back,
     Place,
+    alone,
+    beside,
     expect_end,
     expect_identical,
-    seconds_until_back,
+    victim,
 )
-from orchestrator.chaos.planted import Plant, Trap
+from orchestrator.chaos.planted import Plant
 
-__all__ = ["FAULTS"]
+__all__ = ["SCENARIOS"]
 
 #: What is left to a run that is to run out of memory, and what is taken at most, bytes.
 _LEFT_BYTES, _MOST_TAKEN_BYTES = 4 * 2**30, 8 * 2**30
 _TAKEN_AT_ONCE_BYTES = 2**28
 
+#: Until a loss is told, s.
+_NOTICED_SECONDS = 5.0
 
-def _disk_fails(number: int) -> Callable[[Place], float]:
-    """Nothing can be published any more: what was committed is kept, and ``--resume`` goes on from there."""
-
-    def bring_about(place: Place) -> float:
-        call = int(place.random.integers(2, 6))  # after the generations of the two streams
-        full = Trap(
-            "orchestrator.durable_files:publish", "fail", call, value=number, process="ray::SinkActor"
-        )
-        with ObservedRun(LINES, place.folder, plant=Plant(place.folder / "plant", [full])) as run:
-            words = expect_end(run, 1)
-            expect("cannot be written" in words, f"the error is not told: {words}")
-            for name in ("victim", "beside"):
-                kept, whole = content(run.output / name)["masks"], place.expected[name]["masks"]
-                expect(kept.items() <= whole.items(), f"{name}: what was kept is not as without the fault")
-        return resumed(place)
-
-    return bring_about
+#: Length of streams that lose a process late, frames.
+_LONG = 3 * FRAMES
 
 
 def _folder_gone(place: Place) -> None:
@@ -54,22 +46,31 @@ def _folder_gone(place: Place) -> None:
         (run.output / "victim").rename(run.output / "elsewhere")
         words = expect_end(run, 1)
         expect("victim" in words and "cannot be written" in words, f"the error is not told: {words}")
-        expect_identical(place, run, "beside")
+        expect_identical(place, run, BESIDE)
 
 
-def _memory_runs_out(place: Place) -> float:
+def _memory_runs_out(place: Place) -> Back:
     """Ray ends processes when the machine's memory is used up to a threshold."""
     total, free = _memory()
     threshold = (total - free + _LEFT_BYTES) / total
     expect(threshold < 1, "not injected: less than 4 GB of memory are free")
     settings = {"RAY_memory_usage_threshold": f"{threshold:.4f}", "RAY_memory_monitor_refresh_ms": "100"}
-    with ObservedRun(LINES, place.folder, settings=settings) as run:
-        run.wait_for_frames("victim", int(place.random.integers(8, FRAMES - 16)))
-        _take_memory_until(lambda: any(stream["returns"] for stream in run.status().values()))
-        seconds = seconds_until_back(run)
+    lines = victim(_LONG), beside(_LONG)
+    plant = Plant(place.folder / "plant", [LABELLED])
+    with ObservedRun(lines, place.folder, plant=plant, settings=settings) as run:
+        run.wait_for_frames("victim", int(place.random.integers(8, FRAMES)))
+        newest = {name: newest_label_map(run.output / name) for name in ("victim", "beside")}
+        while not _gone_back(run):  # one that only waited may have been ended
+            ended = _take_memory_until_a_process_is_ended(run)
+            time.sleep(_NOTICED_SECONDS)
+        back = seconds_back(run, plant, ended, newest, lambda: _gone_back(run))
         expect_end(run, 0)
-        expect_identical(place, run)
-        return seconds
+        expect_identical(place, run, *lines)
+        return back
+
+
+def _gone_back(run: ObservedRun) -> set[str]:
+    return {name for name, stream in run.status().items() if stream["returns"]}
 
 
 def _memory() -> tuple[int, int]:
@@ -79,45 +80,69 @@ def _memory() -> tuple[int, int]:
     return 1024 * kilobytes["MemTotal"], 1024 * kilobytes["MemAvailable"]
 
 
-def _take_memory_until(condition: Callable[[], bool]) -> None:
-    """Take more and more memory until something has come about, and give it back."""
+def _take_memory_until_a_process_is_ended(run: ObservedRun) -> float:
+    """Take more and more memory, and give it back as soon as Ray has ended a process; return when."""
     taken: list[mmap.mmap] = []
+    living = run.tree().keys()
     try:
-        while not condition():
+        while living <= run.tree().keys():
             expect(len(taken) * _TAKEN_AT_ONCE_BYTES < _MOST_TAKEN_BYTES, "Ray ended no process")
             taken.append(mmap.mmap(-1, _TAKEN_AT_ONCE_BYTES))
             taken[-1].write(b"\1" * _TAKEN_AT_ONCE_BYTES)
             time.sleep(0.2)
+        return time.monotonic()
     finally:
         for memory in taken:
             memory.close()
 
 
-def _node_lost(place: Place) -> float:
-    """Of a cluster of three nodes one is lost that does nothing, then the driver's own with all on it."""
+def _node_lost(place: Place) -> Back:
+    """Of a cluster of three nodes one is lost that has a stream, which goes on on another one."""
     from ray.cluster_utils import Cluster
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    lines = victim(_LONG), beside(_LONG)
+    plant = Plant(place.folder / "plant", [LABELLED])
+    with _springing(plant):
+        cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+        nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
     try:
-        other = [cluster.add_node(num_cpus=1) for _ in range(2)][int(place.random.integers(2))]
-        with ObservedRun(LINES, place.folder, "--address", cluster.address) as run:
-            run.wait_for_frames("victim", int(place.random.integers(1, 16)))
-            cluster.remove_node(other, allow_graceful=False)
-            run.wait_for_frames("victim", int(place.random.integers(24, FRAMES - 8)))
-            expect(not any(stream["returns"] for stream in run.status().values()), "a stream was disturbed")
-            if cluster.head_node is not None:
-                cluster.remove_node(cluster.head_node, allow_graceful=False)
-            run.signal_driver(signal.SIGKILL)
-            run.end(killed=True)
-            return resumed(place)
+        with ObservedRun(lines, place.folder, "--address", cluster.address, plant=plant) as run:
+            run.wait_for_frames("victim", int(place.random.integers(8, FRAMES)))
+            run.wait_for_frames("beside", int(place.random.integers(8, FRAMES)))
+            newest = {name: newest_label_map(run.output / name) for name in ("victim", "beside")}
+            busy = [node for node in nodes if _has_a_stream(node)]
+            expect(bool(busy), "not injected: no stream is on a node that can be lost")
+            cluster.remove_node(busy[int(place.random.integers(len(busy)))], allow_graceful=False)
+            back = seconds_back(run, plant, time.monotonic(), newest, lambda: _gone_back(run))
+            expect_end(run, 0)
+            expect_identical(place, run, *lines)
+            return back
     finally:
         cluster.shutdown()  # type: ignore[no-untyped-call]
 
 
-FAULTS = (
-    Fault("18", "a node of three lost, then the driver's, then --resume", _node_lost),
-    Fault("22", "disk full, then --resume", _disk_fails(errno.ENOSPC)),
-    Fault("23", "output folder read-only, then --resume", _disk_fails(errno.EROFS)),
-    Fault("23", "output folder gone", _folder_gone),
-    Fault("26", "memory runs out", _memory_runs_out),
+@contextmanager
+def _springing(plant: Plant) -> Iterator[None]:
+    """Give the environment of a plant to the processes that are started meanwhile."""
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = plant.environment()["PYTHONPATH"]
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONPATH"]
+        else:
+            os.environ["PYTHONPATH"] = before
+
+
+def _has_a_stream(node: Any) -> bool:
+    """Whether a node of Ray's cluster for tests has processes of a stream."""
+    raylet = node.all_processes["raylet"][0].process.pid
+    return any(one.title.startswith("ray::SegmenterActor") for one in process_tree(raylet).values())
+
+
+SCENARIOS = (
+    alone("18", "a node of three lost with its stream", _node_lost),
+    alone("23", "output folder gone", _folder_gone),
+    alone("26", "memory runs out", _memory_runs_out),
 )

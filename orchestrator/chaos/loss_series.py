@@ -1,0 +1,122 @@
+"""One process after the other is lost in one run, and the streams are looked at after each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence, Set
+from pathlib import Path
+
+from orchestrator.chaos.observed_run import ObservedRun
+from orchestrator.chaos.place import Back, Place, Verdicts, expect_end, expect_identical, expect_prefix
+from orchestrator.chaos.planted import Plant, Trap
+
+__all__ = ["FRAMES_OF_A_LOSS", "LABELLED", "Loss", "bring_about_losses", "newest_label_map", "seconds_back"]
+
+#: What a stream gets on between two losses, with what it computes again, at most, frames.
+FRAMES_OF_A_LOSS = 48
+
+#: Notes when a segmenter's process has made its first label map: a stream that goes on has a new one.
+LABELLED = Trap("mlbs_actors.actors.segmenter:SegmenterActor.step", "note", when="after")
+
+Loss = Callable[[ObservedRun, Plant], None]
+
+
+def bring_about_losses(
+    place: Place,
+    verdicts: Verdicts,
+    losses: Sequence[tuple[str, Loss]],
+    lines: Sequence[str],
+    traps: Sequence[Trap] = (),
+) -> None:
+    """Run streams, and let them lose processes.
+
+    Parameters
+    ----------
+    place : Place
+    verdicts : Verdicts
+    losses : sequence of str and callable
+        Names of faults, and what brings them about in a run; returns when it has happened. The first is
+        brought about when all streams have committed something, each other one when they have committed more.
+    lines : sequence of str
+        Streams, with :data:`FRAMES_OF_A_LOSS` for each loss.
+    traps : sequence of Trap
+        To lay in the run.
+    """
+    place.prepare(lines)
+    plant = Plant(place.folder / "plant", [LABELLED, *traps])
+    with ObservedRun(lines, place.folder, plant=plant) as run:
+        committed = {line.split()[0]: 0 for line in lines}
+        for name, bring_about in losses:
+            with verdicts.of(name) as verdict:
+                _await_progress(run, committed)
+                verdict.back = _lose(run, plant, bring_about)
+                expect_prefix(place, run, *lines)
+        with verdicts.of(losses[-1][0]):  # of the others, what comes next has shown that all is well
+            expect_end(run, 0)
+            expect_identical(place, run, *lines)
+
+
+def _await_progress(run: ObservedRun, committed: dict[str, int]) -> None:
+    """Wait until every stream that goes on has committed more than is told; tell it anew."""
+
+    def got_on() -> bool:
+        status = run.status()
+        return bool(status) and all(
+            status[name]["committed"] > before or status[name]["state"] == "done"
+            for name, before in committed.items()
+        )
+
+    run.wait(got_on, "a commit")
+    committed.update({name: stream["committed"] for name, stream in run.status().items()})
+
+
+def _lose(run: ObservedRun, plant: Plant, bring_about: Loss) -> Back:
+    returns = {name: stream["returns"] for name, stream in run.status().items()}
+    newest = {name: newest_label_map(run.output / name) for name in returns}
+    bring_about(run, plant)
+    began = time.monotonic()
+
+    def hit() -> set[str]:
+        return {name for name, stream in run.status().items() if stream["returns"] > returns[name]}
+
+    return seconds_back(run, plant, began, newest, hit)
+
+
+def seconds_back(
+    run: ObservedRun, plant: Plant, began: float, newest: Mapping[str, int], hit: Callable[[], Set[str]]
+) -> Back:
+    """Wait until label maps are made again, and until one is there that was not there before.
+
+    Parameters
+    ----------
+    run : ObservedRun
+    plant : Plant
+        Of the run, with :data:`LABELLED`.
+    began : float
+        When something was lost, monotonic, s.
+    newest : mapping of str to int
+        Newest label map of each stream at that time.
+    hit : callable
+        Names of the streams that have gone back, as far as that is known yet.
+    """
+
+    def labelled() -> list[float]:
+        return [noted for noted in plant.noted(LABELLED) if noted > began]
+
+    run.wait(lambda: bool(labelled()), "a label map after the loss")
+    first = labelled()[0] - began
+
+    def got_on() -> bool:
+        return any(
+            newest_label_map(run.output / name) > newest[name] or run.status()[name]["state"] == "done"
+            for name in hit()
+        )
+
+    run.wait(got_on, "a new label map after the loss")
+    return Back(first, time.monotonic() - began)
+
+
+def newest_label_map(stream: Path) -> int:
+    """Number of the newest label map that is written, though it may not count yet; −1 for none."""
+    names = (path.name.lstrip(".").partition(".")[0] for path in (stream / "masks").glob("*"))
+    return max((int(name) for name in names), default=-1)
