@@ -106,7 +106,9 @@ def test_the_table_says_which_seeds_were_held_and_why_not(
     series = Scenario("a series", faults, not_always)
     monkeypatch.setattr(command, "FAULTS", (alone("1", "one", held), series))
     assert command.main([], tmp_path) == 1
-    rows = [row.split() for row in capsys.readouterr().out.splitlines()]
+    table, told = capsys.readouterr()
+    assert "three: held, back after 1.0 s\n" in told
+    rows = [row.split() for row in table.splitlines()]
     assert rows[1][:3] == ["1", "one", "3/3"]
     assert rows[1][-2:] == ["3.0–3.0", "s"]
     assert rows[2] == ["2", "3", "two", "0/3", "1.0–1.0", "s"]

@@ -141,13 +141,18 @@ def _mapping(jobs: int) -> Iterator[Callable[..., Iterable[Any]]]:
 
 
 def _outcome(scenario: Scenario, faults: Sequence[Fault], place: Place) -> Verdicts:
-    verdicts = Verdicts(fault.name for fault in faults)
+    verdicts = Verdicts((fault.name for fault in faults), _tell)
     try:
         scenario.bring_about(place, verdicts)
     except Exception as error:  # the rest of the table is wanted all the same
         for verdict in verdicts.by_name.values():
             verdict.add(f"{type(error).__name__}: {error}")
     return verdicts
+
+
+def _tell(name: str, verdict: Verdict) -> None:
+    back = "" if verdict.back is None else f", back after {verdict.back.first:.1f} s"
+    print(f"{name}: {verdict.why_not_held or 'held'}{back}", file=sys.stderr, flush=True)
 
 
 def _row(fault: Fault, verdicts: Sequence[Verdict]) -> str:

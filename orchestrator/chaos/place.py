@@ -145,10 +145,13 @@ class Verdicts:
     ----------
     wanted : iterable of str
         Names of faults.
+    tell : callable
+        Told the name of a fault and its verdict after each look at it: a scenario takes minutes.
     """
 
-    def __init__(self, wanted: Iterable[str]) -> None:
+    def __init__(self, wanted: Iterable[str], tell: Callable[[str, Verdict], None]) -> None:
         self.by_name = {name: Verdict() for name in wanted}
+        self._tell = tell
 
     def __contains__(self, name: str) -> bool:
         return name in self.by_name
@@ -165,6 +168,7 @@ class Verdicts:
             verdict.add(f"{type(error).__name__}: {error}")
         else:
             verdict.add(None)
+        self._tell(name, verdict)
 
 
 @dataclass(frozen=True, slots=True)
