@@ -12,13 +12,19 @@ from orchestrator.chaos.observed_run import ObservedRun
 from orchestrator.chaos.place import Place, Verdicts, expect_end, expect_identical, expect_prefix
 from orchestrator.chaos.planted import Plant, Trap
 
-__all__ = ["FRAMES_OF_AN_END", "End", "bring_about_ends", "kill"]
+__all__ = ["End", "bring_about_ends", "frames_for_ends", "kill"]
 
-#: What a stream gets on between two ends, at most, frames.
-FRAMES_OF_AN_END = 40
+#: What a stream needs for its first snapshot, and gets on between two ends, at most, frames.
+_FIRST_FRAMES, _FRAMES_OF_AN_END = 64, 40
 
 #: Frames that it gets on at most before something is done to the run.
 _FRAMES_BEFORE = 16
+
+
+def frames_for_ends(ends: int) -> int:
+    """Length of a stream that has still something to do after so many ends."""
+    return _FIRST_FRAMES + _FRAMES_OF_AN_END * ends
+
 
 End = Callable[[ObservedRun, Plant], None]
 
@@ -46,7 +52,7 @@ def bring_about_ends(
         Names of faults, and what brings them about in a run. Each is done when all streams have label maps
         that they did not have before. Where the run has ended by it, the next one goes on with it.
     lines : sequence of str
-        Streams, with :data:`FRAMES_OF_AN_END` for each end.
+        Streams, of :func:`frames_for_ends`.
     traps : sequence of Trap
         To lay in all runs.
     """
@@ -65,7 +71,7 @@ def bring_about_ends(
             with verdicts.of(name) as verdict:
                 verdict.back = seconds_back(run, plant, began, newest, lambda: newest.keys())
                 expect_prefix(place, run, *lines)
-            return run
+            return started("--resume") if run.ended else run  # what comes next has a verdict of its own
 
         run, before = started(), ""
         ended_by: list[tuple[str, ObservedRun]] = []

@@ -8,7 +8,7 @@ import signal
 import time
 from pathlib import Path
 
-from orchestrator.chaos.end_series import FRAMES_OF_AN_END, End, bring_about_ends, kill
+from orchestrator.chaos.end_series import End, bring_about_ends, frames_for_ends, kill
 from orchestrator.chaos.observed_run import ObservedRun, expect
 from orchestrator.chaos.place import Fault, Place, Scenario, Verdicts, expect_end, victim
 from orchestrator.chaos.planted import Plant, Trap
@@ -105,7 +105,7 @@ def _one_after_the_other(place: Place, verdicts: Verdicts) -> None:
     )
     chosen = [(fault.name, end) for fault, end in zip(_FAULTS, ends, strict=True) if fault.name in verdicts]
     # A stream alone: whatever ends the command hits all of its streams.
-    bring_about_ends(place, verdicts, chosen, (victim(FRAMES_OF_AN_END * len(chosen)),), (full, read_only))
+    bring_about_ends(place, verdicts, chosen, (victim(frames_for_ends(len(chosen))),), (full, read_only))
 
 
 SCENARIOS = (Scenario("the command ended one way after the other", _FAULTS, _one_after_the_other),)

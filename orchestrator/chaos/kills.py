@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal, TypeAlias
 
-from orchestrator.chaos.end_series import FRAMES_OF_AN_END, End, bring_about_ends, kill
-from orchestrator.chaos.loss_series import FRAMES_OF_A_LOSS, Loss, bring_about_losses
+from orchestrator.chaos.end_series import End, bring_about_ends, frames_for_ends, kill
+from orchestrator.chaos.loss_series import Loss, bring_about_losses, frames_for_losses
 from orchestrator.chaos.observed_run import ObservedRun, expect
 from orchestrator.chaos.place import (
     VICTIM,
@@ -160,7 +160,7 @@ def _actors_die(steps: tuple[Step, ...], place: Place, verdicts: Verdicts) -> No
         if _name(step, when) in verdicts
     ]
     losses = [(_name(step, when), _actor_dies(step, trap)) for step, when, trap in kills]
-    lines = (victim(FRAMES_OF_A_LOSS * len(losses)),)
+    lines = (victim(frames_for_losses(len(losses))),)
     bring_about_losses(place, verdicts, losses, lines, [trap for _, _, trap in kills])
 
 
@@ -173,7 +173,7 @@ def _runs_die(place: Place, verdicts: Verdicts) -> None:
     ]
     ends = [(_name(step, when), _run_dies(step, trap)) for step, when, trap in kills]
     ends += [(fault.name, kill) for fault in _AT_ANY_TIME if fault.name in verdicts]
-    lines = (victim(FRAMES_OF_AN_END * len(ends)),)
+    lines = (victim(frames_for_ends(len(ends))),)
     bring_about_ends(place, verdicts, ends, lines, [trap for _, _, trap in kills])
 
 

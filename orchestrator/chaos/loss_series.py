@@ -10,13 +10,19 @@ from orchestrator.chaos.observed_run import ObservedRun
 from orchestrator.chaos.place import Back, Place, Verdicts, expect_end, expect_identical, expect_prefix
 from orchestrator.chaos.planted import Plant, Trap
 
-__all__ = ["FRAMES_OF_A_LOSS", "LABELLED", "Loss", "bring_about_losses", "newest_label_map", "seconds_back"]
+__all__ = ["LABELLED", "Loss", "bring_about_losses", "frames_for_losses", "newest_label_map", "seconds_back"]
 
-#: What a stream gets on between two losses, with what it computes again, at most, frames.
-FRAMES_OF_A_LOSS = 48
+#: What a stream needs for its first snapshot, and gets on between two losses, at most, frames.
+_FIRST_FRAMES, _FRAMES_OF_A_LOSS = 64, 48
 
 #: Notes when a segmenter's process has made its first label map: a stream that goes on has a new one.
 LABELLED = Trap("mlbs_actors.actors.segmenter:SegmenterActor.step", "note", when="after")
+
+
+def frames_for_losses(losses: int) -> int:
+    """Length of a stream that has still something to do after so many losses."""
+    return _FIRST_FRAMES + _FRAMES_OF_A_LOSS * losses
+
 
 Loss = Callable[[ObservedRun, Plant], None]
 
@@ -38,7 +44,7 @@ def bring_about_losses(
         Names of faults, and what brings them about in a run; returns when it has happened. The first is
         brought about when all streams have committed something, each other one when they have committed more.
     lines : sequence of str
-        Streams, with :data:`FRAMES_OF_A_LOSS` for each loss.
+        Streams, of :func:`frames_for_losses`.
     traps : sequence of Trap
         To lay in the run.
     """

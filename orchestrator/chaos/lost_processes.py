@@ -6,7 +6,7 @@ import signal
 import time
 
 from orchestrator.chaos.damaged_sources import write_video
-from orchestrator.chaos.loss_series import FRAMES_OF_A_LOSS, Loss, bring_about_losses
+from orchestrator.chaos.loss_series import Loss, bring_about_losses, frames_for_losses
 from orchestrator.chaos.observed_run import ObservedRun, content, expect
 from orchestrator.chaos.place import (
     VICTIM,
@@ -77,7 +77,7 @@ def _one_after_the_other(place: Place, verdicts: Verdicts) -> None:
     losses += [(_WHILE_SAVING.name, _sprung(saving))]
     losses += [(_HANGS.name, hit("ray::LayerActor.step", signal.SIGSTOP))]
     losses = [losses[number] for number in random.permutation(len(losses)) if losses[number][0] in verdicts]
-    frames = FRAMES_OF_A_LOSS * len(losses)
+    frames = frames_for_losses(len(losses))
     bring_about_losses(place, verdicts, losses, (victim(frames), beside(frames)), (saving, sooner))
 
 

@@ -103,6 +103,7 @@ class ObservedRun:
         self.lines = tuple(lines)
         (folder / "list.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
         self._seen: dict[int, str] = {}
+        self._words: str | None = None  # on standard error, once the command has ended
         self._found = self._status_text()  # of the run that this one goes on with
         self._process = subprocess.Popen(
             [
@@ -126,7 +127,7 @@ class ObservedRun:
         self.tree()
         if self._process.poll() is None:
             self._process.kill()
-        self._process.communicate()
+        self._said()
         for pid in self._left():
             _signal(pid, signal.SIGKILL)
 
@@ -167,7 +168,7 @@ class ObservedRun:
         deadline = time.monotonic() + seconds
         while not condition():
             expect(time.monotonic() < deadline, f"{what}: waited {seconds:.0f} s in vain")
-            expect(self._process.poll() is None, f"{what}: the run had ended before")
+            expect(not self.ended, f"{what}: the run had ended before, {self._end_in_words()}")
             time.sleep(0.02)
 
     def wait_for_frames(self, stream: str, frames: int) -> None:
@@ -202,12 +203,22 @@ class ObservedRun:
         """Wait for the end of the run and of all its processes; return its exit status and standard error."""
         self.tree()
         try:
-            _, words = self._process.communicate(timeout=_RUN_SECONDS)
+            words = self._said(_RUN_SECONDS)
         except subprocess.TimeoutExpired:
             raise NotHeldError(f"the run did not end within {_RUN_SECONDS:.0f} s") from None
         if not killed:
             self.expect_clean(_CLEAN_SECONDS)
         return self._process.returncode, words
+
+    def _said(self, seconds: float | None = None) -> str:
+        """Wait for the end of the command, and return its standard error."""
+        if self._words is None:
+            self._words = self._process.communicate(timeout=seconds)[1]
+        return self._words
+
+    def _end_in_words(self) -> str:
+        words = self._said()
+        return f"with status {self._process.returncode}: {words}"
 
     def expect_clean(self, seconds: float = _CLEAN_SECONDS_AFTER_KILL) -> None:
         """Wait until no process of the run is left."""
