@@ -128,11 +128,6 @@ class _NotingParts:
         self.parts.warm_stream()
         (self.waiting / str(os.getpid())).touch()
 
-    def open(self, open_reader: Callable[[], FrameReader]) -> FrameReader:
-        """Open a source, in a process that has waited for one."""
-        self._wait_no_more()
-        return open_reader()
-
     def _wait_no_more(self) -> None:
         (self.waiting / str(os.getpid())).unlink(missing_ok=True)
 
@@ -194,7 +189,6 @@ class Pipeline:
     started: float
     ready: float
     _node: Node
-    _parts: _NotingParts
     _config: Config
     _folder: Path
     _streams: list[StreamActors] = field(default_factory=list)
@@ -210,8 +204,7 @@ class Pipeline:
         open_sink = partial(
             _NotingSink, partial(open_record, self._folder / f"record-{number}"), self._notes(number)
         )
-        open_noted = partial(self._parts.open, open_reader)
-        spec = StreamSpec(f"stream {number}", self._config, open_noted, open_sink, max_frames)
+        spec = StreamSpec(f"stream {number}", self._config, open_reader, open_sink, max_frames)
         self._streams.append(self._node.start(spec))
         return number
 
@@ -254,7 +247,7 @@ class Pipeline:
         end, after = time.monotonic(), process_tree(os.getpid())
         memory = {pid: private_bytes(pid) for pid in after}
         kinds = kinds_of(after, os.getpid(), self._layer_kinds())
-        kinds |= {pid: STANDBY for pid in after if (self._parts.waiting / str(pid)).exists()}
+        kinds |= {pid: STANDBY for pid in after if (self._folder / "waiting" / str(pid)).exists()}
         for stream in self._streams:
             stream.stop(drain=False)
         arrived = sum(begin < one.seconds <= end for number in counts for one in self.arrivals(number))
@@ -311,7 +304,7 @@ def pipeline(config: Config, scratch: Path, parts: PartFactory | None = None) ->
         noting.folder.mkdir()
         noting.waiting.mkdir()
         node = Node(parts=noting)
-        made = Pipeline(started, ready, node, noting, config, folder)
+        made = Pipeline(started, ready, node, config, folder)
         try:
             yield made
         finally:
