@@ -1,22 +1,24 @@
 """What recovery costs: the rate of a stream whose record survives a kill, beside one that would not.
 
 Both write the same masks and tables, which is what the run is for. What is compared is what only serves to
-go on after a kill: waiting for the disk, the commit log, the snapshots. The two kinds of streams are run in
-turns in one session, so that what else the machine does hits both.
+go on after a kill: waiting for the disk, and the snapshots. The two kinds of streams are run in turns in one
+session, so that what else the machine does hits both.
 """
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from unittest import mock
 
-from mlbs_actors.actors.stream_protocol import Opening, StreamSink
+from mlbs_actors.actors.stream_protocol import Opening, SourceFrame, StreamSink
 from mlbs_actors.config import Config
+from mlbs_actors.messages import LayerAppearance, Segmentation
 from orchestrator.benchmark.pipeline import Pipeline, pipeline
-from orchestrator.durable_files import temporary_path
 from orchestrator.evaluation.figures import format_table
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.opening import SceneReader
@@ -98,16 +100,24 @@ def _safe(folder: Path) -> StreamRecord:
 
 
 class _UnsafeRecord(StreamRecord):
-    """The same files, but nobody waits for the disk, no log says what counts, and there are no snapshots."""
+    """The same files and the line that says they count, but nobody waits for the disk, and no snapshots."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder, folder.name, _SAVE)
         self.opening = Opening()
 
-    def _commit(self) -> None:
-        if not self._rows:
-            return
-        for path in self._unpublished + self._write_tables(self._rows, self._rows[0].frame):
-            temporary_path(path).replace(path)
-        self._committed = self._label_maps
-        self._rows, self._unpublished = [], []
+    def write(
+        self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
+    ) -> int:
+        with _not_synced():
+            return super().write(segmentation, frame, background)
+
+    def close(self, *, whole: bool) -> int:
+        with _not_synced():
+            return super().close(whole=whole)
+
+
+@contextmanager
+def _not_synced() -> Iterator[None]:
+    with mock.patch("os.fsync", return_value=None):
+        yield
