@@ -168,7 +168,8 @@ class ObservedRun:
         deadline = time.monotonic() + seconds
         while not condition():
             expect(time.monotonic() < deadline, f"{what}: waited {seconds:.0f} s in vain")
-            expect(not self.ended, f"{what}: the run had ended before, {self._end_in_words()}")
+            if self.ended:
+                raise NotHeldError(f"{what}: the run had ended before, {self._end_in_words()}")
             time.sleep(0.02)
 
     def wait_for_frames(self, stream: str, frames: int) -> None:
