@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,9 +14,9 @@ import pyarrow.dataset as ds
 import pytest
 import ray
 from actor_fakes import CONFIG, FakeParts, picture, rows_in_one_process, wait_until
-from test_recovery import as_rows, take
+from test_recovery import as_rows, started, take
 
-from mlbs_actors.actors import Node, PoolPolicy
+from mlbs_actors.actors import Node
 from mlbs_actors.actors import live_reader as live_reader_module
 from mlbs_actors.actors.live_reader import FrameRing, LiveReaderActor
 from mlbs_actors.actors.stream_protocol import (
@@ -317,13 +315,6 @@ def parts(tmp_path: Path) -> FakeParts:
     folder = tmp_path / "parts"
     folder.mkdir()
     return FakeParts(folder, deaths=1)
-
-
-@contextmanager
-def started(parts: FakeParts) -> Iterator[Node]:
-    node = Node(parts=parts, policy=PoolPolicy(spare=1, idle_seconds=0.5))
-    yield node
-    node.close()
 
 
 def drive(node: Node, spec: StreamSpec) -> StreamState:

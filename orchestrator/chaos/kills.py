@@ -7,6 +7,7 @@ each kill only where the loss is noticed by nobody, or at the end of the stream.
 from __future__ import annotations
 
 import signal
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal, TypeAlias
@@ -152,25 +153,25 @@ def _run_dies(step: Step, trap: Trap) -> End:
     return bring_about
 
 
-def _actors_die(steps: tuple[Step, ...], place: Place, verdicts: Verdicts) -> None:
-    kills = [
+def _wanted(steps: Sequence[Step], place: Place, verdicts: Verdicts) -> list[tuple[Step, When, Trap]]:
+    """The kills at some steps that a verdict is asked for, each with its trap."""
+    return [
         (step, when, _trap(step, when, place))
         for step in steps
         for when in _moments(step)
         if _name(step, when) in verdicts
     ]
+
+
+def _actors_die(steps: tuple[Step, ...], place: Place, verdicts: Verdicts) -> None:
+    kills = _wanted(steps, place, verdicts)
     losses = [(_name(step, when), _actor_dies(step, trap)) for step, when, trap in kills]
     lines = (victim(frames_for_losses(len(losses))),)
     bring_about_losses(place, verdicts, losses, lines, [trap for _, _, trap in kills])
 
 
 def _runs_die(place: Place, verdicts: Verdicts) -> None:
-    kills = [
-        (step, when, _trap(step, when, place))
-        for step in COMMIT_STEPS
-        for when in _moments(step)
-        if _name(step, when) in verdicts
-    ]
+    kills = _wanted(COMMIT_STEPS, place, verdicts)
     ends = [(_name(step, when), _run_dies(step, trap)) for step, when, trap in kills]
     ends += [(fault.name, kill) for fault in _AT_ANY_TIME if fault.name in verdicts]
     lines = (victim(frames_for_ends(len(ends))),)
