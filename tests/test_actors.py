@@ -10,7 +10,6 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -40,6 +39,7 @@ from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.pool import PoolActor
 from mlbs_actors.actors.processes import end, identity, spawn
 from mlbs_actors.actors.saved_states import SavedLayer
+from mlbs_actors.actors.shared_memory import SharedMemory, SlotPool
 from mlbs_actors.actors.sink import SinkActor
 from mlbs_actors.actors.stream_protocol import SourceFrame, SourceSilence, SourceStatus, StreamProgress
 from mlbs_actors.errors import ActorLostError, LayerError, SinkError, SourceError
@@ -269,7 +269,7 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
     # What the first stream's coordinator has asked for before may still come.
     ray.get(kept.release.remote(run))
     with pytest.raises(LayerError, match="no layer of that stream"):
-        ray.get(kept.step.remote(run, SimpleNamespace(frame_index=0), None, None))
+        ray.get(kept.step.remote(run, None, None, None, None))
     evidence = FrameEvidence(
         frame_index=0,
         shape=SHAPE,
@@ -281,7 +281,11 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
         retired=(),
         latency_frames=0,
     )
-    assert ray.get(kept.step.remote(again, evidence, SourceFrame(0, picture(0), 0.0, "0"), None)).layer == 3
+    slots, memory = SlotPool(), SharedMemory()
+    told = memory.share(evidence, slots.take("evidence"))
+    frame = memory.share(SourceFrame(0, picture(0), 0.0, "0"), slots.take("frame"))
+    answer = ray.get(kept.step.remote(again, told, frame, None, slots.take("posterior")))
+    assert memory.taken(answer).layer == 3
     end([pool])
 
 

@@ -34,6 +34,7 @@ from mlbs_actors.actors.saved_states import (
     StateWriter,
     layer_file,
 )
+from mlbs_actors.actors.shared_memory import Shared, SharedMemory, SlotPool
 from mlbs_actors.actors.sink import Record
 from mlbs_actors.actors.stream_protocol import (
     Snapshot,
@@ -95,14 +96,16 @@ class CoordinatorActor:
         self._spec = spec
         self._links = links
         self._coordinator = parts.coordinator(spec.config)
+        self._slots, self._memory = SlotPool(), SharedMemory()
         self._source = (
-            ReadAhead(links.reader, spec.max_frames)
+            ReadAhead(links.reader, spec.max_frames, self._slots, self._memory)
             if spec.replayable
-            else LiveReadAhead(links.reader, run, spec.max_frames)
+            else LiveReadAhead(links.reader, run, spec.max_frames, self._slots, self._memory)
         )
         self._layers = LiveLayers(links.pool, run, spec.config)
-        self._record = Record(links.sink, run, spec.open_sink)
-        self._waiting: deque[tuple[Reference, SourceFrame]] = deque()  # not yet labelled, in source order
+        self._record = Record(links.sink, run, spec.open_sink, self._slots)
+        # Not yet labelled, in source order; a picture with where the others find it.
+        self._waiting: deque[tuple[Shared[SourceFrame] | None, SourceFrame]] = deque()
         self._segmentations: dict[int, Reference] = {}  # of the newest frames, by the engine's frame index
         self._counts: Counter[SourceStatus] = Counter()
         self._position = SourcePosition()
@@ -164,14 +167,14 @@ class CoordinatorActor:
             delivered = self._next_frame()
             if delivered is None:
                 return self._finish()
-            reference, frame = delivered
+            shared, frame = delivered
             self._silence = frame if isinstance(frame, SourceSilence) else None
             if isinstance(frame, SourceSilence):
                 break
             self._counts[frame.status] += 1
             self._position = SourcePosition(self._counts.total(), frame.pts, time.time())
             self._length = frame.length
-            self._waiting.append((reference, frame))
+            self._waiting.append((shared, frame))
             if frame.image is None:
                 self._write_gaps()
             else:
@@ -200,9 +203,13 @@ class CoordinatorActor:
         state = read_state(folder / CONDUCTOR_FILE, ConductorState)
         self._coordinator.state = read_state(folder / COORDINATOR_FILE, type(self._coordinator.state))
         self._layers.restore(state.layers, folder)
-        self._waiting.extend((ray.put(frame), frame) for frame in state.waiting)
+        for frame in state.waiting:
+            shared = None if frame.image is None else self._memory.share(frame, self._slots.take("frame"))
+            self._waiting.append((shared, frame))
         for segmentation in ray.get(published):
-            self._segmentations[segmentation.frame_index] = ray.put(segmentation)
+            # Their slots are not given back.
+            shared_map = self._memory.share(segmentation, self._slots.take("segmentation"))
+            self._segmentations[segmentation.frame_index] = ray.put(shared_map)
         self._counts.update(state.counts)
         self._position = state.position
         self._saved = state.position.rows
@@ -254,7 +261,7 @@ class CoordinatorActor:
         """What snapshots are counted by: most rows of a live source can be drops, which cost no work."""
         return self._record.rows if self._spec.replayable else self._record.label_maps
 
-    def _next_frame(self) -> tuple[Reference, SourceFrame | SourceSilence] | None:
+    def _next_frame(self) -> tuple[Shared[SourceFrame] | None, SourceFrame | SourceSilence] | None:
         try:
             return self._source.next()
         except RayError as error:
@@ -285,23 +292,27 @@ class CoordinatorActor:
 
     def _labelled(self, frame_index: int) -> Segmentation:
         """Wait for a label map: this is what holds the coordinator back to the pace of the layers."""
-        segmentation: Segmentation = ray.get(self._segmentations[frame_index])
+        segmentation: Segmentation = self._memory.taken(ray.get(self._segmentations[frame_index]))
         self._stages.add(segmentation.stage_ms)
         return segmentation
 
     def _label(self, evidence: FrameEvidence) -> None:
         """Start all the work on one frame whose evidence is complete."""
         frame, delivered = self._waiting.popleft()
+        assert frame is not None  # what has no picture is a gap
         self._layers.follow(evidence)
         index = evidence.frame_index
-        by_reference = ray.put(evidence)
-        posteriors = self._layers.step(evidence, by_reference, frame, self._segmentations.get(index - 1))
-        segmentation = self._links.segmenter.step.remote(by_reference, frame, *posteriors)
+        told, labelled = self._slots.take("evidence"), self._slots.take("segmentation")
+        answers = [self._slots.take("posterior") for _ in evidence.layers]
+        shared = self._memory.share(evidence, told)
+        previous = self._segmentations.get(index - 1)
+        posteriors = self._layers.step(evidence, shared, frame, previous, answers)
+        segmentation = self._links.segmenter.step.remote(shared, frame, labelled, *posteriors)
         self._segmentations[index] = segmentation
         self._segmentations.pop(index - 2, None)
         wanted = self._spec.wants_background
         background = self._layers.background() if wanted is not None and wanted(delivered.index) else None
-        self._record.write(segmentation, frame, background)
+        self._record.write(segmentation, frame, background, (frame.slot, told, labelled, *answers))
         self._write_gaps()
 
     def _write_gaps(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import LayerPart, PartFactory
 from mlbs_actors.actors.processes import Handle, Reference, identity
 from mlbs_actors.actors.saved_states import SavedLayer, StateWriter, layer_file
+from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
@@ -48,22 +49,28 @@ class LayerActor:
         self._run = run
         self._layer = own.layer
         self._part = self._parts.layer(config, own.layer, own.kind)
+        self._memory = SharedMemory()
         self._order = FrameOrder(own.last_frame)
         if folder is not None:
             self._part.state = read_state(folder / layer_file(own.layer), type(self._part.state))
 
     def step(
-        self, run: int, evidence: FrameEvidence, frame: SourceFrame, previous: Segmentation | None
-    ) -> LayerPosterior:
+        self,
+        run: int,
+        shared_evidence: Shared[FrameEvidence],
+        shared_frame: Shared[SourceFrame],
+        shared_previous: Shared[Segmentation] | None,
+        slot: Slot,
+    ) -> Shared[LayerPosterior]:
         """Finish the frame before with its labels, then evaluate this one; each frame once and in order."""
         if self._part is None or run != self._run:
-            raise LayerError(
-                f"Frame {evidence.frame_index} came to a process that is no layer of that stream; assign it."
-            )
+            raise LayerError("A frame came to a process that is no layer of that stream; assign it.")
+        evidence, frame = self._memory.taken(shared_evidence), self._memory.taken(shared_frame)
+        previous = None if shared_previous is None else self._memory.taken(shared_previous)
         assert frame.image is not None  # a quarantined frame has no evidence
         own = next(own for own in evidence.layers if own.layer == self._layer)
         with self._order.step(evidence.frame_index, after=own.last_frame):
-            return self._part.step(own, evidence, frame.image, previous)
+            return self._memory.share(self._part.step(own, evidence, frame.image, previous), slot)
 
     def appearance(self) -> LayerAppearance:
         """Return what the layer remembers at the frame it did last."""
@@ -79,6 +86,7 @@ class LayerActor:
         """Forget the layer, and with it its memory."""
         if self._part is not None and run == self._run:
             self._part = None
+            del self._memory
 
 
 @dataclass(slots=True)
@@ -146,14 +154,35 @@ class LiveLayers:
         self._acquire([SavedLayer(own.layer, own.kind, -1) for own in born], None)
 
     def step(
-        self, evidence: FrameEvidence, by_reference: Reference, frame: Reference, previous: Reference | None
+        self,
+        evidence: FrameEvidence,
+        shared: Shared[FrameEvidence],
+        frame: Shared[SourceFrame],
+        previous: Reference | None,
+        slots: Sequence[Slot],
     ) -> list[Reference]:
-        """Start the frame's work in every layer that has evidence; one posterior each, in ascending id."""
+        """Start the frame's work in every layer that has evidence.
+
+        Parameters
+        ----------
+        evidence, shared : FrameEvidence
+            By value, and for the layers.
+        frame : Shared
+        previous : Reference, optional
+            To where the label map before it will be.
+        slots : sequence of Slot
+            One for each layer of the evidence.
+
+        Returns
+        -------
+        list of Reference
+            To where the posteriors will be, in ascending layer id.
+        """
         posteriors = []
-        for own in evidence.layers:
+        for own, slot in zip(evidence.layers, slots, strict=True):
             lent = self._lent[own.layer]
             lent.last_frame = evidence.frame_index
-            posteriors.append(lent.handle.step.remote(self._run, by_reference, frame, previous))
+            posteriors.append(lent.handle.step.remote(self._run, shared, frame, previous, slot))
         return posteriors
 
     def background(self) -> Reference:

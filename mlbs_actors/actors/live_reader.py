@@ -16,7 +16,8 @@ from dataclasses import replace
 import ray
 
 from mlbs_actors.actors.processes import Handle, Reference
-from mlbs_actors.actors.reader import ReadAhead
+from mlbs_actors.actors.reader import Answer, ReadAhead, answer
+from mlbs_actors.actors.shared_memory import SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourcePosition, SourceSilence
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import SourceError
@@ -92,25 +93,28 @@ class LiveReaderActor:
         self._reader: FrameReader | None = None
         self._ring = FrameRing()
         self._run: int | None = None
+        self._memory = SharedMemory()  # of that run
         self._row = 0  # that the run asks for next
         self._position = SourcePosition()
         self._lag: float | None = None  # of the source's times behind those of the stream, s
 
     def go_on(self, run: int, position: SourcePosition) -> None:
         """Give what comes after ``position`` to the start ``run`` of the stream, and nothing to any other."""
-        self._run, self._row = run, position.rows
+        self._run, self._memory, self._row = run, SharedMemory(), position.rows
         if not self._ring.first <= position.rows <= self._ring.next:
             self._position = position
             self._ring.begin_at(position.rows)
             self._ring.append(SourceFrame(position.rows, None, position.pts, _name(position.rows), "gap"))
 
-    def read(self, run: int, *, fresh: bool) -> SourceFrame | SourceSilence | None:
+    def read(self, run: int, slot: Slot, *, fresh: bool) -> Answer:
         """Return the next row, or that there is none at present; raises SourceError.
 
         Parameters
         ----------
         run : int
             Who asks. What a start that is over has asked for is not taken from the one that followed.
+        slot : Slot
+            For a picture; what the ring keeps is a copy of its own.
         fresh : bool
             Whether the source is to be waited for; else None once all is given that was given before.
         """
@@ -122,7 +126,7 @@ class LiveReaderActor:
                 return said
             self._ring.append(self._placed(said))
         self._row += 1
-        return self._ring[self._row - 1]
+        return answer(self._ring[self._row - 1], slot, self._memory)
 
     def forget(self, rows: int) -> None:
         """Forget what is before a snapshot after so many rows."""
@@ -171,12 +175,14 @@ class LiveReadAhead(ReadAhead):
         A :class:`LiveReaderActor`.
     run : int
         The number of this start.
-    max_frames : int, optional
+    max_frames, slots, memory
         As for :class:`ReadAhead`.
     """
 
-    def __init__(self, reader: Handle, run: int, max_frames: int | None) -> None:
-        super().__init__(reader, max_frames)
+    def __init__(
+        self, reader: Handle, run: int, max_frames: int | None, slots: SlotPool, memory: SharedMemory
+    ) -> None:
+        super().__init__(reader, max_frames, slots, memory)
         self._run = run
         self._fresh = True
         self._answers = False
@@ -197,14 +203,12 @@ class LiveReadAhead(ReadAhead):
             self._reader.forget.remote(rows)
             self._forgotten = rows
 
-    def _read(self) -> Reference:
-        reference: Reference = self._reader.read.remote(self._run, fresh=self._fresh)
+    def _read(self, slot: Slot) -> Reference:
+        reference: Reference = self._reader.read.remote(self._run, slot, fresh=self._fresh)
         return reference
 
-    def _value(self, reference: Reference) -> SourceFrame | SourceSilence | None:
+    def _value(self, reference: Reference) -> Answer:
         # Its process may take long to start, but then it answers soon.
-        value: SourceFrame | SourceSilence | None = ray.get(
-            reference, timeout=_ANSWER_SECONDS if self._answers else None
-        )
+        value: Answer = ray.get(reference, timeout=_ANSWER_SECONDS if self._answers else None)
         self._answers = True
         return value

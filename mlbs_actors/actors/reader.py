@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from typing import TypeAlias
 
 import ray
 
 from mlbs_actors.actors.processes import Handle, Reference
+from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.determinism import limit_process
 
-__all__ = ["ReadAhead", "ReaderActor"]
+__all__ = ["Answer", "ReadAhead", "ReaderActor", "answer"]
+
+#: What a reader says when it is asked for its next row: where a picture is, what has none, or the end.
+Answer: TypeAlias = "Shared[SourceFrame] | SourceFrame | SourceSilence | None"
 
 #: Frames that are decoded beside the work on the one before them. Two, so that a slow one (a key
 #: frame) is made up for; each is held in memory.
@@ -25,17 +30,16 @@ class ReaderActor:
         limit_process()
         self._open_reader = open_reader
         self._reader: FrameReader | None = None
+        self._memory = SharedMemory()
 
-    def read(self) -> SourceFrame | SourceSilence | None:
+    def read(self, slot: Slot) -> Answer:
         """Return the next frame or that there is none at present, None at the end; raises SourceError."""
-        if self._reader is None:
-            self._reader = self._open_reader()
-        return self._reader.read()
+        return answer(self._next(), slot, self._memory)
 
     def skip(self, frames: int) -> None:
         """Read frames and throw them away, and what comes between them; raises SourceError."""
         for _ in range(frames):
-            while isinstance(self.read(), SourceSilence):
+            while isinstance(self._next(), SourceSilence):
                 continue
 
     def problem(self) -> str | None:
@@ -47,6 +51,16 @@ class ReaderActor:
         if self._reader is not None:
             self._reader.close()
 
+    def _next(self) -> SourceFrame | SourceSilence | None:
+        if self._reader is None:
+            self._reader = self._open_reader()
+        return self._reader.read()
+
+
+def answer(said: SourceFrame | SourceSilence | None, slot: Slot, memory: SharedMemory) -> Answer:
+    """What a reader answers: pictures go into the slot."""
+    return memory.share(said, slot) if isinstance(said, SourceFrame) and said.image is not None else said
+
 
 class ReadAhead:
     """The coordinator's end of a reader: keeps a bounded number of reads under way.
@@ -55,22 +69,28 @@ class ReadAhead:
     ----------
     reader : Handle
         A :class:`ReaderActor`.
-    max_frames : int, optional
+    max_frames : int or None
         Frames after which no more are asked for.
+    slots : SlotPool
+        For the frames; whoever gets one gives its slot back.
+    memory : SharedMemory
+        The coordinator's.
     """
 
-    def __init__(self, reader: Handle, max_frames: int | None) -> None:
+    def __init__(self, reader: Handle, max_frames: int | None, slots: SlotPool, memory: SharedMemory) -> None:
         self._reader = reader
         self._left = max_frames
-        self._asked: deque[Reference] = deque()
+        self._slots = slots
+        self._memory = memory
+        self._asked: deque[tuple[Reference, Slot]] = deque()
 
     def skip(self, frames: int) -> None:
         """Pass over frames, before the first :meth:`next`; raises as that does."""
         self._pass_over(frames)
         ray.get(self._reader.skip.remote(frames))
 
-    def next(self) -> tuple[Reference, SourceFrame | SourceSilence] | None:
-        """Return the next frame or silence, by reference and by value, or None at the end.
+    def next(self) -> tuple[Shared[SourceFrame] | None, SourceFrame | SourceSilence] | None:
+        """Return the next frame or silence, a picture with where it is, or None at the end.
 
         Raises
         ------
@@ -80,15 +100,18 @@ class ReadAhead:
         self._ask(_FRAMES_AHEAD + 1)
         if not self._asked:
             return None
-        reference = self._asked.popleft()
-        frame = self._value(reference)
-        if frame is None:
+        reference, slot = self._asked.popleft()
+        said = self._value(reference)
+        if isinstance(said, Shared):
+            return said, self._memory.taken(said)
+        self._slots.give_back([slot])
+        if said is None:
             self.stop()
             return None
-        is_frame = isinstance(frame, SourceFrame) and frame.status != "gap"
+        is_frame = isinstance(said, SourceFrame) and said.status != "gap"
         if self._left is not None and not is_frame:
             self._left += 1
-        return reference, frame
+        return None, said
 
     def problem(self) -> str | None:
         """Return :attr:`FrameReader.problem`; raises RayError if the process died."""
@@ -113,14 +136,15 @@ class ReadAhead:
 
     def _ask(self, wanted: int) -> None:
         while len(self._asked) < wanted and self._left != 0:
-            self._asked.append(self._read())
+            slot = self._slots.take("frame")
+            self._asked.append((self._read(slot), slot))
             if self._left is not None:
                 self._left -= 1
 
-    def _read(self) -> Reference:
-        reference: Reference = self._reader.read.remote()
+    def _read(self, slot: Slot) -> Reference:
+        reference: Reference = self._reader.read.remote(slot)
         return reference
 
-    def _value(self, reference: Reference) -> SourceFrame | SourceSilence | None:
-        value: SourceFrame | SourceSilence | None = ray.get(reference)
+    def _value(self, reference: Reference) -> Answer:
+        value: Answer = ray.get(reference)
         return value

@@ -8,6 +8,7 @@ from pathlib import Path
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.saved_states import PUBLISHED_FILE, SEGMENTER_FILE, PublishedState, StateWriter
+from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
@@ -23,18 +24,27 @@ class SegmenterActor:
     def __init__(self, parts: PartFactory, config: Config) -> None:
         limit_process()
         self._segmenter = parts.segmenter(config)
+        self._memory = SharedMemory()
         self._order = FrameOrder()
         # Those that others may still ask for: the layers the last one, the coordinator that before it.
         self._published: deque[Segmentation] = deque(maxlen=2)
         self._writer = StateWriter()
 
-    def step(self, evidence: FrameEvidence, frame: SourceFrame, *posteriors: LayerPosterior) -> Segmentation:
+    def step(
+        self,
+        shared_evidence: Shared[FrameEvidence],
+        shared_frame: Shared[SourceFrame],
+        slot: Slot,
+        *shared_posteriors: Shared[LayerPosterior],
+    ) -> Shared[Segmentation]:
         """Label one frame from the posteriors of its layers, in ascending layer id."""
+        evidence, frame = self._memory.taken(shared_evidence), self._memory.taken(shared_frame)
         assert frame.image is not None  # a quarantined frame has no evidence
+        posteriors = [self._memory.taken(one) for one in shared_posteriors]
         with self._order.step(evidence.frame_index, after=evidence.frame_index - 1):
-            segmentation = self._segmenter.step(evidence, frame.image, list(posteriors))
+            segmentation = self._segmenter.step(evidence, frame.image, posteriors)
         self._published.append(segmentation)
-        return segmentation
+        return self._memory.share(segmentation, slot)
 
     def save(self, folder: Path) -> None:
         """Write the state into a snapshot's folder, beside the work on the next frames."""

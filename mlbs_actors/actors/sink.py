@@ -11,6 +11,7 @@ from ray.exceptions import RayError
 
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.processes import Handle, Reference
+from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.stream_protocol import GapStatus, Opening, Snapshot, SourceFrame, StreamSink
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import SinkError
@@ -37,26 +38,31 @@ class SinkActor:
 
     def __init__(self) -> None:
         limit_process()
-        self._records: dict[int, tuple[StreamSink, FrameOrder]] = {}
+        self._records: dict[int, tuple[StreamSink, FrameOrder, SharedMemory]] = {}
 
     def open(self, run: int, open_sink: Callable[[], StreamSink]) -> Opening:
         """Open a stream's record."""
         sink = open_sink()
         before = sink.opening.resume_from
-        self._records[run] = sink, FrameOrder(-1 if before is None else before.rows - 1)
+        self._records[run] = sink, FrameOrder(-1 if before is None else before.rows - 1), SharedMemory()
         return sink.opening
 
     def write(
-        self, run: int, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None
+        self,
+        run: int,
+        shared_segmentation: Shared[Segmentation],
+        shared_frame: Shared[SourceFrame],
+        background: LayerAppearance | None,
     ) -> int:
         """Take one result; return how many label maps are committed by now."""
-        sink, order = self._record(run)
+        sink, order, memory = self._record(run)
+        segmentation, frame = memory.taken(shared_segmentation), memory.taken(shared_frame)
         with order.step(frame.index, after=frame.index - 1):
             return sink.write(segmentation, frame, background)
 
     def gap(self, run: int, index: int, pts: float, status: GapStatus) -> int:
         """Record a frame without label map; return how many label maps are committed by now."""
-        sink, order = self._record(run)
+        sink, order, _ = self._record(run)
         with order.step(index, after=index - 1):
             return sink.gap(index, pts, status)
 
@@ -70,10 +76,10 @@ class SinkActor:
 
     def close(self, run: int, whole: bool = False) -> int:
         """Commit the rest, close the stream's files and forget it; return the final count, 0 if forgotten."""
-        sink, _ = self._records.pop(run, (None, None))
+        sink, *_ = self._records.pop(run, (None,))
         return 0 if sink is None else sink.close(whole=whole)
 
-    def _record(self, run: int) -> tuple[StreamSink, FrameOrder]:
+    def _record(self, run: int) -> tuple[StreamSink, FrameOrder, SharedMemory]:
         if run not in self._records:
             raise SinkError("A row came for a record that is not open; start the stream again.")
         return self._records[run]
@@ -90,6 +96,8 @@ class Record:
         The stream's number.
     open_sink : callable
         :attr:`StreamSpec.open_sink`.
+    slots : SlotPool
+        Of the stream.
 
     Attributes
     ----------
@@ -101,11 +109,13 @@ class Record:
         Rows before the newest snapshot that is kept.
     """
 
-    def __init__(self, sink: Handle, run: int, open_sink: Callable[[], StreamSink]) -> None:
+    def __init__(self, sink: Handle, run: int, open_sink: Callable[[], StreamSink], slots: SlotPool) -> None:
+        self._slots = slots
+        self._in_use: tuple[Slot, ...] = ()  # by the row that was answered last, and perhaps by the next
         self._sink = sink
         self._run = run
         self._opened: Reference = sink.open.remote(run, open_sink)
-        self._pending: deque[Reference] = deque()
+        self._pending: deque[tuple[Reference, tuple[Slot, ...]]] = deque()
         self._offered: deque[Snapshot] = deque(maxlen=_PENDING_SNAPSHOTS)
         self._asked: tuple[Snapshot, Reference] | None = None
         self._turn = 0
@@ -119,15 +129,26 @@ class Record:
             self.committed, self.kept = self.label_maps, self.rows
         return opening
 
-    def write(self, segmentation: Reference, frame: Reference, background: Reference | None) -> None:
-        """Hand over one result, all by reference; raises what an earlier row raised."""
-        self._pending.append(self._sink.write.remote(self._run, segmentation, frame, background))
+    def write(
+        self,
+        segmentation: Reference,
+        frame: Shared[SourceFrame],
+        background: Reference | None,
+        slots: tuple[Slot, ...],
+    ) -> None:
+        """Hand over one result; raises what an earlier row raised.
+
+        ``slots`` are those of all messages about its frame. They are given back when the next label map has
+        come to the sink: until then the layers may still read this one.
+        """
+        written: Reference = self._sink.write.remote(self._run, segmentation, frame, background)
+        self._pending.append((written, slots))
         self.rows, self.label_maps = self.rows + 1, self.label_maps + 1
         self._hold_back()
 
     def gap(self, index: int, pts: float, status: GapStatus) -> None:
         """Hand over a frame without label map; raises what an earlier row raised."""
-        self._pending.append(self._sink.gap.remote(self._run, index, pts, status))
+        self._pending.append((self._sink.gap.remote(self._run, index, pts, status), ()))
         self.rows += 1
         self._hold_back()
 
@@ -149,7 +170,7 @@ class Record:
 
     def collect(self) -> None:
         """Take the answers that are there, without waiting; raises what a row raised."""
-        while self._pending and ray.wait([self._pending[0]], timeout=0)[0]:
+        while self._pending and ray.wait([self._pending[0][0]], timeout=0)[0]:
             self._take_answer()
         if self._asked is not None and ray.wait([self._asked[1]], timeout=0)[0]:
             snapshot, kept = self._asked
@@ -188,4 +209,8 @@ class Record:
             self._take_answer()
 
     def _take_answer(self) -> None:
-        self.committed = ray.get(self._pending.popleft())
+        answer, slots = self._pending.popleft()
+        self.committed = ray.get(answer)
+        if slots:
+            self._slots.give_back(self._in_use)
+            self._in_use = slots

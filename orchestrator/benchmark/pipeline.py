@@ -1,7 +1,7 @@
 """Streams through Ray as users run them, watched from the driver: a session, a node, readers, real records.
 
 The source is a video file, so that its reader does what a user's does. A *steady window* begins when every
-stream has read its warm frames and no layer process is starting any more. What is noted on the way (which
+stream has read its warm frames and no process is starting any more. What is noted on the way (which
 process is which layer, when each label map came to the sink) goes to small files of the processes it happens
 in.
 """
@@ -240,7 +240,7 @@ class Pipeline:
                 counts[number] = burst.result().read
                 bursts[self._streams[number].advance()] = number
             if not before:
-                if min(counts.values()) >= warm and self._settled():
+                if min(counts.values()) >= warm and self._settled() and self._stands_by():
                     begin, before = time.monotonic(), process_tree(os.getpid())
             elif min(map(self._arrived_since(begin), counts)) >= frames:
                 break
@@ -270,6 +270,10 @@ class Pipeline:
         census = self._node.census()
         started = self._layer_kinds().keys() & process_tree(os.getpid()).keys()
         return len(started) >= census.idle + census.busy
+
+    def _stands_by(self) -> bool:
+        """Whether the coordinator and the segmenter wait that the next stream begins in."""
+        return len(list((self._folder / "waiting").iterdir())) >= 2
 
     def _layer_kinds(self) -> dict[int, str]:
         notes = (self._folder / "layers").iterdir()
