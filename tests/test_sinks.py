@@ -11,17 +11,21 @@ import numpy as np
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
 from PIL import Image
 from pycocotools import mask as coco_mask
 from record_fakes import HEIGHT, WIDTH, frame, segmentation
 
 from mlbs_actors.errors import SinkError
-from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.messages import Array, Region, Segmentation
 from orchestrator import durable_files
 from orchestrator.sinks import commit_log
 from orchestrator.sinks.label_image import davis_palette, encode_label_image, voc_colours
 from orchestrator.sinks.overlay import OverlayVideo
 from orchestrator.sinks.record import FIRST_COMMIT, GROUP_FRAMES, StreamRecord
+from orchestrator.sinks.tables import run_length_code
 
 EVERYTHING = frozenset({"masks", "parquet", "overlay"})
 
@@ -147,6 +151,20 @@ def test_the_rows_say_what_the_label_maps_hold(tmp_path: Path) -> None:
     ]
     assert frames[7]["pts"] == 0.7
     assert (frames[7]["height"], frames[7]["width"], frames[7]["ms_cut"]) == (HEIGHT, WIDTH, 3.0)
+
+
+@given(
+    labels=arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.integers(0, 2)),
+    margin=st.integers(0, 2),
+)
+def test_a_run_length_code_is_that_of_pycocotools(labels: Array, margin: int) -> None:
+    for layer in np.unique(labels).tolist():
+        y, x = np.nonzero(labels == layer)
+        left, top = max(x.min() - margin, 0), max(y.min() - margin, 0)
+        right, bottom = min(x.max() + margin + 1, labels.shape[1]), min(y.max() + margin + 1, labels.shape[0])
+        region = Region(int(left), int(top), int(right - left), int(bottom - top))
+        expected = coco_mask.encode(np.asfortranarray(labels == layer, dtype=np.uint8))["counts"]
+        assert run_length_code(labels, layer, region) == expected.decode("ascii")
 
 
 def test_a_frame_without_label_map_is_a_row_without_results(tmp_path: Path) -> None:

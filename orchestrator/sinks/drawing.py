@@ -35,11 +35,13 @@ def draw_labels(image: Array, labels: Array) -> Array:
     (H, W, 3) uint8
     """
     drawn = image.copy()
-    dark, free = np.zeros_like(drawn), (labels == BACKGROUND).view(np.uint8)
+    free = (labels == BACKGROUND).view(np.uint8)
     line = max(1, round(min(image.shape[:2]) * _LINE_PX))
     around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * line + 1, 2 * line + 1))
     texts = []
-    for layer in np.flatnonzero(np.bincount(labels.ravel())).tolist():
+    x, y, width, height = cv2.boundingRect((labels != BACKGROUND).view(np.uint8))
+    objects = labels[y : y + height, x : x + width]
+    for layer in np.flatnonzero(np.bincount(objects.ravel())).tolist():
         if layer == BACKGROUND:
             continue
         mask = (labels == layer).view(np.uint8)
@@ -52,7 +54,7 @@ def draw_labels(image: Array, labels: Array) -> Array:
         colour = np.full_like(canvas, layer_colour(layer))
         cv2.copyTo(cv2.addWeighted(canvas, 1 - _OPACITY, colour, _OPACITY, 0), mask, canvas)
         cv2.copyTo(colour, cv2.absdiff(mask, cv2.erode(mask, around)), canvas)
-        cv2.copyTo(dark[box], cv2.bitwise_and(cv2.dilate(mask, around), free[box]), canvas)
+        cv2.copyTo(np.zeros_like(canvas), cv2.bitwise_and(cv2.dilate(mask, around), free[box]), canvas)
         x, y = _inner_point(mask)
         texts.append((str(layer), (left + x, top + y)))
     for text, place in texts:

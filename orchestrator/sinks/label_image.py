@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import zlib
 
 import cv2
 import numpy as np
@@ -17,8 +18,9 @@ LARGEST_INDEXED_LABEL = 254
 
 _DAVIS_COLOURS = 22  # from here on its palette is a grey ramp
 
-# Label maps are large flat areas: a higher level takes longer and saves nothing.
-_COMPRESSION = 1
+# Label maps are large flat areas: a higher level takes longer and saves nothing, and that a byte repeats the
+# one before it is all that is to be found.
+_COMPRESSION, _STRATEGY = 1, zlib.Z_RLE
 
 
 def voc_colours(count: int = 256) -> Array:
@@ -75,7 +77,7 @@ def encode_label_image(labels: Array) -> bytes:
     else:
         image = Image.fromarray(labels.astype(np.uint16))
     buffer = io.BytesIO()
-    image.save(buffer, format="PNG", compress_level=_COMPRESSION)
+    image.save(buffer, format="PNG", compress_level=_COMPRESSION, compress_type=_STRATEGY)
     return buffer.getvalue()
 
 

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from pycocotools import mask as coco_mask
 
 from mlbs_actors.actors.stream_protocol import GapStatus
-from mlbs_actors.messages import Array, LayerSummary, Segmentation
+from mlbs_actors.messages import Array, LayerSummary, Region, Segmentation
 
 __all__ = [
     "FrameRow",
@@ -65,7 +65,9 @@ class ResultRow:
         height, width = labels.shape
         return cls(
             layers=segmentation.layers,
-            run_length_codes=tuple(run_length_code(labels == layer.layer) for layer in segmentation.layers),
+            run_length_codes=tuple(
+                run_length_code(labels, layer.layer, layer.region) for layer in segmentation.layers
+            ),
             shape=(height, width),
             camera_motion=segmentation.camera_motion,
             latency_frames=segmentation.latency_frames,
@@ -96,10 +98,30 @@ class FrameRow:
     name: str | None = None
 
 
-def run_length_code(mask: Array) -> str:
-    """Encode an (H, W) bool mask as COCO's compressed run-length string (column-major)."""
-    encoded = coco_mask.encode(np.asfortranarray(mask, dtype=np.uint8))
-    return str(encoded["counts"].decode("ascii"))
+def run_length_code(labels: Array, layer: int, region: Region) -> str:
+    """Encode the mask of one layer as COCO's compressed run-length string (column-major).
+
+    Parameters
+    ----------
+    labels : (H, W) uint16
+    layer : int
+    region : Region
+        Holds all the layer's pixels; only there they are looked for.
+    """
+    height, width = labels.shape
+    # A row of zeros below each column ends its last run.
+    columns = np.zeros((region.width, region.height + 1), np.int8)
+    columns[:, :-1] = (labels[region.slices] == layer).T
+    column, row = np.divmod(np.flatnonzero(np.diff(columns.ravel(), prepend=0)), region.height + 1)
+    bounds = (region.x + column) * height + region.y + row
+    # A run that reaches the frame's bottom may go on at the top of the next column.
+    joined = np.flatnonzero(bounds[1:-1:2] == bounds[2::2])
+    bounds = np.delete(bounds, np.concatenate([2 * joined + 1, 2 * joined + 2]))
+    counts = np.diff(bounds, prepend=0, append=height * width)
+    if counts[-1] == 0:
+        counts = counts[:-1]  # the last run is the layer's own
+    plain = {"size": [height, width], "counts": counts.tolist()}
+    return str(coco_mask.frPyObjects(plain, height, width)["counts"].decode("ascii"))
 
 
 def stages_of(schema: pa.Schema) -> tuple[str, ...]:
