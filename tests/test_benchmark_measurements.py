@@ -162,9 +162,10 @@ def test_memory_is_counted_by_kind_and_a_streams_own_is_summed(tmp_path: Path) -
 
 def test_streams_are_held_against_cores_over_cpu_time() -> None:
     assert most_frames_a_second(2, 100.0) == 20.0
-    lines = streams_table("x", {1: StreamsCost(5.0, 100.0), 4: StreamsCost(15.0, 120.0)}, 20.0).splitlines()
-    assert lines[1].split() == ["1", "5", "100", "25", "%"]
-    assert lines[2].split() == ["4", "15", "120", "75", "%"]
+    costs = {1: StreamsCost(5.0, 100.0), 4: StreamsCost(15.0, 120.0)}
+    lines = streams_table("x", costs, {1: 6.0, 4: 18.0}, 20.0).splitlines()
+    assert lines[1].split() == ["1", "5", "6", "100", "25", "%"]
+    assert lines[2].split() == ["4", "15", "18", "120", "75", "%"]
 
 
 def call(wall: float, *objects: set[int]) -> EngineCall:

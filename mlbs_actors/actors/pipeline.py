@@ -11,6 +11,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from itertools import count
 from threading import Lock
+from typing import Any
 
 import ray
 from ray.exceptions import GetTimeoutError, RayError
@@ -27,7 +28,11 @@ from mlbs_actors.actors.sink import SinkActor
 from mlbs_actors.actors.stream_protocol import RunningStream, StreamProgress, StreamSpec
 from mlbs_actors.errors import MlbsError
 
-__all__ = ["Node", "StreamActors"]
+__all__ = ["Node", "StreamActors", "sinks_of"]
+
+#: Cores that one sink serves: writing a frame takes a tenth of the CPU time of all that is done for it, so
+#: a sink alone would hold up a node of more than about eight.
+_CORES_A_SINK = 4
 
 #: Frames of one burst: enough that the driver's part is lost in them, few enough to stop soon.
 _BURST_FRAMES = 8
@@ -43,8 +48,13 @@ _STOP_SECONDS = 10.0
 _ANSWER_SECONDS = 10.0
 
 
+def sinks_of(cores: int) -> int:
+    """How many sinks a node has; a stream's record is written by one of them."""
+    return max(1, cores // _CORES_A_SINK)
+
+
 class Node:
-    """One node's pool of layer processes and its sink process; a :class:`StreamHost`.
+    """One node's pool of layer processes and its sink processes; a :class:`StreamHost`.
 
     Needs a Ray session. The processes end with :meth:`close`, or with the driver.
 
@@ -68,7 +78,7 @@ class Node:
         self._parts = parts or EngineParts()
         self._policy = policy or PoolPolicy()
         self._pool = self._new_pool()
-        self._sink = spawn(SinkActor, node=self._node)
+        self._sinks = [spawn(SinkActor, node=self._node) for _ in range(sinks_of(_cores(self._node)))]
         self._runs = count(1)
         self._standby: list[Handle] = []
         self._preparing = Lock()
@@ -84,14 +94,15 @@ class Node:
         self.prepare()
         with self._preparing:
             standby, self._standby = self._standby, []
+        run = next(self._runs)
         return StreamActors(
             spec,
             self._parts,
             standby,
-            run=next(self._runs),
+            run=run,
             reader=reader,
             pool=self._pool,
-            sink=self._sink,
+            sink=self._sinks[run % len(self._sinks)],
             under_way=self.prepare,
         )
 
@@ -105,14 +116,15 @@ class Node:
                 ]
 
     def repair(self) -> None:
-        """Replace the pool or the sink process if it is lost; their streams must be started again."""
+        """Replace the pool and the sinks if they are lost; their streams must be started again."""
         with self._repairing:
             if not _answers(self._pool):
                 end([self._pool])
                 self._pool = self._new_pool()
-            if not _answers(self._sink):
-                end([self._sink])
-                self._sink = spawn(SinkActor, node=self._node)
+            for number, sink in enumerate(self._sinks):
+                if not _answers(sink):
+                    end([sink])
+                    self._sinks[number] = spawn(SinkActor, node=self._node)
 
     def census(self) -> PoolCensus:
         """Count the node's layer processes."""
@@ -120,17 +132,23 @@ class Node:
         return census
 
     def close(self) -> None:
-        """End the layer processes, the pool and the sink. May be called twice."""
+        """End the layer processes, the pool and the sinks. May be called twice."""
         with self._preparing:
             if self._closed:
                 return
             self._closed = True
         with suppress(RayError, GetTimeoutError):
             ray.get(self._pool.close.remote(), timeout=_STOP_SECONDS)
-        end([self._pool, self._sink, *self._standby])
+        end([self._pool, *self._sinks, *self._standby])
 
     def _new_pool(self) -> Handle:
         return spawn(PoolActor, self._parts, self._policy, node=self._node)
+
+
+def _cores(node: str) -> int:
+    """Cores of a node, as Ray counts them."""
+    nodes: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
+    return int(next(one["Resources"].get("CPU", 1) for one in nodes if one["NodeID"] == node))
 
 
 def _answers(actor: Handle) -> bool:

@@ -1,4 +1,4 @@
-"""The node's sink: the records being written, off the frame's critical path."""
+"""A sink of a node: the records of some streams being written, off the frame's critical path."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _LOOK_SECONDS = 0.05
 
 
 class SinkActor:
-    """Writes the records of all streams of one node, each known by the stream's number in the pool.
+    """Writes the records of some streams of one node, each known by the stream's number in the pool.
 
     A record has no holes: after a row that could not be written, or that was lost on its way, no other row of
     that stream is taken.

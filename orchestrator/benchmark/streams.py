@@ -1,4 +1,8 @@
-"""Several streams at once through Ray, against what the cores could do at best."""
+"""Several streams at once through Ray, against what the cores could do at best, and against a model.
+
+The model (:mod:`orchestrator.benchmark.node_model`) knows what one stream alone costs. Where it tells the
+rates of several at once, it is believed for nodes that are not there: how many cameras they would serve.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +10,24 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 
-from orchestrator.admission import cores
+from orchestrator.admission import STREAM_BYTES, cores
 from orchestrator.benchmark.finding import Finding
+from orchestrator.benchmark.node_model import StageCosts, most_cameras, simulate
 from orchestrator.benchmark.pipeline import SteadyWindow, pipeline
 from orchestrator.benchmark.played_video import EndlessReader
 from orchestrator.benchmark.plots import Plot
 from orchestrator.benchmark.process_costs import cpu_growth
+from orchestrator.benchmark.ray_cost import cpu_ms_by_kind
 from orchestrator.benchmark.setting import Setting, say
 from orchestrator.evaluation.figures import format_number, format_table
 
-__all__ = ["STREAMS", "StreamsCost", "measure_streams", "most_frames_a_second"]
+__all__ = ["STREAMS", "StreamsCost", "fleet_table", "measure_streams", "most_frames_a_second"]
 
 STREAMS = (1, 2, 4, 8)
+
+#: Nodes that are reckoned for so many cameras with so many pictures a second each.
+_NODES = (2, 8, 16, 64)
+_CAMERAS, _CAMERA_RATE = 1000, 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +63,17 @@ def measure_streams(setting: Setting, streams: tuple[int, ...] = STREAMS) -> Fin
             with pipeline(setting.config, setting.folder) as session:
                 for _ in range(count):
                     session.start(partial(EndlessReader, video))
-                costs[count] = StreamsCost.of(session.steady_window(setting.warm, setting.steady))
+                window = session.steady_window(setting.warm, setting.steady)
+            costs[count] = StreamsCost.of(window)
+            if step == 0:
+                objects = sum(kind == "object layer" for kind in window.kinds.values()) // count
+                one = StageCosts.of(cpu_ms_by_kind(window), objects)
         most = most_frames_a_second(cores(), costs[streams[0]].cpu_ms)
-        tables.append(streams_table(name, costs, most))
+        modelled = {count: simulate(one, count, cores()).frames_a_second for count in streams}
+        tables += [streams_table(name, costs, modelled, most), fleet_table(name, one)]
         figures[name] = {
             "most_frames_a_second": most,
+            "modelled_frames_a_second": {str(count): rate for count, rate in modelled.items()},
             "streams": {str(count): asdict(cost) for count, cost in costs.items()},
         }
         plots[f"streams-{number}" if number else "streams"] = Plot(
@@ -67,6 +83,7 @@ def measure_streams(setting: Setting, streams: tuple[int, ...] = STREAMS) -> Fin
             list(costs),
             {
                 "measured": [cost.frames_a_second for cost in costs.values()],
+                "model": list(modelled.values()),
                 "cores ÷ CPU time a frame": [most] * len(costs),
             },
             "lines",
@@ -79,16 +96,43 @@ def most_frames_a_second(core_count: int, cpu_ms: float) -> float:
     return 1e3 * core_count / cpu_ms
 
 
-def streams_table(name: str, costs: Mapping[int, StreamsCost], most: float) -> str:
-    """A row for each number of streams: rate, CPU time, and the rate against what the cores could do."""
+def streams_table(
+    name: str, costs: Mapping[int, StreamsCost], modelled: Mapping[int, float], most: float
+) -> str:
+    """A row for each number of streams: rates, CPU time, and the rate against what the cores could do."""
     rows = [
         [
             str(count),
             format_number(cost.frames_a_second),
+            format_number(modelled[count]),
             format_number(cost.cpu_ms),
             f"{100 * cost.frames_a_second / most:.0f} %",
         ]
         for count, cost in costs.items()
     ]
     bound = f"of {most:.1f} frames/s ({cores()} cores ÷ CPU time of one stream)"
-    return format_table([f"{name}: streams", "frames/s together", "CPU ms a frame", bound], rows)
+    headings = [f"{name}: streams", "frames/s together", "model", "CPU ms a frame", bound]
+    return format_table(headings, rows)
+
+
+def fleet_table(name: str, costs: StageCosts, nodes: tuple[int, ...] = _NODES) -> str:
+    """What nodes of some sizes serve, by the model, and how many are needed for a thousand cameras."""
+    rows = []
+    for node_cores in nodes:
+        cameras = most_cameras(costs, node_cores, _CAMERA_RATE)
+        run = simulate(costs, cameras, node_cores, _CAMERA_RATE)
+        rows.append(
+            [
+                str(node_cores),
+                str(cameras),
+                f"{100 * run.frames_a_second * costs.together / (1e3 * node_cores):.0f} %",
+                f"{100 * run.sink_busy:.0f} %",
+                f"{cameras * STREAM_BYTES / 2**30:.0f}",
+                str(-(-_CAMERAS // cameras)) if cameras else "-",
+            ]
+        )
+    headings = [
+        f"{name}: cores of a node (model)", f"cameras at {_CAMERA_RATE:g} frames/s", "cores busy",
+        "sinks busy", "memory GiB", f"nodes for {_CAMERAS} cameras",
+    ]  # fmt: skip
+    return format_table(headings, rows)
