@@ -160,7 +160,7 @@ def recursive_cut(
         if len(nodes) < min_side:
             continue
         group, joined = coarsen(_subgraph(present, nodes), max(len(nodes) // EXACT_NODES, 1))
-        cut = best_cut(joined.toarray(), np.bincount(group), min_side)
+        cut = best_cut(joined, np.bincount(group), min_side)
         if cut.value < threshold:
             waiting += [nodes[cut.side[group]], nodes[~cut.side[group]]]
         else:
