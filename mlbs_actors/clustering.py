@@ -21,6 +21,7 @@ from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
+from numba import njit
 
 from mlbs_actors.affinity import TrajectoryGraph
 from mlbs_actors.config import AffinityConfig, LayersConfig
@@ -252,9 +253,21 @@ def least_object_speed(
 
 
 def _residual_speed(trajectories: TrajectoryState) -> Array:
-    known = np.minimum(np.maximum(trajectories.ages, 1), SPEED_FRAMES)
-    mean = trajectories.residuals[:, :SPEED_FRAMES].sum(axis=1) / known[:, None]
-    return np.asarray(np.hypot(mean[:, 0], mean[:, 1]))
+    return np.asarray(_mean_speed(trajectories.residuals, trajectories.ages))
+
+
+@njit(cache=True)
+def _mean_speed(residuals: Array, ages: Array) -> Array:
+    """Length of each trajectory's mean residual motion over its last ``SPEED_FRAMES`` frames, (n,)."""
+    speed = np.empty(ages.size)
+    for i in range(ages.size):
+        x = y = np.float32(0)
+        for age in range(min(SPEED_FRAMES, residuals.shape[1])):
+            x += residuals[i, age, 0]
+            y += residuals[i, age, 1]
+        known = min(max(ages[i], 1), SPEED_FRAMES)
+        speed[i] = np.hypot(x / known, y / known)
+    return speed
 
 
 def merge_by_motion(

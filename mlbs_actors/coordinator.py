@@ -194,7 +194,7 @@ class Coordinator:
             survivors = len(trajectories)
             known = (trajectories.ages > 0) & ((labels == BACKGROUND) if state.clustered else True)
             spacing = config.trajectories.seed_spacing_px * scale
-            voters = np.flatnonzero(known)[evenly_spread(trajectories.positions[known], spacing)]
+            voters = np.flatnonzero(known)[evenly_spread(trajectories.positions[known], 2 * spacing)]
             camera = camera_homography(trajectories.positions[voters], trajectories.motions[voters], scale)
             nothing = np.zeros(gray.shape, np.float32)
             against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)

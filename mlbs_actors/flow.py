@@ -128,10 +128,13 @@ def dense_flow(
     first = focus is None
     if focus is None:
         focus = [Region(0, 0, current.shape[1], current.shape[0])]
-    forward = _flow(_solver(config, first=first), previous, current, config.finest_scale, focus)
     backward = _flow(_solver(config, first=first), current, previous, config.finest_scale, focus)
+    # Outside the boxes the scene moves as the camera does: there it is enough to turn the flow around.
+    start = None if first else _inverted(backward)
+    forward = _flow(_solver(config, first=first), previous, current, config.finest_scale, focus, start)
     for flow in (forward, backward):
-        flow *= np.array(step, np.float32)
+        for axis in range(2):  # each by itself: an operand of two numbers would be gone over pixel by pixel
+            flow[..., axis] *= np.float32(step[axis])
     thresholds = (
         checks.consistency_relative,
         checks.consistency_px2,
@@ -157,23 +160,52 @@ def _solver(config: FlowConfig, *, first: bool) -> cv2.DISOpticalFlow:
 
 
 def _flow(
-    solver: cv2.DISOpticalFlow, source: Array, target: Array, finest: int, focus: Sequence[Region]
+    solver: cv2.DISOpticalFlow,
+    source: Array,
+    target: Array,
+    finest: int,
+    focus: Sequence[Region],
+    start: Array | None = None,
 ) -> Array:
-    """DIS from one grey frame to another, (h, w, 2) float32, px of theirs."""
+    """DIS from one grey frame to another, (h, w, 2) float32, px of theirs.
+
+    In the boxes it begins a level above the finest if there is a flow to start from, which is kept elsewhere;
+    else it begins with the coarsest, and stops a level above the finest elsewhere.
+    """
     # The presets stop at half the size they are given: flow bleeds 10–20 px past an object's outline then.
     solver.setFinestScale(finest)
     if len(focus) == 1 and focus[0].area == source.size:
         # None, which the stubs do not know: no initial flow.
         return np.asarray(solver.calc(source, target, None))  # type: ignore[call-overload]
-    solver.setFinestScale(finest + 1)
-    flow = np.asarray(solver.calc(source, target, None))  # type: ignore[call-overload]
-    solver.setFinestScale(finest)
-    solver.setCoarsestScale(finest)
+    if start is None:
+        solver.setFinestScale(finest + 1)
+        flow = np.asarray(solver.calc(source, target, None))  # type: ignore[call-overload]
+        solver.setFinestScale(finest)
+        solver.setCoarsestScale(finest)
+    else:
+        flow = start
+        solver.setCoarsestScale(finest + 1)
     for box in focus:
         part = np.ascontiguousarray(flow[box.slices])
         cut_source, cut_target = (np.ascontiguousarray(frame[box.slices]) for frame in (source, target))
         flow[box.slices] = solver.calc(cut_source, cut_target, part)
     return flow
+
+
+@njit(cache=True)
+def _inverted(flow: Array) -> Array:
+    """The flow the other way, (h, w, 2): u with u(x) = −flow(x + u(x)), to a pixel in two rounds."""
+    height, width = flow.shape[:2]
+    inverse = np.empty_like(flow)
+    for y in range(height):
+        for x in range(width):
+            u, v = -flow[y, x, 0], -flow[y, x, 1]
+            for _ in range(2):
+                there_x = min(max(int(np.rint(x + u)), 0), width - 1)
+                there_y = min(max(int(np.rint(y + v)), 0), height - 1)
+                u, v = -flow[there_y, there_x, 0], -flow[there_y, there_x, 1]
+            inverse[y, x, 0], inverse[y, x, 1] = u, v
+    return inverse
 
 
 @njit(cache=True)
@@ -183,27 +215,32 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
     reliable = np.zeros((height, width), np.bool_)
     by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
     shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
-    smoothed, sheared = np.empty((width, 2), np.float32), np.empty((width, 2), np.float32)
+    smoothed, sheared = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
     steepness = np.empty(width, np.float32)
-    back = reverse.reshape(-1)
+    there, back = flow.reshape(-1), reverse.reshape(-1)
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     for y in range(height):
         # Loops without a branch run in vector registers.
         upper, middle, lower = flow[max(y - 1, 0)], flow[y], flow[min(y + 1, height - 1)]
-        for x in range(width):
-            for axis in range(2):
-                smoothed[x, axis], sheared[x, axis] = _across(upper, middle, lower, x, axis)
-        for x in range(width):
-            before, after = max(x - 1, 0), min(x + 1, width - 1)
-            gradient = np.float32(0)
-            for axis in range(2):
-                gradient += _slope(
-                    smoothed[before, axis], smoothed[after, axis],
-                    sheared[before, axis], sheared[x, axis], sheared[after, axis], by_x, by_y,
+        steepness[:] = 0
+        for axis in range(2):
+            for x in range(width):
+                smoothed[axis, x], sheared[axis, x] = _across(upper, middle, lower, x, axis)
+            for x in range(1, width - 1):
+                steepness[x] += _slope(
+                    smoothed[axis, x - 1], smoothed[axis, x + 1],
+                    sheared[axis, x - 1], sheared[axis, x], sheared[axis, x + 1], by_x, by_y,
                 )  # fmt: skip
-            steepness[x] = gradient
+            for x in (0, width - 1):
+                before, after = max(x - 1, 0), min(x + 1, width - 1)
+                steepness[x] += _slope(
+                    smoothed[axis, before], smoothed[axis, after],
+                    sheared[axis, before], sheared[axis, x], sheared[axis, after], by_x, by_y,
+                )  # fmt: skip
         for x in range(width):
-            reliable[y, x] = _agrees(flow, back, x, y, steepness[x], shrink_x, shrink_y, limits)
+            reliable[y, x] = _agrees(
+                there, back, x, y, width, height, steepness[x], shrink_x, shrink_y, limits
+            )
     return reliable
 
 
@@ -216,7 +253,7 @@ def _reliable_at(
     reliable = np.zeros(xs.size, np.bool_)
     by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
     shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
-    back = reverse.reshape(-1)
+    there, back = flow.reshape(-1), reverse.reshape(-1)
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     for point in range(xs.size):
         x, y = xs[point], ys[point]
@@ -228,7 +265,7 @@ def _reliable_at(
             _, sheared = _across(upper, middle, lower, x, axis)
             right, sheared_right = _across(upper, middle, lower, after, axis)
             gradient += _slope(left, right, sheared_left, sheared, sheared_right, by_x, by_y)
-        reliable[point] = _agrees(flow, back, x, y, gradient, shrink_x, shrink_y, limits)
+        reliable[point] = _agrees(there, back, x, y, width, height, gradient, shrink_x, shrink_y, limits)
     return reliable
 
 
@@ -252,29 +289,30 @@ def _slope(
 
 @njit(cache=True, inline="always")
 def _agrees(
-    flow: Array, back: Array, x: int, y: int, gradient: np.float32,
+    flow: Array, back: Array, x: int, y: int, width: int, height: int, gradient: np.float32,
     shrink_x: np.float32, shrink_y: np.float32, limits: tuple[np.float32, ...],
 ) -> bool:  # fmt: skip
-    height, width = flow.shape[:2]
-    one = np.float32(1)
-    u, v = flow[y, x, 0], flow[y, x, 1]
-    there_x = np.float32(x) + u * shrink_x
-    there_y = np.float32(y) + v * shrink_y
-    if not (0 <= there_x <= np.float32(width - 1) and 0 <= there_y <= np.float32(height - 1)):
-        return False
-    squared = u * u + v * v
-    column, row = int(there_x), int(there_y)
+    """The checks of one pixel; flows are flat, and indices narrow, so that many can be gathered at once."""
+    zero, one = np.float32(0), np.float32(1)
+    right, bottom = np.float32(width - 1), np.float32(height - 1)
+    here = np.uint64(2 * (y * width + x))
+    u, v = flow[here], flow[here + np.uint64(1)]
+    there_x = np.float32(np.int32(x)) + u * shrink_x
+    there_y = np.float32(np.int32(y)) + v * shrink_y
+    inside = (there_x >= zero) & (there_x <= right) & (there_y >= zero) & (there_y <= bottom)
+    there_x, there_y = min(max(there_x, zero), right), min(max(there_y, zero), bottom)
+    column, row = min(np.int32(there_x), np.int32(width - 2)), min(np.int32(there_y), np.int32(height - 2))
     along, across = there_x - np.float32(column), there_y - np.float32(row)
-    near = np.uint64(2 * (row * width + column))
-    aside = np.uint64(2 if column < width - 1 else 0)
-    below = np.uint64(2 * width if row < height - 1 else 0)
+    near = np.uint64(np.uint32(np.int32(2) * (row * np.int32(width) + column)))
+    below, aside = near + np.uint64(2 * width), np.uint64(2)
     w00, w01 = (one - across) * (one - along), (one - across) * along
     w10, w11 = across * (one - along), across * along
     back_u = w00 * back[near] + w01 * back[near + aside]
-    back_u += w10 * back[near + below] + w11 * back[near + below + aside]
-    near += np.uint64(1)
+    back_u += w10 * back[below] + w11 * back[below + aside]
+    near, below = near + np.uint64(1), below + np.uint64(1)
     back_v = w00 * back[near] + w01 * back[near + aside]
-    back_v += w10 * back[near + below] + w11 * back[near + below + aside]
+    back_v += w10 * back[below] + w11 * back[below + aside]
+    squared = u * u + v * v
     error = (u + back_u) * (u + back_u) + (v + back_v) * (v + back_v)
     agrees = error < limits[0] * (squared + back_u * back_u + back_v * back_v) + limits[1]
-    return bool(agrees & (gradient <= limits[2] * squared + limits[3]))
+    return bool(inside & agrees & (gradient <= limits[2] * squared + limits[3]))

@@ -24,7 +24,7 @@ CLOSENESS = (0.7, 0.5, 0.3)
 WORTHWHILE = 0.95
 
 
-def coarsen(affinity: sp.csr_array, most: int) -> tuple[Array, sp.csr_array]:
+def coarsen(affinity: sp.csr_array, most: int) -> tuple[Array, Array]:
     """Join nodes as long as some belong together.
 
     Parameters
@@ -38,7 +38,7 @@ def coarsen(affinity: sp.csr_array, most: int) -> tuple[Array, sp.csr_array]:
     -------
     group : (n,) int32
         Node of the small graph that each belongs to, 0 … m−1.
-    joined : (m, m) sparse
+    joined : (m, m) float64
         Sums of the affinities between the groups; on the diagonal within them, every edge twice.
     """
     count = affinity.shape[0]
@@ -55,8 +55,17 @@ def coarsen(affinity: sp.csr_array, most: int) -> tuple[Array, sp.csr_array]:
                 pointers, neighbours, weights, edges, sizes, within, parent, left
             )
             group = parent[group]
-    between = sp.csr_array((weights, neighbours, pointers), shape=(len(sizes), len(sizes)))
-    return group, sp.csr_array(between + sp.diags_array(within))
+    return group, _dense(pointers, neighbours, weights, within)
+
+
+@njit(cache=True)
+def _dense(pointers: Array, neighbours: Array, weights: Array, within: Array) -> Array:
+    matrix = np.zeros((within.size, within.size))
+    for node in range(within.size):
+        matrix[node, node] = within[node]
+        for e in range(pointers[node], pointers[node + 1]):
+            matrix[node, neighbours[e]] = weights[e]
+    return matrix
 
 
 @njit(cache=True)

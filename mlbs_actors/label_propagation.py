@@ -25,7 +25,7 @@ __all__ = ["propagate_absorbing", "propagate_soft"]
 #: Affinity below which an edge leads nowhere.
 NO_EDGE = 1e-12
 #: Error of a soft walk's shares.
-TOLERANCE = 1e-4
+TOLERANCE = 1e-2
 
 
 def propagate_soft(affinity: sp.csr_array, labels: Array, classes: int, restart: float) -> Array:

@@ -27,7 +27,7 @@ __all__ = ["TwoWayCut", "best_cut", "ncut_value", "recursive_cut"]
 #: Affinity below which an edge counts as absent.
 NO_EDGE = 1e-6
 #: A part of more nodes is made smaller, to about one and a half times as many.
-EXACT_NODES = 120
+EXACT_NODES = 90
 #: Eigenvectors tried for each cut.
 EIGENVECTORS = 3
 
@@ -160,7 +160,7 @@ def recursive_cut(
         if len(nodes) < min_side:
             continue
         group, joined = coarsen(_subgraph(present, nodes), max(len(nodes) // EXACT_NODES, 1))
-        cut = best_cut(joined.toarray(), np.bincount(group), min_side)
+        cut = best_cut(joined, np.bincount(group), min_side)
         if cut.value < threshold:
             waiting += [nodes[cut.side[group]], nodes[~cut.side[group]]]
         else:

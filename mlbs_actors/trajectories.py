@@ -50,9 +50,12 @@ class TrajectoryState:
         (x, y) in the newest frame, px.
     motions : (n, 2) float32
         Backward motion t → t−1, px.
-    residuals : (n, T, 2) float32
+    residuals : (m, T, 2) float32
         What the camera's own motion leaves of the backward motions, newest first, px. Zero past a
-        trajectory's age.
+        trajectory's age. Within a frame, until :func:`with_residuals`, those of the frame before.
+    rows : (n,) intp
+        Whose of the residuals are each trajectory's: by far the most of what is remembered, they are moved
+        once a frame. After :func:`with_residuals` 0 … n−1; −1 for one that has none yet.
     ages : (n,) int32
         How many of those motions are known, 0 … T.
     evidence : (n,) float32
@@ -65,6 +68,7 @@ class TrajectoryState:
     positions: Array
     motions: Array
     residuals: Array
+    rows: Array
     ages: Array
     evidence: Array
     next_id: int
@@ -80,6 +84,7 @@ def empty_trajectories(config: TrajectoriesConfig) -> TrajectoryState:
         np.zeros((0, 2), np.float32),
         np.zeros((0, 2), np.float32),
         np.zeros((0, config.history_frames, 2), np.float32),
+        np.zeros(0, np.intp),
         np.zeros(0, np.int32),
         np.zeros(0, np.float32),
         0,
@@ -101,7 +106,7 @@ def advance_trajectories(state: TrajectoryState, flow: DenseFlow, shape: tuple[i
     Returns
     -------
     TrajectoryState
-        At frame t; the newest residuals are still zero (:func:`with_residuals` fills them in).
+        At frame t, but for the residuals (:func:`with_residuals`).
     """
     height, width = shape
     motion = sample_flow(flow.forward, state.positions, flow.step)
@@ -116,13 +121,10 @@ def advance_trajectories(state: TrajectoryState, flow: DenseFlow, shape: tuple[i
         & (positions[:, 1] <= height - 1)
     )
     kept = selected(state, np.flatnonzero(alive))
-    residuals = np.zeros_like(kept.residuals)
-    residuals[:, 1:] = kept.residuals[:, :-1]
     return replace(
         kept,
         positions=positions[alive],
         motions=-motion[alive],
-        residuals=residuals,
         ages=np.minimum(kept.ages + 1, state.residuals.shape[1]).astype(np.int32),
     )
 
@@ -133,7 +135,8 @@ def selected(state: TrajectoryState, positions: Array) -> TrajectoryState:
         state.ids[positions],
         state.positions[positions],
         state.motions[positions],
-        state.residuals[positions],
+        state.residuals,
+        state.rows[positions],
         state.ages[positions],
         state.evidence[positions],
         state.next_id,
@@ -207,7 +210,8 @@ def _seeded(
         np.concatenate([state.ids, state.next_id + np.arange(len(points), dtype=np.int64)]),
         np.concatenate([state.positions, points]),
         np.concatenate([state.motions, back]),
-        np.concatenate([state.residuals, np.zeros((len(points), *state.residuals.shape[1:]), np.float32)]),
+        state.residuals,
+        np.concatenate([state.rows, np.full(len(points), -1, np.intp)]),
         np.concatenate([state.ages, np.full(len(points), age, np.int32)]),
         np.concatenate([state.evidence, np.zeros(len(points), np.float32)]),
         state.next_id + len(points),
@@ -279,9 +283,25 @@ def evenly_spread(positions: Array, spacing: float) -> Array:
     (m,) intp
         Ascending positions in the array; of each square the first.
     """
-    column, row = np.floor(positions / np.float32(spacing)).astype(np.int64).T
-    _, first = np.unique((row << 32) + column, return_index=True)
-    return np.sort(first)
+    if len(positions) == 0:
+        return np.zeros(0, np.intp)
+    square = np.floor(positions / np.float32(spacing)).astype(np.int64)
+    return _first_of_each(square - square.min(axis=0))
+
+
+@njit(cache=True)
+def _first_of_each(squares: Array) -> Array:
+    """Positions of the first point of each square; squares are (n, 2) int64, from 0 on."""
+    taken = np.zeros((squares[:, 0].max() + 1, squares[:, 1].max() + 1), np.bool_)
+    first = np.empty(len(squares), np.intp)
+    found = 0
+    for point in range(len(squares)):
+        column, row = squares[point]
+        if not taken[column, row]:
+            taken[column, row] = True
+            first[found] = point
+            found += 1
+    return first[:found]
 
 
 def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -> TrajectoryState:
@@ -295,7 +315,21 @@ def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -
     advantage : (n,) float32
         :class:`~mlbs_actors.camera.CameraEvidence` at each trajectory, × the frame's noise.
     """
-    residuals = state.residuals.copy()
-    residuals[:, 0] = np.where(state.ages[:, None] > 0, state.motions - predicted, 0.0)
+    newest = np.where(state.ages[:, None] > 0, state.motions - predicted, np.float32(0))
     evidence = EVIDENCE_KEPT * state.evidence + np.clip(advantage, *EVIDENCE_BOUNDS).astype(np.float32)
-    return replace(state, residuals=residuals, evidence=evidence)
+    residuals = _remembered(state.residuals, state.rows, newest)
+    return replace(state, residuals=residuals, rows=np.arange(len(state)), evidence=evidence)
+
+
+@njit(cache=True)
+def _remembered(residuals: Array, rows: Array, newest: Array) -> Array:
+    """The newest residuals and those before, one frame older."""
+    moved = np.empty((rows.size, *residuals.shape[1:]), np.float32)
+    for trajectory in range(rows.size):
+        moved[trajectory, 0] = newest[trajectory]
+        row = rows[trajectory]
+        if row < 0:
+            moved[trajectory, 1:] = 0
+        else:
+            moved[trajectory, 1:] = residuals[row, :-1]
+    return moved

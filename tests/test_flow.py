@@ -68,6 +68,22 @@ def test_inside_a_box_of_the_focus_the_flow_is_nearly_the_finest_and_outside_it_
     outside = np.ones(first.shape, bool)
     outside[box.slices] = False
     np.testing.assert_array_equal(found.backward[outside], coarser.backward[outside])
+    missed = np.hypot(*np.moveaxis(found.forward - finest.forward, 2, 0))[inner]
+    assert np.median(missed) < 0.05
+
+
+def test_outside_the_boxes_the_forward_flow_is_the_backward_flow_turned_around() -> None:
+    canvas = texture(120, 160)
+    first = np.ascontiguousarray(canvas[10:106, 10:138])
+    second = np.ascontiguousarray(canvas[12:108, 7:135])
+    flow = dense_flow(first, second, first.shape, CONFIG, CHECKS, [])
+    for y in range(12, 84, 7):
+        for x in range(12, 116, 7):
+            u, v = flow.forward[y, x]
+            # To the pixel in which the point comes to lie, where this flow changes little.
+            back = flow.backward[y + round(float(v)), x + round(float(u))]
+            np.testing.assert_allclose((u, v), -back, atol=0.1)
+    np.testing.assert_allclose(np.median(flow.forward[12:-12, 12:-12], axis=(0, 1)), [3, -2], atol=0.1)
 
 
 def test_equal_frames_give_equal_bytes() -> None:

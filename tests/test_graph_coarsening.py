@@ -22,8 +22,7 @@ def grid_graph(rows: int, columns: int, border: int, across: float) -> tuple[Arr
 
 
 def coarse(affinity: Array, most: int) -> tuple[Array, Array]:
-    group, joined = coarsen(sp.csr_array(affinity), most)
-    return group, joined.toarray()
+    return coarsen(sp.csr_array(affinity), most)
 
 
 def test_joined_nodes_sum_their_edges() -> None:
