@@ -1,7 +1,7 @@
 """Specks and pinholes of a label map (§7; the authors' program cleans the map it learns from).
 
-A component is found by its runs, stretches of one label in a row: there are few of them, and one pass over the
-pixels gives those of all labels.
+A component is found by its runs, stretches of one label in a row: there are few of them, and one pass over
+the pixels gives those of all labels.
 
 Differs from the authors' program, which publishes the raw map and learns from the cleaned one: here they
 are the same map. A component smaller than the limit goes to the neighbour with the longest common border;

@@ -105,11 +105,11 @@ class Segmenter:
         if evidence.frame_index == evidence.epoch:
             self.state.labels = np.zeros((0, 0), np.uint16)
         settings = self.config.segmentation
-        ground = None
-        if settings.shadow > 0 or settings.contact_shadow > 0:
-            ground = ground_colour(frame, evidence, self.state.labels, length_scale(*evidence.shape))
         side = posteriors[0].cell
         small = mean_of_cells(frame, side)
+        ground = None
+        if settings.shadow > 0 or settings.contact_shadow > 0:
+            ground = ground_colour(small, evidence, self.state.labels, length_scale(*evidence.shape))
         grid = in_cells(Region(0, 0, evidence.shape[1], evidence.shape[0]), side)
         result = _Maps.of_background(evidence.shape, (grid.height, grid.width))
         stage_ms = {"fusion": 1e3 * (perf_counter() - start), "cut": 0.0, "cleaning": 0.0}
@@ -243,28 +243,53 @@ def _discount(own: Array, background: Array, shadow: Array, strength: np.float32
 def _summaries(
     labels: Array, fused: FusedCosts, posteriors: list[LayerPosterior], box: Region
 ) -> list[LayerSummary]:
+    side = posteriors[0].cell
+    position = np.zeros(posteriors[-1].layer + 1, np.intp)
+    position[[one.layer for one in posteriors]] = np.arange(len(posteriors))
+    bounds, sums, likelihood = _tally(labels, position, fused.cost, fused.normaliser, side, len(posteriors))
     rows = []
-    for cost, one in zip(fused.cost[1:], posteriors[1:], strict=True):
-        place = slices_in(one.region, box)
-        own = np.flatnonzero(labels[place] == one.layer)
-        if len(own) == 0:
+    for own, one in enumerate(posteriors):
+        (left, top, right, bottom), (area, x, y) = bounds[own].tolist(), sums[own].tolist()
+        if own == 0 or area == 0:
             continue
-        y, x = np.divmod(own, one.region.width)
-        y, x = y + one.region.y, x + one.region.x
-        cells = ((y - box.y) // one.cell, (x - box.x) // one.cell)
-        log_posterior = (fused.normaliser[cells].astype(np.float64) - cost[cells]) * COST_STEP
         rows.append(
             LayerSummary(
                 layer=one.layer,
                 kind="other" if one.kind == "other" else "object",
-                region=Region(int(x.min()), int(y.min()), int(np.ptp(x)) + 1, int(np.ptp(y)) + 1),
-                area=len(x),
-                centroid=(float(x.mean()), float(y.mean())),
+                region=Region(box.x + left, box.y + top, right - left + 1, bottom - top + 1),
+                area=area,
+                centroid=(box.x + x / area, box.y + y / area),
                 velocity=(float(one.velocity[0]), float(one.velocity[1])),
-                confidence=float(np.exp(np.minimum(log_posterior, 0.0)).mean()),
+                confidence=float(likelihood[own] / area),
             )
         )
     return rows
+
+
+@njit(cache=True)
+def _tally(
+    labels: Array, position: Array, cost: Array, normaliser: Array, side: int, count: int
+) -> tuple[Array, Array, Array]:
+    """Of every label but 0: least and largest x and y, number of pixels and sums of x and y, and the sum of
+    its posteriors."""
+    bounds, sums = np.empty((count, 4), np.int64), np.zeros((count, 3), np.int64)
+    bounds[:, :2], bounds[:, 2:] = 2**31, -1
+    likelihood = np.zeros(count, np.float64)
+    certain = np.exp(np.arange(256) * -COST_STEP)
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            if labels[y, x] == BACKGROUND:
+                continue
+            own = position[labels[y, x]]
+            bounds[own, 0], bounds[own, 1] = min(bounds[own, 0], x), min(bounds[own, 1], y)
+            bounds[own, 2], bounds[own, 3] = max(bounds[own, 2], x), max(bounds[own, 3], y)
+            sums[own, 0] += 1
+            sums[own, 1] += x
+            sums[own, 2] += y
+            v, u = y // side, x // side
+            above = np.int64(cost[own, v, u]) - np.int64(normaliser[v, u])
+            likelihood[own] += certain[max(above, 0)]
+    return bounds, sums, likelihood
 
 
 def _slowest(posteriors: list[LayerPosterior]) -> dict[str, float]:
