@@ -57,7 +57,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
-from mlbs_actors.object_regions import contested, object_region
+from mlbs_actors.object_regions import contested, median_motion, object_region
 from mlbs_actors.photometric import FramePart, photometric_advantage
 from mlbs_actors.region_groups import slices_in
 from mlbs_actors.warp import warp_map
@@ -249,7 +249,7 @@ class Layer:
         evaluated = perf_counter()
 
         if len(evidence.motions):
-            velocity = -np.median(evidence.motions, axis=0).astype(np.float32)
+            velocity = -np.array(median_motion(evidence.motions), np.float32)
         else:
             velocity = state.velocity
         self.state = LayerState(
@@ -318,7 +318,7 @@ class Layer:
             nodes = node_positions(shape, self._motion.spacing_px).astype(np.float64)
             prior = cv2.perspectiveTransform(nodes, frame_evidence.camera) - nodes
         elif len(evidence.motions):
-            prior = np.median(evidence.motions, axis=0)
+            prior = np.array(median_motion(evidence.motions))
         elif region.area:
             prior = -self.state.velocity
         return motion_field(evidence.positions - corner, evidence.motions, shape, prior, self._motion)
