@@ -11,7 +11,6 @@ Differs from the paper, which cuts the whole grid.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numba import njit
 
@@ -60,11 +59,29 @@ def band_around_outlines(whole: LabelCostEnergy, labels: Array) -> UndecidedEner
     -------
     UndecidedEnergy
     """
-    compact = labels.astype(np.uint16)
-    window = np.ones((2 * BAND + 1, 2 * BAND + 1), np.uint8)
-    band = cv2.dilate(compact, window) != cv2.erode(compact, window)
-    elsewhere = np.bincount(labels[~band], minlength=whole.label_costs.size) > 0
-    return undecided_energy(whole, np.where(band, UNDECIDED, labels), elsewhere)
+    opened, elsewhere = _opened(labels, whole.label_costs.size, BAND)
+    return undecided_energy(whole, opened, elsewhere)
+
+
+@njit(cache=True)
+def _opened(labels: Array, label_count: int, reach: int) -> tuple[Array, Array]:
+    """The labels, open wherever a window that reaches so far holds more than one; and which are elsewhere."""
+    height, width = labels.shape
+    opened = labels.copy()
+    for y in range(height):
+        for x in range(width):
+            if x + 1 < width and labels[y, x] != labels[y, x + 1]:
+                top, left = max(y - reach, 0), max(x + 1 - reach, 0)
+                opened[top : y + reach + 1, left : x + reach + 1] = UNDECIDED
+            if y + 1 < height and labels[y, x] != labels[y + 1, x]:
+                top, left = max(y + 1 - reach, 0), max(x - reach, 0)
+                opened[top : y + reach + 1, left : x + reach + 1] = UNDECIDED
+    elsewhere = np.zeros(label_count, np.bool_)
+    for y in range(height):
+        for x in range(width):
+            if opened[y, x] != UNDECIDED:
+                elsewhere[opened[y, x]] = True
+    return opened, elsewhere
 
 
 @njit(cache=True)

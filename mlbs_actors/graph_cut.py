@@ -34,7 +34,7 @@ from numba import njit
 
 from mlbs_actors.coarse_cut import band_around_outlines, halved, unhalved
 from mlbs_actors.contrast import MAX_COST
-from mlbs_actors.cut_pruning import movable, prune
+from mlbs_actors.cut_pruning import movable, prune, reachable
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.label_cost_energy import LabelCostEnergy, UndecidedEnergy
 from mlbs_actors.messages import Array
@@ -105,13 +105,17 @@ def minimise(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> CutResult:
     if max_sweeps < 1:
         raise ConfigError(f"max_sweeps is {max_sweeps}; give at least 1.")
     _check(whole)
-    return _minimise(whole, max_sweeps)
+    labels, trace, converged, decided = _minimise(whole, max_sweeps)
+    constant = whole.energy(labels) - trace[-1]
+    energies = tuple(constant + value for value in trace)
+    return CutResult(labels, energies[-1], energies, len(energies) - 1, converged, decided)
 
 
-def _minimise(whole: LabelCostEnergy, max_sweeps: int) -> CutResult:
+def _minimise(whole: LabelCostEnergy, max_sweeps: int) -> tuple[Array, list[int], bool, float]:
+    """Labels, energies up to a constant, whether nothing lowers them, and the fraction decided."""
     shape = whole.unary.shape[1:]
     if shape[0] * shape[1] > LARGE:
-        labels = unhalved(_minimise(halved(whole), max_sweeps).labels, shape)
+        labels = unhalved(_minimise(halved(whole), max_sweeps)[0], shape)
         rest = band_around_outlines(whole, labels)
         start = labels.reshape(-1)[rest.pixels]
     else:
@@ -120,10 +124,7 @@ def _minimise(whole: LabelCostEnergy, max_sweeps: int) -> CutResult:
         start = np.zeros(rest.pixels.size, np.intp)
     undecided_labels, trace, converged = _search(rest, start, max_sweeps)
     labels.reshape(-1)[rest.pixels] = undecided_labels
-    constant = whole.energy(labels) - trace[-1]
-    energies = tuple(constant + value for value in trace)
-    decided = 1.0 - rest.pixels.size / labels.size
-    return CutResult(labels, energies[-1], energies, len(energies) - 1, converged, decided)
+    return labels, trace, converged, 1.0 - rest.pixels.size / labels.size
 
 
 def _check(whole: LabelCostEnergy) -> None:
@@ -163,6 +164,8 @@ class _Course:
         Label before that step; −1 at the start.
     expanded_at : (K,) int64
         Step after which each label was last expanded; −1 if never.
+    candidates : tuple of (m,) intp
+        Pixels that each label can ever take (:func:`~mlbs_actors.cut_pruning.reachable`).
     """
 
     labels: Array
@@ -171,19 +174,21 @@ class _Course:
     changed_at: Array
     came_from: Array
     expanded_at: Array
+    candidates: tuple[Array, ...]
 
     @classmethod
     def starting(cls, rest: UndecidedEnergy, labels: Array) -> _Course:
         count = labels.size
         never = np.full(rest.label_costs.size, -1)
-        return cls(labels, rest.energy(labels), 0, np.zeros(count, np.int32), np.full(count, -1), never)
+        steps, nothing = np.zeros(count, np.int32), np.full(count, -1)
+        return cls(labels, rest.energy(labels), 0, steps, nothing, never, reachable(rest, labels))
 
     def expand(self, rest: UndecidedEnergy, alphas: Sequence[int]) -> None:
         """One sweep; a label is left out if nothing has changed since its last expansion."""
         for alpha in alphas:
             if self.expanded_at[alpha] == self.step:
                 continue
-            nodes, kept = movable(rest, self.labels, alpha)
+            nodes, kept = movable(rest, self.labels, alpha, self.candidates[alpha])
             if rest.label_costs[alpha] == 0 and self.expanded_at[alpha] >= 0:
                 nodes = _worth_expanding(
                     rest.neighbour,
@@ -255,23 +260,43 @@ def _expansion(
     """
     if nodes.size == 0:
         return nodes, 0
-    surplus, neighbour, residual, unmoved = _move_graph(
-        rest.unary, rest.neighbour, rest.weight, labels, alpha, nodes
-    )
-    paid = np.flatnonzero(~kept & (np.bincount(labels[nodes], minlength=kept.size) > 0))
+    paid = _paid_for(labels, nodes, kept)
     if paid.size:
+        surplus, neighbour, residual, unmoved = _move_graph(
+            rest.unary, rest.neighbour, rest.weight, labels, alpha, nodes
+        )
         members = [np.flatnonzero(labels[nodes] == label) for label in paid]
         groups = [
             (own, rest.row[nodes[own]], int(rest.label_costs[k]))
             for own, k in zip(members, paid, strict=True)
         ]
-        flow, moved = _cut_with_label_costs(surplus, neighbour, residual, groups)
+        flow, on_sink_side = _cut_with_label_costs(surplus, neighbour, residual, groups)
+        moved = nodes[on_sink_side]
+        change = int(flow - unmoved) - int(rest.label_costs[paid].sum())
     else:
-        flow, moved = min_cut(surplus, neighbour, residual)
-    change = int(flow - unmoved) - int(rest.label_costs[paid].sum())
-    if not rest.used(labels)[alpha]:
+        moved, change = _cut(rest.unary, rest.neighbour, rest.weight, labels, alpha, nodes)
+    if not (rest.elsewhere[alpha] or (labels == alpha).any()):
         change += int(rest.label_costs[alpha])
-    return nodes[moved], change
+    return moved, change
+
+
+@njit(cache=True)
+def _paid_for(labels: Array, nodes: Array, kept: Array) -> Array:
+    """The nodes' labels that a move could free of their cost, ascending."""
+    paid = np.zeros(kept.size, np.bool_)
+    for i in range(nodes.size):
+        paid[labels[nodes[i]]] = True
+    return np.flatnonzero(paid & ~kept)
+
+
+@njit(cache=True)
+def _cut(
+    unary: Array, neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array
+) -> tuple[Array, np.int64]:
+    """The nodes that best take alpha, no label being freed, and the change of the energy."""
+    surplus, near, capacity, unmoved = _move_graph(unary, neighbour, weight, labels, alpha, nodes)
+    flow, moved = min_cut(surplus, near, capacity)
+    return nodes[moved], flow - unmoved
 
 
 def _cut_with_label_costs(

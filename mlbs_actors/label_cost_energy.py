@@ -139,10 +139,12 @@ def _folded(unary: Array, weights: Array, labels: Array, pixels: Array) -> Array
     """Unary (K, n) of the undecided pixels with the pair terms to decided neighbours."""
     label_count, height, width = unary.shape
     folded = np.empty((label_count, pixels.size), np.int32)
+    for label in range(label_count):
+        own = unary[label].reshape(-1)
+        for i in range(pixels.size):
+            folded[label, i] = own[pixels[i]]
     for i in range(pixels.size):
         y, x = pixels[i] // width, pixels[i] % width
-        for label in range(label_count):
-            folded[label, i] = unary[label, y, x]
         for k in range(8):
             v, u, row, column, direction = neighbour_and_weight(y, x, k)
             if 0 <= v < height and 0 <= u < width and labels[v, u] != UNDECIDED:
