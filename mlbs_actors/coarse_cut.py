@@ -38,8 +38,11 @@ def halved(whole: LabelCostEnergy) -> LabelCostEnergy:
     LabelCostEnergy
         Of (⌈H/2⌉, ⌈W/2⌉) blocks; equal on every such labelling, up to the bound of a block's cost.
     """
-    unary, weights = _halved(whole.unary, whole.weights)
-    return LabelCostEnergy(unary, weights, whole.label_costs)
+    if whole.side != 2:
+        whole = whole.of_pixels()
+    height, width = whole.weights.shape[:2]
+    unary = _halved_unary(whole.unary, whole.side, whole.extras, height, width)
+    return LabelCostEnergy(unary, _halved_weights(whole.weights), whole.label_costs)
 
 
 def unhalved(labels: Array, shape: tuple[int, int]) -> Array:
@@ -85,17 +88,29 @@ def _opened(labels: Array, label_count: int, reach: int) -> tuple[Array, Array]:
 
 
 @njit(cache=True)
-def _halved(unary: Array, weights: Array) -> tuple[Array, Array]:
-    label_count, height, width = unary.shape
+def _halved_unary(unary: Array, side: int, extras: Array, height: int, width: int) -> Array:
+    """Sums over blocks of 2×2 pixels of an (H, W) image, of which each, or each block, has its cost."""
     rows, columns = (height + 1) // 2, (width + 1) // 2
-    sums = np.zeros((label_count, rows, columns), np.int32)
-    for label in range(label_count):
-        for y in range(height):
-            for x in range(width):
-                sums[label, y // 2, x // 2] += unary[label, y, x]
-        for y in range(rows):
-            for x in range(columns):
-                sums[label, y, x] = min(sums[label, y, x], MAX_BLOCK_COST)
+    sums = np.zeros((unary.shape[0], rows, columns), np.int32)
+    for label in range(unary.shape[0]):
+        if side == 1:
+            for y in range(height):
+                for x in range(width):
+                    sums[label, y // 2, x // 2] += unary[label, y, x]
+        else:
+            for v in range(rows):
+                down = min(2, height - 2 * v)
+                for u in range(columns):
+                    sums[label, v, u] = unary[label, v, u] * np.int32(down * min(2, width - 2 * u))
+    for extra in range(extras.shape[0]):
+        sums[extras[extra, 0], extras[extra, 1] // 2, extras[extra, 2] // 2] += extras[extra, 3]
+    return np.minimum(sums, np.int32(MAX_BLOCK_COST))
+
+
+@njit(cache=True)
+def _halved_weights(weights: Array) -> Array:
+    height, width, _ = weights.shape
+    rows, columns = (height + 1) // 2, (width + 1) // 2
     joined = np.zeros((rows, columns, 4), np.int32)
     for y in range(height):
         for x in range(width):
@@ -117,4 +132,4 @@ def _halved(unary: Array, weights: Array) -> tuple[Array, Array]:
                 joined[v, u, 1] += weights[y, x, 3]
             elif not odd_column and u > 0:
                 joined[v, u - 1, 0] += weights[y, x, 3]
-    return sums, joined
+    return joined

@@ -30,9 +30,9 @@ Differs from the paper:
 * The variances are computed exactly on a coarser grid of the same model, ``variance_spacing_px``, and stated
   for the nodes of the mean's grid: the variance of a point has no limit as a grid is refined, every halving
   adds σ_m² ln 2 / 2π where no evidence is nearer than the nodes, so σ_m² ln(coarse / fine) / 2π is added.
-  Measured against the exact ones of the 4 px grid, with 1,000, 200 and 20 trajectories on 320×240 px: from 16
-  px the error is 10, 7 and 3 % in the median (95 % quantile 25, 22 and 15 %), from 8 px 5, 3 and 1 % (15, 10
-  and 6 %); without the addition 61 % (16 px) and 30 % (8 px).
+  Measured against the exact ones of the 4 px grid, with 1,000, 200 and 20 trajectories on 320×240 px: from 32
+  px the error is 10, 11 and 5 % in the median (95 % quantile 27, 32 and 23 %), from 16 px 11, 6 and 3 % (24,
+  22 and 15 %); without the addition 61 % (16 px) and 30 % (8 px).
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class MotionParameters:
     """
 
     spacing_px: int = 4
-    variance_spacing_px: int = 16
+    variance_spacing_px: int = 32
     smoothness_std_px: float = 0.5
     point_std_px: float = 0.5
     prior_std_px: float = 20.0

@@ -42,6 +42,7 @@ from mlbs_actors.min_cut import min_cut
 
 __all__ = [
     "CutResult",
+    "lowest_labels",
     "minimise",
 ]
 
@@ -111,15 +112,21 @@ def minimise(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> CutResult:
     return CutResult(labels, energies[-1], energies, len(energies) - 1, converged, decided)
 
 
+def lowest_labels(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> Array:
+    """The labels alone of :func:`minimise`, (H, W) intp: what the energies are takes time to tell."""
+    _check(whole)
+    return _minimise(whole, max_sweeps)[0]
+
+
 def _minimise(whole: LabelCostEnergy, max_sweeps: int) -> tuple[Array, list[int], bool, float]:
     """Labels, energies up to a constant, whether nothing lowers them, and the fraction decided."""
-    shape = whole.unary.shape[1:]
+    shape = whole.weights.shape[:2]
     if shape[0] * shape[1] > LARGE:
         labels = unhalved(_minimise(halved(whole), max_sweeps)[0], shape)
         rest = band_around_outlines(whole, labels)
         start = labels.reshape(-1)[rest.pixels]
     else:
-        pruning = prune(whole)
+        pruning = prune(whole.of_pixels())
         labels, rest = pruning.labels, pruning.rest
         start = np.zeros(rest.pixels.size, np.intp)
     undecided_labels, trace, converged = _search(rest, start, max_sweeps)
@@ -136,7 +143,13 @@ def _check(whole: LabelCostEnergy) -> None:
         )
     if unary.dtype != np.int32 or not max(-int(unary.min()), int(unary.max())) <= MAX_COST:
         raise ConfigError(f"Give unary costs as int32, none beyond ±{MAX_COST}; clip −log P before the cut.")
-    shape = (*unary.shape[1:], 4)
+    cells = unary.shape[1:]
+    if whole.side == 1:
+        shape: tuple[int, ...] = (*cells, 4)
+    else:
+        shape = (*weights.shape[:2], 4)
+        if cells != tuple(-(-length // whole.side) for length in shape[:2]):
+            raise ConfigError(f"Give unary costs for all cells of {shape[:2]} pixels, not {cells}.")
     if weights.shape != shape or not (weights.min() >= 0 and weights.max() <= MAX_COST):
         raise ConfigError(f"Give pair weights of shape {shape}, each from 0 to {MAX_COST}.")
     outward = (weights[:, -1, 0], weights[-1, :, 1:], weights[:, -1, 2], weights[:, 0, 3])

@@ -19,6 +19,7 @@ logarithm are polynomials, less than 1e-3 nats from exact together; a kernel is 
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,6 +120,7 @@ def warp_and_evaluate(
     image: Array,
     parameters: AppearanceParameters,
     needed: Array | None = None,
+    learnt: tuple[Array, Array] | None = None,
 ) -> tuple[AppearanceModel, Array]:
     """Predict the model of frame t and evaluate frame t under it (steps 3b and 3c of a frame).
 
@@ -134,6 +136,8 @@ def warp_and_evaluate(
     parameters : AppearanceParameters
     needed : (h, w) bool, optional
         Where to evaluate; everywhere by default. The model moves everywhere.
+    learnt : two arrays, optional
+        What the model has still to learn of frame t−1, as for :func:`warp_model`.
 
     Returns
     -------
@@ -142,10 +146,11 @@ def warp_and_evaluate(
     log_likelihood : (h, w) float32
         As :func:`log_likelihood` returns.
     """
-    moved = warp_model(model, new_region, motion)
+    moved = warp_model(model, new_region, motion, learnt)
     return moved, log_likelihood(moved, image, parameters, needed)
 
 
+@functools.lru_cache(maxsize=16)
 def _tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
     """Log to base 2 of a kernel per squared grey level, and (σ√2π)⁻³, for the 256 values of ``spread``."""
     bandwidth = np.maximum(np.arange(256) * SPREAD_STEP, parameters.bandwidth_floor)

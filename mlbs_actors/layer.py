@@ -37,8 +37,9 @@ from time import perf_counter
 
 import cv2
 import numpy as np
+from numba import njit
 
-from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
+from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours
 from mlbs_actors.camera import shrunk_homography
 from mlbs_actors.cells import cell_side, in_cells, mean_of_cells, spread_over_cells
 from mlbs_actors.config import Config
@@ -185,7 +186,7 @@ class Layer:
         start = perf_counter()
         if frame_evidence.frame_index == frame_evidence.epoch:
             previous = None
-        posterior = self._finish(previous)
+        posterior, learnt = self._finish(previous)
         finished = perf_counter()
         shape, margin = frame_evidence.shape, self.config.posterior.region_margin_px
         side = cell_side(shape, self.config.appearance.cell_px)
@@ -209,7 +210,7 @@ class Layer:
         opened = np.zeros(image.shape[:2], np.bool_)
         opened[part] = needed
         model, log_density = warp_and_evaluate(
-            state.model, in_cells(home, side), home_motion * per_cell, image, density, opened
+            state.model, in_cells(home, side), home_motion * per_cell, image, density, opened, learnt
         )
         weights = self.config.posterior
         log_ratio, samples = quantised_colours(
@@ -265,7 +266,6 @@ class Layer:
             velocity,
             trusted,
         )
-        trust = confidence(np.arange(256), density)
         return LayerPosterior(
             layer=self.layer,
             frame_index=frame_evidence.frame_index,
@@ -276,7 +276,7 @@ class Layer:
             log_ratio=log_ratio,
             samples=samples,
             outside_cost=255,
-            confidence=float(trust[model.count].mean()) if home.area else 0.0,
+            confidence=float(_mean_trust(model.count, confidence(np.arange(256), density))),
             velocity=velocity,
             stage_ms={
                 "update": 1e3 * (finished - start),
@@ -334,16 +334,26 @@ class Layer:
             half_confidence_samples=colours.half_confidence_samples,
         )
 
-    def _finish(self, previous: Segmentation | None) -> Array:
-        """Learn frame t−1; return this layer's normalised posterior of it, empty if it had no part in it."""
+    def _finish(self, previous: Segmentation | None) -> tuple[Array, tuple[Array, Array] | None]:
+        """This layer's normalised posterior of frame t−1, empty if it had no part in it, and what it learns."""
         state = self.state
         if previous is None or previous.frame_index != state.last_frame:
-            return np.zeros((0, 0), np.float32)
+            return np.zeros((0, 0), np.float32), None
         mask = previous.labels[state.home.slices] == self.layer
         won = mean_of_cells(mask.view(np.uint8) * np.uint8(255), state.cell)
-        update(state.model, state.image, (won == 255) & state.trusted)
         cells, home = in_cells(state.region, state.cell), in_cells(state.home, state.cell)
         own = np.ascontiguousarray(won[slices_in(cells, home)])
-        return finished_posterior(
+        posterior = finished_posterior(
             self.config, state.cost, state.log_ratio, state.samples, previous, cells, own
         )
+        return posterior, (state.image, (won == 255) & state.trusted)
+
+
+@njit(cache=True)
+def _mean_trust(count: Array, trust: Array) -> float:
+    """Mean of a table's values at some numbers of samples, 0 of none."""
+    total = 0.0
+    for y in range(count.shape[0]):
+        for x in range(count.shape[1]):
+            total += trust[count[y, x]]
+    return total / max(count.size, 1)

@@ -18,13 +18,13 @@ from time import perf_counter
 import numpy as np
 from numba import njit
 
-from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells, spread_over_cells
+from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells
 from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.contrast import COST_QUANTUM, MAX_COST, contrast_weights
 from mlbs_actors.errors import FrameError
 from mlbs_actors.fusion import FusedCosts, fused_costs
-from mlbs_actors.graph_cut import minimise
+from mlbs_actors.graph_cut import lowest_labels
 from mlbs_actors.label_cost_energy import LabelCostEnergy
 from mlbs_actors.messages import (
     BACKGROUND,
@@ -155,19 +155,18 @@ class Segmenter:
         costs = _data_costs(fused.cost, posteriors, cells)
         if dark is not None and config.shadow > 0:
             _discount_shadows(costs, posteriors, cells, shadow_likelihood(dark), config.shadow)
-        unary = np.stack([spread_over_cells(cost, side, (box.height, box.width)) for cost in costs])
-        _pull_tracks(
-            unary, [evidence for _, evidence in members], box, result.labels.shape, config.track_cost
+        pulls = _track_pulls(
+            [evidence for _, evidence in members], box, result.labels.shape, config.track_cost
         )
         image = np.ascontiguousarray(frame[box.slices])
         ready = perf_counter()
         label_costs = np.full(len(members), round(config.label_cost * scale**2 / COST_QUANTUM), np.int64)
         label_costs[0] = 0  # the background is always there
         weights = contrast_weights(image, config.contrast_strength, config.contrast_scale)
-        cut = minimise(LabelCostEnergy(unary, weights, label_costs))
+        positions = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls))
         solved = perf_counter()
         labels = result.labels[box.slices]
-        labels[...] = np.array([one.layer for one in posteriors], np.uint16)[cut.labels]
+        labels[...] = np.array([one.layer for one in posteriors], np.uint16)[positions]
         speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
         labels[...] = clean_labels(result.labels, box, speck_px=speck_px, hole_px=hole_px)
         if dark is not None and config.contact_shadow > 0:
@@ -208,19 +207,32 @@ def _data_costs(cost: Array, posteriors: list[LayerPosterior], box: Region) -> A
     return costs
 
 
-def _pull_tracks(
-    unary: Array, layers: list[LayerEvidence], box: Region, shape: tuple[int, ...], strength: float
-) -> None:
-    """Add the trajectories' data cost: −c for their own label at their pixel, +c for every other.
+def _track_pulls(layers: list[LayerEvidence], box: Region, shape: tuple[int, ...], strength: float) -> Array:
+    """The trajectories' data cost: −c for their own label at their pixel, +c for every other.
 
-    Up to a constant, which does not matter, that is −2c for their own.
+    Up to a constant, which does not matter, that is −2c for their own: label, row, column, cost of each.
     """
     pull = round(2.0 * strength / COST_QUANTUM)
-    for own, layer in zip(unary, layers, strict=True):
-        x = np.clip(np.rint(layer.positions[:, 0]).astype(np.intp), 0, shape[1] - 1) - box.x
-        y = np.clip(np.rint(layer.positions[:, 1]).astype(np.intp), 0, shape[0] - 1) - box.y
-        inside = (x >= 0) & (x < box.width) & (y >= 0) & (y < box.height)
-        np.subtract.at(own, (y[inside], x[inside]), pull)
+    counts = [len(one.positions) for one in layers]
+    pulls = np.empty((sum(counts), 4), np.int64)
+    inside = 0
+    for own, layer in enumerate(layers):
+        inside = _pull(layer.positions, own, pull, box.x, box.y, box.width, box.height, shape, pulls, inside)
+    return pulls[:inside]
+
+
+@njit(cache=True)
+def _pull(
+    positions: Array, label: int, pull: int, left: int, top: int, width: int, height: int,
+    shape: tuple[int, int], pulls: Array, count: int,
+) -> int:  # fmt: skip
+    for point in range(positions.shape[0]):
+        x = min(max(int(np.rint(positions[point, 0])), 0), shape[1] - 1) - left
+        y = min(max(int(np.rint(positions[point, 1])), 0), shape[0] - 1) - top
+        if 0 <= x < width and 0 <= y < height:
+            pulls[count, 0], pulls[count, 1], pulls[count, 2], pulls[count, 3] = label, y, x, -pull
+            count += 1
+    return count
 
 
 def _discount_shadows(
