@@ -98,8 +98,8 @@ def warp_model(
     motion : (new height, new width, 2) float32
         Backward motion t → t−1 at the pixels of the new region, px.
     learnt : two arrays, optional
-        What the model has still to learn of frame t−1, as :func:`update` takes it: on the way that is cheaper,
-        for every stack is touched anyway. Of the old model only residuals of empty stacks are changed.
+        What the model has still to learn of frame t−1, as :func:`update` takes it: on the way that is
+        cheaper, for every stack is touched anyway. Of the old model only residuals of empty stacks change.
 
     Returns
     -------

@@ -95,8 +95,11 @@ def _halved_unary(unary: Array, side: int, extras: Array, height: int, width: in
     for label in range(unary.shape[0]):
         if side == 1:
             for y in range(height):
-                for x in range(width):
-                    sums[label, y // 2, x // 2] += unary[label, y, x]
+                own, total = unary[label, y], sums[label, y // 2]
+                for u in range(width // 2):
+                    total[u] += own[2 * u] + own[2 * u + 1]
+                if width % 2:
+                    total[columns - 1] += own[width - 1]
         else:
             for v in range(rows):
                 down = min(2, height - 2 * v)

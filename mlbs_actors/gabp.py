@@ -329,8 +329,8 @@ def _misfit(values: Array, field: Array, nodes: Array, shares: Array) -> Array:
 def _lump(
     nodes: Array, shares: Array, evidence: Array, measured: Array, precision: float, rows: int, columns: int
 ) -> Array:
-    """Sums on the nodes by the points' shares, (3, gh, gw): of their evidence, with the prior's precision, and
-    of their evidence times what they measured."""
+    """Sums on the nodes by the points' shares, (3, gh, gw): of their evidence, with the prior's precision,
+    and of their evidence times what they measured."""
     total = np.zeros((3, rows * columns))
     total[0] = precision
     for point in range(nodes.shape[0]):

@@ -335,7 +335,7 @@ class Layer:
         )
 
     def _finish(self, previous: Segmentation | None) -> tuple[Array, tuple[Array, Array] | None]:
-        """This layer's normalised posterior of frame t−1, empty if it had no part in it, and what it learns."""
+        """The normalised posterior of frame t−1, empty without a part in it, and what there is to learn."""
         state = self.state
         if previous is None or previous.frame_index != state.last_frame:
             return np.zeros((0, 0), np.float32), None

@@ -300,7 +300,7 @@ def _and_under(strip: Array, body: Array) -> Array:
 
 
 def _spread_into_objects(colour: Array, free: Array) -> Array:
-    """Mean log colour and its variance, (h / 2, w / 2, 4) float32, of the free pixels in the nearest reach."""
+    """Mean log colour and its variance, (h / 2, w / 2, 4) float32, of the free pixels within a reach."""
     weighted = [_moments(colour, free, _LOG)]
     for _ in range(DOUBLINGS):
         weighted.append(cv2.pyrDown(weighted[-1]))
@@ -315,7 +315,7 @@ def _spread_into_objects(colour: Array, free: Array) -> Array:
 
 @njit(cache=True)
 def _moments(colour: Array, free: Array, log_of: Array) -> Array:
-    """Sums of log colour, its square and 1 over the free pixels of blocks of 2×2: (⌈h/2⌉, ⌈w/2⌉, 7) float32."""
+    """Sums of log colour, its square and 1 over the free pixels of 2×2: (⌈h/2⌉, ⌈w/2⌉, 7) float32."""
     height, width = free.shape
     moments = np.zeros(((height + 1) // 2, (width + 1) // 2, 7), np.float32)
     for y in range(height):
