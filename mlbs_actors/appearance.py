@@ -84,9 +84,7 @@ def empty_model(region: Region, sample_count: int = 20) -> AppearanceModel:
     )
 
 
-def warp_model(
-    model: AppearanceModel, new_region: Region, motion: Array, learnt: tuple[Array, Array] | None = None
-) -> AppearanceModel:
+def warp_model(model: AppearanceModel, new_region: Region, motion: Array) -> AppearanceModel:
     """Move a model to the next frame by the layer's own motion.
 
     Parameters
@@ -97,9 +95,6 @@ def warp_model(
         The layer's region at frame t.
     motion : (new height, new width, 2) float32
         Backward motion t → t−1 at the pixels of the new region, px.
-    learnt : two arrays, optional
-        What the model has still to learn of frame t−1, as :func:`update` takes it: on the way that is
-        cheaper, for every stack is touched anyway. Of the old model only residuals of empty stacks change.
 
     Returns
     -------
@@ -112,26 +107,20 @@ def warp_model(
     """
     if model.region.area == 0:
         return empty_model(new_region, model.samples.shape[3])
-    image, mask = learnt or (np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.bool_))
-    _centre_first(mask, model.count, model.residual)
     source, residual = nearest_sources(model.residual, model.region, new_region, motion)
     shape = source.shape
     samples = np.empty((*shape, *model.samples.shape[2:]), np.uint8)
     count, newest, spread = np.empty(shape, np.uint8), np.empty(shape, np.uint8), np.empty(shape, np.uint8)
     _take_over(
-        source,
+        source.ravel(),
         _stacks(model.samples),
         model.count.ravel(),
         model.newest.ravel(),
         model.spread.ravel(),
-        model.residual,
-        image,
-        mask,
         _stacks(samples),
-        samples,
-        count,
-        newest,
-        spread,
+        count.ravel(),
+        newest.ravel(),
+        spread.ravel(),
     )
     return AppearanceModel(new_region, samples, count, newest, spread, residual)
 
@@ -144,37 +133,19 @@ def _stacks(samples: Array) -> Array:
 
 
 @njit(cache=True)
-def _centre_first(mask: Array, count: Array, residual: Array) -> None:
-    """The first sample of a stack is taken at its pixel's centre."""
-    for y in range(mask.shape[0]):
-        for x in range(mask.shape[1]):
-            if mask[y, x] and count[y, x] == 0:
-                residual[y, x, 0], residual[y, x, 1] = 0, 0
-
-
-@njit(cache=True)
 def _take_over(
-    source: Array, stacks: Array, count: Array, newest: Array, spread: Array, residual: Array,
-    image: Array, mask: Array,
-    new_stacks: Array, new_samples: Array, new_count: Array, new_newest: Array, new_spread: Array,
+    source: Array, stacks: Array, count: Array, newest: Array, spread: Array,
+    new_stacks: Array, new_count: Array, new_newest: Array, new_spread: Array,
 ) -> None:  # fmt: skip
-    width, learns = residual.shape[1], mask.size > 0
-    for y in range(source.shape[0]):
-        for x in range(source.shape[1]):
-            place, pixel = source[y, x], y * source.shape[1] + x
-            if place < 0:
-                new_stacks[pixel] = 0
-                new_count[y, x], new_newest[y, x], new_spread[y, x] = 0, 0, 0
-                continue
-            for word in range(stacks.shape[1]):
-                new_stacks[pixel, word] = stacks[place, word]
-            known, last, width_now = count[place], newest[place], spread[place]
-            if learns:
-                v, u = place // width, place % width
-                if mask[v, u]:
-                    colour = read_image(image, v, u, residual[v, u, 0], residual[v, u, 1])
-                    known, last, width_now = _learn(new_samples[y, x], known, last, width_now, colour)
-            new_count[y, x], new_newest[y, x], new_spread[y, x] = known, last, width_now
+    for pixel in range(source.size):
+        place = source[pixel]
+        if place < 0:
+            new_stacks[pixel] = 0
+            new_count[pixel], new_newest[pixel], new_spread[pixel] = 0, 0, 0
+            continue
+        for word in range(stacks.shape[1]):
+            new_stacks[pixel, word] = stacks[place, word]
+        new_count[pixel], new_newest[pixel], new_spread[pixel] = count[place], newest[place], spread[place]
 
 
 def update(model: AppearanceModel, image: Array, mask: Array) -> None:
@@ -220,41 +191,35 @@ def read_image(
 def _update(
     samples: Array, count: Array, newest: Array, spread: Array, residual: Array, image: Array, mask: Array
 ) -> None:
-    _centre_first(mask, count, residual)
+    capacity = samples.shape[3]
+    half, third, rate = np.float32(0.5), np.float32(1 / (3 * SPREAD_STEP)), np.float32(_SPREAD_RATE)
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
-            if mask[y, x]:
-                colour = read_image(image, y, x, residual[y, x, 0], residual[y, x, 1])
-                count[y, x], newest[y, x], spread[y, x] = _learn(
-                    samples[y, x], count[y, x], newest[y, x], spread[y, x], colour
+            if not mask[y, x]:
+                continue
+            known = int(count[y, x])
+            if known == 0:
+                residual[y, x, 0], residual[y, x, 1] = 0, 0
+            colour = read_image(image, y, x, residual[y, x, 0], residual[y, x, 1])
+            slot = 0
+            if known > 0:
+                last = int(newest[y, x])
+                slot = last + 1 if last + 1 < capacity else 0
+                difference = (
+                    abs(colour[0] - np.float32(samples[y, x, 0, last]))
+                    + abs(colour[1] - np.float32(samples[y, x, 1, last]))
+                    + abs(colour[2] - np.float32(samples[y, x, 2, last]))
                 )
-
-
-@njit(cache=True)
-def _learn(
-    stack: Array, known: np.uint8, last: np.uint8, spread: np.uint8,
-    colour: tuple[np.float32, np.float32, np.float32],
-) -> tuple[np.uint8, np.uint8, np.uint8]:  # fmt: skip
-    """Put a colour into a stack (3, N); its number of samples, newest and spread after that."""
-    capacity = stack.shape[1]
-    half, third, rate = np.float32(0.5), np.float32(1 / (3 * SPREAD_STEP)), np.float32(_SPREAD_RATE)
-    slot = 0
-    if known > 0:
-        slot = int(last) + 1 if int(last) + 1 < capacity else 0
-        difference = (
-            abs(colour[0] - np.float32(stack[0, last]))
-            + abs(colour[1] - np.float32(stack[1, last]))
-            + abs(colour[2] - np.float32(stack[2, last]))
-        )
-        # The running median steps towards the new difference and never past it.
-        old = np.float32(spread)
-        step = min(max(difference * third - old, -rate), rate)
-        spread = np.uint8(np.int32(min(old + step + half, np.float32(255))))
-    # By way of int32, which takes one instruction.
-    stack[0, slot] = np.uint8(np.int32(colour[0] + half))
-    stack[1, slot] = np.uint8(np.int32(colour[1] + half))
-    stack[2, slot] = np.uint8(np.int32(colour[2] + half))
-    return np.uint8(min(int(known) + 1, capacity)), np.uint8(slot), spread
+                # The running median steps towards the new difference and never past it.
+                old = np.float32(spread[y, x])
+                step = min(max(difference * third - old, -rate), rate)
+                spread[y, x] = np.uint8(np.int32(min(old + step + half, np.float32(255))))
+            # By way of int32, which takes one instruction.
+            samples[y, x, 0, slot] = np.uint8(np.int32(colour[0] + half))
+            samples[y, x, 1, slot] = np.uint8(np.int32(colour[1] + half))
+            samples[y, x, 2, slot] = np.uint8(np.int32(colour[2] + half))
+            newest[y, x] = np.uint8(slot)
+            count[y, x] = np.uint8(min(known + 1, capacity))
 
 
 def median_colours(model: AppearanceModel) -> Array:

@@ -350,7 +350,8 @@ def _prior_precision(grid: tuple[int, int], parameters: MotionParameters) -> flo
 def _robust_weights(misfit: Array, robust_px: float) -> Array:
     squared = misfit[:, 0] ** 2 + misfit[:, 1] ** 2
     scale = max(robust_px, 3.0 * 1.4826 * np.sqrt(np.median(squared)))
-    return (scale**2 / (scale**2 + squared)) ** 2
+    weights: Array = (scale**2 / (scale**2 + squared)) ** 2
+    return weights
 
 
 def _marginal_variance(

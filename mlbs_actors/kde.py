@@ -120,7 +120,6 @@ def warp_and_evaluate(
     image: Array,
     parameters: AppearanceParameters,
     needed: Array | None = None,
-    learnt: tuple[Array, Array] | None = None,
 ) -> tuple[AppearanceModel, Array]:
     """Predict the model of frame t and evaluate frame t under it (steps 3b and 3c of a frame).
 
@@ -136,8 +135,6 @@ def warp_and_evaluate(
     parameters : AppearanceParameters
     needed : (h, w) bool, optional
         Where to evaluate; everywhere by default. The model moves everywhere.
-    learnt : two arrays, optional
-        What the model has still to learn of frame t−1, as for :func:`warp_model`.
 
     Returns
     -------
@@ -146,7 +143,7 @@ def warp_and_evaluate(
     log_likelihood : (h, w) float32
         As :func:`log_likelihood` returns.
     """
-    moved = warp_model(model, new_region, motion, learnt)
+    moved = warp_model(model, new_region, motion)
     return moved, log_likelihood(moved, image, parameters, needed)
 
 

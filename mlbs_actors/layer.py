@@ -39,7 +39,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours
+from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
 from mlbs_actors.camera import shrunk_homography
 from mlbs_actors.cells import cell_side, in_cells, mean_of_cells, spread_over_cells
 from mlbs_actors.config import Config
@@ -186,7 +186,7 @@ class Layer:
         start = perf_counter()
         if frame_evidence.frame_index == frame_evidence.epoch:
             previous = None
-        posterior, learnt = self._finish(previous)
+        posterior = self._finish(previous)
         finished = perf_counter()
         shape, margin = frame_evidence.shape, self.config.posterior.region_margin_px
         side = cell_side(shape, self.config.appearance.cell_px)
@@ -210,7 +210,7 @@ class Layer:
         opened = np.zeros(image.shape[:2], np.bool_)
         opened[part] = needed
         model, log_density = warp_and_evaluate(
-            state.model, in_cells(home, side), home_motion * per_cell, image, density, opened, learnt
+            state.model, in_cells(home, side), home_motion * per_cell, image, density, opened
         )
         weights = self.config.posterior
         log_ratio, samples = quantised_colours(
@@ -334,19 +334,19 @@ class Layer:
             half_confidence_samples=colours.half_confidence_samples,
         )
 
-    def _finish(self, previous: Segmentation | None) -> tuple[Array, tuple[Array, Array] | None]:
-        """The normalised posterior of frame t−1, empty without a part in it, and what there is to learn."""
+    def _finish(self, previous: Segmentation | None) -> Array:
+        """Learn frame t−1; return this layer's normalised posterior of it, empty if it had no part in it."""
         state = self.state
         if previous is None or previous.frame_index != state.last_frame:
-            return np.zeros((0, 0), np.float32), None
+            return np.zeros((0, 0), np.float32)
         mask = previous.labels[state.home.slices] == self.layer
         won = mean_of_cells(mask.view(np.uint8) * np.uint8(255), state.cell)
+        update(state.model, state.image, (won == 255) & state.trusted)
         cells, home = in_cells(state.region, state.cell), in_cells(state.home, state.cell)
         own = np.ascontiguousarray(won[slices_in(cells, home)])
-        posterior = finished_posterior(
+        return finished_posterior(
             self.config, state.cost, state.log_ratio, state.samples, previous, cells, own
         )
-        return posterior, (state.image, (won == 255) & state.trusted)
 
 
 @njit(cache=True)

@@ -155,9 +155,8 @@ class Segmenter:
         costs = _data_costs(fused.cost, posteriors, cells)
         if dark is not None and config.shadow > 0:
             _discount_shadows(costs, posteriors, cells, shadow_likelihood(dark), config.shadow)
-        pulls = _track_pulls(
-            [evidence for _, evidence in members], box, result.labels.shape, config.track_cost
-        )
+        frame_shape = (frame.shape[0], frame.shape[1])
+        pulls = _track_pulls([evidence for _, evidence in members], box, frame_shape, config.track_cost)
         image = np.ascontiguousarray(frame[box.slices])
         ready = perf_counter()
         label_costs = np.full(len(members), round(config.label_cost * scale**2 / COST_QUANTUM), np.int64)
@@ -207,7 +206,9 @@ def _data_costs(cost: Array, posteriors: list[LayerPosterior], box: Region) -> A
     return costs
 
 
-def _track_pulls(layers: list[LayerEvidence], box: Region, shape: tuple[int, ...], strength: float) -> Array:
+def _track_pulls(
+    layers: list[LayerEvidence], box: Region, frame_shape: tuple[int, int], strength: float
+) -> Array:
     """The trajectories' data cost: −c for their own label at their pixel, +c for every other.
 
     Up to a constant, which does not matter, that is −2c for their own: label, row, column, cost of each.
@@ -217,7 +218,9 @@ def _track_pulls(layers: list[LayerEvidence], box: Region, shape: tuple[int, ...
     pulls = np.empty((sum(counts), 4), np.int64)
     inside = 0
     for own, layer in enumerate(layers):
-        inside = _pull(layer.positions, own, pull, box.x, box.y, box.width, box.height, shape, pulls, inside)
+        inside = _pull(
+            layer.positions, own, pull, box.x, box.y, box.width, box.height, frame_shape, pulls, inside
+        )
     return pulls[:inside]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -103,21 +103,6 @@ def test_moving_and_evaluating_at_once_is_moving_everywhere_and_then_evaluating_
     expected = warp_model(model, REGION, motion)
     np.testing.assert_array_equal(moved.samples, expected.samples)
     np.testing.assert_array_equal(result, log_likelihood(expected, image, PARAMETERS, needed))
-
-
-def test_a_model_that_learns_while_it_moves_is_one_that_learns_and_then_moves() -> None:
-    model, last, image = model_with_gaps(6), smooth_image(5), smooth_image(7)
-    rng = np.random.default_rng(8)
-    motion = rng.normal(0, 1, (9, 12, 2)).astype(np.float32)
-    mask = rng.random((9, 12)) < 0.6
-    slow = model_with_gaps(6)
-    assert (mask & (slow.count == 0)).any()
-    moved, result = warp_and_evaluate(model, REGION, motion, image, PARAMETERS, learnt=(last, mask))
-    update(slow, last, mask)
-    expected, expected_result = warp_and_evaluate(slow, REGION, motion, image, PARAMETERS)
-    np.testing.assert_array_equal(result, expected_result)
-    for array, other in zip(astuple(moved)[1:], astuple(expected)[1:], strict=True):
-        np.testing.assert_array_equal(array, other)
 
 
 def texture(x: Array, y: Array) -> Array:
