@@ -37,7 +37,7 @@ _PRIOR_STEPS = 4096
 
 def uncontested_cost(config: Config) -> int:
     """Cost of the background where no object can be: the offset alone, in units of ``COST_STEP``."""
-    return int(np.clip(np.rint(config.posterior.offset / COST_STEP), 0, 255))
+    return min(round(config.posterior.offset / COST_STEP), 255)
 
 
 def layer_cost(
@@ -139,11 +139,23 @@ def _tables(
 def _taps(first: int, count: int, length: float, grid: int) -> tuple[slice, Array, Array, Array]:
     """Some cells of an axis on a grid of the same axis: the part that they lie in, between which two of its
     places each cell's centre lies, and its share in the second. The whole axis is ``length`` cells long."""
-    place = np.clip((np.arange(first, first + count) + 0.5) * grid / length - 0.5, 0, grid - 1)
-    low = place.astype(np.int64)
-    high = np.minimum(low + 1, grid - 1)
-    part = slice(int(low[0]), int(high[-1]) + 1) if count else slice(0, 0)
-    return part, low - part.start, high - part.start, (place - low).astype(np.float32)
+    low, high, share = _places(first, count, grid / length, grid)
+    if count == 0:
+        return slice(0, 0), low, high, share
+    part = slice(int(low[0]), int(high[-1]) + 1)
+    return part, low - part.start, high - part.start, share
+
+
+@njit(cache=True)
+def _places(first: int, count: int, ratio: float, grid: int) -> tuple[Array, Array, Array]:
+    low, high = np.empty(count, np.int64), np.empty(count, np.int64)
+    share = np.empty(count, np.float32)
+    for i in range(count):
+        place = min(max((first + i + 0.5) * ratio - 0.5, 0.0), grid - 1.0)
+        low[i] = int(place)
+        high[i] = min(low[i] + 1, grid - 1)
+        share[i] = place - low[i]
+    return low, high, share
 
 
 @njit(cache=True)
