@@ -1,5 +1,8 @@
 """Specks and pinholes of a label map (§7; the authors' program cleans the map it learns from).
 
+A component is found by its runs, stretches of one label in a row: there are few of them, and one pass over
+the pixels gives those of all labels.
+
 Differs from the authors' program, which publishes the raw map and learns from the cleaned one: here they
 are the same map. A component smaller than the limit goes to the neighbour with the longest common border;
 the largest component of a label is never a speck, so a small far object survives.
@@ -7,11 +10,10 @@ the largest component of a label is never a speck, so a small far object survive
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
+from numba import njit
 
 from mlbs_actors.messages import BACKGROUND, Array, Region
-from mlbs_actors.region_groups import common
 
 __all__ = ["clean_labels"]
 
@@ -35,41 +37,91 @@ def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) ->
     (box.height, box.width) unsigned integer
         A new array.
     """
-    before = labels[box.slices]
-    cleaned = before.copy()
-    whole = Region(0, 0, box.width, box.height)
+    cleaned = labels[box.slices].copy()
+    rows, starts, ends, of_run = _components(cleaned)
+    first = np.unique(of_run, return_index=True)[1]  # of the runs of each component
+    label_of = cleaned[rows[first], starts[first]].astype(np.int64)
+    areas = np.bincount(of_run, ends - starts).astype(np.int64)
+    on_side = (rows == 0) & (box.y > 0) | (rows == box.height - 1) & (box.y + box.height < labels.shape[0])
+    on_side |= (starts == 0) & (box.x > 0) | (ends == box.width) & (box.x + box.width < labels.shape[1])
+    goes_on = np.bincount(of_run, on_side) > 0
+    areas[goes_on & (label_of == BACKGROUND)] += labels.size - box.area
+    small = areas < np.where(label_of == BACKGROUND, hole_px, speck_px)
+    if not small.any():
+        return cleaned
     # Specks first: they must not become holes of what is filled.
-    for label in np.flatnonzero(np.bincount(before.reshape(-1)))[::-1]:
-        own = (before == label).view(np.uint8)
-        x, y, width, height = cv2.boundingRect(own)
-        part = common(Region(x - 1, y - 1, width + 2, height + 2), whole)
-        after = cleaned[part.slices]
-        _count, component, stats, _ = cv2.connectedComponentsWithStats(own[part.slices], connectivity=4)
-        areas = stats[1:, cv2.CC_STAT_AREA]
-        if label == BACKGROUND:  # it goes on outside
-            areas[_open_components(component, box, labels.shape) - 1] += labels.size - box.area
-        small = areas < (hole_px if label == BACKGROUND else speck_px)
-        small[int(np.argmax(areas))] = False
-        for index in np.flatnonzero(small) + 1:
-            x, y, width, height = stats[index, :4]
-            place = np.s_[max(y - 1, 0) : y + height + 1, max(x - 1, 0) : x + width + 1]
-            inside = component[place] == index
-            ring = cv2.dilate(inside.view(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & ~inside
-            neighbours = after[place][ring]
-            if len(neighbours):
-                after[place][inside] = np.bincount(neighbours).argmax()
+    by_area = np.lexsort((-areas, label_of))
+    small[by_area[np.unique(label_of[by_area], return_index=True)[1]]] = False
+    for component in sorted(np.flatnonzero(small), key=lambda one: (-label_of[one], one)):
+        own = np.flatnonzero(of_run == component)
+        _give_away(cleaned, rows[own], starts[own], ends[own])
     return cleaned
 
 
-def _open_components(component: Array, box: Region, shape: tuple[int, ...]) -> Array:
-    """Components on those sides of the box that are not the frame's border."""
-    sides = []
-    if box.y > 0:
-        sides.append(component[0])
-    if box.x > 0:
-        sides.append(component[:, 0])
-    if box.y + box.height < shape[0]:
-        sides.append(component[-1])
-    if box.x + box.width < shape[1]:
-        sides.append(component[:, -1])
-    return np.unique(np.concatenate(sides)) if sides else np.zeros(0, np.intp)
+@njit(cache=True)
+def _components(labels: Array) -> tuple[Array, Array, Array, Array]:
+    """Row, first column, column past the last and component of every run, in raster order; components of
+    4-neighbours, in the order of their first runs."""
+    height, width = labels.shape
+    count = 0
+    for y in range(height):
+        count += 1
+        for x in range(1, width):
+            count += labels[y, x] != labels[y, x - 1]
+    rows, starts, ends = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
+    parent = np.empty(count, np.int64)
+    run, above, above_end = 0, 0, 0
+    for y in range(height):
+        row_begin, x = run, 0
+        while x < width:
+            label, start = labels[y, x], x
+            while x < width and labels[y, x] == label:
+                x += 1
+            rows[run], starts[run], ends[run], parent[run] = y, start, x, run
+            while above < above_end and ends[above] <= start:
+                above += 1
+            other = above
+            while other < above_end and starts[other] < x:
+                if labels[y - 1, starts[other]] == label:
+                    one, two = _root(parent, other), _root(parent, run)
+                    parent[max(one, two)] = min(one, two)
+                other += 1
+            run += 1
+        above, above_end = row_begin, run
+    component = np.empty(count, np.int64)
+    found = 0
+    for run in range(count):
+        root = _root(parent, run)
+        if root == run:
+            component[run] = found
+            found += 1
+        else:
+            component[run] = component[root]
+    return rows, starts, ends, component
+
+
+@njit(cache=True)
+def _root(parent: Array, run: int) -> int:
+    while parent[run] != run:
+        parent[run] = parent[parent[run]]
+        run = parent[run]
+    return run
+
+
+@njit(cache=True)
+def _give_away(labels: Array, rows: Array, starts: Array, ends: Array) -> None:
+    """Give a component to the label that most of the pixels around it have, the lowest of several."""
+    top, bottom = max(rows[0] - 1, 0), min(rows[-1] + 2, labels.shape[0])
+    left, right = max(starts.min() - 1, 0), min(ends.max() + 1, labels.shape[1])
+    inside = np.zeros((bottom - top, right - left), np.bool_)
+    for run in range(rows.size):
+        inside[rows[run] - top, starts[run] - left : ends[run] - left] = True
+    votes = np.zeros(np.int64(labels[top:bottom, left:right].max()) + 1, np.int64)
+    for v in range(inside.shape[0]):
+        for u in range(inside.shape[1]):
+            if not inside[v, u] and inside[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2].any():
+                votes[labels[v + top, u + left]] += 1
+    if votes.any():
+        winner = votes.argmax()
+        for run in range(rows.size):
+            labels[rows[run], starts[run] : ends[run]] = winner

@@ -11,7 +11,6 @@ Differs from the paper, which cuts the whole grid.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numba import njit
 
@@ -39,8 +38,11 @@ def halved(whole: LabelCostEnergy) -> LabelCostEnergy:
     LabelCostEnergy
         Of (⌈H/2⌉, ⌈W/2⌉) blocks; equal on every such labelling, up to the bound of a block's cost.
     """
-    unary, weights = _halved(whole.unary, whole.weights)
-    return LabelCostEnergy(unary, weights, whole.label_costs)
+    if whole.side != 2:
+        whole = whole.of_pixels()
+    height, width = whole.weights.shape[:2]
+    unary = _halved_unary(whole.unary, whole.side, whole.extras, height, width)
+    return LabelCostEnergy(unary, _halved_weights(whole.weights), whole.label_costs)
 
 
 def unhalved(labels: Array, shape: tuple[int, int]) -> Array:
@@ -60,25 +62,58 @@ def band_around_outlines(whole: LabelCostEnergy, labels: Array) -> UndecidedEner
     -------
     UndecidedEnergy
     """
-    compact = labels.astype(np.uint16)
-    window = np.ones((2 * BAND + 1, 2 * BAND + 1), np.uint8)
-    band = cv2.dilate(compact, window) != cv2.erode(compact, window)
-    elsewhere = np.bincount(labels[~band], minlength=whole.label_costs.size) > 0
-    return undecided_energy(whole, np.where(band, UNDECIDED, labels), elsewhere)
+    opened, elsewhere = _opened(labels, whole.label_costs.size, BAND)
+    return undecided_energy(whole, opened, elsewhere)
 
 
 @njit(cache=True)
-def _halved(unary: Array, weights: Array) -> tuple[Array, Array]:
-    label_count, height, width = unary.shape
+def _opened(labels: Array, label_count: int, reach: int) -> tuple[Array, Array]:
+    """The labels, open wherever a window that reaches so far holds more than one; and which are elsewhere."""
+    height, width = labels.shape
+    opened = labels.copy()
+    for y in range(height):
+        for x in range(width):
+            if x + 1 < width and labels[y, x] != labels[y, x + 1]:
+                top, left = max(y - reach, 0), max(x + 1 - reach, 0)
+                opened[top : y + reach + 1, left : x + reach + 1] = UNDECIDED
+            if y + 1 < height and labels[y, x] != labels[y + 1, x]:
+                top, left = max(y + 1 - reach, 0), max(x - reach, 0)
+                opened[top : y + reach + 1, left : x + reach + 1] = UNDECIDED
+    elsewhere = np.zeros(label_count, np.bool_)
+    for y in range(height):
+        for x in range(width):
+            if opened[y, x] != UNDECIDED:
+                elsewhere[opened[y, x]] = True
+    return opened, elsewhere
+
+
+@njit(cache=True)
+def _halved_unary(unary: Array, side: int, extras: Array, height: int, width: int) -> Array:
+    """Sums over blocks of 2×2 pixels of an (H, W) image, of which each, or each block, has its cost."""
     rows, columns = (height + 1) // 2, (width + 1) // 2
-    sums = np.zeros((label_count, rows, columns), np.int32)
-    for label in range(label_count):
-        for y in range(height):
-            for x in range(width):
-                sums[label, y // 2, x // 2] += unary[label, y, x]
-        for y in range(rows):
-            for x in range(columns):
-                sums[label, y, x] = min(sums[label, y, x], MAX_BLOCK_COST)
+    sums = np.zeros((unary.shape[0], rows, columns), np.int32)
+    for label in range(unary.shape[0]):
+        if side == 1:
+            for y in range(height):
+                own, total = unary[label, y], sums[label, y // 2]
+                for u in range(width // 2):
+                    total[u] += own[2 * u] + own[2 * u + 1]
+                if width % 2:
+                    total[columns - 1] += own[width - 1]
+        else:
+            for v in range(rows):
+                down = min(2, height - 2 * v)
+                for u in range(columns):
+                    sums[label, v, u] = unary[label, v, u] * np.int32(down * min(2, width - 2 * u))
+    for extra in range(extras.shape[0]):
+        sums[extras[extra, 0], extras[extra, 1] // 2, extras[extra, 2] // 2] += extras[extra, 3]
+    return np.minimum(sums, np.int32(MAX_BLOCK_COST))
+
+
+@njit(cache=True)
+def _halved_weights(weights: Array) -> Array:
+    height, width, _ = weights.shape
+    rows, columns = (height + 1) // 2, (width + 1) // 2
     joined = np.zeros((rows, columns, 4), np.int32)
     for y in range(height):
         for x in range(width):
@@ -100,4 +135,4 @@ def _halved(unary: Array, weights: Array) -> tuple[Array, Array]:
                 joined[v, u, 1] += weights[y, x, 3]
             elif not odd_column and u > 0:
                 joined[v, u - 1, 0] += weights[y, x, 3]
-    return sums, joined
+    return joined

@@ -182,7 +182,7 @@ class MotionConfig(_Section):
 
     grid_px: int = Field(8, ge=1, description="Spacing of the field's grid, px (not scaled with the frame).")
     variance_grid_px: int = Field(
-        16, ge=1, description="Spacing of the grid on which marginal variances hold, px."
+        32, ge=1, description="Spacing of the grid on which marginal variances hold, px."
     )
     smoothness_std_px: float = Field(0.5, gt=0, description="σ_m: difference of neighbouring nodes, px.")
     point_std_px: float = Field(0.5, gt=0, description="σ_p: a trajectory's error, px.")

@@ -40,7 +40,7 @@ from mlbs_actors.label_cost_energy import (
 )
 from mlbs_actors.messages import Array
 
-__all__ = ["Pruning", "movable", "prune"]
+__all__ = ["Pruning", "movable", "prune", "reachable"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,29 @@ def prune(whole: LabelCostEnergy) -> Pruning:
     return Pruning(labels, undecided_energy(whole, labels, certain))
 
 
-def movable(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array, Array]:
+def reachable(rest: UndecidedEnergy, start: Array) -> tuple[Array, ...]:
+    """Pixels that each label can ever take in best expansions and removals, from a labelling on.
+
+    A pixel never takes a label that costs more than its own by more than all its neighbours and all label
+    costs can pay back; what it can take from the start, and so on, is all that it can ever have.
+
+    Parameters
+    ----------
+    rest : UndecidedEnergy
+    start : (n,) intp
+
+    Returns
+    -------
+    tuple of (m,) intp
+        For each label positions 0 … n−1, ascending.
+    """
+    within = _reach(rest.unary, rest.weight, np.int64(rest.label_costs.sum()), start)
+    return tuple(np.flatnonzero(own <= within) for own in rest.unary)
+
+
+def movable(
+    rest: UndecidedEnergy, labels: Array, alpha: int, candidates: Array | None = None
+) -> tuple[Array, Array]:
     """Pixels that a best expansion of ``alpha`` may take, and labels that it leaves in use.
 
     A pixel is left out when taking it costs more than its neighbours, those that can be at alpha, and the
@@ -87,6 +109,8 @@ def movable(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array, Ar
         The labelling to expand in.
     alpha : int
         Label position.
+    candidates : (m,) intp, optional
+        All that can ever take alpha, as :func:`reachable` tells; all pixels by default.
 
     Returns
     -------
@@ -95,8 +119,34 @@ def movable(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array, Ar
     kept : (K,) bool
         Labels that keep a pixel in every best move, or cost nothing; alpha's own entry has no meaning.
     """
-    pixels, kept = _movable(rest.unary, rest.neighbour, rest.weight, rest.label_costs, labels, alpha)
+    if candidates is None:
+        candidates = np.arange(labels.size)
+    pixels, kept = _movable(
+        rest.unary, rest.neighbour, rest.weight, rest.label_costs, labels, alpha, candidates
+    )
     return pixels, kept
+
+
+@njit(cache=True)
+def _reach(unary: Array, weight: Array, label_cost: np.int64, start: Array) -> Array:
+    """Cost up to which each pixel can ever come to have a label."""
+    count = start.size
+    payable, within = np.empty(count, np.int64), np.empty(count, np.int64)
+    for p in range(count):
+        payable[p] = label_cost
+        for k in range(8):
+            payable[p] += weight[p, k]
+        within[p] = unary[start[p], p] + payable[p]
+    changed = True
+    while changed:
+        changed = False
+        for label in range(unary.shape[0]):
+            for p in range(count):
+                cost = unary[label, p]
+                if cost <= within[p] and cost + payable[p] > within[p]:
+                    within[p] = cost + payable[p]
+                    changed = True
+    return within
 
 
 @njit(cache=True)
@@ -178,27 +228,35 @@ def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Ar
 
 @njit(cache=True)
 def _movable(
-    unary: Array, neighbour: Array, weight: Array, label_costs: Array, labels: Array, alpha: int
-) -> tuple[Array, Array]:
+    unary: Array, neighbour: Array, weight: Array, label_costs: Array, labels: Array, alpha: int,
+    candidates: Array,
+) -> tuple[Array, Array]:  # fmt: skip
     kept = label_costs == 0
-    free = labels != alpha
-    price = np.zeros(labels.size, np.int64)
-    pixels = np.empty(labels.size, np.intp)
+    if candidates.size < labels.size and not kept.all():
+        stays = np.ones(labels.size, np.bool_)
+        stays[candidates] = False
+        for p in range(labels.size):
+            kept[labels[p]] |= stays[p]
+    free = np.zeros(labels.size, np.bool_)
+    price = np.empty(candidates.size, np.int64)
+    pixels = np.empty(candidates.size, np.intp)
     count = 0
     # A first look with all neighbours at alpha leaves few pixels to look at closely.
-    for p in range(labels.size):
-        if not free[p]:
-            continue
+    for i in range(candidates.size):
+        p = candidates[i]
         label = labels[p]
-        price[p] = np.int64(unary[alpha, p]) - unary[label, p]
+        if label == alpha:
+            continue
+        cost = np.int64(unary[alpha, p]) - unary[label, p]
         refund = np.int64(0) if kept[label] else label_costs[label]
-        if price[p] > refund:
+        if cost > refund:
             for k in range(8):
                 refund += weight[p, k]
-            if price[p] > refund:
-                free[p] = False
+            if cost > refund:
                 kept[label] = True
                 continue
+        free[p] = True
+        price[count] = cost
         pixels[count] = p
         count += 1
     while True:
@@ -215,11 +273,11 @@ def _movable(
                         gain += weight[p, k]
                     elif labels[q] == label:
                         gain -= weight[p, k]
-            if price[p] > gain:
+            if price[i] > gain:
                 free[p] = False
                 kept[label] = True
             else:
-                pixels[left] = p
+                pixels[left], price[left] = p, price[i]
                 left += 1
         # A round that leaves out few is not worth another; stopping early only makes the graph larger.
         if 4 * (count - left) <= count:

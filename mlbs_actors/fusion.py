@@ -15,6 +15,7 @@ layers become uniform where one has few samples.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -162,6 +163,7 @@ class _Part:
         )
 
 
+@functools.lru_cache(maxsize=16)
 def _trust(half_confidence: float) -> Array:
     """κ for 0 … 255 samples."""
     return confidence(

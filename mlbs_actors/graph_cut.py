@@ -18,9 +18,6 @@ Differs from the paper:
   labels the first one ends in a global optimum. An expansion is tried again only where something has
   changed: the last one was the best there.
 * Of more than ``LARGE`` pixels, only those near the outlines of a coarser solution are cut (``coarse_cut``).
-* Cuts of pixels alone are those of ``min_cut``; a label that could be got rid of needs a general graph.
-  There the usual star of one node a label cost with thousands of edges makes the Boykov–Kolmogorov algorithm
-  crawl. Here the pixels of one image row meet in a row node first; the minimum is the same.
 """
 
 from __future__ import annotations
@@ -28,20 +25,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import maxflow
 import numpy as np
 from numba import njit
 
 from mlbs_actors.coarse_cut import band_around_outlines, halved, unhalved
 from mlbs_actors.contrast import MAX_COST
-from mlbs_actors.cut_pruning import movable, prune
+from mlbs_actors.cut_pruning import movable, prune, reachable
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.expansion import expansion
 from mlbs_actors.label_cost_energy import LabelCostEnergy, UndecidedEnergy
 from mlbs_actors.messages import Array
-from mlbs_actors.min_cut import min_cut
 
 __all__ = [
     "CutResult",
+    "lowest_labels",
     "minimise",
 ]
 
@@ -105,25 +102,32 @@ def minimise(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> CutResult:
     if max_sweeps < 1:
         raise ConfigError(f"max_sweeps is {max_sweeps}; give at least 1.")
     _check(whole)
-    return _minimise(whole, max_sweeps)
+    labels, trace, converged, decided = _minimise(whole, max_sweeps)
+    constant = whole.energy(labels) - trace[-1]
+    energies = tuple(constant + value for value in trace)
+    return CutResult(labels, energies[-1], energies, len(energies) - 1, converged, decided)
 
 
-def _minimise(whole: LabelCostEnergy, max_sweeps: int) -> CutResult:
-    shape = whole.unary.shape[1:]
+def lowest_labels(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> Array:
+    """The labels alone of :func:`minimise`, (H, W) intp: what the energies are takes time to tell."""
+    _check(whole)
+    return _minimise(whole, max_sweeps)[0]
+
+
+def _minimise(whole: LabelCostEnergy, max_sweeps: int) -> tuple[Array, list[int], bool, float]:
+    """Labels, energies up to a constant, whether nothing lowers them, and the fraction decided."""
+    shape = whole.weights.shape[:2]
     if shape[0] * shape[1] > LARGE:
-        labels = unhalved(_minimise(halved(whole), max_sweeps).labels, shape)
+        labels = unhalved(_minimise(halved(whole), max_sweeps)[0], shape)
         rest = band_around_outlines(whole, labels)
         start = labels.reshape(-1)[rest.pixels]
     else:
-        pruning = prune(whole)
+        pruning = prune(whole.of_pixels())
         labels, rest = pruning.labels, pruning.rest
         start = np.zeros(rest.pixels.size, np.intp)
     undecided_labels, trace, converged = _search(rest, start, max_sweeps)
     labels.reshape(-1)[rest.pixels] = undecided_labels
-    constant = whole.energy(labels) - trace[-1]
-    energies = tuple(constant + value for value in trace)
-    decided = 1.0 - rest.pixels.size / labels.size
-    return CutResult(labels, energies[-1], energies, len(energies) - 1, converged, decided)
+    return labels, trace, converged, 1.0 - rest.pixels.size / labels.size
 
 
 def _check(whole: LabelCostEnergy) -> None:
@@ -135,7 +139,13 @@ def _check(whole: LabelCostEnergy) -> None:
         )
     if unary.dtype != np.int32 or not max(-int(unary.min()), int(unary.max())) <= MAX_COST:
         raise ConfigError(f"Give unary costs as int32, none beyond ±{MAX_COST}; clip −log P before the cut.")
-    shape = (*unary.shape[1:], 4)
+    cells = unary.shape[1:]
+    if whole.side == 1:
+        shape: tuple[int, ...] = (*cells, 4)
+    else:
+        shape = (*weights.shape[:2], 4)
+        if cells != tuple(-(-length // whole.side) for length in shape[:2]):
+            raise ConfigError(f"Give unary costs for all cells of {shape[:2]} pixels, not {cells}.")
     if weights.shape != shape or not (weights.min() >= 0 and weights.max() <= MAX_COST):
         raise ConfigError(f"Give pair weights of shape {shape}, each from 0 to {MAX_COST}.")
     outward = (weights[:, -1, 0], weights[-1, :, 1:], weights[:, -1, 2], weights[:, 0, 3])
@@ -163,6 +173,8 @@ class _Course:
         Label before that step; −1 at the start.
     expanded_at : (K,) int64
         Step after which each label was last expanded; −1 if never.
+    candidates : tuple of (m,) intp
+        Pixels that each label can ever take (:func:`~mlbs_actors.cut_pruning.reachable`).
     """
 
     labels: Array
@@ -171,19 +183,21 @@ class _Course:
     changed_at: Array
     came_from: Array
     expanded_at: Array
+    candidates: tuple[Array, ...]
 
     @classmethod
     def starting(cls, rest: UndecidedEnergy, labels: Array) -> _Course:
         count = labels.size
         never = np.full(rest.label_costs.size, -1)
-        return cls(labels, rest.energy(labels), 0, np.zeros(count, np.int32), np.full(count, -1), never)
+        steps, nothing = np.zeros(count, np.int32), np.full(count, -1)
+        return cls(labels, rest.energy(labels), 0, steps, nothing, never, reachable(rest, labels))
 
     def expand(self, rest: UndecidedEnergy, alphas: Sequence[int]) -> None:
         """One sweep; a label is left out if nothing has changed since its last expansion."""
         for alpha in alphas:
             if self.expanded_at[alpha] == self.step:
                 continue
-            nodes, kept = movable(rest, self.labels, alpha)
+            nodes, kept = movable(rest, self.labels, alpha, self.candidates[alpha])
             if rest.label_costs[alpha] == 0 and self.expanded_at[alpha] >= 0:
                 nodes = _worth_expanding(
                     rest.neighbour,
@@ -195,7 +209,7 @@ class _Course:
                     alpha,
                     nodes,
                 )
-            moved, change = _expansion(rest, self.labels, alpha, nodes, kept)
+            moved, change = expansion(rest, self.labels, alpha, nodes, kept)
             if change < 0:
                 self.energy += change
                 self.step += 1
@@ -246,59 +260,6 @@ def _remove_labels(rest: UndecidedEnergy, course: _Course) -> _Course:
     return course
 
 
-def _expansion(
-    rest: UndecidedEnergy, labels: Array, alpha: int, nodes: Array, kept: Array
-) -> tuple[Array, int]:
-    """The pixels that best take ``alpha``, out of ``nodes``, and the change of the energy.
-
-    The cost of alpha itself is not in the graph: it is the same for all moves that move anything.
-    """
-    if nodes.size == 0:
-        return nodes, 0
-    surplus, neighbour, residual, unmoved = _move_graph(
-        rest.unary, rest.neighbour, rest.weight, labels, alpha, nodes
-    )
-    paid = np.flatnonzero(~kept & (np.bincount(labels[nodes], minlength=kept.size) > 0))
-    if paid.size:
-        members = [np.flatnonzero(labels[nodes] == label) for label in paid]
-        groups = [
-            (own, rest.row[nodes[own]], int(rest.label_costs[k]))
-            for own, k in zip(members, paid, strict=True)
-        ]
-        flow, moved = _cut_with_label_costs(surplus, neighbour, residual, groups)
-    else:
-        flow, moved = min_cut(surplus, neighbour, residual)
-    change = int(flow - unmoved) - int(rest.label_costs[paid].sum())
-    if not rest.used(labels)[alpha]:
-        change += int(rest.label_costs[alpha])
-    return nodes[moved], change
-
-
-def _cut_with_label_costs(
-    surplus: Array, neighbour: Array, residual: Array, groups: Sequence[tuple[Array, Array, int]]
-) -> tuple[np.int64, Array]:
-    """The minimum cut where each group of nodes is charged for unless all of it is on the sink's side.
-
-    A group's nodes, their image rows and its cost are given. Its edges: member → row node → hub → sink.
-    """
-    graph = maxflow.GraphInt(surplus.size, 4 * surplus.size)
-    ids = graph.add_grid_nodes(surplus.shape)
-    terminal = surplus.astype(np.int64)
-    graph.add_grid_tedges(ids, np.maximum(terminal, 0), np.maximum(-terminal, 0))
-    for k in range(4):
-        tails = np.flatnonzero(neighbour[:, k] >= 0)
-        heads = neighbour[tails, k]
-        graph.add_edges(tails, heads, residual[tails, k], residual[heads, k + 4])
-    for members, rows, cost in groups:
-        distinct, of_member = np.unique(rows, return_inverse=True)
-        row_nodes = graph.add_grid_nodes(distinct.shape)
-        hub = graph.add_nodes(1)
-        for tails, heads in ((members, row_nodes[of_member]), (row_nodes, np.repeat(hub, distinct.size))):
-            graph.add_edges(tails, heads, np.full(tails.size, cost), np.zeros(tails.size, np.int64))
-        graph.add_tedge(int(hub[0]), 0, cost)
-    return np.int64(graph.maxflow()), graph.get_grid_segments(ids)
-
-
 @njit(cache=True)
 def _worth_expanding(
     neighbour: Array,
@@ -347,43 +308,3 @@ def _worth_expanding(
         if not (free and (newest <= expanded_at or (from_alpha and oldest == newest))):
             worth[part[:tail]] = True
     return nodes[worth[nodes]]
-
-
-@njit(cache=True)
-def _move_graph(
-    unary: Array, neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array
-) -> tuple[Array, Array, Array, np.int64]:
-    """What moving costs over staying (m,), neighbours among the m nodes and capacities to them (m, 8), and
-    the cost if nothing moves.
-
-    That cost leaves out the least of both choices at each pixel, which no cut can change. A pair costs w
-    unless both ends move or, if they have the same label, both stay. With the same label it is a plain edge;
-    with two labels it is w for p staying, and w for q staying while p moves, a directed edge.
-    """
-    local = np.full(labels.size, -1, np.int32)
-    for i in range(nodes.size):
-        local[nodes[i]] = i
-    surplus = np.empty(nodes.size, np.int32)
-    near, capacity = np.full((nodes.size, 8), -1, np.int32), np.zeros((nodes.size, 8), np.int32)
-    unmoved = np.int64(0)
-    for i in range(nodes.size):
-        p = nodes[i]
-        stay, move = unary[labels[p], p], unary[alpha, p]
-        for k in range(8):
-            q = neighbour[p, k]
-            if q < 0:
-                continue
-            w = weight[p, k]
-            same = labels[q] == labels[p]
-            near[i, k] = local[q]
-            if local[q] < 0:
-                stay += 0 if same else w
-                move += w if labels[q] != alpha else 0
-            elif k < 4:
-                capacity[i, k] = w if same else 0
-                stay += 0 if same else w
-            else:
-                capacity[i, k] = w
-        surplus[i] = move - stay
-        unmoved += max(stay - move, 0)
-    return surplus, near, capacity, unmoved

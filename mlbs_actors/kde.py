@@ -19,6 +19,7 @@ logarithm are polynomials, less than 1e-3 nats from exact together; a kernel is 
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,6 +147,7 @@ def warp_and_evaluate(
     return moved, log_likelihood(moved, image, parameters, needed)
 
 
+@functools.lru_cache(maxsize=16)
 def _tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
     """Log to base 2 of a kernel per squared grey level, and (σ√2π)⁻³, for the 256 values of ``spread``."""
     bandwidth = np.maximum(np.arange(256) * SPREAD_STEP, parameters.bandwidth_floor)

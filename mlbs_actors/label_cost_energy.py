@@ -7,7 +7,7 @@ folded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
@@ -36,23 +36,38 @@ class LabelCostEnergy:
 
     Attributes
     ----------
-    unary : (K, H, W) int32
-        Cost of each label at each pixel, at most 2²⁴ in size.
+    unary : (K, ⌈H / side⌉, ⌈W / side⌉) int32
+        Cost of each label at each pixel of a cell, at most 2²⁴ in size.
     weights : (H, W, 4) int32
         Potts weight to the neighbour at ``NEIGHBOUR_OFFSETS[k]``, k < 4, in 0 … 2²⁴; 0 where it would be
         outside the image.
     label_costs : (K,) int64
         Cost of using a label at all, ≥ 0.
+    side : int
+        Of the square cells whose pixels share their unary costs.
+    extras : (n, 4) int64
+        Label, row, column, and what is added to that label's unary cost at that pixel alone.
     """
 
     unary: Array
     weights: Array
     label_costs: Array
+    side: int = 1
+    extras: Array = field(default_factory=lambda: np.zeros((0, 4), np.int64))
+
+    def of_pixels(self) -> LabelCostEnergy:
+        """The same energy with a unary cost for each pixel, (K, H, W)."""
+        if self.side == 1 and len(self.extras) == 0:
+            return self
+        height, width = self.weights.shape[:2]
+        unary = self.unary.repeat(self.side, axis=1).repeat(self.side, axis=2)[:, :height, :width].copy()
+        np.add.at(unary, tuple(self.extras[:, :3].T), self.extras[:, 3].astype(np.int32))
+        return LabelCostEnergy(unary, self.weights, self.label_costs)
 
     def energy(self, labels: Array) -> int:
         """E(labels) of label positions (H, W) intp."""
         used = np.bincount(labels.reshape(-1), minlength=self.label_costs.size) > 0
-        pixel_terms = _image_energy(self.unary, self.weights, labels)
+        pixel_terms = _image_energy(self.of_pixels().unary, self.weights, labels)
         return int(pixel_terms) + int(self.label_costs[used].sum())
 
 
@@ -117,7 +132,7 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     return UndecidedEnergy(
         pixels,
         pixels // labels.shape[1],
-        _folded(whole.unary, whole.weights, labels, pixels),
+        _folded(whole.unary, whole.side, whole.extras, whole.weights, labels, pixels),
         neighbour,
         weight,
         np.where(elsewhere, 0, whole.label_costs),
@@ -135,19 +150,30 @@ def neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, in
 
 
 @njit(cache=True)
-def _folded(unary: Array, weights: Array, labels: Array, pixels: Array) -> Array:
+def _folded(unary: Array, side: int, extras: Array, weights: Array, labels: Array, pixels: Array) -> Array:
     """Unary (K, n) of the undecided pixels with the pair terms to decided neighbours."""
-    label_count, height, width = unary.shape
+    label_count, _, columns = unary.shape
+    height, width = labels.shape
+    cells = np.empty(pixels.size, np.intp)
+    for i in range(pixels.size):
+        cells[i] = pixels[i] // width // side * columns + pixels[i] % width // side
     folded = np.empty((label_count, pixels.size), np.int32)
+    for label in range(label_count):
+        own = unary[label].reshape(-1)
+        for i in range(pixels.size):
+            folded[label, i] = own[cells[i]]
     for i in range(pixels.size):
         y, x = pixels[i] // width, pixels[i] % width
-        for label in range(label_count):
-            folded[label, i] = unary[label, y, x]
         for k in range(8):
             v, u, row, column, direction = neighbour_and_weight(y, x, k)
             if 0 <= v < height and 0 <= u < width and labels[v, u] != UNDECIDED:
                 # As in the test above: up to a constant, agreeing with it saves the weight.
                 folded[labels[v, u], i] -= weights[row, column, direction]
+    for extra in range(extras.shape[0]):
+        pixel = extras[extra, 1] * width + extras[extra, 2]
+        i = np.searchsorted(pixels, pixel)
+        if i < pixels.size and pixels[i] == pixel:
+            folded[extras[extra, 0], i] += extras[extra, 3]
     return folded
 
 

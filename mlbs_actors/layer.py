@@ -37,6 +37,7 @@ from time import perf_counter
 
 import cv2
 import numpy as np
+from numba import njit
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
 from mlbs_actors.camera import shrunk_homography
@@ -57,7 +58,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
-from mlbs_actors.object_regions import contested, object_region
+from mlbs_actors.object_regions import contested, median_motion, object_region
 from mlbs_actors.photometric import FramePart, photometric_advantage
 from mlbs_actors.region_groups import slices_in
 from mlbs_actors.warp import warp_map
@@ -249,7 +250,7 @@ class Layer:
         evaluated = perf_counter()
 
         if len(evidence.motions):
-            velocity = -np.median(evidence.motions, axis=0).astype(np.float32)
+            velocity = -np.array(median_motion(evidence.motions), np.float32)
         else:
             velocity = state.velocity
         self.state = LayerState(
@@ -265,7 +266,6 @@ class Layer:
             velocity,
             trusted,
         )
-        trust = confidence(np.arange(256), density)
         return LayerPosterior(
             layer=self.layer,
             frame_index=frame_evidence.frame_index,
@@ -276,7 +276,7 @@ class Layer:
             log_ratio=log_ratio,
             samples=samples,
             outside_cost=255,
-            confidence=float(trust[model.count].mean()) if home.area else 0.0,
+            confidence=float(_mean_trust(model.count, confidence(np.arange(256), density))),
             velocity=velocity,
             stage_ms={
                 "update": 1e3 * (finished - start),
@@ -318,7 +318,7 @@ class Layer:
             nodes = node_positions(shape, self._motion.spacing_px).astype(np.float64)
             prior = cv2.perspectiveTransform(nodes, frame_evidence.camera) - nodes
         elif len(evidence.motions):
-            prior = np.median(evidence.motions, axis=0)
+            prior = np.array(median_motion(evidence.motions))
         elif region.area:
             prior = -self.state.velocity
         return motion_field(evidence.positions - corner, evidence.motions, shape, prior, self._motion)
@@ -347,3 +347,13 @@ class Layer:
         return finished_posterior(
             self.config, state.cost, state.log_ratio, state.samples, previous, cells, own
         )
+
+
+@njit(cache=True)
+def _mean_trust(count: Array, trust: Array) -> float:
+    """Mean of a table's values at some numbers of samples, 0 of none."""
+    total = 0.0
+    for y in range(count.shape[0]):
+        for x in range(count.shape[1]):
+            total += trust[count[y, x]]
+    return total / max(count.size, 1)

@@ -7,6 +7,8 @@ from tables, 0.003 nats from exact before they are weighed.
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numba import njit
 
@@ -35,7 +37,7 @@ _PRIOR_STEPS = 4096
 
 def uncontested_cost(config: Config) -> int:
     """Cost of the background where no object can be: the offset alone, in units of ``COST_STEP``."""
-    return int(np.clip(np.rint(config.posterior.offset / COST_STEP), 0, 255))
+    return min(round(config.posterior.offset / COST_STEP), 255)
 
 
 def layer_cost(
@@ -80,15 +82,14 @@ def layer_cost(
     """
     weights, background = config.posterior, kind == "background"
     cost = np.full(needed.shape, uncontested_cost(config), np.uint8)
-    heard = np.clip(
-        2.0 * UNEXPLAINED_STEP / config.layers.unexplained_noise * np.arange(256) - 1.0, 0.0, 1.0
-    ).astype(np.float32)
-    floor = weights.motion_floor if background else weights.object_motion_floor
-    distances = np.arange(32 * _DISTANCE_STEPS + 1) / _DISTANCE_STEPS
-    disagreement = -np.log(floor + (1.0 - floor) * np.exp(-0.5 * distances))
-    # Background that was hidden has been there all the same: for it the floor is the neutral value.
-    floor = weights.neutral_prior if background else weights.prior_floor
-    surprise = -np.log(np.maximum(np.arange(_PRIOR_STEPS + 1) / _PRIOR_STEPS, floor))
+    heard, disagreement, surprise = _tables(
+        config.layers.unexplained_noise,
+        weights.motion,
+        weights.motion_floor if background else weights.object_motion_floor,
+        weights.prior,
+        # Background that was hidden has been there all the same: for it the floor is the neutral value.
+        weights.neutral_prior if background else weights.prior_floor,
+    )
     flow_variance = (config.motion.flow_std_px * length_scale(*evidence.shape)) ** 2
     (height, width), grid = evidence.shape, evidence.flow.shape
     rows, top, bottom, down = _taps(cells.y, cells.height, height / side, grid[0])
@@ -106,27 +107,55 @@ def layer_cost(
         left,
         right,
         along,
-        heard * np.float32(weights.motion),
+        heard,
         *prior,
         own_terms,
         np.float32(flow_variance),
         np.float32(weights.neutral_prior),
-        disagreement.astype(np.float32),
-        (weights.prior * surprise).astype(np.float32),
+        disagreement,
+        surprise,
         np.float32(weights.offset),
         cost,
     )
     return cost
 
 
+@functools.lru_cache(maxsize=16)
+def _tables(
+    unexplained_noise: float, motion: float, motion_floor: float, prior: float, prior_floor: float
+) -> tuple[Array, Array, Array]:
+    """Weight of the motion term by how little the camera explains, the term by d², and the prior's term."""
+    heard = np.clip(2.0 * UNEXPLAINED_STEP / unexplained_noise * np.arange(256) - 1.0, 0.0, 1.0)
+    distances = np.arange(32 * _DISTANCE_STEPS + 1) / _DISTANCE_STEPS
+    disagreement = -np.log(motion_floor + (1.0 - motion_floor) * np.exp(-0.5 * distances))
+    surprise = -np.log(np.maximum(np.arange(_PRIOR_STEPS + 1) / _PRIOR_STEPS, prior_floor))
+    return (
+        heard.astype(np.float32) * np.float32(motion),
+        disagreement.astype(np.float32),
+        (prior * surprise).astype(np.float32),
+    )
+
+
 def _taps(first: int, count: int, length: float, grid: int) -> tuple[slice, Array, Array, Array]:
     """Some cells of an axis on a grid of the same axis: the part that they lie in, between which two of its
     places each cell's centre lies, and its share in the second. The whole axis is ``length`` cells long."""
-    place = np.clip((np.arange(first, first + count) + 0.5) * grid / length - 0.5, 0, grid - 1)
-    low = place.astype(np.int64)
-    high = np.minimum(low + 1, grid - 1)
-    part = slice(int(low[0]), int(high[-1]) + 1) if count else slice(0, 0)
-    return part, low - part.start, high - part.start, (place - low).astype(np.float32)
+    low, high, share = _places(first, count, grid / length, grid)
+    if count == 0:
+        return slice(0, 0), low, high, share
+    part = slice(int(low[0]), int(high[-1]) + 1)
+    return part, low - part.start, high - part.start, share
+
+
+@njit(cache=True)
+def _places(first: int, count: int, ratio: float, grid: int) -> tuple[Array, Array, Array]:
+    low, high = np.empty(count, np.int64), np.empty(count, np.int64)
+    share = np.empty(count, np.float32)
+    for i in range(count):
+        place = min(max((first + i + 0.5) * ratio - 0.5, 0.0), grid - 1.0)
+        low[i] = int(place)
+        high[i] = min(low[i] + 1, grid - 1)
+        share[i] = place - low[i]
+    return low, high, share
 
 
 @njit(cache=True)

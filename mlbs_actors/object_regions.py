@@ -10,14 +10,17 @@ Differs from the paper, in which every layer is evaluated on the whole frame.
 
 from __future__ import annotations
 
+from math import ceil, floor
+
 import numpy as np
+from numba import njit
 
 from mlbs_actors.cells import aligned, in_cells
 from mlbs_actors.config import length_scale
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region, Segmentation
 from mlbs_actors.region_groups import around, common, slices_in
 
-__all__ = ["contested", "object_region"]
+__all__ = ["contested", "median_motion", "object_region"]
 
 
 def object_region(
@@ -47,24 +50,48 @@ def object_region(
     Region
         Inside the frame; empty for an object without trajectories and pixels.
     """
-    boxes, velocity = [], None
+    boxes = []
     if len(evidence.positions):
-        boxes.append(np.concatenate([evidence.positions.min(axis=0), evidence.positions.max(axis=0)]))
-        velocity = -np.median(evidence.motions, axis=0)
+        boxes.append(_bounds(evidence.positions))
     for summary in previous.layers if previous is not None else ():
         if summary.layer == evidence.layer:
             box = summary.region
-            corner = np.array([box.x, box.y]) + (summary.velocity if velocity is None else velocity)
-            boxes.append(np.concatenate([corner, corner + np.array([box.width, box.height])]))
+            if boxes:
+                back_x, back_y = median_motion(evidence.motions)
+                x, y = box.x - back_x, box.y - back_y
+            else:
+                x, y = box.x + summary.velocity[0], box.y + summary.velocity[1]
+            boxes.append((x, y, x + box.width, y + box.height))
     if not boxes:
         return Region(0, 0, 0, 0)
     height, width = shape
     margin = margin_px * length_scale(height, width)
-    low = np.floor(np.min(boxes, axis=0)[:2] - margin).astype(int)
-    high = np.ceil(np.max(boxes, axis=0)[2:] + margin).astype(int) + 1
-    x0, y0 = np.clip(low, 0, (width, height))
-    x1, y1 = np.clip(high, 0, (width, height))
-    return aligned(Region(int(x0), int(y0), int(x1 - x0), int(y1 - y0)), cell, shape)
+    left, top, right, bottom = zip(*boxes, strict=True)
+    x0, y0 = _within(floor(min(left) - margin), width), _within(floor(min(top) - margin), height)
+    x1, y1 = _within(ceil(max(right) + margin) + 1, width), _within(ceil(max(bottom) + margin) + 1, height)
+    return aligned(Region(x0, y0, x1 - x0, y1 - y0), cell, shape)
+
+
+def median_motion(motions: Array) -> tuple[float, float]:
+    """Median of some motions (n ≥ 1, 2), px: of x and of y."""
+    x, y = _median_motion(motions)
+    return float(x), float(y)
+
+
+@njit(cache=True)
+def _median_motion(motions: Array) -> tuple[float, float]:
+    return np.median(motions[:, 0]), np.median(motions[:, 1])
+
+
+@njit(cache=True)
+def _bounds(positions: Array) -> tuple[float, float, float, float]:
+    """Least x and y, largest x and y."""
+    x, y = positions[:, 0], positions[:, 1]
+    return x.min(), y.min(), x.max(), y.max()
+
+
+def _within(place: int, length: int) -> int:
+    return min(max(place, 0), length)
 
 
 def contested(

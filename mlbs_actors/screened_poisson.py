@@ -13,6 +13,7 @@ residual they return with is computed anew; where it misses the tolerance a dire
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Literal
 
@@ -154,6 +155,7 @@ def inverse_diagonal(screening: Array, edge: float) -> Array:
     return np.asarray(_inverse_diagonal(np.ascontiguousarray(diagonal), edge))
 
 
+@functools.lru_cache(maxsize=64)
 def _degree(rows: int, columns: int) -> Array:
     """Number of neighbours of each node."""
     degree = np.zeros((rows, columns))
@@ -226,6 +228,7 @@ def _residual(screening: Array, rhs: Array, edge: float, value: Array) -> float:
 # horizontal). A sweep writes into a second array: in place it could not run in vector registers.
 
 
+@functools.lru_cache(maxsize=64)
 def _pyramid(rows: int, columns: int, edge: float) -> tuple[Array, Array]:
     levels, edges = [], []
     start, vertical, horizontal = 0, edge, edge

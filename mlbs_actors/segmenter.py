@@ -18,13 +18,13 @@ from time import perf_counter
 import numpy as np
 from numba import njit
 
-from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells, spread_over_cells
+from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells
 from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.contrast import COST_QUANTUM, MAX_COST, contrast_weights
 from mlbs_actors.errors import FrameError
 from mlbs_actors.fusion import FusedCosts, fused_costs
-from mlbs_actors.graph_cut import minimise
+from mlbs_actors.graph_cut import lowest_labels
 from mlbs_actors.label_cost_energy import LabelCostEnergy
 from mlbs_actors.messages import (
     BACKGROUND,
@@ -105,11 +105,11 @@ class Segmenter:
         if evidence.frame_index == evidence.epoch:
             self.state.labels = np.zeros((0, 0), np.uint16)
         settings = self.config.segmentation
-        ground = None
-        if settings.shadow > 0 or settings.contact_shadow > 0:
-            ground = ground_colour(frame, evidence, self.state.labels, length_scale(*evidence.shape))
         side = posteriors[0].cell
         small = mean_of_cells(frame, side)
+        ground = None
+        if settings.shadow > 0 or settings.contact_shadow > 0:
+            ground = ground_colour(small, evidence, self.state.labels, length_scale(*evidence.shape))
         grid = in_cells(Region(0, 0, evidence.shape[1], evidence.shape[0]), side)
         result = _Maps.of_background(evidence.shape, (grid.height, grid.width))
         stage_ms = {"fusion": 1e3 * (perf_counter() - start), "cut": 0.0, "cleaning": 0.0}
@@ -155,19 +155,17 @@ class Segmenter:
         costs = _data_costs(fused.cost, posteriors, cells)
         if dark is not None and config.shadow > 0:
             _discount_shadows(costs, posteriors, cells, shadow_likelihood(dark), config.shadow)
-        unary = np.stack([spread_over_cells(cost, side, (box.height, box.width)) for cost in costs])
-        _pull_tracks(
-            unary, [evidence for _, evidence in members], box, result.labels.shape, config.track_cost
-        )
+        frame_shape = (frame.shape[0], frame.shape[1])
+        pulls = _track_pulls([evidence for _, evidence in members], box, frame_shape, config.track_cost)
         image = np.ascontiguousarray(frame[box.slices])
         ready = perf_counter()
         label_costs = np.full(len(members), round(config.label_cost * scale**2 / COST_QUANTUM), np.int64)
         label_costs[0] = 0  # the background is always there
         weights = contrast_weights(image, config.contrast_strength, config.contrast_scale)
-        cut = minimise(LabelCostEnergy(unary, weights, label_costs))
+        positions = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls))
         solved = perf_counter()
         labels = result.labels[box.slices]
-        labels[...] = np.array([one.layer for one in posteriors], np.uint16)[cut.labels]
+        labels[...] = np.array([one.layer for one in posteriors], np.uint16)[positions]
         speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
         labels[...] = clean_labels(result.labels, box, speck_px=speck_px, hole_px=hole_px)
         if dark is not None and config.contact_shadow > 0:
@@ -208,19 +206,36 @@ def _data_costs(cost: Array, posteriors: list[LayerPosterior], box: Region) -> A
     return costs
 
 
-def _pull_tracks(
-    unary: Array, layers: list[LayerEvidence], box: Region, shape: tuple[int, ...], strength: float
-) -> None:
-    """Add the trajectories' data cost: −c for their own label at their pixel, +c for every other.
+def _track_pulls(
+    layers: list[LayerEvidence], box: Region, frame_shape: tuple[int, int], strength: float
+) -> Array:
+    """The trajectories' data cost: −c for their own label at their pixel, +c for every other.
 
-    Up to a constant, which does not matter, that is −2c for their own.
+    Up to a constant, which does not matter, that is −2c for their own: label, row, column, cost of each.
     """
     pull = round(2.0 * strength / COST_QUANTUM)
-    for own, layer in zip(unary, layers, strict=True):
-        x = np.clip(np.rint(layer.positions[:, 0]).astype(np.intp), 0, shape[1] - 1) - box.x
-        y = np.clip(np.rint(layer.positions[:, 1]).astype(np.intp), 0, shape[0] - 1) - box.y
-        inside = (x >= 0) & (x < box.width) & (y >= 0) & (y < box.height)
-        np.subtract.at(own, (y[inside], x[inside]), pull)
+    counts = [len(one.positions) for one in layers]
+    pulls = np.empty((sum(counts), 4), np.int64)
+    inside = 0
+    for own, layer in enumerate(layers):
+        inside = _pull(
+            layer.positions, own, pull, box.x, box.y, box.width, box.height, frame_shape, pulls, inside
+        )
+    return pulls[:inside]
+
+
+@njit(cache=True)
+def _pull(
+    positions: Array, label: int, pull: int, left: int, top: int, width: int, height: int,
+    shape: tuple[int, int], pulls: Array, count: int,
+) -> int:  # fmt: skip
+    for point in range(positions.shape[0]):
+        x = min(max(int(np.rint(positions[point, 0])), 0), shape[1] - 1) - left
+        y = min(max(int(np.rint(positions[point, 1])), 0), shape[0] - 1) - top
+        if 0 <= x < width and 0 <= y < height:
+            pulls[count, 0], pulls[count, 1], pulls[count, 2], pulls[count, 3] = label, y, x, -pull
+            count += 1
+    return count
 
 
 def _discount_shadows(
@@ -243,28 +258,53 @@ def _discount(own: Array, background: Array, shadow: Array, strength: np.float32
 def _summaries(
     labels: Array, fused: FusedCosts, posteriors: list[LayerPosterior], box: Region
 ) -> list[LayerSummary]:
+    side = posteriors[0].cell
+    position = np.zeros(posteriors[-1].layer + 1, np.intp)
+    position[[one.layer for one in posteriors]] = np.arange(len(posteriors))
+    bounds, sums, likelihood = _tally(labels, position, fused.cost, fused.normaliser, side, len(posteriors))
     rows = []
-    for cost, one in zip(fused.cost[1:], posteriors[1:], strict=True):
-        place = slices_in(one.region, box)
-        own = np.flatnonzero(labels[place] == one.layer)
-        if len(own) == 0:
+    for own, one in enumerate(posteriors):
+        (left, top, right, bottom), (area, x, y) = bounds[own].tolist(), sums[own].tolist()
+        if own == 0 or area == 0:
             continue
-        y, x = np.divmod(own, one.region.width)
-        y, x = y + one.region.y, x + one.region.x
-        cells = ((y - box.y) // one.cell, (x - box.x) // one.cell)
-        log_posterior = (fused.normaliser[cells].astype(np.float64) - cost[cells]) * COST_STEP
         rows.append(
             LayerSummary(
                 layer=one.layer,
                 kind="other" if one.kind == "other" else "object",
-                region=Region(int(x.min()), int(y.min()), int(np.ptp(x)) + 1, int(np.ptp(y)) + 1),
-                area=len(x),
-                centroid=(float(x.mean()), float(y.mean())),
+                region=Region(box.x + left, box.y + top, right - left + 1, bottom - top + 1),
+                area=area,
+                centroid=(box.x + x / area, box.y + y / area),
                 velocity=(float(one.velocity[0]), float(one.velocity[1])),
-                confidence=float(np.exp(np.minimum(log_posterior, 0.0)).mean()),
+                confidence=float(likelihood[own] / area),
             )
         )
     return rows
+
+
+@njit(cache=True)
+def _tally(
+    labels: Array, position: Array, cost: Array, normaliser: Array, side: int, count: int
+) -> tuple[Array, Array, Array]:
+    """Of every label but 0: least and largest x and y, number of pixels and sums of x and y, and the sum of
+    its posteriors."""
+    bounds, sums = np.empty((count, 4), np.int64), np.zeros((count, 3), np.int64)
+    bounds[:, :2], bounds[:, 2:] = 2**31, -1
+    likelihood = np.zeros(count, np.float64)
+    certain = np.exp(np.arange(256) * -COST_STEP)
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            if labels[y, x] == BACKGROUND:
+                continue
+            own = position[labels[y, x]]
+            bounds[own, 0], bounds[own, 1] = min(bounds[own, 0], x), min(bounds[own, 1], y)
+            bounds[own, 2], bounds[own, 3] = max(bounds[own, 2], x), max(bounds[own, 3], y)
+            sums[own, 0] += 1
+            sums[own, 1] += x
+            sums[own, 2] += y
+            v, u = y // side, x // side
+            above = np.int64(cost[own, v, u]) - np.int64(normaliser[v, u])
+            likelihood[own] += certain[max(above, 0)]
+    return bounds, sums, likelihood
 
 
 def _slowest(posteriors: list[LayerPosterior]) -> dict[str, float]:

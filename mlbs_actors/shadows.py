@@ -32,10 +32,11 @@ NEAR_PX = 16.0
 BLUR_REACH = 4
 #: Side of the square around a shrunk pixel in which last frame's map must show no object either.
 GROWN = 3
-#: Standard deviation over which ground is looked for, shrunk px; where there is none, twice that, so often.
-REACH, DOUBLINGS = 3.0, 4
-#: Least share of ground within a reach.
-LEAST_GROUND = 0.05
+#: Standard deviation over which ground is looked for, twice shrunk px; where there is none, twice that, so
+#: often.
+REACH, DOUBLINGS = 1.5, 4
+#: Least share of ground within a reach, of four pixels.
+LEAST_GROUND = 4 * 0.05
 #: Log darkening at which a shadow begins, over which that is certain, and the same for the darkest.
 LIGHTEST, LIGHTEST_RAMP, DARKEST, DARKEST_RAMP = -0.10, 0.15, -2.2, 0.3
 #: Log darkening may differ by this between the channels, and by so many grey levels more in the dark.
@@ -74,12 +75,13 @@ class Darkening:
     variance: Array
 
 
-def ground_colour(frame: Array, evidence: FrameEvidence, previous: Array, scale: float) -> Array | None:
+def ground_colour(picture: Array, evidence: FrameEvidence, previous: Array, scale: float) -> Array | None:
     """The colour of the ground near each pixel, from what is no object's.
 
     Parameters
     ----------
-    frame : (H, W, 3) uint8
+    picture : (h, w, 3) uint8
+        The frame, or the means of its cells.
     evidence : FrameEvidence
         The objects' trajectories.
     previous : (H, W) uint16
@@ -89,20 +91,20 @@ def ground_colour(frame: Array, evidence: FrameEvidence, previous: Array, scale:
 
     Returns
     -------
-    (H / SHRINK, W / SHRINK, 4) float32 or None
+    (H / 2 SHRINK, W / 2 SHRINK, 4) float32 or None
         Mean log colour and its variance. None if there is neither an object's trajectory nor an object in
         the last map.
     """
-    height, width = frame.shape[:2]
+    height, width = evidence.shape
     objects = [one for one in evidence.layers if one.layer != BACKGROUND and len(one.positions)]
     if not objects and not previous.any():
         return None
     size = (max(1, width // SHRINK), max(1, height // SHRINK))
-    colour = _LOG[cv2.resize(frame, size, interpolation=cv2.INTER_AREA)]
+    colour = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
     free: Array = trajectory_distance(objects, Region(0, 0, *size), SHRINK) >= NEAR_PX * scale
     if previous.size:
-        shown = cv2.resize((previous > BACKGROUND).view(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-        free &= cv2.dilate(shown, np.ones((GROWN, GROWN), np.uint8)) == 0
+        shown = cv2.resize(previous, size, interpolation=cv2.INTER_NEAREST) > BACKGROUND
+        free &= cv2.dilate(shown.view(np.uint8), np.ones((GROWN, GROWN), np.uint8)) == 0
     return _spread_into_objects(colour, free)
 
 
@@ -113,7 +115,7 @@ def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darken
     ----------
     picture : (h, w, 3) uint8
         The frame, or the means of its cells.
-    ground : (H / SHRINK, W / SHRINK, 4) float32
+    ground : (H / 2 SHRINK, W / 2 SHRINK, 4) float32
         Of :func:`ground_colour`.
     box : Region
         Of the picture.
@@ -186,27 +188,55 @@ def contact_shadow(
     unlit = spread_over_cells(_unlit(dark), side, labels.shape)
     edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
-    present = np.flatnonzero(np.bincount(labels.reshape(-1)))
-    for label in present[present > BACKGROUND]:
-        own = (labels == label).view(np.uint8)
-        part = Region(*cv2.boundingRect(own))
-        _, pieces, boxes, _ = cv2.connectedComponentsWithStats(own[part.slices])
-        for piece, (x, y, width, height, _) in enumerate(boxes[1:], start=1):
+    for label, part in _unlit_objects(labels, unlit):
+        own = (labels[part.slices] == label).view(np.uint8)
+        _, pieces, boxes, _ = cv2.connectedComponentsWithStats(own)
+        for piece, (x, y, width, height, _) in enumerate(boxes[1:].tolist(), start=1):
             # Feet of one object stand at different heights of the picture.
             feet = Region(x, y + height // 2, width, height - height // 2)
             body = pieces[feet.slices] == piece
             box = Region(feet.x + part.x, feet.y + part.y, feet.width, feet.height)
+            dark_body = body & unlit[box.slices]
+            if not dark_body.any():
+                continue
             above = _height_above_ground(labels, box.x, box.y, box.width, box.height)
-            foot = body & unlit[box.slices] & (above <= rise * height)
+            foot = dark_body & (above <= rise * height)
             if not foot.any():
                 continue
             flat = _wide(foot & (_steepness(frame, box) < CONTACT_SMOOTH / scale), CONTACT_WIDTH * height)
+            if not flat.any():
+                continue
             _, strips = cv2.connectedComponents(flat.view(np.uint8))
             resting = np.unique(strips[flat & (above <= CONTACT_GAP_PX * scale)])
             core = np.isin(strips, resting[resting > 0])
             strip = cv2.dilate(core.view(np.uint8), disc).astype(bool) & foot
             found[box.slices] |= _and_under(strip, body)
     return found
+
+
+def _unlit_objects(labels: Array, unlit: Array) -> list[tuple[int, Region]]:
+    """The objects that have a pixel without light, in ascending order, and their boxes."""
+    bounds = _bounds(labels, unlit, int(labels.max()) + 1)
+    return [
+        (label, Region(left, top, right - left + 1, bottom - top + 1))
+        for label, (left, top, right, bottom, dark) in enumerate(bounds.tolist())
+        if dark
+    ]
+
+
+@njit(cache=True)
+def _bounds(labels: Array, unlit: Array, count: int) -> Array:
+    """Of every label but 0: least and largest x and y, and whether it has an unlit pixel, (count, 5)."""
+    bounds = np.zeros((count, 5), np.int64)
+    bounds[:, :2] = 2**31
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            label = np.int64(labels[y, x])
+            if label != BACKGROUND:
+                bounds[label, 0], bounds[label, 1] = min(bounds[label, 0], x), min(bounds[label, 1], y)
+                bounds[label, 2], bounds[label, 3] = max(bounds[label, 2], x), y
+                bounds[label, 4] |= unlit[y, x]
+    return bounds
 
 
 def _unlit(dark: Darkening) -> Array:
@@ -234,35 +264,44 @@ def _height_above_ground(labels: Array, left: int, top: int, width: int, height:
     """How many px down to the first that is no object's, (h, w) int32; over H if the frame ends first."""
     above = np.empty((height, width), np.int32)
     bottom = top + height
+    run = np.empty(width, np.int32)
     for x in range(width):
-        ends = bottom == len(labels) or labels[bottom, left + x] > BACKGROUND
-        run = len(labels) if ends else 0
-        for y in range(height - 1, -1, -1):
-            run = run + 1 if labels[top + y, left + x] > BACKGROUND else 0
-            above[y, x] = run
+        run[x] = len(labels) if bottom == len(labels) or labels[bottom, left + x] > BACKGROUND else 0
+    for y in range(height - 1, -1, -1):
+        for x in range(width):
+            run[x] = run[x] + 1 if labels[top + y, left + x] > BACKGROUND else 0
+            above[y, x] = run[x]
     return above
 
 
+@njit(cache=True)
 def _wide(mask: Array, least: float) -> Array:
-    """What of a mask lies in horizontal runs of at least so many px."""
-    run = np.ones((1, 2 * max(1, int(least / 2)) + 1), np.uint8)
-    opened = cv2.morphologyEx(
-        mask.astype(np.uint8), cv2.MORPH_OPEN, run, borderType=cv2.BORDER_CONSTANT, borderValue=0
-    )
-    return np.asarray(opened, bool)
+    """What of a mask lies in horizontal runs of at least so many px, rounded down to an odd number."""
+    wide = np.zeros(mask.shape, np.bool_)
+    length = 2 * max(1, int(least / 2)) + 1
+    for y in range(mask.shape[0]):
+        start = 0
+        for x in range(mask.shape[1] + 1):
+            if x == mask.shape[1] or not mask[y, x]:
+                if x - start >= length:
+                    wide[y, start:x] = True
+                start = x + 1
+    return wide
 
 
+@njit(cache=True)
 def _and_under(strip: Array, body: Array) -> Array:
     """The strip and what of the body is under it, down to the ground: the shadow's lighter rim."""
     result = strip.copy()
-    for row in range(1, len(strip)):
-        result[row] |= result[row - 1] & body[row]
+    for y in range(1, strip.shape[0]):
+        for x in range(strip.shape[1]):
+            result[y, x] |= result[y - 1, x] & body[y, x]
     return result
 
 
 def _spread_into_objects(colour: Array, free: Array) -> Array:
-    """Mean log colour and its variance, (h, w, 4) float32, of the free pixels within the nearest reach."""
-    weighted = [_moments(colour, free)]
+    """Mean log colour and its variance, (h / 2, w / 2, 4) float32, of the free pixels within a reach."""
+    weighted = [_moments(colour, free, _LOG)]
     for _ in range(DOUBLINGS):
         weighted.append(cv2.pyrDown(weighted[-1]))
     ground = np.zeros((*weighted[-1].shape[:2], 4), np.float32)
@@ -275,17 +314,19 @@ def _spread_into_objects(colour: Array, free: Array) -> Array:
 
 
 @njit(cache=True)
-def _moments(colour: Array, free: Array) -> Array:
-    """Log colour, its square and 1 where a pixel is free, else 0; (h, w, 7) float32."""
+def _moments(colour: Array, free: Array, log_of: Array) -> Array:
+    """Sums of log colour, its square and 1 over the free pixels of 2×2: (⌈h/2⌉, ⌈w/2⌉, 7) float32."""
     height, width = free.shape
-    moments = np.zeros((height, width, 7), np.float32)
+    moments = np.zeros(((height + 1) // 2, (width + 1) // 2, 7), np.float32)
     for y in range(height):
         for x in range(width):
             if free[y, x]:
+                block = moments[y // 2, x // 2]
                 for c in range(3):
-                    moments[y, x, c] = colour[y, x, c]
-                    moments[y, x, 3 + c] = colour[y, x, c] * colour[y, x, c]
-                moments[y, x, 6] = 1.0
+                    value = log_of[colour[y, x, c]]
+                    block[c] += value
+                    block[3 + c] += value * value
+                block[6] += 1.0
     return moments
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+from numba import njit
 
 from mlbs_actors.messages import Array, LayerEvidence, Region
 
@@ -30,13 +31,20 @@ def trajectory_distance(layers: Sequence[LayerEvidence], cells: Region, side: in
     """
     free = np.full((cells.height, cells.width), 255, np.uint8)
     for evidence in layers:
-        x, y = np.rint(evidence.positions.T).astype(np.intp) // side
-        x, y = x - cells.x, y - cells.y
-        inside = (x >= 0) & (x < cells.width) & (y >= 0) & (y < cells.height)
-        free[y[inside], x[inside]] = 0
+        _mark(evidence.positions, side, cells.x, cells.y, free)
     if free.size == 0 or free.all():
         return np.full(free.shape, np.inf, np.float32)
     return np.asarray(np.float32(side) * cv2.distanceTransform(free, cv2.DIST_L2, 5))
+
+
+@njit(cache=True)
+def _mark(positions: Array, side: int, left: int, top: int, free: Array) -> None:
+    """Set the cells to 0 in which some positions lie."""
+    for point in range(positions.shape[0]):
+        x = int(np.rint(positions[point, 0])) // side - left
+        y = int(np.rint(positions[point, 1])) // side - top
+        if 0 <= x < free.shape[1] and 0 <= y < free.shape[0]:
+            free[y, x] = 0
 
 
 def closed_distance(distance: Array, radius: float, side: int) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -192,3 +193,73 @@ def test_background_that_goes_on_outside_the_box_is_no_hole() -> None:
     before[0, 3:5] = 1
     box = Region(0, 0, 12, 7)
     assert not clean_labels(before, box, speck_px=0, hole_px=20)[6].any()
+
+
+def slowly_cleaned(labels: Array, box: Region, speck_px: float, hole_px: float) -> Array:
+    """Components by flood fill, their neighbours one by one."""
+    result = labels[box.slices].copy()
+    before = result.copy()
+    seen: set[tuple[int, int]] = set()
+    components: dict[int, list[list[tuple[int, int]]]] = {}
+    for y, x in np.ndindex(before.shape):
+        if (y, x) in seen:
+            continue
+        seen.add((y, x))
+        component = [(y, x)]
+        for v, u in component:
+            for near in ((v - 1, u), (v + 1, u), (v, u - 1), (v, u + 1)):
+                inside = 0 <= near[0] < box.height and 0 <= near[1] < box.width
+                if inside and near not in seen and before[near] == before[y, x]:
+                    seen.add(near)
+                    component.append(near)
+        components.setdefault(int(before[y, x]), []).append(component)
+
+    def goes_on(component: list[tuple[int, int]]) -> bool:
+        near = [
+            (y + box.y + v, x + box.x + u)
+            for y, x in component
+            for v, u in ((1, 0), (-1, 0), (0, 1), (0, -1))
+        ]
+        return any(
+            0 <= y < labels.shape[0] and 0 <= x < labels.shape[1]
+            and not (box.y <= y < box.y + box.height and box.x <= x < box.x + box.width)
+            for y, x in near
+        )  # fmt: skip
+
+    for label in sorted(components, reverse=True):
+        outside = labels.size - box.area if label == 0 else 0
+        areas = [len(one) + outside * goes_on(one) for one in components[label]]
+        for number, (component, area) in enumerate(zip(components[label], areas, strict=True)):
+            if number == areas.index(max(areas)) or area >= (speck_px if label else hole_px):
+                continue
+            around = {(y + v, x + u) for y, x in component for v in (-1, 0, 1) for u in (-1, 0, 1)}
+            votes = [
+                int(result[y, x])
+                for y, x in sorted(around - set(component))
+                if 0 <= y < box.height and 0 <= x < box.width
+            ]
+            if votes:
+                for place in component:
+                    result[place] = min(set(votes), key=lambda one: (-votes.count(one), one))
+    return result
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_box_of_random_patches_is_cleaned_as_by_flood_fill(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    height, width = (int(side) for side in rng.integers(8, 30, 2))
+    patches = [
+        cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), rng.choice([0.6, 1.5])) for _ in range(4)
+    ]
+    box = Region(*(int(corner) for corner in rng.integers(0, 3, 2)), 0, 0)
+    box = Region(box.x, box.y, width - box.x - int(rng.integers(3)), height - box.y - int(rng.integers(3)))
+    inside = np.zeros((height, width), bool)
+    top, left = box.y + (box.y > 0), box.x + (box.x > 0)
+    bottom, right = (
+        end - (end < whole) for end, whole in ((box.y + box.height, height), (box.x + box.width, width))
+    )
+    inside[top:bottom, left:right] = True
+    labels = np.where(inside, np.array([0, 2, 5, 9])[np.argmax(patches, axis=0)], 0).astype(np.uint16)
+    speck_px, hole_px = (float(limit) for limit in rng.integers(1, 30, 2))
+    expected = slowly_cleaned(labels, box, speck_px, hole_px)
+    np.testing.assert_array_equal(clean_labels(labels, box, speck_px, hole_px), expected)

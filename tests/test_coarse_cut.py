@@ -10,7 +10,7 @@ from test_graph_cut import in_quanta, problem_of, random_problem, slow_energy
 from mlbs_actors import graph_cut
 from mlbs_actors.coarse_cut import BAND, MAX_BLOCK_COST, band_around_outlines, halved, unhalved
 from mlbs_actors.contrast import contrast_weights
-from mlbs_actors.graph_cut import minimise
+from mlbs_actors.graph_cut import lowest_labels, minimise
 from mlbs_actors.label_cost_energy import LabelCostEnergy
 from mlbs_actors.messages import Array
 
@@ -39,6 +39,37 @@ def test_a_labelling_of_blocks_has_the_same_energy_on_both_scales(
     rng = np.random.default_rng(seed)
     blocks = rng.integers(0, shape[0], coarse.unary.shape[1:])
     assert slow_energy(blocks, coarse) == slow_energy(unhalved(blocks, shape[1:]), problem)
+
+
+@pytest.mark.parametrize("side", [1, 2, 3])
+@pytest.mark.parametrize("shape", [(3, 7, 9), (2, 6, 8), (2, 1, 5)])
+def test_costs_of_cells_and_of_single_pixels_are_those_of_all_pixels(
+    side: int, shape: tuple[int, int, int]
+) -> None:
+    rng = np.random.default_rng(side)
+    count, height, width = shape
+    problem = random_problem(side, shape, 5.0)
+    cells = rng.integers(0, 900, (count, -(-height // side), -(-width // side))).astype(np.int32)
+    extras = np.array([rng.integers(0, (*shape, 500)) for _ in range(6)], np.int64)
+    given = LabelCostEnergy(cells, problem.weights, problem.label_costs, side, extras)
+    unary = np.array(
+        [
+            [[cells[k, y // side, x // side] for x in range(width)] for y in range(height)]
+            for k in range(count)
+        ],
+        np.int32,
+    )
+    for k, y, x, cost in extras:
+        unary[k, y, x] += cost
+    plain = LabelCostEnergy(unary, problem.weights, problem.label_costs)
+    np.testing.assert_array_equal(given.of_pixels().unary, unary)
+    np.testing.assert_array_equal(halved(given).unary, halved(plain).unary)
+    labels = rng.integers(0, count, (height, width))
+    assert given.energy(labels) == slow_energy(labels, plain)
+    np.testing.assert_array_equal(
+        band_around_outlines(given, labels).unary, band_around_outlines(plain, labels).unary
+    )
+    np.testing.assert_array_equal(lowest_labels(given), minimise(plain).labels)
 
 
 def test_what_no_pixel_may_have_no_block_may_have() -> None:

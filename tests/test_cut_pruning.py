@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from mlbs_actors.cut_pruning import movable, prune
+from mlbs_actors.cut_pruning import movable, prune, reachable
 from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS, UNDECIDED, LabelCostEnergy
 from mlbs_actors.messages import Array
 
@@ -129,6 +129,27 @@ def test_no_best_expansion_moves_a_pixel_that_is_left_out(label_cost: int) -> No
             left_out += int((~may_move & (labels != alpha)).sum())
     assert left_out > 50
     assert emptied > 20
+
+
+def test_no_best_expansion_ever_gives_a_pixel_a_label_out_of_its_reach() -> None:
+    out_of_reach = 0
+    for seed in range(150):
+        whole = random_energy(seed, (3, 3, 3), 30 * (seed % 2))
+        rest = prune(whole).rest
+        count = rest.pixels.size
+        labels = np.random.default_rng(seed).integers(0, 3, count)
+        within = reachable(rest, labels)
+        out_of_reach += sum(count - len(own) for own in within)
+        for alpha in (0, 1, 2, 0, 1):
+            moves = np.array(list(itertools.product([False, True], repeat=count)), bool)
+            moves = moves[~(moves & (labels == alpha)).any(axis=1)]
+            energies = np.array([rest.energy(np.where(move, alpha, labels)) for move in moves])
+            best = moves[energies == energies.min()]
+            assert not np.delete(best, within[alpha], axis=1).any()
+            plain, _ = movable(rest, labels, alpha)
+            np.testing.assert_array_equal(movable(rest, labels, alpha, within[alpha])[0], plain)
+            labels = np.where(best[0], alpha, labels)
+    assert out_of_reach > 50
 
 
 def flat_energy(unary: Array, weight: int, label_costs: list[int]) -> LabelCostEnergy:

@@ -159,7 +159,7 @@ def test_a_field_linear_in_space_is_upsampled_exactly() -> None:
     assert field.dense_variance().shape == (41, 63)
 
 
-@pytest.mark.parametrize(("spacing", "median", "tail"), [(8, 0.07, 0.2), (16, 0.13, 0.35)])
+@pytest.mark.parametrize(("spacing", "median", "tail"), [(8, 0.07, 0.2), (16, 0.13, 0.35), (32, 0.15, 0.4)])
 def test_the_coarse_variance_is_near_that_of_the_mean_s_own_grid(
     spacing: int, median: float, tail: float
 ) -> None:
