@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,7 +103,7 @@ class Arguments:
     def command(self, output: str) -> list[str]:
         """The words that ask for the same from any folder, with another folder for the results."""
         words = [
-            "python",
+            sys.executable,
             "-m",
             "orchestrator",
             "--streams",

@@ -77,7 +77,7 @@ def test_the_command_of_a_run_asks_for_the_same(tmp_path: Path) -> None:
     flags = ["--streams", "l", "--set", "a.b=1", "c.d=2", "--save", "masks", "--max-frames", "3"]
     given = parse(flags)
     python, module, name, *again = given.command("elsewhere")
-    assert (python, module, name) == ("python", "-m", "orchestrator")
+    assert (python, module, name) == (sys.executable, "-m", "orchestrator")
     asked = parse(again)
     assert asked.output == Path("elsewhere")
     assert asked.streams == Path("l").absolute()
