@@ -272,6 +272,6 @@ def test_a_browser_shows_every_stream_without_complaint(url: str) -> None:
         assert words in page.document
     assert "1 running, 1 starting, 1 failed" in page.document
     assert 'alt="Newest frame of yard with its objects outlined and numbered"' in page.document
-    assert "layers from frame 8 to 20, at most 2" in page.document
+    assert "layers over time, at most 2" in page.document
     # In the document itself, which is what a keyboard and a screen reader go through.
     assert re.findall(r'<h2 id="name-\d">(.*?)</h2>', page.document) == ["yard", "late", "&lt;b&gt;"]

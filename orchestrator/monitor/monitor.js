@@ -46,7 +46,7 @@ function drawLayers(figure, points) {
   const places = points.map(([read, layers]) =>
     `${(240 * (read - first) / Math.max(last - first, 1)).toFixed(1)},${(39 - 37 * layers / most).toFixed(1)}`);
   figure.querySelector("path").setAttribute("d", `M0,39L${places.join("L")}L240,39Z`);
-  write(figure.querySelector("figcaption"), `layers from frame ${first} to ${last}, at most ${most}`);
+  write(figure.querySelector("figcaption"), `layers over time, at most ${most}`);
 }
 
 function show(stream, number) {
