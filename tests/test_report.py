@@ -168,6 +168,20 @@ def test_what_became_of_an_object_is_told_by_what_is_in_its_place(tmp_path: Path
     assert [svg.count(sign) for sign in ("→5<", "⇥<", "×<")] == [1, 1, 4]
 
 
+def test_a_gap_is_told_by_its_time(tmp_path: Path) -> None:
+    record = StreamRecord(tmp_path / "gate", "gate", frozenset({"parquet"}))
+    for index in (0, 1, 2, 9):
+        record.write(segmentation(index), frame(index))
+        if index == 2:
+            record.gap(3, 0.3, "gap")
+    committed = record.close(whole=True)
+    history = read_history(tmp_path / "gate")
+    assert history is not None
+    assert history.gaps == ((0.3, 0.9),)
+    write_run(tmp_path, [StreamState("gate", "done", read=4, committed=committed, gaps=1)])
+    assert "No picture from 0.3 s to 0.9 s." in render_report(tmp_path)
+
+
 def framed(
     index: int, boxes: dict[int, tuple[int, int, int]], *, larger: bool
 ) -> tuple[Segmentation, SourceFrame]:

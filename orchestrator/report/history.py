@@ -79,6 +79,8 @@ class StreamHistory:
     latency_frames : (n,) int32
     lost : tuple of (str, tuple of int)
         By status, the frames without a label map.
+    gaps : tuple of (float, float)
+        From when to when there was no picture, s.
     lives : tuple of LayerLife
         In ascending id, which is the order of their births.
     stages : tuple of StageTimes
@@ -89,6 +91,7 @@ class StreamHistory:
     objects: Array
     latency_frames: Array
     lost: tuple[tuple[str, tuple[int, ...]], ...]
+    gaps: tuple[tuple[float, float], ...]
     lives: tuple[LayerLife, ...]
     stages: tuple[StageTimes, ...]
 
@@ -113,14 +116,19 @@ def read_history(folder: Path) -> StreamHistory | None:
     frames, status = table["frame"].to_numpy(), np.asarray(table["status"].to_pylist())
     ok = status == "ok"
     lost = tuple((name, tuple(frames[status == name].tolist())) for name in np.unique(status[~ok]).tolist())
+    pts = table["pts"].to_numpy()
+    gaps = zip(
+        pts[status == "gap"].tolist(), np.append(pts[1:], pts[-1])[status == "gap"].tolist(), strict=True
+    )
     layers = read_table(folder, "layers", [*ENDING_COLUMNS, "kind"])
     shapes = np.stack([_numbers(table, side)[ok].astype(np.int64) for side in ("height", "width")], axis=1)
     return StreamHistory(
         frames=frames[ok],
-        pts=table["pts"].to_numpy()[ok],
+        pts=pts[ok],
         objects=_numbers(table, "layers")[ok].astype(np.int32),
         latency_frames=_numbers(table, "latency_frames")[ok].astype(np.int32),
         lost=lost,
+        gaps=tuple(gaps),
         lives=_lives(layers, frames[ok], shapes),
         stages=_stages(table.filter(pa.array(ok))),
     )
