@@ -78,6 +78,8 @@ function arrange(streams) {
   const numbers = [...streams.keys()].sort((a, b) => streams[a].rank - streams[b].rank || a - b);
   numbers.forEach((number, place) => {
     if (list.children[place] !== cards[number]) list.insertBefore(cards[number], list.children[place]);
+    const before = streams[numbers[place - 1]];
+    cards[number].classList.toggle("first", before !== undefined && before.rank !== streams[number].rank);
   });
   return numbers.map((number) => streams[number]);
 }
