@@ -245,7 +245,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs="?",
         const="",
         metavar="[HOST:]PORT",
-        help="serve a live page on this machine; at another HOST whoever looks must know the token in the "
+        help="serve a live page on this machine, and figures for a Prometheus at /metrics there; at another "
+        "HOST whoever looks must know the token in the "
         f"environment variable {TOKEN_VARIABLE} (default PORT: any that is free)",
     )
     parser.add_argument(
