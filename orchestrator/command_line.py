@@ -23,7 +23,7 @@ the list of streams, one a line (shell quoting, # comments, relative paths count
 a URI is a video file, a folder or a glob of images, rtsp://HOST/PATH, rtsps://HOST/PATH, /dev/videoN
 or a made scene, synthetic:demo?frames=60&seed=1
 a folder or a glob of videos is a stream for each of them, named after the file, or NAME-FILE; so is a glob of
-folders of images, such as 'DAVIS/JPEGImages/480p/*', or of the images in many folders, 'moseg_dataset/*/*.ppm'
+folders of images, such as 'DAVIS/JPEGImages/480p/*', and of images in many folders, 'moseg_dataset/*/*.ppm'
 a camera is read until --max-frames or a signal; one that goes away is tried again until it is back
 
 output:
