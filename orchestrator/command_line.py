@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,7 @@ the list of streams, one a line (shell quoting, # comments, relative paths count
 a URI is a video file, a folder or a glob of images, rtsp://HOST/PATH, rtsps://HOST/PATH, /dev/videoN
 or a made scene, synthetic:demo?frames=60&seed=1
 a folder or a glob of videos is a stream for each of them, named after the file, or NAME-FILE; so is a glob of
-folders of images, such as 'DAVIS/JPEGImages/480p/*'
+folders of images, such as 'DAVIS/JPEGImages/480p/*', and of images in many folders, 'moseg_dataset/*/*.ppm'
 a camera is read until --max-frames or a signal; one that goes away is tried again until it is back
 
 output:
@@ -102,7 +103,7 @@ class Arguments:
     def command(self, output: str) -> list[str]:
         """The words that ask for the same from any folder, with another folder for the results."""
         words = [
-            "python",
+            sys.executable,
             "-m",
             "orchestrator",
             "--streams",
@@ -244,7 +245,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs="?",
         const="",
         metavar="[HOST:]PORT",
-        help="serve a live page on this machine; at another HOST whoever looks must know the token in the "
+        help="serve a live page on this machine, and figures for a Prometheus at /metrics there; at another "
+        "HOST whoever looks must know the token in the "
         f"environment variable {TOKEN_VARIABLE} (default PORT: any that is free)",
     )
     parser.add_argument(

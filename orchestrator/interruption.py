@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import signal
+import sys
+import threading
 from types import FrameType, TracebackType
 from typing import Any
 
@@ -39,9 +40,12 @@ class Interruption:
 
     def __init__(self) -> None:
         self.signal_number: int | None = None
+        self._heard = threading.Event()
+        self._teller = threading.Thread(target=self._tell, daemon=True)
         self._found: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Interruption:
+        self._teller.start()
         self._found = {number: signal.signal(number, self._receive) for number in _SIGNALS}
         return self
 
@@ -50,10 +54,20 @@ class Interruption:
     ) -> None:
         for number, handler in self._found.items():
             signal.signal(number, handler)
+        self._heard.set()
+        self._teller.join()
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
         if self.signal_number is not None:
             raise StopAtOnce(self.signal_number)
         self.signal_number = number
-        # os.write, because a signal may come in the middle of a print.
-        os.write(2, b"Finishing what was read; a second signal ends the run at once.\n")
+        self._heard.set()
+
+    def _tell(self) -> None:
+        # In a thread of its own: a signal may come in the middle of a print, and what does not go through
+        # one is drawn over by a live table.
+        self._heard.wait()
+        if self.signal_number is not None:
+            print(
+                "Finishing what was read; a second signal ends the run at once.", file=sys.stderr, flush=True
+            )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -86,7 +87,9 @@ class LiveTable:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._live = Live(console=console, refresh_per_second=4, redirect_stdout=False, redirect_stderr=False)
+        # What is said meanwhile on the same terminal goes above the table, which would be drawn over it.
+        above = sys.stderr.isatty()
+        self._live = Live(console=console, refresh_per_second=4, redirect_stdout=False, redirect_stderr=above)
         self._live.start()
 
     def update(self, states: Sequence[StreamState]) -> None:

@@ -122,7 +122,7 @@ def run(
             replace_file(folder.path / "report.html", render_report(folder.path).encode())
         except OSError as error:
             raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
-    _say(_closing_words(folder, states, arguments.save))
+    _say(_closing_words(folder, states, arguments))
     return exit_status
 
 
@@ -285,7 +285,7 @@ def _words_on_resuming(begun: Mapping[str, Any], description: Mapping[str, Any],
     return words
 
 
-def _closing_words(folder: RunFolder, states: Sequence[StreamState], save: frozenset[str]) -> str:
+def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: Arguments) -> str:
     done = sum(state.state == "done" for state in states)
     lines = [f"{done} of {count_of(len(states), 'stream')} complete. Results: {folder.path}"]
     lines += [
@@ -300,8 +300,11 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], save: froze
     ]
     begun = [state.name for state in states if state.committed]
     if begun:
-        lines.append(f"Look at {_what_to_look_at(folder.stream(begun[0]), save)}")
+        lines.append(f"Look at {_what_to_look_at(folder.stream(begun[0]), arguments.save)}")
         lines.append(f"and at {folder.path / 'report.html'}")
+    if any(state.interrupted for state in states):
+        but = ", without --watch" if arguments.watch else ""
+        lines.append(f"To go on with what was interrupted, give the same command with --resume{but}.")
     return "\n".join(lines)
 
 

@@ -77,7 +77,7 @@ def test_the_command_of_a_run_asks_for_the_same(tmp_path: Path) -> None:
     flags = ["--streams", "l", "--set", "a.b=1", "c.d=2", "--save", "masks", "--max-frames", "3"]
     given = parse(flags)
     python, module, name, *again = given.command("elsewhere")
-    assert (python, module, name) == ("python", "-m", "orchestrator")
+    assert (python, module, name) == (sys.executable, "-m", "orchestrator")
     asked = parse(again)
     assert asked.output == Path("elsewhere")
     assert asked.streams == Path("l").absolute()
@@ -375,6 +375,8 @@ def test_a_signal_ends_a_run_cleanly_with_all_that_was_read_committed(
         run.send_signal(number)
         _, stderr = run.communicate(timeout=60)
     assert run.returncode == 128 + number, stderr
+    for words in ("a second signal ends the run at once", "give the same command with --resume."):
+        assert stderr.count(words) == 1
     status = json.loads((output / "status.json").read_text())["streams"]["demo"]
     assert status["state"] == "partial"
     assert 0 < status["read"] == status["committed"] < 5000

@@ -408,7 +408,9 @@ def test_streams_that_ended_in_an_earlier_run_are_left_alone() -> None:
 # Signals
 
 
-def test_the_first_signal_is_noted_the_second_ends_at_once_and_the_handlers_are_given_back() -> None:
+def test_the_first_signal_is_noted_the_second_ends_at_once_and_the_handlers_are_given_back(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     before = signal.getsignal(signal.SIGTERM)
     with Interruption() as interruption:
         os.kill(os.getpid(), signal.SIGTERM)
@@ -417,6 +419,10 @@ def test_the_first_signal_is_noted_the_second_ends_at_once_and_the_handlers_are_
             os.kill(os.getpid(), signal.SIGINT)
         assert stop.value.signal_number == signal.SIGTERM
     assert signal.getsignal(signal.SIGTERM) is before
+    assert capsys.readouterr().err.count("a second signal ends the run at once") == 1
+    with Interruption():
+        pass
+    assert capsys.readouterr().err == ""
 
 
 # Rules

@@ -23,7 +23,7 @@ from mlbs_actors.actors.stream_protocol import SourceSilence, StreamProgress
 from mlbs_actors.errors import ConfigError
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.monitor.board import Board
-from orchestrator.monitor.metrics import metrics_text
+from orchestrator.monitor.metrics import MetricsText
 from orchestrator.monitor.server import serving
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.record import StreamRecord
@@ -121,18 +121,24 @@ def test_prometheus_gets_a_sample_for_every_stream_and_metric(url: str) -> None:
     assert samples['mlbs_stream_state{stream="<b>",state="failed"}'] == "1"
     kinds = [line.split()[2] for line in body.decode().splitlines() if line.startswith("# TYPE")]
     assert len(kinds) == len(set(kinds)) == len(samples) / 3
-    hostile = metrics_text([StreamState('a"b\\c')])
+    hostile = MetricsText()([StreamState('a"b\\c')])
     assert 'stream="a\\"b\\\\c"' in hostile
+
+
+def test_a_counter_does_not_fall_when_a_stream_goes_back() -> None:
+    text, name = MetricsText(), "mlbs_stream_read_frames_total"
+    told = [text([replace(STATES[0], read=read)]) for read in (40, 32, 41)]
+    assert [float(one.split(f'{name}{{stream="yard"}} ')[1].split()[0]) for one in told] == [40, 40, 41]
 
 
 def test_grafanas_board_asks_for_all_that_the_page_serves_and_nothing_else() -> None:
     text = (ROOT / "configs/grafana.json").read_text(encoding="utf-8")
     panels = json.loads(text)["panels"]
     queries = [target["expr"] for panel in panels for target in panel["targets"]]
-    served = set(re.findall(r"^# TYPE (\S+)", metrics_text(STATES), re.MULTILINE))
+    served = set(re.findall(r"^# TYPE (\S+)", MetricsText()(STATES), re.MULTILINE))
     assert {name for query in queries for name in re.findall(r"mlbs_\w+", query)} == served
     assert set(re.findall(r"mlbs_\w+", text)) == served  # those that the choice of streams asks for too
-    labels = set(re.findall(r"(\w+)=\"", metrics_text(STATES)))
+    labels = set(re.findall(r"(\w+)=\"", MetricsText()(STATES)))
     assert set(re.findall(r"\{\{(\w+)\}\}", text)) == labels == {"stream", "state"}
     assert len({panel["id"] for panel in panels}) == len(panels)
 
@@ -236,6 +242,10 @@ def test_a_live_picture_is_replaced_once_a_second_and_at_most_640_wide(tmp_path:
         assert picture.shape == (320, 640, 3)
         written.append(round(float(picture[-1, -1].mean()) / 8))
     assert written == [0] * 10 + [10] * 10 + [20] * 10
+    live.close()  # of a stream that is over the last frame is to be seen
+    picture = cv2.imread(str(tmp_path / "a.jpg"))
+    assert picture is not None
+    assert round(float(picture[-1, -1].mean()) / 8) == 29
     assert [path.name for path in tmp_path.iterdir()] == ["a.jpg"]
 
 
@@ -262,6 +272,6 @@ def test_a_browser_shows_every_stream_without_complaint(url: str) -> None:
         assert words in page.document
     assert "1 running, 1 starting, 1 failed" in page.document
     assert 'alt="Newest frame of yard with its objects outlined and numbered"' in page.document
-    assert "Layers of yard over time: now 2, at most 2" in page.document
+    assert "layers over time, at most 2" in page.document
     # In the document itself, which is what a keyboard and a screen reader go through.
     assert re.findall(r'<h2 id="name-\d">(.*?)</h2>', page.document) == ["yard", "late", "&lt;b&gt;"]

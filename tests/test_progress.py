@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 from dataclasses import replace
 
+import pytest
 from rich.console import Console
 
 from orchestrator.progress import JsonLines, LiveTable, progress_for
@@ -99,3 +101,23 @@ def test_streams_at_work_come_first_then_those_gone_wrong_waiting_and_done() -> 
     shown = table(states).splitlines()
     names = [line.split()[1] for line in shown if any(f" {name.split()[0]} " in line for name in order)]
     assert names[-8:] == ["r", "s", "f", "p", "w", "e", "d", "x"]
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("own", [Terminal(), io.StringIO()])
+def test_what_is_said_meanwhile_goes_above_the_table_where_both_are_on_the_terminal(
+    own: io.StringIO, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stderr", own)
+    console = Console(file=io.StringIO(), force_terminal=True, width=110, height=40, no_color=True)
+    progress = LiveTable(console)
+    progress.update([StreamState("yard", "running")])
+    print("Line 3 [cannot] be used.", file=sys.stderr)
+    progress.close()
+    assert isinstance(console.file, io.StringIO)
+    told_above = "Line 3 [cannot] be used." in console.file.getvalue()
+    assert told_above == isinstance(own, Terminal) == (own.getvalue() == "")

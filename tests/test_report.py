@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,8 +13,10 @@ import cv2
 import numpy as np
 import pytest
 from chromium import open_page
-from record_fakes import EVERYTHING, frame, segmentation, write_run, write_stream
+from record_fakes import EVERYTHING, HEIGHT, WIDTH, frame, segmentation, write_run, write_stream
 
+from mlbs_actors.actors.stream_protocol import SourceFrame
+from mlbs_actors.messages import Region, Segmentation
 from orchestrator.report.__main__ import main
 from orchestrator.report.charts import timeline_chart
 from orchestrator.report.history import frame_ranges, read_history
@@ -137,6 +140,61 @@ def test_the_timeline_has_a_bar_for_each_time_an_object_is_seen(run_folder: Path
         "layer 5: frames 0 to 19",
         "layer 5: frames 25 to 39",
     ]
+
+
+def test_what_became_of_an_object_is_told_by_what_is_in_its_place(tmp_path: Path) -> None:
+    boxes = [  # object → its box (x, y, side) in each of four frames, from the left
+        {1: (0, 20, 8), 2: (20, 5, 10), 4: (30, 20, 8), 6: (40, 2, 5)},
+        {1: (0, 20, 8), 2: (20, 5, 10), 4: (30, 20, 8), 6: (40, 2, 5)},
+        {5: (21, 5, 10), 6: (40, 2, 5), 7: (10, 20, 8)},
+        {6: (40, 2, 5), 7: (10, 20, 8)},
+    ]
+    record = StreamRecord(tmp_path / "a", "a", frozenset({"parquet"}))
+    for index, there in enumerate([*boxes, {8: (3, 3, 9)}]):
+        record.write(*framed(index, there, larger=index == 4))
+    record.close(whole=True)
+    history = read_history(tmp_path / "a")
+    assert history is not None
+    assert {life.layer: life.ending.words for life in history.lives} == {
+        1: "left the picture",
+        2: "5 in its place",
+        4: "at rest, hidden or lost",
+        5: "at rest, hidden or lost",
+        6: "the picture changed its size",
+        7: "the picture changed its size",
+        8: "in the last frame",
+    }
+    svg = timeline_chart(history, history.lives)
+    assert [svg.count(sign) for sign in ("→5<", "⇥<", "×<")] == [1, 1, 4]
+
+
+def test_a_gap_is_told_by_its_time(tmp_path: Path) -> None:
+    record = StreamRecord(tmp_path / "gate", "gate", frozenset({"parquet"}))
+    for index in (0, 1, 2, 9):
+        record.write(segmentation(index), frame(index))
+        if index == 2:
+            record.gap(3, 0.3, "gap")
+    committed = record.close(whole=True)
+    history = read_history(tmp_path / "gate")
+    assert history is not None
+    assert history.gaps == ((0.3, 0.9),)
+    write_run(tmp_path, [StreamState("gate", "done", read=4, committed=committed, gaps=1)])
+    assert "No picture from 0.3 s to 0.9 s." in render_report(tmp_path)
+
+
+def framed(
+    index: int, boxes: dict[int, tuple[int, int, int]], *, larger: bool
+) -> tuple[Segmentation, SourceFrame]:
+    """A frame and its label map with these square objects."""
+    scale = 2 if larger else 1
+    labels = np.zeros((HEIGHT * scale, WIDTH * scale), np.uint16)
+    summaries = []
+    for layer, (x, y, side) in boxes.items():
+        labels[y : y + side, x : x + side] = layer
+        summaries.append(
+            replace(segmentation(0).layers[0], layer=layer, region=Region(x, y, side, side), area=side * side)
+        )
+    return replace(segmentation(index), labels=labels, layers=tuple(summaries)), frame(index)
 
 
 # The page

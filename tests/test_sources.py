@@ -225,6 +225,13 @@ def test_a_video_whose_picture_changes_its_size_is_read_to_its_end(
     assert reader.problem is None
 
 
+def test_a_recording_without_its_end_is_told_as_one(tmp_path: Path, pictures: list[Array]) -> None:
+    path = write_video(tmp_path / "a.mp4", pictures[:6], "libx264")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])  # the index comes last
+    with pytest.raises(SourceError, match=r"a\.mp4: it is no video, or one whose recording was cut off"):
+        opened(path)
+
+
 def test_times_that_jump_back_are_told_as_they_are_and_every_frame_is_delivered(
     tmp_path: Path, pictures: list[Array]
 ) -> None:

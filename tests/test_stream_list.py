@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.sources.address import SourceKind
+from orchestrator.sources.presence import images_of
 from orchestrator.stream_list import MAX_BYTES, MAX_STREAMS, ListedStream, missing_sources, read_stream_list
 
 
@@ -246,6 +247,18 @@ def test_a_glob_of_folders_of_images_is_a_stream_for_each(tmp_path: Path) -> Non
     assert [one.name for one in read(tmp_path, "day 'set/car*/frames/'\n")] == ["day-car9", "day-car10"]
     assert [one.name for one in read(tmp_path, "x set/dog/*\n")] == ["x-frames", "x-gt"]
     assert "would have the same name" in refusal(tmp_path, "set/*/[fg]*/../frames\n")
+
+
+def test_a_glob_of_images_in_many_folders_is_a_stream_for_each_folder(tmp_path: Path) -> None:
+    for name in ("cars1", "cars[2]"):
+        (tmp_path / "set" / name).mkdir(parents=True)
+        for image in ("a_01.ppm", "a_02.ppm", "a_01.pgm"):
+            (tmp_path / "set" / name / image).touch()
+    streams = read(tmp_path, "'set/*/*.ppm'\n")
+    assert [one.name for one in streams] == ["cars1", "cars[2]"]
+    for one in streams:
+        assert [path.name for path in images_of(one.source.location)] == ["a_01.ppm", "a_02.ppm"]
+    assert [one.name for one in read(tmp_path, "mine 'set/cars1/*.ppm'\n")] == ["mine"]
 
 
 def test_a_folder_of_folders_of_images_is_told_how_to_be_written(tmp_path: Path) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from orchestrator.stream_state import StreamState
 
-__all__ = ["CONTENT_TYPE", "METRICS", "STATE", "STATE_MEANING", "Metric", "metrics_text"]
+__all__ = ["CONTENT_TYPE", "METRICS", "STATE", "STATE_MEANING", "Metric", "MetricsText", "Reached"]
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
@@ -49,6 +50,18 @@ METRICS = (
         lambda s: s.quarantined,
     ),
     Metric(
+        "mlbs_stream_gaps_total",
+        "counter",
+        "Times in which a camera sent nothing, was away, or nobody read it.",
+        lambda s: s.gaps,
+    ),
+    Metric(
+        "mlbs_stream_returns_total",
+        "counter",
+        "Times it lost a process, or hung, and went back to its last snapshot.",
+        lambda s: s.returns,
+    ),
+    Metric(
         "mlbs_stream_queued_frames",
         "gauge",
         "Frames read that are neither committed nor lost.",
@@ -74,17 +87,49 @@ STATE = "mlbs_stream_state"
 STATE_MEANING = "1 for the state of the stream."
 
 
-def metrics_text(states: Sequence[StreamState]) -> str:
-    """Write :data:`METRICS` and :data:`STATE` of the streams."""
-    lines = []
-    for one in METRICS:
-        lines += [f"# HELP {one.name} {one.meaning}", f"# TYPE {one.name} {one.kind}"]
-        lines += [
-            f'{one.name}{{stream="{_escaped(state.name)}"}} {float(one.value(state))!r}' for state in states
-        ]
-    lines += [f"# HELP {STATE} {STATE_MEANING}", f"# TYPE {STATE} gauge"]
-    lines += [f'{STATE}{{stream="{_escaped(state.name)}",state="{state.state}"}} 1' for state in states]
-    return "\n".join(lines) + "\n"
+class Reached:
+    """How far the counters of the streams have come.
+
+    A stream that goes back to a snapshot reads frames again. They are counted once: a Prometheus would take a
+    counter that falls for a program that was started anew, and all its frames for new ones.
+    """
+
+    def __init__(self) -> None:
+        self._values: dict[tuple[str, str], float] = {}
+
+    def advance(self, counter: Metric, state: StreamState) -> tuple[float | None, float]:
+        """Value before, None the first time, and now."""
+        place = counter.name, state.name
+        before = self._values.get(place)
+        self._values[place] = now = max(before or 0.0, counter.value(state))
+        return before, now
+
+
+class MetricsText:
+    """Writes :data:`METRICS` and :data:`STATE` of the streams, for whichever threads ask."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._reached = Reached()
+
+    def __call__(self, states: Sequence[StreamState]) -> str:
+        """The text of these states."""
+        lines = []
+        for one in METRICS:
+            lines += [f"# HELP {one.name} {one.meaning}", f"# TYPE {one.name} {one.kind}"]
+            lines += [
+                f'{one.name}{{stream="{_escaped(state.name)}"}} {self._value(one, state)!r}'
+                for state in states
+            ]
+        lines += [f"# HELP {STATE} {STATE_MEANING}", f"# TYPE {STATE} gauge"]
+        lines += [f'{STATE}{{stream="{_escaped(state.name)}",state="{state.state}"}} 1' for state in states]
+        return "\n".join(lines) + "\n"
+
+    def _value(self, one: Metric, state: StreamState) -> float:
+        if one.kind == "gauge":
+            return float(one.value(state))
+        with self._lock:
+            return float(self._reached.advance(one, state)[1])
 
 
 def _escaped(text: str) -> str:

@@ -38,16 +38,15 @@ function shownNumber(stream, key) {
   return String(value);
 }
 
-function drawLayers(svg, name, points) {
-  svg.toggleAttribute("hidden", points.length < 2);
-  svg.style.display = points.length < 2 ? "none" : "";
-  if (points.length < 2) return;
+function drawLayers(figure, points) {
+  figure.hidden = points.length < 2;
+  if (figure.hidden) return;
   const [first, last] = [points[0][0], points[points.length - 1][0]];
   const most = Math.max(...points.map((point) => point[1]));
   const places = points.map(([read, layers]) =>
     `${(240 * (read - first) / Math.max(last - first, 1)).toFixed(1)},${(39 - 37 * layers / most).toFixed(1)}`);
-  svg.firstElementChild.setAttribute("d", `M0,39L${places.join("L")}L240,39Z`);
-  svg.setAttribute("aria-label", `Layers of ${name} over time: now ${points[points.length - 1][1]}, at most ${most}`);
+  figure.querySelector("path").setAttribute("d", `M0,39L${places.join("L")}L240,39Z`);
+  write(figure.querySelector("figcaption"), `layers over time, at most ${most}`);
 }
 
 function show(stream, number) {
@@ -62,6 +61,7 @@ function show(stream, number) {
   error.hidden = !stream.error;
   write(error, stream.error || "");
   for (const figure of element.querySelectorAll("dd")) write(figure, shownNumber(stream, figure.dataset.key));
+  for (const rare of element.querySelectorAll(".rare")) rare.hidden = !stream[rare.lastElementChild.dataset.key];
   const image = element.querySelector("img");
   if (stream.picture && image.dataset.picture !== stream.picture) {
     image.dataset.picture = stream.picture;
@@ -69,7 +69,7 @@ function show(stream, number) {
     image.alt = `Newest frame of ${stream.name} with its objects outlined and numbered`;
   }
   image.hidden = !stream.picture;
-  drawLayers(element.querySelector("svg"), stream.name, stream.layers_over_time);
+  drawLayers(element.querySelector("figure"), stream.layers_over_time);
 }
 
 // Those at work first. The cards themselves change places, so that a screen reader reads what the eye sees.
@@ -78,6 +78,8 @@ function arrange(streams) {
   const numbers = [...streams.keys()].sort((a, b) => streams[a].rank - streams[b].rank || a - b);
   numbers.forEach((number, place) => {
     if (list.children[place] !== cards[number]) list.insertBefore(cards[number], list.children[place]);
+    const before = streams[numbers[place - 1]];
+    cards[number].classList.toggle("first", before !== undefined && before.rank !== streams[number].rank);
   });
   return numbers.map((number) => streams[number]);
 }

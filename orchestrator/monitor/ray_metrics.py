@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 
 from ray.util.metrics import Counter, Gauge
 
-from orchestrator.monitor.metrics import METRICS, STATE, STATE_MEANING
+from orchestrator.monitor.metrics import METRICS, STATE, STATE_MEANING, Reached
 from orchestrator.stream_state import StreamState
 
 __all__ = ["RayMetrics"]
+
+#: Ray takes no 0, but a counter must be there before it counts, or nobody sees it begin. A sum loses this.
+_NOTHING = sys.float_info.min
 
 
 class RayMetrics:
@@ -23,7 +27,7 @@ class RayMetrics:
             one: Gauge(one.name, one.meaning, ("stream",)) for one in METRICS if one.kind == "gauge"
         }
         self._state = Gauge(STATE, STATE_MEANING, ("stream", "state"))
-        self._counted: dict[tuple[str, str], float] = {}
+        self._reached = Reached()
         self._told: dict[str, StreamState] = {}
 
     def update(self, states: Sequence[StreamState]) -> None:
@@ -39,11 +43,11 @@ class RayMetrics:
     def _tell(self, state: StreamState) -> None:
         stream = {"stream": state.name}
         for one, counter in self._counters.items():
-            counted = self._counted.get((one.name, state.name), 0)
-            # A stream that goes back to a snapshot reads frames again; they are counted once.
-            if (value := one.value(state)) > counted:
-                counter.inc(value - counted, stream)
-                self._counted[one.name, state.name] = value
+            reached, now = self._reached.advance(one, state)
+            if reached is None:
+                counter.inc(_NOTHING, stream)
+            if now > (reached or 0):
+                counter.inc(now - (reached or 0), stream)
         for one, gauge in self._gauges.items():
             gauge.set(one.value(state), stream)
         before = self._told.get(state.name)

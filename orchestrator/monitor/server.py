@@ -21,7 +21,7 @@ from urllib.parse import parse_qs, urlsplit
 from mlbs_actors.errors import ConfigError
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.monitor.board import Board
-from orchestrator.monitor.metrics import CONTENT_TYPE, metrics_text
+from orchestrator.monitor.metrics import CONTENT_TYPE, MetricsText
 
 __all__ = ["serving"]
 
@@ -85,6 +85,7 @@ class _Server(ThreadingHTTPServer):
 
     def __init__(self, address: MonitorAddress, board: Board, token: str) -> None:
         self.board = board
+        self.metrics_text = MetricsText()
         self.token = token
         super().__init__((address.host, address.port), _Handler)
 
@@ -118,7 +119,8 @@ class _Handler(BaseHTTPRequestHandler):
         elif url.path == "/status.json":
             self._answer(HTTPStatus.OK, json.dumps(self.server.board.status()).encode(), "application/json")
         elif url.path == "/metrics":
-            self._answer(HTTPStatus.OK, metrics_text(self.server.board.states).encode(), CONTENT_TYPE)
+            text = self.server.metrics_text(self.server.board.states)
+            self._answer(HTTPStatus.OK, text.encode(), CONTENT_TYPE)
         elif (picture := self._picture(url.path)) is not None:
             self._answer(HTTPStatus.OK, picture, "image/jpeg")
         else:

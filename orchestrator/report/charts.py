@@ -14,7 +14,7 @@ from orchestrator.sinks.layer_colours import layer_colour
 
 __all__ = ["css_colour", "object_count_chart", "stage_chart", "timeline_chart"]
 
-_WIDTH, _LEFT, _RIGHT = 900, 60, 12  # of every chart, and what its labels take; units of the SVG
+_WIDTH, _LEFT, _RIGHT = 900, 60, 36  # of every chart, and what its labels take; units of the SVG
 _ROW, _PLOT, _AXIS = 18, 150, 26  # heights: a layer's row, a plot, the frame numbers below
 _POINTS = 240  # of a curve: longer streams are averaged
 
@@ -58,7 +58,7 @@ def css_colour(layer: int) -> str:
 
 
 def timeline_chart(history: StreamHistory, lives: Sequence[LayerLife]) -> Markup:
-    """Draw a row a layer: a bar while it is seen, a line while not; lost frames at the top."""
+    """Draw a row a layer: a bar while it is seen, a line while not, how it ends; lost frames at the top."""
     axis = _axis(history)
     rows: list[Markup] = []
     top = 0
@@ -83,6 +83,7 @@ def timeline_chart(history: StreamHistory, lives: Sequence[LayerLife]) -> Markup
             title = f"layer {life.layer}: frames {first} to {last}"
             width = max(axis.x(last + 1) - axis.x(first), 1.5)
             rows.append(bar.format(axis.x(first), top + 3, width, _ROW - 6, css_colour(life.layer), title))
+        rows.append(_TEXT.format(axis.x(life.spans[-1][1] + 1) + 4, top + _ROW - 5, "", life.ending.sign))
         top += _ROW
     label = f"When each of {len(lives)} objects was seen; the table of objects says the same."
     return _SVG.format(_WIDTH, top + _AXIS, label, Markup("").join(rows) + axis.drawn(top))

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from mlbs_actors.messages import Array
+from orchestrator.report.endings import ENDING_COLUMNS, Ending, ending
 from orchestrator.sinks.record_tables import read_table
 
 __all__ = ["LayerLife", "StageTimes", "StreamHistory", "frame_ranges", "read_history"]
@@ -42,6 +43,7 @@ class LayerLife:
         Frames in which it owns pixels.
     mean_area : float
         px, over these.
+    ending : Ending
     """
 
     layer: int
@@ -49,6 +51,7 @@ class LayerLife:
     spans: tuple[tuple[int, int], ...]
     frames: int
     mean_area: float
+    ending: Ending
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +79,8 @@ class StreamHistory:
     latency_frames : (n,) int32
     lost : tuple of (str, tuple of int)
         By status, the frames without a label map.
+    gaps : tuple of (float, float)
+        From when to when there was no picture, s.
     lives : tuple of LayerLife
         In ascending id, which is the order of their births.
     stages : tuple of StageTimes
@@ -86,6 +91,7 @@ class StreamHistory:
     objects: Array
     latency_frames: Array
     lost: tuple[tuple[str, tuple[int, ...]], ...]
+    gaps: tuple[tuple[float, float], ...]
     lives: tuple[LayerLife, ...]
     stages: tuple[StageTimes, ...]
 
@@ -110,14 +116,20 @@ def read_history(folder: Path) -> StreamHistory | None:
     frames, status = table["frame"].to_numpy(), np.asarray(table["status"].to_pylist())
     ok = status == "ok"
     lost = tuple((name, tuple(frames[status == name].tolist())) for name in np.unique(status[~ok]).tolist())
-    layers = read_table(folder, "layers", ["frame", "layer", "kind", "area"])
+    pts = table["pts"].to_numpy()
+    gaps = zip(
+        pts[status == "gap"].tolist(), np.append(pts[1:], pts[-1])[status == "gap"].tolist(), strict=True
+    )
+    layers = read_table(folder, "layers", [*ENDING_COLUMNS, "kind"])
+    shapes = np.stack([_numbers(table, side)[ok].astype(np.int64) for side in ("height", "width")], axis=1)
     return StreamHistory(
         frames=frames[ok],
-        pts=table["pts"].to_numpy()[ok],
+        pts=pts[ok],
         objects=_numbers(table, "layers")[ok].astype(np.int32),
         latency_frames=_numbers(table, "latency_frames")[ok].astype(np.int32),
         lost=lost,
-        lives=_lives(layers, frames[ok]),
+        gaps=tuple(gaps),
+        lives=_lives(layers, frames[ok], shapes),
         stages=_stages(table.filter(pa.array(ok))),
     )
 
@@ -135,7 +147,7 @@ def _numbers(table: pa.Table, column: str) -> Array:
     return numbers
 
 
-def _lives(table: pa.Table, frames: Array) -> tuple[LayerLife, ...]:
+def _lives(table: pa.Table, frames: Array, shapes: Array) -> tuple[LayerLife, ...]:
     if not table.num_rows:
         return ()
     layer, frame = table["layer"].to_numpy(), table["frame"].to_numpy()
@@ -148,9 +160,10 @@ def _lives(table: pa.Table, frames: Array) -> tuple[LayerLife, ...]:
         place = np.searchsorted(frames, frame[rows])
         pieces = np.split(frame[rows], np.flatnonzero(np.diff(place) > 1) + 1)
         spans = tuple((int(piece[0]), int(piece[-1])) for piece in pieces)
-        first = rows[0]
+        first, last = int(rows[0]), int(rows[-1])
+        how = ending(last, table, frames, shapes)
         lives.append(
-            LayerLife(int(layer[first]), str(kind[first]), spans, len(rows), float(area[rows].mean()))
+            LayerLife(int(layer[first]), str(kind[first]), spans, len(rows), float(area[rows].mean()), how)
         )
     return tuple(lives)
 

@@ -105,7 +105,10 @@ def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) ->
     if history is not None:
         longest = sorted(history.lives, key=lambda life: -life.frames)[:_LAYERS]
         lives = sorted(longest, key=lambda life: life.layer)
-        lost = [f"{name}: frames {_ranges(frames)}" for name, frames in history.lost]
+        lost = [f"{name}: frames {_ranges(frames)}" for name, frames in history.lost if name != "gap"]
+        lost += [f"no picture from {start:.1f} s to {end:.1f} s" for start, end in history.gaps[:_RANGES]]
+        if len(history.gaps) > _RANGES:
+            lost.append(f"{len(history.gaps) - _RANGES} more such gaps")
         if len(history.frames):
             strip = overlay_strip(folder, history, pictures)
     return _Stream(

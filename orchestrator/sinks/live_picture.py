@@ -40,13 +40,24 @@ class LivePicture:
         self._path = path
         self._clock = clock
         self._written: float | None = None
+        self._unshown: tuple[Array, Array, int] | None = None
 
     def show(self, image: Array, labels: Array, index: int) -> None:
         """Show frame ``index`` if the last picture is a second old; a disk that refuses it stops nothing."""
         now = self._clock()
         if self._written is not None and now - self._written < _SECONDS:
-            return
-        self._written = now
+            self._unshown = image, labels, index
+        else:
+            self._written, self._unshown = now, None
+            self._write(image, labels, index)
+
+    def close(self) -> None:
+        """Show the stream's last frame, however young the last picture is."""
+        if self._unshown is not None:
+            self._write(*self._unshown)
+            self._unshown = None
+
+    def _write(self, image: Array, labels: Array, index: int) -> None:
         height, width = labels.shape
         if width > _WIDTH:
             size = (_WIDTH, max(1, round(height * _WIDTH / width)))

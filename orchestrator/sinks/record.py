@@ -173,7 +173,7 @@ class StreamRecord:
         self._provisional = True
 
     def close(self, *, whole: bool) -> int:
-        """Commit what is left and finish the overlay; return how many label maps are committed."""
+        """Commit what is left and finish the pictures; return how many label maps are committed."""
         try:
             if self._replayable or self._provisional or whole:
                 self._commit()
@@ -183,6 +183,8 @@ class StreamRecord:
             raise self._unwritable(error) from None
         if self._overlay is not None:
             self._overlay.close()
+        if self._live is not None:
+            self._live.close()
         if whole:
             self._snapshots.forget_all()
         return self._committed

@@ -80,6 +80,8 @@ def reason(error: Exception) -> str:
     """Say in a few words, without credentials, what libav raised."""
     if isinstance(error, av.error.ExitError):
         return "no answer in time"
+    if isinstance(error, av.error.InvalidDataError):
+        return "it is no video, or one whose recording was cut off before it was finished"
     text = getattr(error, "strerror", None) or type(error).__name__
     return mask(str(text)).rstrip(".")
 

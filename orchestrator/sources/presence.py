@@ -90,28 +90,38 @@ def videos_of(location: str) -> list[Path]:
 
 
 def image_folders_of(location: str) -> dict[str, Path]:
-    """Find the folders of images that match a glob, in natural order.
+    """Find the folders of images that match a glob, or whose images do, in natural order.
 
     Returns
     -------
     dict of str to Path
-        What the last wildcard stands for → the folder; empty if the location is no glob or matches images
-        themselves.
+        What the last wildcard for a folder stands for → the folder, or the glob of its images; empty if the
+        location is no glob, or one of images of a single folder.
 
     Raises
     ------
     SourceError
         If two folders would have the same name.
     """
-    if not has_wildcards(location) or Path(location).exists() or _files_of(location, _IMAGE_SUFFIXES):
+    if not has_wildcards(location) or Path(location).exists():
         return {}
-    depth = max(place for place, part in enumerate(Path(location).parts) if has_wildcards(part))
+    folders = Path(location)
+    if images := _files_of(location, _IMAGE_SUFFIXES):
+        # Of those of one data set, each in its folder, nobody wants one sequence.
+        pattern, folders = folders.name, folders.parent
+        paths = {image.parent: Path(glob.escape(str(image.parent))) / pattern for image in images}
+        if len(paths) == 1:
+            return {}
+    else:
+        matches = map(Path, glob.glob(location))  # noqa: PTH207
+        paths = {one: one for one in matches if one.is_dir() and _files_of(str(one), _IMAGE_SUFFIXES)}
+    depth = max(place for place, part in enumerate(folders.parts) if has_wildcards(part))
     found: dict[str, Path] = {}
-    for path in sorted(map(Path, glob.glob(location)), key=_natural_order):  # noqa: PTH207
-        if path.is_dir() and _files_of(str(path), _IMAGE_SUFFIXES):
-            other = found.setdefault(path.parts[depth], path)
-            if other is not path:
-                raise SourceError(f"{other} and {path} would have the same name; write a line for each.")
+    for folder in sorted(paths, key=_natural_order):
+        path = paths[folder]
+        other = found.setdefault(folder.parts[depth], path)
+        if other is not path:
+            raise SourceError(f"{other} and {path} would have the same name; write a line for each.")
     return found
 
 
@@ -136,7 +146,7 @@ def images_of(location: str) -> list[Path]:
         if other is not path:
             raise SourceError(
                 f"{other} and {path} would have the same mask, {path.stem}.png; "
-                "name one kind of file by a glob such as 'folder/*.jpg'."
+                f"name one kind of file by a glob such as '{path.parent}/*{path.suffix}'."
             )
     return visible
 
