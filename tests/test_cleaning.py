@@ -251,8 +251,8 @@ def test_a_box_of_random_patches_is_cleaned_as_by_flood_fill(seed: int) -> None:
     patches = [
         cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), rng.choice([0.6, 1.5])) for _ in range(4)
     ]
-    box = Region(*(int(corner) for corner in rng.integers(0, 3, 2)), 0, 0)
-    box = Region(box.x, box.y, width - box.x - int(rng.integers(3)), height - box.y - int(rng.integers(3)))
+    x, y = (int(corner) for corner in rng.integers(0, 3, 2))
+    box = Region(x, y, width - x - int(rng.integers(3)), height - y - int(rng.integers(3)))
     inside = np.zeros((height, width), bool)
     top, left = box.y + (box.y > 0), box.x + (box.x > 0)
     bottom, right = (

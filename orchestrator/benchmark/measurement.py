@@ -40,7 +40,7 @@ class Measurement:
     wall_ms, cpu_ms : float
         Median wall time and mean CPU time of a frame in steady state, ms.
     stage_ms : dict of str to float
-        Mean wall time of the engine's stages, ms; empty for a peer.
+        Wall time of the engine's stages, mean of all frames in steady state, ms; empty for a peer.
     score : SequenceScore
         Of the first pass over the sequence.
     """
@@ -131,7 +131,7 @@ def measure(
             name,
             1e3 * statistics.median(clock.wall[warm:]),
             1e3 * statistics.fmean(clock.cpu[warm:]),
-            {stage: statistics.fmean(durations) for stage, durations in stages.items()}
+            {stage: sum(durations) / max(frames - warm, 1) for stage, durations in stages.items()}
             if name == ENGINE
             else {},
             scorers[name].score(),
