@@ -6,7 +6,8 @@ side is taken. Parts that no edge joins are separate from the start (their N-cut
 eigenproblem well posed. A large part is made small first, by joining trajectories that belong together
 anyway (:mod:`mlbs_actors.graph_coarsening`): a cut of the small graph costs exactly what it costs in the
 large one, only cuts through joined trajectories are not looked for. The dense solver then takes
-milliseconds, and always gives the same.
+milliseconds, and always gives the same. Most parts hold together: no cut is below the second eigenvalue of
+the normalised Laplacian, and whether that is above the threshold a factorisation tells, in a tenth of the time.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from scipy.sparse.csgraph import connected_components
 from mlbs_actors.graph_coarsening import coarsen
 from mlbs_actors.messages import Array
 
-__all__ = ["TwoWayCut", "best_cut", "ncut_value", "recursive_cut"]
+__all__ = ["TwoWayCut", "best_cut", "holds_together", "ncut_value", "recursive_cut"]
 
 #: Affinity below which an edge counts as absent.
 NO_EDGE = 1e-6
@@ -62,6 +63,29 @@ def ncut_value(affinity: Array, side: Array) -> float:
         return float("inf")
     across = float(affinity[np.ix_(side, ~side)].sum())
     return across / inside + across / outside
+
+
+def holds_together(affinity: Array, threshold: float) -> bool:
+    """Whether it is certain that no cut of a cluster has an N-cut value below the threshold.
+
+    The least N-cut is at least the second smallest eigenvalue of L = I − D^-½ A D^-½ (Shi & Malik). With its
+    smallest, 0, moved away, L − threshold · I is positive definite exactly if that eigenvalue is larger.
+
+    Parameters
+    ----------
+    affinity : (n, n) float64, symmetric, non-negative
+        The diagonal adds to the volume.
+    threshold : float
+    """
+    root = np.sqrt(np.maximum(affinity.sum(axis=1), 1e-12))
+    trivial = root / np.linalg.norm(root)
+    shifted = 2.0 * np.outer(trivial, trivial) - affinity / np.outer(root, root)
+    shifted.flat[:: len(root) + 1] += 1.0 - threshold * (1.0 + 1e-6)
+    try:
+        np.linalg.cholesky(shifted)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def best_cut(affinity: Array, sizes: Array, min_side: int) -> TwoWayCut:
@@ -160,11 +184,12 @@ def recursive_cut(
         if len(nodes) < min_side:
             continue
         group, joined = coarsen(_subgraph(present, nodes), max(len(nodes) // EXACT_NODES, 1))
-        cut = best_cut(joined, np.bincount(group), min_side)
-        if cut.value < threshold:
-            waiting += [nodes[cut.side[group]], nodes[~cut.side[group]]]
-        else:
-            clusters.append(eligible[nodes])
+        if not holds_together(joined, threshold):
+            cut = best_cut(joined, np.bincount(group), min_side)
+            if cut.value < threshold:
+                waiting += [nodes[cut.side[group]], nodes[~cut.side[group]]]
+                continue
+        clusters.append(eligible[nodes])
     clusters.sort(key=lambda nodes: (-len(nodes), int(nodes[0])))
     for label, nodes in enumerate(clusters):
         labels[nodes] = label

@@ -10,7 +10,15 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from mlbs_actors.messages import Array
-from mlbs_actors.normalized_cut import EXACT_NODES, NO_EDGE, TwoWayCut, best_cut, ncut_value, recursive_cut
+from mlbs_actors.normalized_cut import (
+    EXACT_NODES,
+    NO_EDGE,
+    TwoWayCut,
+    best_cut,
+    holds_together,
+    ncut_value,
+    recursive_cut,
+)
 
 
 def random_graph(nodes: int, seed: int, density: float = 0.6) -> Array:
@@ -233,3 +241,24 @@ def test_equal_graphs_give_equal_clusters() -> None:
     second = recursive_cut(affinity.copy(), 0.05, 8)
     assert first.max() >= 1
     assert first.tobytes() == second.tobytes()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_what_certainly_holds_together_has_no_cut_below_the_threshold(seed: int) -> None:
+    affinity = random_graph(8, seed, density=0.4)
+    eigenvalues = scipy.linalg.eigvalsh(
+        np.diag(affinity.sum(axis=1)) - affinity, np.diag(affinity.sum(axis=1))
+    )
+    least = exhaustive_ncut(affinity, 1)
+    for threshold in (0.02, 0.9 * least, 1.1 * least, 0.9 * eigenvalues[1], 1.1 * eigenvalues[1]):
+        certain = holds_together(affinity, threshold)
+        assert certain == (eigenvalues[1] > threshold)
+        if certain:
+            assert least >= threshold
+
+
+def test_a_node_alone_and_one_that_nothing_ties_hold_together() -> None:
+    assert holds_together(np.zeros((1, 1)), 0.01)
+    assert holds_together(np.full((1, 1), 3.0), 0.01)
+    apart, _ = block_graph([5, 5], between=0.0)
+    assert not holds_together(apart, 0.01)
