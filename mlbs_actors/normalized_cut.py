@@ -7,7 +7,8 @@ eigenproblem well posed. A large part is made small first, by joining trajectori
 anyway (:mod:`mlbs_actors.graph_coarsening`): a cut of the small graph costs exactly what it costs in the
 large one, only cuts through joined trajectories are not looked for. The dense solver then takes
 milliseconds, and always gives the same. Most parts hold together: no cut is below the second eigenvalue of
-the normalised Laplacian, and whether that is above the threshold a factorisation tells, in a tenth of the time.
+the normalised Laplacian, and a factorisation tells in a tenth of the time whether that is above the
+threshold.
 """
 
 from __future__ import annotations
