@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,10 +36,11 @@ from ray.exceptions import RayActorError
 from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
 from mlbs_actors.actors.order import FrameOrder
+from mlbs_actors.actors.parts import CoordinatorPart
 from mlbs_actors.actors.pool import PoolActor
 from mlbs_actors.actors.processes import end, identity, spawn
 from mlbs_actors.actors.saved_states import SavedLayer
-from mlbs_actors.actors.shared_memory import SharedMemory, SlotPool
+from mlbs_actors.actors.shared_memory import SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.sink import SinkActor
 from mlbs_actors.actors.stream_protocol import SourceFrame, SourceSilence, SourceStatus, StreamProgress
 from mlbs_actors.errors import ActorLostError, LayerError, SinkError, SourceError
@@ -150,6 +151,35 @@ def test_drops_and_gaps_are_rows_and_counted_and_a_silent_camera_is_told_at_once
         labelled = t not in statuses
         expected.append(f"{t} {plain.pop(0).partition(' ')[2]}" if labelled else f"{t} {statuses[t]}")
     assert rows(tmp_path) == expected
+
+
+class _OverwritingParts(FakeParts):
+    """Whoever reads a message after its memory was given back reads something else."""
+
+    def coordinator(self, config: Config) -> CoordinatorPart:
+        give_back = SlotPool.give_back
+
+        def overwritten(self: SlotPool, slots: Sequence[Slot]) -> None:
+            for slot in slots:
+                os.pwrite(slot.descriptor, b"\xa5" * os.fstat(slot.descriptor).st_size, 0)
+            give_back(self, slots)
+
+        SlotPool.give_back = overwritten  # type: ignore[method-assign]  # in the coordinator's process alone
+        return super().coordinator(config)
+
+
+def test_messages_are_read_before_their_memory_is_given_back_also_by_a_stream_that_waits_for_its_camera(
+    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures = crowd(16, 2)
+    answers: list[SourceFrame | SourceSilence] = []
+    for t, image in enumerate(pictures):
+        # Until the next picture comes everything that was asked for has been answered.
+        answers += [SourceFrame(t, image, t / 25, f"{t:05d}"), *[SourceSilence(None)] * 12]
+    node = Node(parts=_OverwritingParts(parts.folder))
+    run_to_end(node.start(spec("camera", FakeCamera(answers, tmp_path))))
+    node.close()
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
 
 
 def test_a_stream_ends_after_its_most_frames(node: Node, tmp_path: Path) -> None:
@@ -353,6 +383,22 @@ def test_a_lost_process_fails_its_stream_alone_and_what_was_labelled_before_stay
     assert before == expected[: len(before)]
     assert len(before) == 9 or dies == "coordinator"
     assert node.census().busy == 0
+
+
+def test_a_stream_whose_segmenter_dies_before_it_begins_says_so(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    node.prepare()
+    wait_until(lambda: len(parts.processes()) == 2, 60.0)
+    segmenters = [
+        pid for pid in parts.processes() if b"SegmenterActor" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    ]
+    for pid in segmenters:
+        os.kill(pid, signal.SIGKILL)
+    stream = node.start(spec("bad", FakeReader([*crowd(9, 1)], tmp_path)))
+    with pytest.raises(ActorLostError, match="'bad' lost the process of its segmenter"):
+        stream.advance().result(timeout=120)
+    stream.stop(drain=False)
 
 
 def test_at_the_last_try_the_death_of_the_reader_ends_the_stream_with_its_frames_committed(

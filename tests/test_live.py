@@ -6,6 +6,7 @@ import queue
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -344,13 +345,17 @@ def test_an_rtsp_camera_that_goes_away_and_comes_back_is_read_again_and_its_pass
 # Local cameras: no machine of the tests has one, so libav's answers are those of a file
 
 
-def test_a_local_camera_is_opened_as_video4linux_and_nothing_else_and_its_pictures_come(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    video = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25, (64, 48), True)
+def _write_three_pictures(path: Path) -> None:
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25, (64, 48), True)
     for number in range(3):
         video.write(np.full((48, 64, 3), 60 * number, np.uint8))
     video.release()
+
+
+def test_a_local_camera_is_opened_as_video4linux_and_nothing_else_and_its_pictures_come(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _write_three_pictures(tmp_path / "a.avi")
     asked: list[tuple[str, dict[str, Any]]] = []
     really_open = av.open
 
@@ -367,6 +372,23 @@ def test_a_local_camera_is_opened_as_video4linux_and_nothing_else_and_its_pictur
     assert (location, how["format"]) == ("/dev/video7", "v4l2")
     assert how["options"] == {"format_whitelist": "video4linux2,v4l2"}
     assert 0 < how["timeout"] < 60
+
+
+def test_what_comes_only_when_libav_s_patience_is_over_is_no_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _write_three_pictures(tmp_path / "a.avi")
+    monkeypatch.setattr(av, "open", partial(_open_instead, av.open, str(tmp_path / "a.avi")))
+    # Asked and answered in turn; the third picture takes as long as libav waits.
+    times = iter([0.0, 0.0, 5.0, 14.0, 20.0, 30.0])
+    pictures = LibavConnection(parse_address("/dev/video7", tmp_path), clock=lambda: next(times)).pictures()
+    assert [next(pictures).time, next(pictures).time] == [0.0, 0.04]
+    with pytest.raises(SourceError, match="no answer in time"):
+        next(pictures)
+
+
+def _open_instead(really_open: Callable[..., Any], path: str, location: str, **how: Any) -> Any:
+    return really_open(path)
 
 
 def test_what_is_no_camera_is_refused_by_libavs_own_video4linux(tmp_path: Path) -> None:

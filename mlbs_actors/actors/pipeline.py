@@ -17,7 +17,7 @@ import ray
 from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.coordinator import CoordinatorActor, StreamLinks
-from mlbs_actors.actors.failures import COORDINATOR, explain
+from mlbs_actors.actors.failures import COORDINATOR, POOL, SEGMENTER, explain
 from mlbs_actors.actors.live_reader import LiveReaderActor
 from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.pool import PoolActor, PoolCensus, PoolPolicy
@@ -201,6 +201,11 @@ class StreamActors:
         self._others = standby
         self._coordinator, segmenter = standby
         self._reader = reader
+        self._roles = {
+            identity(self._coordinator): COORDINATOR,
+            identity(segmenter): SEGMENTER,
+            identity(pool): POOL,
+        }
         # The number reaches the coordinator by reference: it does not begin before the pool has let the
         # stream in.
         self._run: Reference = pool.begin.remote(run)
@@ -267,14 +272,13 @@ class StreamActors:
         """Return the answer's future with Ray's errors turned into this package's."""
         answer: Future[StreamProgress] = reference.future()
         explained: Future[StreamProgress] = Future()
-        roles = {identity(self._coordinator): COORDINATOR}
 
         def pass_on(answered: Future[StreamProgress]) -> None:
             error = answered.exception()
             if error is None:
                 explained.set_result(answered.result())
             else:
-                explained.set_exception(explain(self._failure_at_start() or error, self._name, roles))
+                explained.set_exception(explain(self._failure_at_start() or error, self._name, self._roles))
 
         answer.add_done_callback(pass_on)
         return explained

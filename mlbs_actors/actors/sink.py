@@ -22,6 +22,9 @@ __all__ = ["Record", "SinkActor"]
 #: Rows that may be under way to the sink; the stream waits at more. Each holds a frame and a label map.
 _PENDING_ROWS = 8
 
+#: Newest rows in the sink whose messages others may still read.
+_READ_ROWS = 2
+
 #: Snapshots that may be under way to the disk; at more the oldest is given up.
 _PENDING_SNAPSHOTS = 3
 
@@ -111,7 +114,7 @@ class Record:
 
     def __init__(self, sink: Handle, run: int, open_sink: Callable[[], StreamSink], slots: SlotPool) -> None:
         self._slots = slots
-        self._in_use: tuple[Slot, ...] = ()  # by the row that was answered last, and perhaps by the next
+        self._in_use: deque[tuple[Slot, ...]] = deque()  # of the rows that were answered last
         self._sink = sink
         self._run = run
         self._opened: Reference = sink.open.remote(run, open_sink)
@@ -138,8 +141,9 @@ class Record:
     ) -> None:
         """Hand over one result; raises what an earlier row raised.
 
-        ``slots`` are those of all messages about its frame. They are given back when the next label map has
-        come to the sink: until then the layers may still read this one.
+        ``slots`` are those of all messages about its frame. They are given back when two more label maps have
+        come to the sink: with the next frame the layers may still read this one, with the one after it the
+        coordinator.
         """
         written: Reference = self._sink.write.remote(self._run, segmentation, frame, background)
         self._pending.append((written, slots))
@@ -212,5 +216,6 @@ class Record:
         answer, slots = self._pending.popleft()
         self.committed = ray.get(answer)
         if slots:
-            self._slots.give_back(self._in_use)
-            self._in_use = slots
+            self._in_use.append(slots)
+            if len(self._in_use) > _READ_ROWS:
+                self._slots.give_back(self._in_use.popleft())

@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import partial
 from typing import Protocol
 
@@ -58,6 +59,8 @@ class LibavConnection:
     ----------
     address : SourceAddress
         Of kind NETWORK or CAMERA.
+    clock : callable
+        Monotonic time, s.
 
     Raises
     ------
@@ -65,19 +68,23 @@ class LibavConnection:
         If the camera cannot be reached or sends no video; the message hides credentials.
     """
 
-    def __init__(self, address: SourceAddress) -> None:
+    def __init__(self, address: SourceAddress, clock: Callable[[], float] = time.monotonic) -> None:
         self._container, self._stream = open_video(address, _DEAD_SECONDS)
+        self._clock = clock
 
     def pictures(self) -> Iterator[Picture]:
         """Give what the camera sends; what was damaged on its way is passed over, as players do."""
         with av.logging.Capture():
             try:
+                asked = self._clock()
                 for packet in self._container.demux(self._stream):
-                    try:
+                    # Out of patience, libav gives what it has of the picture under way, and goes on.
+                    if self._clock() - asked >= _DEAD_SECONDS:
+                        raise SourceError("no answer in time")
+                    with suppress(av.error.InvalidDataError):
                         for frame in packet.decode():
                             yield Picture(frame.time, partial(upright_bgr, frame))
-                    except av.error.InvalidDataError:
-                        continue
+                    asked = self._clock()
             except (av.error.FFmpegError, OSError) as error:
                 raise SourceError(reason(error)) from None
 
