@@ -6,14 +6,6 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from mlbs_actors.config import load_config
-from mlbs_actors.errors import ConfigError, MlbsError
-from orchestrator.command_line import parse
-from orchestrator.credentials import mask
-from orchestrator.interruption import StopAtOnce
-from orchestrator.ray_session import ray_settings
-from orchestrator.stream_list import missing_sources, read_stream_list
-
 __all__ = ["main"]
 
 
@@ -23,25 +15,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     # is ended too.
     signal.signal(signal.SIGTERM, _exit)
     signal.signal(signal.SIGINT, _exit)
-    try:
-        arguments = parse(sys.argv[1:] if argv is None else argv)
-        streams = read_stream_list(arguments.streams)
-        config = load_config(arguments.config, arguments.overrides)
-        missing = missing_sources(arguments.streams, streams)
-        with ray_settings(arguments.address) as scratch:
-            # Imported here, because it imports Ray, which reads its settings then.
-            from orchestrator.run import run
+    # Imported here, because that takes a second, in which a signal may come.
+    from orchestrator.command import run_command
 
-            return run(arguments, streams, missing, config, scratch)
-    except ConfigError as error:
-        print(mask(str(error)), file=sys.stderr)
-        return 2
-    except MlbsError as error:
-        print(mask(str(error)), file=sys.stderr)
-        return 1
-    except StopAtOnce as stop:
-        print("Stopped at once; what was committed before is kept.", file=sys.stderr)
-        return 128 + stop.signal_number
+    return run_command(sys.argv[1:] if argv is None else argv)
 
 
 def _exit(number: int, frame: object) -> None:

@@ -164,6 +164,23 @@ def test_a_bad_list_or_configuration_ends_with_status_2_and_leaves_no_trace(
     assert not output.exists()
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_program_is_still_loading_ends_it_without_a_traceback(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    # The first thing that is imported after the handlers are set sends it.
+    (tmp_path / "pydantic.py").write_text(f"import os\nos.kill(os.getpid(), {int(number)})\n")
+    ended = subprocess.run(
+        [sys.executable, "-m", "orchestrator", "--streams", "list.txt"],
+        cwd=REPOSITORY,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + number, "", "")
+
+
 def test_a_missing_list_ends_with_status_2() -> None:
     ended = command("--streams", "/nowhere/list.txt")
     assert ended.returncode == 2

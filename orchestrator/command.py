@@ -1,0 +1,50 @@
+"""The command as a whole: what it is given is checked, then run; an error ends in a sentence and a status."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from mlbs_actors.config import load_config
+from mlbs_actors.errors import ConfigError, MlbsError
+from orchestrator.command_line import parse
+from orchestrator.credentials import mask
+from orchestrator.interruption import StopAtOnce
+from orchestrator.ray_session import ray_settings
+from orchestrator.stream_list import missing_sources, read_stream_list
+
+__all__ = ["run_command"]
+
+
+def run_command(argv: Sequence[str]) -> int:
+    """Run the streams of a list.
+
+    Parameters
+    ----------
+    argv : sequence of str
+        Without the program's name.
+
+    Returns
+    -------
+    int
+        Exit status; see ``--help``.
+    """
+    try:
+        arguments = parse(argv)
+        streams = read_stream_list(arguments.streams)
+        config = load_config(arguments.config, arguments.overrides)
+        missing = missing_sources(arguments.streams, streams)
+        with ray_settings(arguments.address) as scratch:
+            # Imported here, because it imports Ray, which reads its settings then.
+            from orchestrator.run import run
+
+            return run(arguments, streams, missing, config, scratch)
+    except ConfigError as error:
+        print(mask(str(error)), file=sys.stderr)
+        return 2
+    except MlbsError as error:
+        print(mask(str(error)), file=sys.stderr)
+        return 1
+    except StopAtOnce as stop:
+        print("Stopped at once; what was committed before is kept.", file=sys.stderr)
+        return 128 + stop.signal_number
