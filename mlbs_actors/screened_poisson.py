@@ -15,15 +15,16 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import scipy.sparse
-import scipy.sparse.linalg
 from numba import njit
 
 from mlbs_actors.errors import SolverError
 from mlbs_actors.messages import Array
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 __all__ = ["Solution", "assemble", "inverse_diagonal", "solve"]
 
@@ -97,7 +98,10 @@ def solve(
     residual = _residual(screening, rhs, edge, value) / size
     if residual <= tolerance:
         return Solution(np.ascontiguousarray(value[:, 1:-1, 1:-1]), residual, iterations, "multigrid")
-    factors = scipy.sparse.linalg.splu(assemble(screening, edge).tocsc())
+    # Imported here, because it is hardly ever wanted, and every layer's process would pay for it.
+    from scipy.sparse.linalg import splu
+
+    factors = splu(assemble(screening, edge).tocsc())
     value[:, 1:-1, 1:-1] = np.stack([factors.solve(part.ravel()) for part in rhs]).reshape(rhs.shape)
     residual = _residual(screening, rhs, edge, value) / size
     if not residual <= tolerance:
@@ -110,6 +114,8 @@ def solve(
 
 def assemble(screening: Array, edge: float) -> scipy.sparse.dia_array:
     """Return A as a sparse matrix, nodes in raster order."""
+    from scipy.sparse import dia_array
+
     rows, columns = screening.shape
     beside = np.full((rows, columns), -edge)
     beside[:, -1] = 0.0  # the last node of a row and the first of the next are no neighbours
@@ -128,7 +134,7 @@ def assemble(screening: Array, edge: float) -> scipy.sparse.dia_array:
     )
     if columns == 1:
         offsets, data = [0, 1, -1], np.stack([diagonal, below, below])
-    return scipy.sparse.dia_array((data, offsets), shape=(rows * columns, rows * columns))
+    return dia_array((data, offsets), shape=(rows * columns, rows * columns))
 
 
 def inverse_diagonal(screening: Array, edge: float) -> Array:
