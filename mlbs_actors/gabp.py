@@ -9,7 +9,7 @@ from the prior. x and y share A. Gaussian belief propagation converges to this m
 diagonally dominant with no positive element off the diagonal and so *walk-summable*; it does not give these
 variances (on a loopy grid it is too sure of itself). Both are computed directly here: the mean by conjugate
 gradients with a multigrid V-cycle as the preconditioner, the variances by selected inversion of the banded
-matrix, which is exact (:mod:`mlbs_actors.screened_poisson`).
+matrix, which is exact (:mod:`mlbs_actors.selected_inversion`).
 
 Differs from the paper:
 
@@ -47,7 +47,8 @@ from numba import njit
 from mlbs_actors.cells import mean_of_cells
 from mlbs_actors.errors import SolverError
 from mlbs_actors.messages import Array
-from mlbs_actors.screened_poisson import inverse_diagonal, solve
+from mlbs_actors.screened_poisson import solve
+from mlbs_actors.selected_inversion import inverse_diagonal
 
 __all__ = ["MotionField", "MotionParameters", "motion_field", "node_positions"]
 

@@ -1,4 +1,4 @@
-"""Solves the screened Poisson equation of a rectangular grid, and gives the diagonal of its inverse.
+"""Solves the screened Poisson equation of a rectangular grid.
 
 The matrix is A = e·L + diag(s): L the Laplacian of the grid's 4-neighbour graph (no edges across the border),
 e > 0 the weight of an edge, s ≥ 0 the screening of each node, positive somewhere. It is the precision matrix
@@ -8,7 +8,6 @@ of the Gaussian Markov random field of :mod:`mlbs_actors.gabp`.
 does not grow with the grid, nor with the unevenness of s (preconditioners that replace s by its mean suffer
 from it). The V-cycle runs in single precision, which a preconditioner can do, the iterations in double. The
 residual they return with is computed anew; where it misses the tolerance a direct sparse solve takes over.
-:func:`inverse_diagonal` is exact: selected inversion of the banded matrix.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from mlbs_actors.messages import Array
 if TYPE_CHECKING:
     import scipy.sparse
 
-__all__ = ["Solution", "assemble", "inverse_diagonal", "solve"]
+__all__ = ["Solution", "assemble", "neighbour_counts", "solve"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +120,7 @@ def assemble(screening: Array, edge: float) -> scipy.sparse.dia_array:
     beside[:, -1] = 0.0  # the last node of a row and the first of the next are no neighbours
     beside_flat = beside.ravel()
     below = np.full(rows * columns, -edge)
-    diagonal = screening.ravel() + edge * _degree(rows, columns).ravel()
+    diagonal = screening.ravel() + edge * neighbour_counts(rows, columns).ravel()
     offsets = [0, 1, -1, columns, -columns]
     data = np.stack(
         [
@@ -137,77 +136,15 @@ def assemble(screening: Array, edge: float) -> scipy.sparse.dia_array:
     return dia_array((data, offsets), shape=(rows * columns, rows * columns))
 
 
-def inverse_diagonal(screening: Array, edge: float) -> Array:
-    """Diagonal of A⁻¹, exactly.
-
-    With the nodes numbered along the grid's shorter side, A = L D Lᵀ has its elements within that side's
-    length w of the diagonal, and so have those of Z = A⁻¹ that the diagonal needs (Takahashi, Fagan and Chen
-    1973):
-    Z_ij = −Σ_k Z_ik L_kj for j < i ≤ j + w and Z_jj = 1/D_j − Σ_k Z_jk L_kj, k = j + 1 … j + w, from the last
-    column to the first. The cost is O(long side · short side³).
-
-    Parameters
-    ----------
-    screening : (rows, columns) float64
-    edge : float
-
-    Returns
-    -------
-    (rows, columns) float64
-    """
-    if screening.shape[0] < screening.shape[1]:
-        return np.ascontiguousarray(inverse_diagonal(screening.T, edge).T)
-    diagonal = screening + edge * _degree(*screening.shape)
-    return np.asarray(_inverse_diagonal(np.ascontiguousarray(diagonal), edge))
-
-
 @functools.lru_cache(maxsize=64)
-def _degree(rows: int, columns: int) -> Array:
-    """Number of neighbours of each node."""
+def neighbour_counts(rows: int, columns: int) -> Array:
+    """Number of neighbours of each node of a grid, (rows, columns) float64."""
     degree = np.zeros((rows, columns))
     degree[1:] += 1
     degree[:-1] += 1
     degree[:, 1:] += 1
     degree[:, :-1] += 1
     return degree
-
-
-@njit(cache=True)
-def _inverse_diagonal(diagonal: Array, edge: float) -> Array:
-    rows, columns = diagonal.shape
-    size, width = rows * columns, columns
-    # lower[j, k] is the element (j + k, j): of A at first, of L below the diagonal after the elimination.
-    lower = np.zeros((size + width, width + 1))
-    for node in range(size):
-        lower[node, 0] = diagonal[node // columns, node % columns]
-        if (node + 1) % columns != 0:
-            lower[node, 1] = -edge
-        if node + columns < size:
-            lower[node, width] = -edge  # the very element beside the diagonal where a line is one node
-    factor = np.empty(width + 1)
-    for node in range(size):
-        factor[:] = lower[node] / lower[node, 0]
-        for k in range(1, width + 1):
-            change, below, row = lower[node, k], factor[k:], lower[node + k]
-            for i in range(below.size):
-                row[i] -= change * below[i]
-        lower[node, 1:] = factor[1:]
-    # inverse[i, width + k] is Z's element (i, i + k), on both sides of the diagonal.
-    inverse = np.zeros((size + width, 2 * width + 1))
-    column = np.empty(width)
-    for node in range(size - 1, -1, -1):
-        column[:] = 0.0
-        for k in range(1, width + 1):
-            weight, row = lower[node, k], inverse[node + k, width + 1 - k :]
-            for i in range(width):
-                column[i] -= weight * row[i]
-        corner = 1.0 / lower[node, 0]
-        for k in range(1, width + 1):
-            corner -= lower[node, k] * column[k - 1]
-            inverse[node, width + k] = column[k - 1]
-            inverse[node + k, width - k] = column[k - 1]
-        inverse[node, width] = corner
-    return np.ascontiguousarray(inverse[:size, width]).reshape(rows, columns)
 
 
 @njit(cache=True)

@@ -7,7 +7,8 @@ import pytest
 
 from mlbs_actors.errors import SolverError
 from mlbs_actors.messages import Array
-from mlbs_actors.screened_poisson import assemble, inverse_diagonal, solve
+from mlbs_actors.screened_poisson import assemble, solve
+from mlbs_actors.selected_inversion import inverse_diagonal
 
 
 def dense_matrix(screening: Array, edge: float) -> Array:
