@@ -1,6 +1,6 @@
 """The diagonal of the inverse of a screened Poisson matrix, exactly: selected inversion of a banded matrix.
 
-It is the marginal variance of each node of :mod:`mlbs_actors.gabp`, which loopy message passing does not give.
+It is the marginal variance of each node of :mod:`mlbs_actors.gabp`; loopy message passing would not give it.
 The matrix is that of :mod:`mlbs_actors.screened_poisson`.
 """
 
