@@ -44,8 +44,8 @@ def fake_process(proc: Path, pid: int, parent: int, title: str, user: float, sys
     """A process as the kernel shows it; its name holds what a name may hold."""
     folder = proc / str(pid)
     folder.mkdir(parents=True, exist_ok=True)
-    times = f"{round(user * TICK)} {round(system * TICK)}"
-    (folder / "stat").write_text(f"{pid} (a) b (c) S {parent} 1 1 0 -1 0 0 0 0 0 {times} 0 0 20 0")
+    times = f"{round(user * TICK)} {round(system * TICK)} 0 0 20 0 1 0 {700 + pid}"
+    (folder / "stat").write_text(f"{pid} (a) b (c) S {parent} 1 1 0 -1 0 0 0 0 0 {times}")
     (folder / "cmdline").write_bytes(title.encode().replace(b" ", b"\0") + b"\0")
     (folder / "smaps_rollup").write_text(
         "55d0-7ffc ---p 00000000 00:00 0 [rollup]\nRss: 900 kB\nPrivate_Clean: 24 kB\n"
@@ -69,7 +69,7 @@ def test_a_tree_holds_all_that_descend_and_nobody_else(tmp_path: Path) -> None:
     tree = session(tmp_path)
     assert sorted(tree) == [10, 11, 12, 13, 14]
     assert tree[10].cpu_seconds == pytest.approx(1.5)
-    assert tree[12] == Process(12, 11, "ray::LayerActor.step", 3.0)
+    assert tree[12] == Process(12, 11, "ray::LayerActor.step", 3.0, 712)
     assert process_tree(98, tmp_path) == {}
 
 

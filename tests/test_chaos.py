@@ -20,11 +20,12 @@ import pytest
 
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.messages import Segmentation
+from orchestrator.benchmark.process_costs import Process
 from orchestrator.chaos import command
 from orchestrator.chaos.camera import RATE, Camera, as_received, play
 from orchestrator.chaos.faults import FAULTS
 from orchestrator.chaos.kills import COMMIT_STEPS, KILLS, STEPS
-from orchestrator.chaos.observed_run import NotHeldError, content, expect
+from orchestrator.chaos.observed_run import NotHeldError, content, expect, living_still
 from orchestrator.chaos.place import Back, Fault, Place, Scenario, Verdicts, alone, beginning
 from orchestrator.chaos.planted import Plant, Trap
 from orchestrator.chaos.reference import References
@@ -83,6 +84,17 @@ def test_what_is_committed_is_compared_without_what_may_yet_change(tmp_path: Pat
         begun = content(tmp_path / "a", committed=True)
         assert begun == beginning(whole, 32)
         assert (len(begun["masks"]), len(begun["frames"])) == (32, 32)
+
+
+def test_a_run_s_processes_are_known_again_under_other_titles_and_others_are_not_taken_for_them() -> None:
+    seen = {pid: Process(pid, 1, "ray::IDLE", 0.0, started=500 + pid) for pid in (2, 3, 4, 5)}
+    now = {
+        2: Process(2, 1, "ray::SinkActor", 3.0, started=502),
+        3: Process(3, 1, "ray::IDLE", 0.0, started=900),  # the number was given again
+        4: Process(4, 1, "", 0.0, started=504),  # has ended, and waits for its parent
+        6: Process(6, 1, "ray::IDLE", 0.0, started=506),
+    }
+    assert living_still(seen, now) == {2: "ray::SinkActor"}
 
 
 def test_the_table_says_which_seeds_were_held_and_why_not(

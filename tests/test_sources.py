@@ -256,6 +256,11 @@ def _cut(content: bytes) -> bytes:
     return content[: len(content) * 2 // 3]
 
 
+def _cut_early(content: bytes) -> bytes:
+    """Where libav still looks what it has before it: it comes to the end of the file when it opens it."""
+    return content[: len(content) // 3]
+
+
 def _flip(content: bytes) -> bytes:
     flipped = bytearray(content)
     rng = np.random.default_rng(1)
@@ -269,6 +274,7 @@ def _flip(content: bytes) -> bytes:
     [
         ("a.mp4", "libx264", _cut, False),
         ("a.avi", "mpeg4", _cut, False),
+        ("a.mkv", "libx264", _cut_early, False),
         ("a.ts", "mpeg2video", _flip, None),
         ("a.avi", "mpeg4", _flip, None),
     ],

@@ -49,12 +49,15 @@ class Process:
         Its command line.
     cpu_seconds : float
         User and system time of all its threads since its start, s.
+    started : int
+        When, by the kernel's clock, ticks: process ids are given again, but not with the same start.
     """
 
     pid: int
     parent: int
     title: str
     cpu_seconds: float
+    started: int
 
 
 def process_tree(root: int, proc: Path = Path("/proc")) -> dict[int, Process]:
@@ -89,7 +92,8 @@ def _read(folder: Path) -> Process | None:
     except OSError:
         return None  # it has ended meanwhile
     ticks = int(fields[11]) + int(fields[12])
-    return Process(int(folder.name), int(fields[1]), title, ticks / os.sysconf("SC_CLK_TCK"))
+    cpu_seconds = ticks / os.sysconf("SC_CLK_TCK")
+    return Process(int(folder.name), int(fields[1]), title, cpu_seconds, int(fields[19]))
 
 
 def kinds_of(tree: Mapping[int, Process], driver: int, layers: Mapping[int, str]) -> dict[int, str]:

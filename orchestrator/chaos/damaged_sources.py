@@ -98,7 +98,7 @@ def _disordered_times(path: Path, place: Place) -> None:
 
 
 def _changing_size(folder: Path, place: Place) -> None:
-    sizes = [(160, 120), (120, 160)] if place.random.integers(2) else [(160, 120), (96, 72)]
+    sizes = [(160, 120), (120, 160)] if place.random.integers(2) else [(160, 120), (128, 96)]
     folder.mkdir()
     for number, (width, height) in enumerate(sizes):
         made = scene("demo", frames=_OF_A_SIZE, width=width, height=height, seed=number)

@@ -42,7 +42,8 @@ def bring_about_losses(
     verdicts : Verdicts
     losses : sequence of str and callable
         Names of faults, and what brings them about in a run; returns when it has happened. The first is
-        brought about when all streams have committed something, each other one when they have committed more.
+        brought about when all streams have committed something, each other one when they have committed more
+        than there was at the last: a stream that gets no further may be lost a few times only.
     lines : sequence of str
         Streams, of :func:`frames_for_losses`.
     traps : sequence of Trap
@@ -51,36 +52,37 @@ def bring_about_losses(
     place.prepare(lines)
     plant = Plant(place.folder / "plant", [LABELLED, *traps])
     with ObservedRun(lines, place.folder, plant=plant) as run:
-        committed = {line.split()[0]: 0 for line in lines}
+        reached = {line.split()[0]: 0 for line in lines}
         for name, bring_about in losses:
             with verdicts.of(name) as verdict:
-                _await_progress(run, committed)
-                verdict.back = _lose(run, plant, bring_about)
+                _await_progress(run, reached)
+                verdict.back = _lose(run, plant, bring_about, reached)
                 expect_prefix(place, run, *lines)
         with verdicts.of(losses[-1][0]):  # of the others, what comes next has shown that all is well
             expect_end(run, 0)
             expect_identical(place, run, *lines)
 
 
-def _await_progress(run: ObservedRun, committed: dict[str, int]) -> None:
-    """Wait until every stream that goes on has committed more than is told; tell it anew."""
+def _await_progress(run: ObservedRun, reached: Mapping[str, int]) -> None:
+    """Wait until every stream that goes on has committed more label maps than are told."""
 
     def got_on() -> bool:
         status = run.status()
         return bool(status) and all(
             status[name]["committed"] > before or status[name]["state"] == "done"
-            for name, before in committed.items()
+            for name, before in reached.items()
         )
 
     run.wait(got_on, "a commit")
-    committed.update({name: stream["committed"] for name, stream in run.status().items()})
 
 
-def _lose(run: ObservedRun, plant: Plant, bring_about: Loss) -> Back:
+def _lose(run: ObservedRun, plant: Plant, bring_about: Loss, reached: dict[str, int]) -> Back:
+    """Bring a loss about, and wait until all go on; tell how many label maps each stream had by then."""
     returns = {name: stream["returns"] for name, stream in run.status().items()}
     newest = {name: newest_label_map(run.output / name) for name in returns}
     bring_about(run, plant)
     began = time.monotonic()
+    reached.update({name: newest_label_map(run.output / name) + 1 for name in returns})
 
     def hit() -> set[str]:
         return {name for name, stream in run.status().items() if stream["returns"] > returns[name]}

@@ -19,7 +19,7 @@ from orchestrator.benchmark.process_costs import Process, process_tree
 from orchestrator.chaos.planted import Plant
 from orchestrator.sinks.commit_log import read_commits
 
-__all__ = ["NotHeldError", "ObservedRun", "content", "expect"]
+__all__ = ["NotHeldError", "ObservedRun", "content", "expect", "living_still"]
 
 #: How long a run may take until it is given up, s.
 _RUN_SECONDS = 400.0
@@ -102,7 +102,7 @@ class ObservedRun:
         self.output = folder / "out"
         self.lines = tuple(lines)
         (folder / "list.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        self._seen: dict[int, str] = {}
+        self._seen: dict[int, Process] = {}
         self._words: str | None = None  # on standard error, once the command has ended
         self._found = self._status_text()  # of the run that this one goes on with
         self._process = subprocess.Popen(
@@ -156,7 +156,7 @@ class ObservedRun:
     def tree(self) -> dict[int, Process]:
         """All living processes of the run."""
         tree = process_tree(self._process.pid)
-        self._seen |= {pid: one.title for pid, one in tree.items() if pid != self._process.pid}
+        self._seen |= {pid: one for pid, one in tree.items() if pid != self._process.pid}
         return tree
 
     def processes(self, title: str) -> list[int]:
@@ -233,13 +233,20 @@ class ObservedRun:
         return not [*Path("/tmp").glob(f"mlbs-ray-*/session_*_{self._process.pid}")]
 
     def _left(self) -> dict[int, str]:
-        """Processes of the run that still live; a number may belong to another process by now."""
-        living = process_tree(1)
-        return {
-            pid: title
-            for pid, title in self._seen.items()
-            if pid in living and living[pid].title.partition("::")[0] == title.partition("::")[0]
-        }
+        """Ids and titles of the run's processes that still live."""
+        return living_still(self._seen, process_tree(1))
+
+
+def living_still(seen: Mapping[int, Process], living: Mapping[int, Process]) -> dict[int, str]:
+    """Ids and titles of processes that were seen before; a number may belong to another process by now.
+
+    What has ended and is not collected by its parent has no title any more.
+    """
+    return {
+        pid: living[pid].title
+        for pid, one in seen.items()
+        if pid in living and living[pid].started == one.started and living[pid].title
+    }
 
 
 def _signal(pid: int, number: signal.Signals) -> None:

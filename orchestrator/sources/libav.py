@@ -37,7 +37,7 @@ _OPTIONS = {
 }
 
 
-def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer, VideoStream]:
+def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer, VideoStream, int]:
     """Open a source and choose its first video stream.
 
     Parameters
@@ -46,6 +46,13 @@ def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer
         Of kind PATH (a file), NETWORK or CAMERA.
     timeout_s : float
         Longest wait for an answer, here and in each later read, s.
+
+    Returns
+    -------
+    InputContainer, VideoStream
+    int
+        How many errors libav has logged: to know a file it reads ahead, in a short one up to where it is cut
+        off.
 
     Raises
     ------
@@ -57,7 +64,7 @@ def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer
     av.logging.set_skip_repeated(False)
     kind, location = address.kind, address.location
     try:
-        with av.logging.Capture():
+        with av.logging.Capture() as log:
             container = av.open(
                 f"file:{location}" if kind is SourceKind.PATH else location,
                 format="v4l2" if kind is SourceKind.CAMERA else None,
@@ -73,7 +80,7 @@ def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer
     stream = container.streams.video[0]
     stream.thread_type = "NONE"
     stream.codec_context.thread_count = 1
-    return container, stream
+    return container, stream, len(log)
 
 
 def reason(error: Exception) -> str:

@@ -69,7 +69,7 @@ class LibavConnection:
     """
 
     def __init__(self, address: SourceAddress, clock: Callable[[], float] = time.monotonic) -> None:
-        self._container, self._stream = open_video(address, _DEAD_SECONDS)
+        self._container, self._stream, _ = open_video(address, _DEAD_SECONDS)
         self._clock = clock
 
     def pictures(self) -> Iterator[Picture]:

@@ -44,7 +44,6 @@ class VideoReader:
 
     def __init__(self, address: SourceAddress) -> None:
         self._address = address
-        self._log_errors = 0
         self._corrupt_frames = 0
         self._lost_packets = 0
         self._broken_off: str | None = None
@@ -52,7 +51,7 @@ class VideoReader:
         self._count = 0
         self._first_pts: float | None = None
         self._last_pts = 0.0
-        self._container, self._stream = open_video(address, _TIMEOUT_S)
+        self._container, self._stream, self._log_errors = open_video(address, _TIMEOUT_S)
         rate = self._stream.average_rate
         self._frame_time = 1.0 / float(rate) if rate else 0.0
         self._length = self._stated_length()
