@@ -74,9 +74,12 @@ def forward_motion(
     if (error < inlier).mean() > MOST_PLANAR:
         return None
     points = positions.astype(np.float64)
-    matrix, inliers = cv2.findFundamentalMat(
-        points, points + motions, cv2.USAC_MAGSAC, inlier, CONFIDENCE, MOST_SAMPLES
-    )
+    try:
+        matrix, inliers = cv2.findFundamentalMat(
+            points, points + motions, cv2.USAC_MAGSAC, inlier, CONFIDENCE, MOST_SAMPLES
+        )
+    except cv2.error:  # where few points move at random OpenCV can end with no matrix, and does not expect it
+        return None
     if matrix is None or matrix.shape != (3, 3) or inliers.mean() < LEAST_EPIPOLAR:
         return None
     before, _, after = np.linalg.svd(matrix)

@@ -16,6 +16,7 @@ import shutil
 import socket
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
@@ -28,6 +29,9 @@ __all__ = ["ray_session", "ray_settings"]
 _OBJECT_STORE_BYTES = 2 * 2**30
 
 _CONNECT_SECONDS = 10.0
+
+#: How long processes of Ray may write on after its end, s.
+_LATE_SECONDS = 5.0
 
 # Ray's sockets must have short paths, and TMPDIR may be long.
 _SCRATCH_PARENT = Path("/tmp")
@@ -79,8 +83,16 @@ def ray_settings(address: str | None) -> Iterator[Path]:
         with _environment(settings):
             yield scratch
     finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        _remove(scratch)
         os.close(own)
+
+
+def _remove(scratch: Path) -> None:
+    """Remove a folder in which a process of Ray that ends late may still write."""
+    deadline = time.monotonic() + _LATE_SECONDS
+    while scratch.exists() and time.monotonic() < deadline:
+        shutil.rmtree(scratch, ignore_errors=True)
+        time.sleep(0.01)
 
 
 def _new_scratch() -> tuple[Path, int]:

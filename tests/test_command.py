@@ -266,6 +266,23 @@ def test_settings_of_ray_hold_a_token_that_only_the_user_reads_and_are_undone(
     assert not scratch.exists()
 
 
+def test_what_a_late_process_of_ray_leaves_in_its_folder_is_removed_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    removals = []
+
+    def remove(folder: Path, *, ignore_errors: bool) -> None:
+        removals.append(folder)
+        if len(removals) == 3:  # up to then somebody writes
+            folder.rmdir()
+
+    monkeypatch.setattr(shutil, "rmtree", remove)
+    ray_session._remove(scratch)
+    assert (len(removals), scratch.exists()) == (3, False)
+
+
 def test_what_a_killed_run_has_left_is_removed_and_nothing_of_a_living_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

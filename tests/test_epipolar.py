@@ -115,6 +115,14 @@ def test_motions_at_random_have_no_geometry() -> None:
     assert geometry_of(positions, rng.normal(0, 15, (300, 2)).astype(np.float32)) is None
 
 
+def test_few_motions_at_random_have_no_geometry_either() -> None:
+    for seed in range(60):  # with some of them OpenCV fails
+        rng = np.random.default_rng(seed)
+        positions = rng.uniform((0, 0), (160, 120), (26, 2)).astype(np.float32)
+        motions = rng.normal(0, 3, (26, 2)).astype(np.float32)
+        assert forward_motion(positions, motions, np.eye(3), (120, 160)) is None
+
+
 @pytest.mark.parametrize("count", [0, 5])
 def test_few_points_say_nothing(count: int) -> None:
     positions, motions = seen(street(), np.array([0.0, 0.0, 1.5]))

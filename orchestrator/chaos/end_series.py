@@ -14,8 +14,9 @@ from orchestrator.chaos.planted import Plant, Trap
 
 __all__ = ["End", "bring_about_ends", "frames_for_ends", "kill"]
 
-#: What a stream needs for its first snapshot, and gets on between two ends, at most, frames.
-_FIRST_FRAMES, _FRAMES_OF_AN_END = 64, 40
+#: What a stream needs for its first snapshot, and gets on between two ends, on average at most, frames: some
+#: ends come with the third commit from then on.
+_FIRST_FRAMES, _FRAMES_OF_AN_END = 64, 64
 
 #: Frames that it gets on at most before something is done to the run.
 _FRAMES_BEFORE = 16
