@@ -130,7 +130,7 @@ def dense_flow(
         focus = [Region(0, 0, current.shape[1], current.shape[0])]
     backward = _flow(_solver(config, first=first), current, previous, config.finest_scale, focus)
     # Outside the boxes the scene moves as the camera does: there it is enough to turn the flow around.
-    start = None if first else _inverted(backward)
+    start = None if _is_whole(focus, current) else _inverted(backward)
     forward = _flow(_solver(config, first=first), previous, current, config.finest_scale, focus, start)
     for flow in (forward, backward):
         for axis in range(2):  # each by itself: an operand of two numbers would be gone over pixel by pixel
@@ -174,7 +174,7 @@ def _flow(
     """
     # The presets stop at half the size they are given: flow bleeds 10–20 px past an object's outline then.
     solver.setFinestScale(finest)
-    if len(focus) == 1 and focus[0].area == source.size:
+    if _is_whole(focus, source):
         # None, which the stubs do not know: no initial flow.
         return np.asarray(solver.calc(source, target, None))  # type: ignore[call-overload]
     if start is None:
@@ -190,6 +190,11 @@ def _flow(
         cut_source, cut_target = (np.ascontiguousarray(frame[box.slices]) for frame in (source, target))
         flow[box.slices] = solver.calc(cut_source, cut_target, part)
     return flow
+
+
+def _is_whole(focus: Sequence[Region], frame: Array) -> bool:
+    """Whether the boxes are one, the frame."""
+    return len(focus) == 1 and focus[0].area == frame.size
 
 
 @njit(cache=True)

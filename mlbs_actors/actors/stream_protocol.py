@@ -203,6 +203,7 @@ class StreamSink(Protocol):
     ) -> int:
         """Take one result; return how many label maps of this stream are committed by now.
 
+        The arrays hold until the second label map after this one comes: what is to stay longer is copied.
         ``background`` is what the background remembers at that frame, if
         :attr:`StreamSpec.wants_background` asked for it.
         A label map is committed once it would survive a kill, which may be some frames later.
