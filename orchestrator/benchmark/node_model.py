@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mlbs_actors.actors.pipeline import sinks_of
+from mlbs_actors.messages import Array
 
 __all__ = ["NodeRun", "StageCosts", "most_cameras", "simulate"]
 
@@ -125,15 +126,12 @@ def simulate(
     for stream in node.streams:
         node.start_what_can(stream)
     node.run_until(200.0 * seconds)
-    before = [(stream.written, stream.dropped, stream.read) for stream in node.streams]
-    sink_before = node.sink_ms
+    before, sink_before = node.totals(), node.sink_ms
     node.run_until(1e3 * seconds)
+    written, dropped, read = node.totals() - before
     window = 0.8 * seconds
-    written = sum(stream.written - was[0] for stream, was in zip(node.streams, before, strict=True))
-    dropped = sum(stream.dropped - was[1] for stream, was in zip(node.streams, before, strict=True))
-    read = sum(stream.read - was[2] for stream, was in zip(node.streams, before, strict=True))
     sink_share = (node.sink_ms - sink_before) / (1e3 * window * sinks_of(cores))
-    return NodeRun(written / window, dropped / max(read, 1), sink_share)
+    return NodeRun(float(written / window), float(dropped / max(read, 1)), sink_share)
 
 
 def most_cameras(costs: StageCosts, cores: int, camera_rate: float) -> int:
@@ -166,6 +164,10 @@ class _Node:
         """Have something happen later."""
         heapq.heappush(self._events, (time, self._number, stream, what))
         self._number += 1
+
+    def totals(self) -> Array:
+        """How many frames all streams have written, dropped and read, (3,) int64."""
+        return np.array([(one.written, one.dropped, one.read) for one in self.streams]).sum(axis=0)
 
     def run_until(self, end: float) -> None:
         """Go on to a time, ms."""

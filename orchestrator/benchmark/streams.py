@@ -69,6 +69,7 @@ def measure_streams(setting: Setting, streams: tuple[int, ...] = STREAMS) -> Fin
                 objects = sum(kind == "object layer" for kind in window.kinds.values()) // count
                 one = StageCosts.of(cpu_ms_by_kind(window), objects)
         most = most_frames_a_second(cores(), costs[streams[0]].cpu_ms)
+        say(f"streams: {name}, the model of nodes")
         modelled = {count: simulate(one, count, cores()).frames_a_second for count in streams}
         tables += [streams_table(name, costs, modelled, most), fleet_table(name, one)]
         figures[name] = {
