@@ -167,7 +167,8 @@ class _Node:
 
     def totals(self) -> Array:
         """How many frames all streams have written, dropped and read, (3,) int64."""
-        return np.array([(one.written, one.dropped, one.read) for one in self.streams]).sum(axis=0)
+        counts: Array = np.array([(one.written, one.dropped, one.read) for one in self.streams])
+        return np.asarray(counts.sum(axis=0))
 
     def run_until(self, end: float) -> None:
         """Go on to a time, ms."""
