@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ray.exceptions import ObjectLostError, RayActorError, RayTaskError
+from ray.exceptions import ObjectLostError, OutOfMemoryError, RayTaskError
 
+from mlbs_actors.actors.processes import LOST_PROCESS
 from mlbs_actors.errors import ActorLostError, LayerError, MlbsError, SourceError
 from mlbs_actors.wording import count_of
 
@@ -59,6 +60,11 @@ def explain(error: BaseException, stream: str, roles: Mapping[str, str]) -> Mlbs
             f"Stream {stream!r} failed unexpectedly with {type(cause).__name__}: {last_line(cause)}. "
             "What was committed before is kept; please report this with the video."
         )
+    if isinstance(cause, OutOfMemoryError):
+        return ActorLostError(
+            f"Stream {stream!r} lost a process because the machine ran out of memory; what was committed "
+            "before is kept. If that happens again and again, work on fewer streams at once."
+        )
     role = roles.get(str(getattr(cause, "actor_id", None)), "part")
     if getattr(cause, "actor_init_failed", False):
         return ActorLostError(f"The {role} of stream {stream!r} could not start: {last_line(cause)}.")
@@ -70,7 +76,7 @@ def explain(error: BaseException, stream: str, roles: Mapping[str, str]) -> Mlbs
 
 def is_loss(error: BaseException) -> bool:
     """Whether a process, or what it held, is gone: nothing says that it would happen again."""
-    return isinstance(cause_of(error), RayActorError | ObjectLostError)
+    return isinstance(cause_of(error), (*LOST_PROCESS, ObjectLostError))
 
 
 def reader_lost(stream: str, frames: int) -> ActorLostError:
@@ -97,7 +103,7 @@ def source_failure(error: BaseException, source: str, frames: int) -> SourceErro
     if isinstance(cause, SourceError):
         return cause
     where = f"after {count_of(frames, 'frame')}" if frames else "before its first frame"
-    if isinstance(cause, RayActorError):
+    if isinstance(cause, LOST_PROCESS):
         return SourceError(
             f"The process that reads {source} died {where}; it is probably damaged there. "
             "Convert it with another program and run it again."

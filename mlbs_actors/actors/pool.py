@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import ray
-from ray.exceptions import RayActorError, RayError
+from ray.exceptions import RayError
 
 from mlbs_actors.actors.failures import last_line
 from mlbs_actors.actors.layer import LayerActor
 from mlbs_actors.actors.parts import PartFactory
-from mlbs_actors.actors.processes import Handle, identity, spawn
+from mlbs_actors.actors.processes import LOST_PROCESS, Handle, identity, spawn
 from mlbs_actors.actors.saved_states import SavedLayer
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ActorLostError, LayerError
@@ -133,7 +133,7 @@ class PoolActor:
             except asyncio.TimeoutError:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
                 ray.kill(process.handle)
-            except RayActorError as error:
+            except LOST_PROCESS as error:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
                 # One that waited may have died unnoticed: the next will do. One that was started for this
                 # very layer would die again.
@@ -216,6 +216,6 @@ async def _end(handle: Handle) -> None:
     while True:
         try:
             await handle.__ray_ready__.remote()
-        except RayActorError:
+        except LOST_PROCESS:
             return
         await asyncio.sleep(0.01)  # the call overtook the kill

@@ -7,16 +7,20 @@ from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
 import ray
-from ray.exceptions import GetTimeoutError, RayActorError
+from ray.exceptions import GetTimeoutError, OutOfMemoryError, RayActorError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-__all__ = ["Handle", "Reference", "ask", "end", "identity", "spawn", "spawn_standby"]
+__all__ = ["LOST_PROCESS", "Handle", "Reference", "ask", "end", "identity", "spawn", "spawn_standby"]
 
 #: A Ray actor handle; Ray makes its methods at run time, so there is no type to state.
 Handle: TypeAlias = Any
 
 #: A Ray object reference; what it refers to is known where it is made.
 Reference: TypeAlias = "ray.ObjectRef[Any]"
+
+#: What calls of an actor raise whose process is gone: one that Ray has ended because the machine ran out of
+#: memory is told in another way than all others.
+LOST_PROCESS = (RayActorError, OutOfMemoryError)
 
 
 def spawn(kind: type, *arguments: object, node: str) -> Handle:
@@ -117,7 +121,7 @@ def _is_gone(handle: Handle, deadline: float) -> bool:
     while (left := deadline - time.monotonic()) > 0:
         try:
             ray.get(handle.__ray_ready__.remote(), timeout=left)
-        except RayActorError:
+        except LOST_PROCESS:
             return True
         except GetTimeoutError:
             return False

@@ -36,8 +36,8 @@ _TAKEN_AT_ONCE_BYTES = 2**28
 #: Until a loss is told, s.
 _NOTICED_SECONDS = 5.0
 
-#: Length of streams that lose a process late, frames.
-_LONG = 3 * FRAMES
+#: Length of streams that go on while memory is taken, and while nodes are waited for, frames.
+_VERY_LONG, _LONG = 24 * FRAMES, 8 * FRAMES
 
 
 def _folder_gone(place: Place) -> None:
@@ -55,7 +55,8 @@ def _memory_runs_out(place: Place) -> Back:
     threshold = (total - free + _LEFT_BYTES) / total
     expect(threshold < 1, "not injected: less than 4 GB of memory are free")
     settings = {"RAY_memory_usage_threshold": f"{threshold:.4f}", "RAY_memory_monitor_refresh_ms": "100"}
-    lines = victim(_LONG), beside(_LONG)
+    lines = victim(_VERY_LONG), beside(_VERY_LONG)
+    place.prepare(lines)
     plant = Plant(place.folder / "plant", [LABELLED])
     with ObservedRun(lines, place.folder, plant=plant, settings=settings) as run:
         run.wait_for_frames("victim", int(place.random.integers(8, FRAMES)))
@@ -87,8 +88,7 @@ def _take_memory_until_a_process_is_ended(run: ObservedRun) -> float:
     try:
         while living <= run.tree().keys():
             expect(len(taken) * _TAKEN_AT_ONCE_BYTES < _MOST_TAKEN_BYTES, "Ray ended no process")
-            taken.append(mmap.mmap(-1, _TAKEN_AT_ONCE_BYTES))
-            taken[-1].write(b"\1" * _TAKEN_AT_ONCE_BYTES)
+            taken.append(_memory_in_use(_TAKEN_AT_ONCE_BYTES))
             time.sleep(0.2)
         return time.monotonic()
     finally:
@@ -96,11 +96,20 @@ def _take_memory_until_a_process_is_ended(run: ObservedRun) -> float:
             memory.close()
 
 
+def _memory_in_use(size: int) -> mmap.mmap:
+    """Memory that is there: something is written on each page (on large ones, because that is quicker)."""
+    memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    memory.madvise(mmap.MADV_HUGEPAGE)
+    memory[:: mmap.PAGESIZE] = bytes(size // mmap.PAGESIZE)
+    return memory
+
+
 def _node_lost(place: Place) -> Back:
     """Of a cluster of three nodes one is lost that has a stream, which goes on on another one."""
     from ray.cluster_utils import Cluster
 
     lines = victim(_LONG), beside(_LONG)
+    place.prepare(lines)
     plant = Plant(place.folder / "plant", [LABELLED])
     with _springing(plant):
         cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
