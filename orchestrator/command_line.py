@@ -11,10 +11,13 @@ from pathlib import Path
 from mlbs_actors.errors import ConfigError
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 
-__all__ = ["SAVABLE", "Arguments", "parse"]
+__all__ = ["SAVABLE", "SAVED", "Arguments", "parse"]
 
 #: The parts of a record that ``--save`` can name.
 SAVABLE = ("masks", "parquet", "overlay", "background", "cutouts")
+
+#: What is written of them where it is not given.
+SAVED = SAVABLE[:3]
 
 _EPILOG = """\
 the list of streams, one a line (shell quoting, # comments, relative paths count from the list's folder):
@@ -236,7 +239,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--save",
-        default="masks,parquet,overlay",
+        default=",".join(SAVED),
         metavar="PARTS",
         help=f"which of {', '.join(SAVABLE)} to write, with commas (default: the first three)",
     )

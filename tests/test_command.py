@@ -22,7 +22,7 @@ from PIL import Image
 
 from mlbs_actors.errors import ConfigError
 from orchestrator import ray_session
-from orchestrator.command_line import SAVABLE, parse
+from orchestrator.command_line import SAVED, parse
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.ray_session import ray_settings
 from orchestrator.sources.synthetic import scene
@@ -53,7 +53,7 @@ def stream_list(folder: Path, *lines: str) -> Path:
 def test_the_defaults_are_those_of_the_help() -> None:
     arguments = parse(["--streams", "list.txt"])
     assert arguments.output == Path("out")
-    assert arguments.save == frozenset({"masks", "parquet", "overlay"}) == frozenset(SAVABLE[:3])
+    assert arguments.save == frozenset({"masks", "parquet", "overlay"}) == frozenset(SAVED)
     assert (arguments.address, arguments.config, arguments.max_frames) == (None, None, None)
     assert not arguments.resume
 

@@ -33,7 +33,7 @@ from mlbs_actors.actors.stream_protocol import (
 )
 from mlbs_actors.messages import LayerAppearance, LayerKind, Segmentation
 from orchestrator.benchmark.process_costs import Process, kinds_of, private_bytes, process_tree
-from orchestrator.command_line import SAVABLE
+from orchestrator.command_line import SAVED
 from orchestrator.ray_session import ray_session
 from orchestrator.sinks.record import StreamRecord
 
@@ -170,8 +170,8 @@ class _NotingSink:
 
 
 def record_in(folder: Path) -> StreamSink:
-    """Open a record with all its parts, as a run without ``--save`` has it."""
-    return StreamRecord(folder, folder.name, frozenset(SAVABLE))
+    """Open a record with the parts that a run without ``--save`` has."""
+    return StreamRecord(folder, folder.name, frozenset(SAVED))
 
 
 @dataclass
