@@ -67,7 +67,7 @@ class TrajectoriesConfig(_Section):
     """Point trajectories (§3, after Sundaram, Brox, Keutzer, ECCV 2010)."""
 
     seed_spacing_px: float = Field(
-        8.0, gt=1, description="Grid on which points without a live track near are seeded."
+        10.0, gt=1, description="Grid on which points without a live track near are seeded."
     )
     dense_spacing_px: float = Field(
         4.0, gt=1, description="The same where the camera's motion fails to explain the image."
@@ -86,7 +86,7 @@ class TrajectoriesConfig(_Section):
         gt=0,
         description="A point is lost where even the flow leaves this much of the image unexplained, × noise.",
     )
-    history_frames: int = Field(40, ge=2, description="Frames of motion that a trajectory remembers.")
+    history_frames: int = Field(24, ge=2, description="Frames of motion that a trajectory remembers.")
 
 
 class AffinityConfig(_Section):
@@ -180,7 +180,7 @@ class LayersConfig(_Section):
 class MotionConfig(_Section):
     """Motion field of a layer: Gaussian belief propagation (§5)."""
 
-    grid_px: int = Field(8, ge=1, description="Spacing of the field's grid, px (not scaled with the frame).")
+    grid_px: int = Field(12, ge=1, description="Spacing of the field's grid, px (not scaled with the frame).")
     variance_grid_px: int = Field(
         32, ge=1, description="Spacing of the grid on which marginal variances hold, px."
     )

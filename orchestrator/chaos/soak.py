@@ -89,7 +89,7 @@ class SoakFigures:
 
 
 def soak(streams: int, frames: int, folder: Path) -> SoakFigures:
-    """Run streams of a crowd that gathers and leaves.
+    """Run streams through which objects drive, one after the other.
 
     Parameters
     ----------
@@ -103,9 +103,9 @@ def soak(streams: int, frames: int, folder: Path) -> SoakFigures:
     NotHeldError
         If the run does not end with every frame labelled.
     """
-    names = [f"crowd{number}" for number in range(streams)]
+    names = [f"street{number}" for number in range(streams)]
     lines = [
-        f"{name} 'synthetic:crowd?frames={frames}&width=320&height=240&seed={number}'"
+        f"{name} 'synthetic:traffic?frames={frames}&width=320&height=240&seed={number}'"
         for number, name in enumerate(names)
     ]
     looks: list[Look] = []

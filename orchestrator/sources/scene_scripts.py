@@ -416,6 +416,19 @@ def _steady_crowd(stage: Stage) -> None:
         stage.thing(label, (place[0] + 6 * np.cos(angle), place[1] + 9 * np.sin(angle)), (16.5, 15.5))
 
 
+def _traffic(stage: Stage) -> None:
+    """Three lanes; in each an object has left before the next one comes."""
+    stage.pan(1.2)
+    stage.background()
+    every, speed, beyond = 75, 3.5, CANVAS / 2 + 45
+    lanes = ((62.0, 1.0), (20.0, -1.0), (-45.0, 1.0))
+    for number in range(max(1, stage.frames // every)):
+        height, direction = lanes[number % len(lanes)]
+        driven = np.clip(speed * (stage.time - every * number) - beyond, -beyond, beyond)
+        size = (stage.rng.uniform(22, 30), stage.rng.uniform(14, 19))
+        stage.thing(number + 1, (direction * driven, height + 2 * np.sin(stage.time / 9)), size)
+
+
 def _small_object(stage: Stage) -> None:
     stage.pan(1.4)
     stage.background()
@@ -438,6 +451,7 @@ SCRIPTS: dict[str, Script] = {
     "static-empty": Script("still camera, nothing moves: only sensor noise", _static_empty),
     "parallax": Script("strong parallax and many near bushes; one object", _parallax),
     "crowd": Script("objects come and go: 1, then 32, then 1", _crowd),
+    "traffic": Script("one object after the other drives through the picture", _traffic),
     "steady-crowd": Script(
         "objects of 1 % of the picture each, all there all the time; objects=N of them", _steady_crowd, 8
     ),
