@@ -19,7 +19,6 @@ from time import perf_counter
 import numpy as np
 
 from mlbs_actors.affinity import TrajectoryGraph, displacement_spread, trajectory_graph
-from mlbs_actors.camera import CameraEvidence, camera_evidence, camera_homography, homography_motion
 from mlbs_actors.clustering import (
     UNLABELLED,
     background_first,
@@ -32,9 +31,8 @@ from mlbs_actors.clustering import (
     split_origins,
 )
 from mlbs_actors.config import Config, length_scale
-from mlbs_actors.epipolar import forward_motion, static_motion
 from mlbs_actors.errors import FrameError
-from mlbs_actors.flow import dense_flow, flow_gray, sample_flow
+from mlbs_actors.flow import dense_flow, flow_gray
 from mlbs_actors.flow_focus import focus_boxes, focus_cells
 from mlbs_actors.held_frames import HeldFrame, first_frame, held_frame, relabelled
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
@@ -46,15 +44,8 @@ from mlbs_actors.messages import (
     LayerKind,
     Segmentation,
 )
-from mlbs_actors.trajectories import (
-    TrajectoryState,
-    advance_trajectories,
-    empty_trajectories,
-    evenly_spread,
-    seed_trajectories,
-    selected,
-    with_residuals,
-)
+from mlbs_actors.tracking import track
+from mlbs_actors.trajectories import TrajectoryState, empty_trajectories
 
 __all__ = ["Coordinator", "CoordinatorState"]
 
@@ -175,7 +166,6 @@ class Coordinator:
             self._begin_epoch(frame_index)
             return ended + self.step(frame_index, frame, None)
         state, config = self.state, self.config
-        scale = length_scale(*shape)
         stage_ms: dict[str, float] = {}
 
         with _timed(stage_ms, "flow"):
@@ -186,43 +176,12 @@ class Coordinator:
                 flow = dense_flow(state.gray, gray, shape, config.flow, config.trajectories, focus)
 
         with _timed(stage_ms, "tracking"):
-            trajectories, labels = state.trajectories, state.labels
-            if flow is not None:
-                before = trajectories.ids
-                trajectories = advance_trajectories(trajectories, flow, shape)
-                labels = labels[np.searchsorted(before, trajectories.ids)]
-            survivors = len(trajectories)
-            known = (trajectories.ages > 0) & ((labels == BACKGROUND) if state.clustered else True)
-            spacing = config.trajectories.seed_spacing_px * scale
-            voters = np.flatnonzero(known)[evenly_spread(trajectories.positions[known], 2 * spacing)]
-            camera = camera_homography(trajectories.positions[voters], trajectories.motions[voters], scale)
-            nothing = np.zeros(gray.shape, np.float32)
-            against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
-            if flow is not None:
-                against_camera = camera_evidence(state.gray, gray, camera, flow.backward, flow.step)
-                mismatch = (against_camera.unexplained - against_camera.advantage)[..., None]
-                mismatch = sample_flow(mismatch, trajectories.positions, flow.step)[:, 0]
-                same = np.flatnonzero(mismatch <= config.trajectories.most_mismatch)
-                trajectories, labels = selected(trajectories, same), labels[same]
-                survivors = len(trajectories)
-            # Small movers need more points than the grid gives them.
-            dense = against_camera.advantage > config.trajectories.dense_advantage
-            trajectories = seed_trajectories(trajectories, gray, flow, shape, config.trajectories, dense)
-            labels = np.concatenate([labels, np.full(len(trajectories) - survivors, UNLABELLED, np.int64)])
-            step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
-            advantage = sample_flow(against_camera.advantage[..., None], trajectories.positions, step)[:, 0]
-            predicted = homography_motion(camera, trajectories.positions)
-            moving = np.flatnonzero(trajectories.ages > 0)
-            everywhere = moving[evenly_spread(trajectories.positions[moving], 2 * spacing)]
-            driving = forward_motion(
-                trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape
-            )
-            if driving is not None:
-                predicted = static_motion(driving, trajectories.positions, trajectories.motions)
-                obeying = np.hypot(*(trajectories.motions - predicted).T) < scale
-                advantage = np.where(obeying, 0.0, advantage)
-            trajectories = with_residuals(trajectories, predicted, advantage)
-            spread = displacement_spread(trajectories, config.affinity, scale)
+            known = state.labels == BACKGROUND if state.clustered else np.ones(len(state.labels), bool)
+            tracked = track(state.trajectories, known, flow, state.gray, gray, shape, config)
+            trajectories, camera = tracked.trajectories, tracked.camera
+            labels = np.full(len(trajectories), UNLABELLED, np.int64)
+            labels[: len(tracked.survivors)] = state.labels[tracked.survivors]
+            spread = displacement_spread(trajectories, config.affinity, length_scale(*shape))
             spreads = np.concatenate([[spread], state.spreads])[: config.trajectories.history_frames]
 
         if flow is not None and state.held and state.held[0].frame_index == state.epoch == frame_index - 1:
@@ -239,10 +198,13 @@ class Coordinator:
         if state.clustered:
             objects = state.labels > BACKGROUND
             ahead = state.trajectories.positions[objects] - state.trajectories.motions[objects]
-            state.focus = focus_cells(against_camera.advantage, ahead, step)
+            step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
+            state.focus = focus_cells(tracked.against_camera.advantage, ahead, step)
         state.held = (
             *state.held,
-            held_frame(frame_index, trajectories, state.labels, camera, flow, against_camera, stage_ms),
+            held_frame(
+                frame_index, trajectories, state.labels, camera, flow, tracked.against_camera, stage_ms
+            ),
         )
         return self._emit(frame_index - config.layers.lookahead) if state.clustered else []
 
