@@ -1,6 +1,6 @@
 """The painted pieces of a street: facades under a sky, a road, trees, vehicles, a balloon.
 
-Lengths are in canvas units (see :mod:`orchestrator.sources.scene_scripts`); ``unit`` is px a unit. Every
+Lengths are in canvas units (see :mod:`orchestrator.sources.stage`); ``unit`` is px a unit. Every
 piece has some grain, as surfaces have, so that points can be followed on it.
 """
 

@@ -23,7 +23,8 @@ import numpy as np
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import Array, Region
-from orchestrator.sources.scene_scripts import SCRIPTS, Surface, build_surfaces
+from orchestrator.sources.scene_scripts import SCRIPTS, build_surfaces
+from orchestrator.sources.stage import Surface
 
 __all__ = ["LIMITS", "SCHEME", "SyntheticScene", "scene", "scene_from_uri"]
 
