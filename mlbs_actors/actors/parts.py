@@ -6,6 +6,7 @@ The actors know the engine through :class:`PartFactory` only. :class:`EnginePart
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -130,6 +131,9 @@ class EngineParts:
         """
         import mlbs_actors.layer  # noqa: F401  (needs no turn)
 
+        with _hidden("scipy.linalg"):
+            # It looks there for matrix products, which no kernel of a layer has: a fifth of its start.
+            import numba.np.arraymath  # noqa: F401
         with _turn():
             self._run_two_layers()
 
@@ -180,6 +184,19 @@ class EngineParts:
                     camera_motion=(0.0, 0.0),
                     latency_frames=0,
                 )
+
+
+@contextmanager
+def _hidden(module: str) -> Iterator[None]:
+    """Have imports of a module fail that has not been imported yet."""
+    if module in sys.modules:
+        yield
+        return
+    sys.modules[module] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del sys.modules[module]
 
 
 @contextmanager

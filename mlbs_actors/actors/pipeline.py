@@ -229,10 +229,11 @@ class StreamActors:
         Future of StreamProgress
             Carries an MlbsError if the stream failed (see :class:`RunningStream`).
         """
-        if self._bursts >= _BURSTS_ALONE:
-            self._under_way()
+        progress = self._explained(self._coordinator.advance.remote(_BURST_FRAMES))
         self._bursts += 1
-        return self._explained(self._coordinator.advance.remote(_BURST_FRAMES))
+        if self._bursts > _BURSTS_ALONE:  # while the stream works: starting processes takes some time here
+            self._under_way()
+        return progress
 
     def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
         """End the stream and give its processes back; may be called twice, and after a failure.
