@@ -20,8 +20,8 @@ from orchestrator.evaluation.figures import format_number, format_table
 
 __all__ = ["BirthCost", "FrameTime", "birth_cost", "measure_births", "times_in_process", "times_through_ray"]
 
-#: Scenes in which objects enter.
-SCENES = ("late-entry", "crowd")
+#: Scenes in which objects enter: some time after each other, two soon after the start, 32 almost at once.
+SCENES = ("traffic", "late-entry", "crowd")
 
 _SIZE = (640, 480)
 
