@@ -13,7 +13,7 @@ from orchestrator.chaos.planted import Plant, Trap
 __all__ = ["LABELLED", "Loss", "bring_about_losses", "frames_for_losses", "newest_label_map", "seconds_back"]
 
 #: What a stream needs for its first snapshot, and gets on between two losses, at most, frames.
-_FIRST_FRAMES, _FRAMES_OF_A_LOSS = 64, 48
+_FIRST_FRAMES, _FRAMES_OF_A_LOSS = 64, 144
 
 #: Notes when a segmenter's process has made its first label map: a stream that goes on has a new one.
 LABELLED = Trap("mlbs_actors.actors.segmenter:SegmenterActor.step", "note", when="after")
