@@ -197,7 +197,8 @@ def test_a_stream_ends_after_its_most_frames(node: Node, tmp_path: Path) -> None
 def test_the_reader_is_held_back_to_the_pace_of_the_slowest(
     ray_session: RaySession, tmp_path: Path, parts: FakeParts, slow: str
 ) -> None:
-    layers = FakeParts(parts.folder, slow_seconds=0.03 if slow == "layers" else 0.0)
+    # So slow that the sink keeps up, also on a machine that is busy with other tests.
+    layers = FakeParts(parts.folder, slow_seconds=0.1 if slow == "layers" else 0.0)
     node = Node(parts=layers, policy=PoolPolicy(spare=0))
     reader = FakeReader([*crowd(60, 0)], tmp_path)
     sink_seconds = 0.03 if slow == "sink" else 0.0
