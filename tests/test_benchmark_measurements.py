@@ -57,7 +57,7 @@ def session(proc: Path, *, layer: float = 0.0, raylet: float = 0.0) -> dict[int,
     """A driver, a raylet, two layers, a reader; and a process of somebody else."""
     fake_process(proc, 10, 1, "python -m orchestrator.benchmark", 1.0, 0.5)
     fake_process(proc, 11, 10, "/opt/raylet --node", 2.0 + raylet, 0.0)
-    fake_process(proc, 12, 11, "ray::LayerActor.step", 0.0 + layer, 3.0)
+    fake_process(proc, 12, 11, "ray::LayerActor.serve", 0.0 + layer, 3.0)
     fake_process(proc, 13, 11, "ray::LayerActor", 0.0, 0.0)
     fake_process(proc, 14, 11, "ray::ReaderActor.read", 4.0, 0.0)
     fake_process(proc, 99, 1, "ray::LayerActor of another session", 50.0, 50.0)
@@ -69,7 +69,7 @@ def test_a_tree_holds_all_that_descend_and_nobody_else(tmp_path: Path) -> None:
     tree = session(tmp_path)
     assert sorted(tree) == [10, 11, 12, 13, 14]
     assert tree[10].cpu_seconds == pytest.approx(1.5)
-    assert tree[12] == Process(12, 11, "ray::LayerActor.step", 3.0, 712)
+    assert tree[12] == Process(12, 11, "ray::LayerActor.serve", 3.0, 712)
     assert process_tree(98, tmp_path) == {}
 
 

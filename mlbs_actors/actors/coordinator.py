@@ -1,7 +1,7 @@
 """The coordinator of a stream in a process of its own: the conductor of the stream's other processes.
 
-It fetches the frames, finds out what each layer needs to know, and starts the layers' and the segmenter's
-work on references, so that no picture passes through it twice and none through the driver. It runs ahead of
+It fetches the frames, finds out what each layer needs to know, and has the segmenter label them with the
+layers, so that no picture passes through it twice and none through the driver. It runs ahead of
 the layers by at most two frames: the tracking of frame t+1 needs the label map of t−1, and runs beside the
 layers' work on t.
 """
@@ -13,17 +13,19 @@ import sys
 import time
 from collections import Counter, deque
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import ray
 from ray.exceptions import GetTimeoutError, RayError
 
+from mlbs_actors.actors.channels import ChannelClosedError
 from mlbs_actors.actors.failures import POOL, SEGMENTER, SINK, explain, is_loss, reader_lost, source_failure
 from mlbs_actors.actors.layer import LiveLayers
 from mlbs_actors.actors.live_reader import LiveReadAhead
 from mlbs_actors.actors.parts import PartFactory
-from mlbs_actors.actors.processes import Handle, Reference, identity
+from mlbs_actors.actors.processes import Handle, identity
 from mlbs_actors.actors.reader import ReadAhead
 from mlbs_actors.actors.saved_states import (
     CONDUCTOR_FILE,
@@ -34,6 +36,7 @@ from mlbs_actors.actors.saved_states import (
     StateWriter,
     layer_file,
 )
+from mlbs_actors.actors.segmenter import FrameWork, Labelling
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, SlotPool
 from mlbs_actors.actors.sink import Record
 from mlbs_actors.actors.stream_protocol import (
@@ -56,6 +59,9 @@ _log = logging.getLogger(__name__)
 
 #: Frames that are passed over in one burst on the way back to a snapshot.
 _SKIPPED_FRAMES = 64
+
+#: How long it may take until Ray has noticed that a process is gone, s.
+_CAUSE_SECONDS = 10.0
 
 #: How long a snapshot is waited for without which frames would be lost, s.
 _SNAPSHOT_SECONDS = 30.0
@@ -103,10 +109,12 @@ class CoordinatorActor:
             else LiveReadAhead(links.reader, run, spec.max_frames, self._slots, self._memory)
         )
         self._layers = LiveLayers(links.pool, run, spec.config)
+        self._labelling = Labelling(links.segmenter)
         self._record = Record(links.sink, run, spec.open_sink, self._slots)
         # Not yet labelled, in source order; a picture with where the others find it.
         self._waiting: deque[tuple[Shared[SourceFrame] | None, SourceFrame]] = deque()
-        self._segmentations: dict[int, Reference] = {}  # of the newest frames, by the engine's frame index
+        # The newest that came back, by the engine's frame index.
+        self._segmentations: dict[int, Shared[Segmentation]] = {}
         self._counts: Counter[SourceStatus] = Counter()
         self._position = SourcePosition()
         self._silence: SourceSilence | None = None
@@ -145,10 +153,11 @@ class CoordinatorActor:
             except Exception as error:
                 # Whatever it is, it ends this stream alone, as one sentence; what nobody raised on purpose
                 # goes to the log with its traceback.
-                if not isinstance(error, MlbsError | RayError):
+                if not isinstance(error, MlbsError | RayError | ChannelClosedError):
                     _log.exception("Stream %r failed unexpectedly.", self._spec.name)
-                self._ended = explain(error, self._spec.name, self._roles())
-                self._record.close_after_failure()
+                cause = self._cause_of_loss() if isinstance(error, ChannelClosedError) else error
+                self._ended = explain(cause, self._spec.name, self._roles())
+                self._close_after_failure()
             else:
                 if not progress.done:
                     return progress
@@ -168,6 +177,7 @@ class CoordinatorActor:
             if delivered is None:
                 return self._finish()
             shared, frame = delivered
+            self._write_labelled()
             self._silence = frame if isinstance(frame, SourceSilence) else None
             if isinstance(frame, SourceSilence):
                 break
@@ -191,6 +201,7 @@ class CoordinatorActor:
         self._snapshots = opening.snapshots
         if opening.resume_from is not None:
             self._restore(opening.resume_from.folder)
+        self._labelling.begin()
         if isinstance(self._source, LiveReadAhead):
             self._go_on(self._source)
         else:
@@ -199,17 +210,14 @@ class CoordinatorActor:
         self._begun = True
 
     def _restore(self, folder: Path) -> None:
-        published = self._links.segmenter.restore.remote(folder)
         state = read_state(folder / CONDUCTOR_FILE, ConductorState)
         self._coordinator.state = read_state(folder / COORDINATOR_FILE, type(self._coordinator.state))
-        self._layers.restore(state.layers, folder)
+        layers = self._layers.restore(state.layers, folder)
+        slots = [self._slots.take("segmentation") for _ in range(2)]  # not given back
+        self._segmentations |= self._labelling.restore(folder, layers, slots)
         for frame in state.waiting:
             shared = None if frame.image is None else self._memory.share(frame, self._slots.take("frame"))
             self._waiting.append((shared, frame))
-        for segmentation in ray.get(published):
-            # Their slots are not given back.
-            shared_map = self._memory.share(segmentation, self._slots.take("segmentation"))
-            self._segmentations[segmentation.frame_index] = ray.put(shared_map)
         self._counts.update(state.counts)
         self._position = state.position
         self._saved = state.position.rows
@@ -234,8 +242,7 @@ class CoordinatorActor:
         assert self._snapshots is not None
         self._await_snapshot()
         folder = self._snapshots / f"{self._position.rows:08d}"
-        self._layers.save(folder)
-        self._links.segmenter.save.remote(folder)
+        self._labelling.save(folder)
         layers = self._layers.state()
         waiting = tuple(frame for _, frame in self._waiting)
         own = ConductorState(self._counts, self._position, waiting, layers)
@@ -250,6 +257,7 @@ class CoordinatorActor:
         if self._snapshots is not None and not self._spec.replayable:
             if self._saved != self._position.rows:
                 self._save()
+            self._await_labelled()
             self._record.await_snapshot(_SNAPSHOT_SECONDS)
 
     def _await_snapshot(self) -> None:
@@ -292,7 +300,11 @@ class CoordinatorActor:
 
     def _labelled(self, frame_index: int) -> Segmentation:
         """Wait for a label map: this is what holds the coordinator back to the pace of the layers."""
-        segmentation: Segmentation = self._memory.taken(ray.get(self._segmentations[frame_index]))
+        while frame_index not in self._segmentations:
+            self._write_next_labelled()
+        # None before it is asked for any more.
+        self._segmentations = {t: one for t, one in self._segmentations.items() if t >= frame_index}
+        segmentation = self._memory.taken(self._segmentations[frame_index])
         self._stages.add(segmentation.stage_ms)
         return segmentation
 
@@ -300,20 +312,34 @@ class CoordinatorActor:
         """Start all the work on one frame whose evidence is complete."""
         frame, delivered = self._waiting.popleft()
         assert frame is not None  # what has no picture is a gap
-        self._layers.follow(evidence)
-        index = evidence.frame_index
+        if evidence.retired:
+            self._labelling.retire(evidence.retired)
+        born = self._layers.follow(evidence)
         told, labelled = self._slots.take("evidence"), self._slots.take("segmentation")
-        answers = [self._slots.take("posterior") for _ in evidence.layers]
+        posteriors = tuple(self._slots.take("posterior") for _ in evidence.layers)
+        wants = self._spec.wants_background
+        wanted = wants is not None and wants(delivered.index)
+        background = self._slots.take("appearance") if wanted else None
         shared = self._memory.share(evidence, told)
-        previous = self._segmentations.get(index - 1)
-        posteriors = self._layers.step(evidence, shared, frame, previous, answers)
-        segmentation = self._links.segmenter.step.remote(shared, frame, labelled, *posteriors)
-        self._segmentations[index] = segmentation
-        self._segmentations.pop(index - 2, None)
-        wanted = self._spec.wants_background
-        background = self._layers.background() if wanted is not None and wanted(delivered.index) else None
-        self._record.write(segmentation, frame, background, (frame.slot, told, labelled, *answers))
+        self._labelling.start(FrameWork(shared, frame, labelled, posteriors, born, background))
+        slots = (frame.slot, told, labelled, *posteriors)
+        self._record.expect(frame, slots if background is None else (*slots, background))
         self._write_gaps()
+
+    def _write_labelled(self) -> None:
+        """Hand over the label maps that are there, without waiting."""
+        while self._labelling.has_answer():
+            self._write_next_labelled()
+
+    def _await_labelled(self) -> None:
+        """Wait for all label maps whose work was started, and hand them over."""
+        while self._labelling.under_way:
+            self._write_next_labelled()
+
+    def _write_next_labelled(self) -> None:
+        labelled = self._labelling.next()
+        self._segmentations[labelled.frame_index] = labelled.segmentation
+        self._record.write(labelled.segmentation, labelled.background)
 
     def _write_gaps(self) -> None:
         """Hand over the rows without a label map that only waited for the label maps before them."""
@@ -328,15 +354,41 @@ class CoordinatorActor:
             self._record.provisional()
         for evidence in self._coordinator.flush():
             self._label(evidence)
-        self._segmentations.clear()
-        self._record.close(whole=not self._interrupted)
+        self._await_labelled()
+        self._labelling.close()
+        # Nobody writes a snapshot any more when the record is closed, which removes them all.
+        ray.get([*self._layers.served(), self._labelling.served])
+        self._writer.finish()
         self._layers.release_all()
+        self._record.close(whole=not self._interrupted)
         if self._problem is None:
             try:
                 self._problem = self._source.problem()
             except RayError as error:
                 self._problem = str(source_failure(error, self._spec.source, self._read))
         return self._progress(done=True)
+
+    def _close_after_failure(self) -> None:
+        """Commit what was labelled before, and what still is."""
+        with suppress(ChannelClosedError, RayError):
+            self._await_labelled()
+        self._labelling.close()
+        self._record.close_after_failure()
+
+    def _cause_of_loss(self) -> Exception:
+        """Why the segmenter or a layer has closed its channel: what the one that did so first has raised."""
+        waiting = [*self._layers.served(), self._labelling.served]
+        deadline = time.monotonic() + _CAUSE_SECONDS
+        while waiting and (left := deadline - time.monotonic()) > 0:
+            ended, waiting = ray.wait(waiting, timeout=left)
+            try:
+                ray.get(ended)
+            except (RayError, MlbsError) as error:
+                return error
+        return ActorLostError(
+            f"The processes of stream {self._spec.name!r} cannot reach each other; what was committed before "
+            "is kept. If that happens again and again, run all of Ray as one user."
+        )
 
     def _progress(self, *, done: bool) -> StreamProgress:
         lengths = [length for length in (self._length, self._spec.max_frames) if length is not None]

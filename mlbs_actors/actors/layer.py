@@ -2,32 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import ray
 
+from mlbs_actors.actors.channels import ChannelClosedError, ChannelOffer, OfferedChannel
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import LayerPart, PartFactory
 from mlbs_actors.actors.processes import Handle, Reference, identity
-from mlbs_actors.actors.saved_states import SavedLayer, StateWriter, layer_file
+from mlbs_actors.actors.saved_states import SavedLayer, SaveState, StateWriter, layer_file
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
-from mlbs_actors.errors import LayerError
-from mlbs_actors.messages import (
-    BACKGROUND,
-    FrameEvidence,
-    LayerAppearance,
-    LayerKind,
-    LayerPosterior,
-    Segmentation,
-)
+from mlbs_actors.messages import FrameEvidence, LayerKind, LayerPosterior, Segmentation
 from mlbs_actors.state_file import read_state
 
-__all__ = ["LayerActor", "LiveLayers"]
+__all__ = ["LayerActor", "LayerStep", "LiveLayers", "Offers"]
+
+#: Layers, and the channels through which their steps are to come.
+Offers: TypeAlias = tuple[tuple[int, ChannelOffer], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LayerStep:
+    """A frame that a layer is to do.
+
+    Attributes
+    ----------
+    evidence, frame : Shared
+    previous : Shared, optional
+        The label map of the frame before.
+    answer : Slot
+        For the posterior.
+    appearance : Slot, optional
+        For what the layer remembers after that; None if nobody wants it.
+    """
+
+    evidence: Shared[FrameEvidence]
+    frame: Shared[SourceFrame]
+    previous: Shared[Segmentation] | None
+    answer: Slot
+    appearance: Slot | None = None
 
 
 class LayerActor:
@@ -44,43 +64,53 @@ class LayerActor:
         self._part: LayerPart | None = None
         self._writer = StateWriter()
 
-    def assign(self, run: int, own: SavedLayer, config: Config, folder: Path | None) -> None:
-        """Become a layer: a new-born one, or that of the snapshot in ``folder``."""
+    def assign(self, run: int, own: SavedLayer, config: Config, folder: Path | None) -> ChannelOffer:
+        """Become a layer: a new-born one, or that of the snapshot in ``folder``.
+
+        Returns
+        -------
+        ChannelOffer
+            Of the channel through which its steps are to come.
+        """
         self._run = run
         self._layer = own.layer
         self._part = self._parts.layer(config, own.layer, own.kind)
         self._memory = SharedMemory()
         self._order = FrameOrder(own.last_frame)
+        self._channel = OfferedChannel()
         if folder is not None:
             self._part.state = read_state(folder / layer_file(own.layer), type(self._part.state))
+        return self._channel.offer
 
-    def step(
-        self,
-        run: int,
-        shared_evidence: Shared[FrameEvidence],
-        shared_frame: Shared[SourceFrame],
-        shared_previous: Shared[Segmentation] | None,
-        slot: Slot,
-    ) -> Shared[LayerPosterior]:
-        """Finish the frame before with its labels, then evaluate this one; each frame once and in order."""
+    def serve(self, run: int) -> None:
+        """Do the steps that come, and save the state where that is asked for, until no more can come."""
         if self._part is None or run != self._run:
-            raise LayerError("A frame came to a process that is no layer of that stream; assign it.")
-        evidence, frame = self._memory.taken(shared_evidence), self._memory.taken(shared_frame)
-        previous = None if shared_previous is None else self._memory.taken(shared_previous)
+            return
+        with suppress(ChannelClosedError), self._channel.taken() as channel:
+            while True:
+                note: LayerStep | SaveState = channel.receive()
+                if isinstance(note, SaveState):
+                    self.save(note)
+                    continue
+                channel.send(self.step(note))
+                if note.appearance is not None:
+                    channel.send(self._memory.share(self._part.appearance(), note.appearance))
+        self._writer.finish()
+
+    def step(self, step: LayerStep) -> Shared[LayerPosterior]:
+        """Finish the frame before with its labels, then evaluate this one; each frame once and in order."""
+        assert self._part is not None  # assigned
+        evidence, frame = self._memory.taken(step.evidence), self._memory.taken(step.frame)
+        previous = None if step.previous is None else self._memory.taken(step.previous)
         assert frame.image is not None  # a quarantined frame has no evidence
         own = next(own for own in evidence.layers if own.layer == self._layer)
         with self._order.step(evidence.frame_index, after=own.last_frame):
-            return self._memory.share(self._part.step(own, evidence, frame.image, previous), slot)
+            return self._memory.share(self._part.step(own, evidence, frame.image, previous), step.answer)
 
-    def appearance(self) -> LayerAppearance:
-        """Return what the layer remembers at the frame it did last."""
-        assert self._part is not None  # asked for by whoever asked for that frame
-        return self._part.appearance()
-
-    def save(self, run: int, folder: Path) -> None:
-        """Write the state into a snapshot's folder, beside the work on the next frames."""
-        if self._part is not None and run == self._run:
-            self._writer.write({layer_file(self._layer): self._part.state}, folder)
+    def save(self, note: SaveState) -> None:
+        """Write the state, beside the work on the next frames."""
+        assert self._part is not None  # assigned
+        self._writer.write({layer_file(self._layer): self._part.state}, note.folder)
 
     def release(self, run: int) -> None:
         """Forget the layer, and with it its memory."""
@@ -91,15 +121,16 @@ class LayerActor:
 
 @dataclass(slots=True)
 class _Lent:
-    """A layer's process, and how far it has been asked to go."""
+    """A layer's process, how far it has been asked to go, and what says that it serves no more."""
 
     handle: Handle
     kind: LayerKind
     last_frame: int
+    served: Reference
 
 
 class LiveLayers:
-    """The coordinator's end of its layer processes: layer id → process, over births and retirements.
+    """The coordinator's list of its layer processes: layer id → process, over births and retirements.
 
     Parameters
     ----------
@@ -124,23 +155,27 @@ class LiveLayers:
         for layer, lent in self._lent.items():
             yield identity(lent.handle), f"layer {layer}"
 
+    def served(self) -> list[Reference]:
+        """What raises why a layer's process serves no more, where that failed or is gone."""
+        return [lent.served for lent in self._lent.values()]
+
     def state(self) -> tuple[SavedLayer, ...]:
         """The layers as they stand, in ascending id."""
         return tuple(
             SavedLayer(layer, lent.kind, lent.last_frame) for layer, lent in sorted(self._lent.items())
         )
 
-    def save(self, folder: Path) -> None:
-        """Let every layer write its state after the last frame it was asked for."""
-        for lent in self._lent.values():
-            lent.handle.save.remote(self._run, folder)
+    def restore(self, layers: Iterable[SavedLayer], folder: Path) -> Offers:
+        """Go back to a snapshot; as :meth:`follow`."""
+        return self._acquire(layers, folder)
 
-    def restore(self, layers: Iterable[SavedLayer], folder: Path) -> None:
-        """Go back to a snapshot; raises RayError as :meth:`follow`."""
-        self._acquire(layers, folder)
-
-    def follow(self, evidence: FrameEvidence) -> None:
+    def follow(self, evidence: FrameEvidence) -> Offers:
         """Give the retired layers' processes back, and wait for a process for every layer just born.
+
+        Returns
+        -------
+        Offers
+            Of the layers just born.
 
         Raises
         ------
@@ -151,55 +186,25 @@ class LiveLayers:
             if layer in self._lent:
                 self._release(layer)
         born = [own for own in evidence.layers if own.layer not in self._lent]
-        self._acquire([SavedLayer(own.layer, own.kind, -1) for own in born], None)
-
-    def step(
-        self,
-        evidence: FrameEvidence,
-        shared: Shared[FrameEvidence],
-        frame: Shared[SourceFrame],
-        previous: Reference | None,
-        slots: Sequence[Slot],
-    ) -> list[Reference]:
-        """Start the frame's work in every layer that has evidence.
-
-        Parameters
-        ----------
-        evidence, shared : FrameEvidence
-            By value, and for the layers.
-        frame : Shared
-        previous : Reference, optional
-            To where the label map before it will be.
-        slots : sequence of Slot
-            One for each layer of the evidence.
-
-        Returns
-        -------
-        list of Reference
-            To where the posteriors will be, in ascending layer id.
-        """
-        posteriors = []
-        for own, slot in zip(evidence.layers, slots, strict=True):
-            lent = self._lent[own.layer]
-            lent.last_frame = evidence.frame_index
-            posteriors.append(lent.handle.step.remote(self._run, shared, frame, previous, slot))
-        return posteriors
-
-    def background(self) -> Reference:
-        """Ask the background for its :class:`LayerAppearance` at the frame whose work was started last."""
-        appearance: Reference = self._lent[BACKGROUND].handle.appearance.remote()
-        return appearance
+        offers = self._acquire([SavedLayer(own.layer, own.kind, -1) for own in born], None)
+        for own in evidence.layers:
+            self._lent[own.layer].last_frame = evidence.frame_index
+        return offers
 
     def release_all(self) -> None:
-        """Give all processes back, each once its last step is done."""
+        """Give all processes back, each once it serves no more."""
         for layer in list(self._lent):
             self._release(layer)
 
-    def _acquire(self, layers: Iterable[SavedLayer], folder: Path | None) -> None:
+    def _acquire(self, layers: Iterable[SavedLayer], folder: Path | None) -> Offers:
         wanted = list(layers)
         asked = [self._pool.acquire.remote(self._run, own, self._config, folder) for own in wanted]
-        for own, handle in zip(wanted, ray.get(asked), strict=True):
-            self._lent[own.layer] = _Lent(handle, own.kind, own.last_frame)
+        offers = []
+        for own, (handle, offer) in zip(wanted, ray.get(asked), strict=True):
+            served: Reference = handle.serve.remote(self._run)
+            self._lent[own.layer] = _Lent(handle, own.kind, own.last_frame, served)
+            offers.append((own.layer, offer))
+        return tuple(offers)
 
     def _release(self, layer: int) -> None:
         # The layer's own answer is an argument of the pool's call, so the pool hears of it only when the

@@ -16,6 +16,7 @@ from pathlib import Path
 import ray
 from ray.exceptions import RayError
 
+from mlbs_actors.actors.channels import ChannelOffer
 from mlbs_actors.actors.failures import last_line
 from mlbs_actors.actors.layer import LayerActor
 from mlbs_actors.actors.parts import PartFactory
@@ -96,7 +97,9 @@ class PoolActor:
         self._refill()
         return run
 
-    async def acquire(self, run: int, own: SavedLayer, config: Config, folder: Path | None) -> Handle:
+    async def acquire(
+        self, run: int, own: SavedLayer, config: Config, folder: Path | None
+    ) -> tuple[Handle, ChannelOffer]:
         """Make a process a layer of stream ``run``, waiting for one if none is ready.
 
         Parameters
@@ -111,6 +114,8 @@ class PoolActor:
         -------
         Handle
             A :class:`~mlbs_actors.actors.layer.LayerActor`, assigned.
+        ChannelOffer
+            Where its steps are to come from.
 
         Raises
         ------
@@ -128,8 +133,9 @@ class PoolActor:
             self._busy[run][identity(process.handle)] = process.handle
             try:
                 await asyncio.wait_for(asyncio.shield(process.ready), self._policy.start_seconds)
+                offer = None
                 if run in self._busy:  # else it may be another stream's by now
-                    await process.handle.assign.remote(run, own, config, folder)
+                    offer = await process.handle.assign.remote(run, own, config, folder)
             except asyncio.TimeoutError:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
                 ray.kill(process.handle)
@@ -144,8 +150,8 @@ class PoolActor:
             else:
                 # Not before: where every start fails, refilling for each try would try for ever.
                 self._refill()
-                if run in self._busy:
-                    return process.handle
+                if run in self._busy and offer is not None:
+                    return process.handle, offer
         raise LayerError(f"Layer {layer} was to be born in a stream that has ended; start the stream again.")
 
     async def release(self, run: int, process: str, released: None) -> None:

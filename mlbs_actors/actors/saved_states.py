@@ -24,6 +24,7 @@ __all__ = [
     "SEGMENTER_FILE",
     "ConductorState",
     "PublishedState",
+    "SaveState",
     "SavedLayer",
     "StateWriter",
     "layer_file",
@@ -56,6 +57,19 @@ class SavedLayer:
     layer: int
     kind: LayerKind
     last_frame: int
+
+
+@dataclass(frozen=True, slots=True)
+class SaveState:
+    """Tells a process to write its state as of the frame before, beside the work on the next ones.
+
+    Attributes
+    ----------
+    folder : Path
+        Of the snapshot.
+    """
+
+    folder: Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,10 +124,14 @@ class StateWriter:
             Made if it is not there.
         """
         captured = {name: capture(state) for name, state in states.items()}
-        if self._thread is not None:
-            self._thread.join()  # not more than one set of copies in memory
+        self.finish()  # not more than one set of copies in memory
         self._thread = Thread(target=_write, args=(captured, folder))
         self._thread.start()
+
+    def finish(self) -> None:
+        """Wait until all that was to be written is on its way to the disk."""
+        if self._thread is not None:
+            self._thread.join()
 
 
 def _write(captured: Mapping[str, CapturedState], folder: Path) -> None:

@@ -1,21 +1,87 @@
-"""The segmenter of a stream in a process of its own."""
+"""The segmenter of a stream in a process of its own: between its layers and its coordinator.
+
+What is to be done on a frame comes from the coordinator. The segmenter passes each layer its part, which the
+layers do at once beside each other, and labels the frame from what they answer.
+"""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
+import ray
+
+from mlbs_actors.actors.channels import Channel, ChannelClosedError, ChannelOffer, OfferedChannel, take
+from mlbs_actors.actors.layer import LayerStep, Offers
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import PartFactory
-from mlbs_actors.actors.saved_states import PUBLISHED_FILE, SEGMENTER_FILE, PublishedState, StateWriter
+from mlbs_actors.actors.processes import Handle, Reference
+from mlbs_actors.actors.saved_states import (
+    PUBLISHED_FILE,
+    SEGMENTER_FILE,
+    PublishedState,
+    SaveState,
+    StateWriter,
+)
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
-from mlbs_actors.messages import FrameEvidence, LayerPosterior, Segmentation
+from mlbs_actors.messages import BACKGROUND, FrameEvidence, LayerAppearance, LayerPosterior, Segmentation
 from mlbs_actors.state_file import read_state
 
-__all__ = ["SegmenterActor"]
+__all__ = ["FrameWork", "LabelledFrame", "Labelling", "Retirement", "SegmenterActor"]
+
+
+@dataclass(frozen=True, slots=True)
+class FrameWork:
+    """A frame that is to be labelled, once the one before it is.
+
+    Attributes
+    ----------
+    evidence, frame : Shared
+    answer : Slot
+        For the label map.
+    posteriors : tuple of Slot
+        For the answers of the evidence's layers, in ascending id.
+    born : Offers
+        Where the layers are that are new to the segmenter.
+    background : Slot, optional
+        For what the background remembers after this frame; None if nobody wants it.
+    """
+
+    evidence: Shared[FrameEvidence]
+    frame: Shared[SourceFrame]
+    answer: Slot
+    posteriors: tuple[Slot, ...]
+    born: Offers
+    background: Slot | None
+
+
+@dataclass(frozen=True, slots=True)
+class Retirement:
+    """Layers that get no more frames: their processes are free, for those that are born next too."""
+
+    layers: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledFrame:
+    """What has come of a :class:`FrameWork`.
+
+    Attributes
+    ----------
+    frame_index : int
+    segmentation : Shared
+    background : Shared, optional
+    """
+
+    frame_index: int
+    segmentation: Shared[Segmentation]
+    background: Shared[LayerAppearance] | None
 
 
 class SegmenterActor:
@@ -26,35 +92,163 @@ class SegmenterActor:
         self._segmenter = parts.segmenter(config)
         self._memory = SharedMemory()
         self._order = FrameOrder()
+        self._channel = OfferedChannel()
+        self._layers: dict[int, Channel] = {}
         # Those that others may still ask for: the layers the last one, the coordinator that before it.
         self._published: deque[Segmentation] = deque(maxlen=2)
+        self._previous: Shared[Segmentation] | None = None
         self._writer = StateWriter()
 
+    def offer(self) -> ChannelOffer:
+        """Return the channel through which the stream's work is to come."""
+        return self._channel.offer
+
+    def restore(self, folder: Path, layers: Offers, slots: Sequence[Slot]) -> dict[int, Shared[Segmentation]]:
+        """Go back to a snapshot.
+
+        Parameters
+        ----------
+        folder : Path
+        layers : Offers
+            Those that lived at that time.
+        slots : sequence of Slot
+            Two.
+
+        Returns
+        -------
+        dict of int to Shared
+            The newest label maps at that time by their frame, at most two, oldest first.
+        """
+        self._layers = {layer: take(offer) for layer, offer in layers}
+        self._segmenter.state = read_state(folder / SEGMENTER_FILE, type(self._segmenter.state))
+        published = read_state(folder / PUBLISHED_FILE, PublishedState).segmentations
+        self._published.extend(published)
+        self._order = FrameOrder(published[-1].frame_index if published else -1)
+        shared = {
+            one.frame_index: self._memory.share(one, slot)
+            for one, slot in zip(published, slots, strict=False)
+        }
+        self._previous = shared[published[-1].frame_index] if published else None
+        return shared
+
+    def serve(self) -> None:
+        """Do what the coordinator asks for, in that order, until no more can come."""
+        try:
+            with suppress(ChannelClosedError), self._channel.taken() as channel:
+                while True:
+                    note: FrameWork | Retirement | SaveState = channel.receive()
+                    if isinstance(note, FrameWork):
+                        channel.send(self._labelled(note))
+                    elif isinstance(note, Retirement):
+                        self._retire(note)
+                    else:
+                        self.save(note)
+        finally:
+            for layer in self._layers.values():
+                layer.close()
+            self._writer.finish()
+
     def step(
-        self,
-        shared_evidence: Shared[FrameEvidence],
-        shared_frame: Shared[SourceFrame],
-        slot: Slot,
-        *shared_posteriors: Shared[LayerPosterior],
-    ) -> Shared[Segmentation]:
+        self, evidence: FrameEvidence, frame: SourceFrame, posteriors: list[LayerPosterior]
+    ) -> Segmentation:
         """Label one frame from the posteriors of its layers, in ascending layer id."""
-        evidence, frame = self._memory.taken(shared_evidence), self._memory.taken(shared_frame)
         assert frame.image is not None  # a quarantined frame has no evidence
-        posteriors = [self._memory.taken(one) for one in shared_posteriors]
         with self._order.step(evidence.frame_index, after=evidence.frame_index - 1):
-            segmentation = self._segmenter.step(evidence, frame.image, posteriors)
+            return self._segmenter.step(evidence, frame.image, posteriors)
+
+    def _labelled(self, work: FrameWork) -> LabelledFrame:
+        evidence, frame = self._memory.taken(work.evidence), self._memory.taken(work.frame)
+        self._layers |= {layer: take(offer) for layer, offer in work.born}
+        for own, slot in zip(evidence.layers, work.posteriors, strict=True):
+            wanted = work.background if own.layer == BACKGROUND else None
+            step = LayerStep(work.evidence, work.frame, self._previous, slot, wanted)
+            self._layers[own.layer].send(step)
+        answers = [self._layers[own.layer].receive() for own in evidence.layers]
+        background = None if work.background is None else self._layers[BACKGROUND].receive()
+        segmentation = self.step(evidence, frame, [self._memory.taken(answer) for answer in answers])
         self._published.append(segmentation)
-        return self._memory.share(segmentation, slot)
+        self._previous = self._memory.share(segmentation, work.answer)
+        return LabelledFrame(evidence.frame_index, self._previous, background)
+
+    def _retire(self, note: Retirement) -> None:
+        for layer in note.layers:
+            if layer in self._layers:
+                self._layers.pop(layer).close()
+
+    def save(self, note: SaveState) -> None:
+        """Have the layers write their states, and write the own one, beside the work on the next frames."""
+        for layer in self._layers.values():
+            layer.send(note)
+        published = PublishedState(tuple(self._published))
+        self._writer.write({SEGMENTER_FILE: self._segmenter.state, PUBLISHED_FILE: published}, note.folder)
+
+
+class Labelling:
+    """The coordinator's end of its segmenter, and of the layers behind that.
+
+    Parameters
+    ----------
+    segmenter : Handle
+        The stream's :class:`SegmenterActor`.
+
+    Attributes
+    ----------
+    served : Reference
+        What raises why the segmenter serves no more; known from :meth:`begin` on.
+    under_way : int
+        Frames whose label maps have not come back.
+    """
+
+    served: Reference
+
+    def __init__(self, segmenter: Handle) -> None:
+        self._segmenter = segmenter
+        self._offer: Reference = segmenter.offer.remote()
+        self._channel: Channel | None = None
+        self.under_way = 0
+
+    def restore(self, folder: Path, layers: Offers, slots: Sequence[Slot]) -> dict[int, Shared[Segmentation]]:
+        """See :meth:`SegmenterActor.restore`; before :meth:`begin`. Raises RayError."""
+        published: dict[int, Shared[Segmentation]] = ray.get(
+            self._segmenter.restore.remote(folder, layers, slots)
+        )
+        return published
+
+    def begin(self) -> None:
+        """Have the segmenter serve; raises RayError. All other methods raise ChannelClosedError."""
+        offer = ray.get(self._offer)
+        self.served = self._segmenter.serve.remote()
+        self._channel = take(offer)
+
+    def start(self, work: FrameWork) -> None:
+        """Have the next frame labelled."""
+        self._opened.send(work)
+        self.under_way += 1
+
+    def retire(self, layers: tuple[int, ...]) -> None:
+        """Have layers serve no more after the frames that were started."""
+        self._opened.send(Retirement(layers))
 
     def save(self, folder: Path) -> None:
-        """Write the state into a snapshot's folder, beside the work on the next frames."""
-        published = PublishedState(tuple(self._published))
-        self._writer.write({SEGMENTER_FILE: self._segmenter.state, PUBLISHED_FILE: published}, folder)
+        """Have the segmenter and the layers write their states after the frame that was started last."""
+        self._opened.send(SaveState(folder))
 
-    def restore(self, folder: Path) -> tuple[Segmentation, ...]:
-        """Go back to a snapshot; return the newest label maps at that time."""
-        self._segmenter.state = read_state(folder / SEGMENTER_FILE, type(self._segmenter.state))
-        published = read_state(folder / PUBLISHED_FILE, PublishedState)
-        self._published.extend(published.segmentations)
-        self._order = FrameOrder(published.segmentations[-1].frame_index if published.segmentations else -1)
-        return published.segmentations
+    def has_answer(self) -> bool:
+        """Whether :meth:`next` would not wait."""
+        return self.under_way > 0 and self._opened.has_note()
+
+    def next(self) -> LabelledFrame:
+        """Wait for the next label map."""
+        labelled: LabelledFrame = self._opened.receive()
+        self.under_way -= 1
+        return labelled
+
+    def close(self) -> None:
+        """Let the segmenter and the layers serve no more."""
+        if self._channel is not None:
+            self._channel.close()
+
+    @property
+    def _opened(self) -> Channel:
+        assert self._channel is not None  # begun
+        return self._channel

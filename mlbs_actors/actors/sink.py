@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import ray
 from ray.exceptions import RayError
@@ -17,10 +18,13 @@ from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import LayerAppearance, Segmentation
 
-__all__ = ["Record", "SinkActor"]
+__all__ = ["GapRow", "LabelRow", "Record", "SinkActor"]
 
 #: Rows that may be under way to the sink; the stream waits at more. Each holds a frame and a label map.
 _PENDING_ROWS = 8
+
+#: Rows that go to the sink in one call: one for each would take as long as half of the writing.
+_BATCH_ROWS = 4
 
 #: Newest rows in the sink whose messages others may still read.
 _READ_ROWS = 2
@@ -30,6 +34,24 @@ _PENDING_SNAPSHOTS = 3
 
 #: From one look for a snapshot that is waited for to the next, s.
 _LOOK_SECONDS = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class LabelRow:
+    """One result: a row of a record, where its parts are."""
+
+    segmentation: Shared[Segmentation]
+    frame: Shared[SourceFrame]
+    background: Shared[LayerAppearance] | None
+
+
+@dataclass(frozen=True, slots=True)
+class GapRow:
+    """A frame without label map: its source index, its time, and why."""
+
+    index: int
+    pts: float
+    status: GapStatus
 
 
 class SinkActor:
@@ -50,24 +72,20 @@ class SinkActor:
         self._records[run] = sink, FrameOrder(-1 if before is None else before.rows - 1), SharedMemory()
         return sink.opening
 
-    def write(
-        self,
-        run: int,
-        shared_segmentation: Shared[Segmentation],
-        shared_frame: Shared[SourceFrame],
-        background: LayerAppearance | None,
-    ) -> int:
-        """Take one result; return how many label maps are committed by now."""
+    def take(self, run: int, rows: Sequence[LabelRow | GapRow]) -> int:
+        """Take the next rows; return how many label maps are committed by now."""
         sink, order, memory = self._record(run)
-        segmentation, frame = memory.taken(shared_segmentation), memory.taken(shared_frame)
-        with order.step(frame.index, after=frame.index - 1):
-            return sink.write(segmentation, frame, background)
-
-    def gap(self, run: int, index: int, pts: float, status: GapStatus) -> int:
-        """Record a frame without label map; return how many label maps are committed by now."""
-        sink, order, _ = self._record(run)
-        with order.step(index, after=index - 1):
-            return sink.gap(index, pts, status)
+        committed = 0
+        for row in rows:
+            if isinstance(row, GapRow):
+                with order.step(row.index, after=row.index - 1):
+                    committed = sink.gap(row.index, row.pts, row.status)
+                continue
+            segmentation, frame = memory.taken(row.segmentation), memory.taken(row.frame)
+            background = None if row.background is None else memory.taken(row.background)
+            with order.step(frame.index, after=frame.index - 1):
+                committed = sink.write(segmentation, frame, background)
+        return committed
 
     def keep(self, run: int, snapshot: Snapshot) -> bool:
         """See :meth:`StreamSink.keep`."""
@@ -86,6 +104,22 @@ class SinkActor:
         if run not in self._records:
             raise SinkError("A row came for a record that is not open; start the stream again.")
         return self._records[run]
+
+
+@dataclass(frozen=True, slots=True)
+class _Expected:
+    """A frame whose label map is to come, and the slots of all messages about it."""
+
+    frame: Shared[SourceFrame]
+    slots: tuple[Slot, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Batch:
+    """Rows that go to the sink in one call, and the slots of each label map among them."""
+
+    rows: list[LabelRow | GapRow] = field(default_factory=list)
+    slots: list[tuple[Slot, ...]] = field(default_factory=list)
 
 
 class Record:
@@ -107,18 +141,21 @@ class Record:
     committed : int
         Label maps committed, as far as the sink has answered.
     rows, label_maps : int
-        What was handed over, before the snapshot that the stream went back to and since.
+        What was handed over or is expected, before the snapshot that the stream went back to and since.
     kept : int
         Rows before the newest snapshot that is kept.
     """
 
     def __init__(self, sink: Handle, run: int, open_sink: Callable[[], StreamSink], slots: SlotPool) -> None:
         self._slots = slots
-        self._in_use: deque[tuple[Slot, ...]] = deque()  # of the rows that were answered last
         self._sink = sink
         self._run = run
         self._opened: Reference = sink.open.remote(run, open_sink)
-        self._pending: deque[tuple[Reference, tuple[Slot, ...]]] = deque()
+        # In the order of the record: rows to come, rows that are there, and batches under way to the sink.
+        self._expected: deque[GapRow | _Expected] = deque()
+        self._batch = _Batch()
+        self._pending: deque[tuple[Reference, _Batch]] = deque()
+        self._in_use: deque[tuple[Slot, ...]] = deque()  # of the label maps that were taken last
         self._offered: deque[Snapshot] = deque(maxlen=_PENDING_SNAPSHOTS)
         self._asked: tuple[Snapshot, Reference] | None = None
         self._turn = 0
@@ -132,29 +169,29 @@ class Record:
             self.committed, self.kept = self.label_maps, self.rows
         return opening
 
-    def write(
-        self,
-        segmentation: Reference,
-        frame: Shared[SourceFrame],
-        background: Reference | None,
-        slots: tuple[Slot, ...],
-    ) -> None:
-        """Hand over one result; raises what an earlier row raised.
+    def expect(self, frame: Shared[SourceFrame], slots: tuple[Slot, ...]) -> None:
+        """Note that the next row is that of a frame whose label map is to come.
 
-        ``slots`` are those of all messages about its frame. They are given back when two more label maps have
+        ``slots`` are those of all messages about it. They are given back when two more label maps have
         come to the sink: with the next frame the layers may still read this one, with the one after it the
         coordinator.
         """
-        written: Reference = self._sink.write.remote(self._run, segmentation, frame, background)
-        self._pending.append((written, slots))
+        self._expected.append(_Expected(frame, slots))
         self.rows, self.label_maps = self.rows + 1, self.label_maps + 1
-        self._hold_back()
 
     def gap(self, index: int, pts: float, status: GapStatus) -> None:
-        """Hand over a frame without label map; raises what an earlier row raised."""
-        self._pending.append((self._sink.gap.remote(self._run, index, pts, status), ()))
+        """Note that the next row is that of a frame without label map; raises what an earlier row raised."""
+        self._expected.append(GapRow(index, pts, status))
         self.rows += 1
-        self._hold_back()
+        self._hand_over_gaps()
+
+    def write(self, segmentation: Shared[Segmentation], background: Shared[LayerAppearance] | None) -> None:
+        """Hand over the label map of the first frame that is expected; raises what an earlier row raised."""
+        expected = self._expected.popleft()
+        assert isinstance(expected, _Expected)  # gaps do not wait at the front
+        self._batch.slots.append(expected.slots)
+        self._hand_over(LabelRow(segmentation, expected.frame, background))
+        self._hand_over_gaps()
 
     def offer(self, snapshot: Snapshot) -> None:
         """Have a snapshot kept once its files are there."""
@@ -173,7 +210,8 @@ class Record:
         self._sink.provisional.remote(self._run)
 
     def collect(self) -> None:
-        """Take the answers that are there, without waiting; raises what a row raised."""
+        """Hand over and take back what is there, without waiting; raises what a row raised."""
+        self._send()
         while self._pending and ray.wait([self._pending[0][0]], timeout=0)[0]:
             self._take_answer()
         if self._asked is not None and ray.wait([self._asked[1]], timeout=0)[0]:
@@ -192,12 +230,14 @@ class Record:
 
     def close(self, *, whole: bool) -> None:
         """Wait until every row is committed and the files are closed; see :meth:`StreamSink.close`."""
+        self._send()
         while self._pending:
             self._take_answer()
         self.committed = ray.get(self._sink.close.remote(self._run, whole))
 
     def close_after_failure(self) -> None:
         """Commit the rows that were handed over whole and close the files, whatever else goes wrong."""
+        self._send()
         while self._pending:
             try:
                 self._take_answer()
@@ -208,14 +248,33 @@ class Record:
         except RayError:
             return
 
-    def _hold_back(self) -> None:
-        while len(self._pending) > _PENDING_ROWS:
+    def _hand_over_gaps(self) -> None:
+        while self._expected and isinstance(self._expected[0], GapRow):
+            row = self._expected.popleft()
+            assert isinstance(row, GapRow)
+            self._hand_over(row)
+
+    def _hand_over(self, row: LabelRow | GapRow) -> None:
+        self._batch.rows.append(row)
+        if len(self._batch.rows) == _BATCH_ROWS:
+            self._send()
+        while self._pending and self._under_way > _PENDING_ROWS:
             self._take_answer()
 
+    @property
+    def _under_way(self) -> int:
+        sent = sum(len(batch.rows) for _, batch in self._pending)
+        return len(self._expected) + len(self._batch.rows) + sent
+
+    def _send(self) -> None:
+        batch = self._batch
+        if batch.rows:
+            self._pending.append((self._sink.take.remote(self._run, batch.rows), batch))
+            self._batch = _Batch()
+
     def _take_answer(self) -> None:
-        answer, slots = self._pending.popleft()
+        answer, batch = self._pending.popleft()
         self.committed = ray.get(answer)
-        if slots:
-            self._in_use.append(slots)
-            if len(self._in_use) > _READ_ROWS:
-                self._slots.give_back(self._in_use.popleft())
+        self._in_use.extend(batch.slots)
+        while len(self._in_use) > _READ_ROWS:
+            self._slots.give_back(self._in_use.popleft())

@@ -77,7 +77,7 @@ STEPS: tuple[Step, ...] = (
     Step("pool", "acquire", f"{_ACTORS}.pool:PoolActor.acquire", "start", 3),
     Step("pool", "release", f"{_ACTORS}.pool:PoolActor.release", "end"),
     Step("sink", "open", f"{_ACTORS}.sink:SinkActor.open", "start"),
-    Step("sink", "write", f"{_ACTORS}.sink:SinkActor.write", "going on", 16),
+    Step("sink", "take", f"{_ACTORS}.sink:SinkActor.take", "going on", 16),
     Step("sink", "keep", f"{_ACTORS}.sink:SinkActor.keep", "going on"),
     Step("sink", "close", f"{_ACTORS}.sink:SinkActor.close", "end"),
 )
@@ -131,7 +131,7 @@ def _provoke(step: Step, trap: Trap, run: ObservedRun, plant: Plant) -> None:
     """Arm a trap; one at a start needs a loss before."""
     plant.arm(trap)
     if step.time == "start":
-        run.signal_actor("ray::SegmenterActor.step", signal.SIGKILL)
+        run.signal_actor("ray::SegmenterActor.serve", signal.SIGKILL)
 
 
 def _actor_dies(step: Step, trap: Trap) -> Loss:

@@ -27,8 +27,8 @@ _BETWEEN = 8
 
 #: Titles of processes at work; the loss of the reader is the only one that costs pictures.
 _KINDS = (
-    "ray::SegmenterActor.step",
-    "ray::LayerActor.step",
+    "ray::SegmenterActor.serve",
+    "ray::LayerActor.serve",
     "ray::LiveReaderActor",
     "ray::CoordinatorActor.advance",
     "ray::PoolActor",

@@ -34,11 +34,11 @@ _HANG_SECONDS = 45.0
 #: Processes of which one is killed at its work: the row's number and name, the process's title then.
 _KILLED = (
     ("12", "reader killed", "ray::ReaderActor.read"),
-    ("13", "layer killed", "ray::LayerActor.step"),
+    ("13", "layer killed", "ray::LayerActor.serve"),
     ("13", "pool killed", "ray::PoolActor"),
     ("13", "sink killed", "ray::SinkActor"),
     ("15", "coordinator killed", "ray::CoordinatorActor.advance"),
-    ("15", "segmenter killed", "ray::SegmenterActor.step"),
+    ("15", "segmenter killed", "ray::SegmenterActor.serve"),
 )
 _WHILE_SAVING = Fault("14", "a process killed while it writes a snapshot")
 _HANGS = Fault("17", f"layer hangs ({_HANG_SECONDS:.0f} s of patience)")
@@ -75,7 +75,7 @@ def _one_after_the_other(place: Place, verdicts: Verdicts) -> None:
 
     losses = [(name, hit(title, signal.SIGKILL)) for _, name, title in _KILLED]
     losses += [(_WHILE_SAVING.name, _sprung(saving))]
-    losses += [(_HANGS.name, hit("ray::LayerActor.step", signal.SIGSTOP))]
+    losses += [(_HANGS.name, hit("ray::LayerActor.serve", signal.SIGSTOP))]
     losses = [losses[number] for number in random.permutation(len(losses)) if losses[number][0] in verdicts]
     frames = frames_for_losses(len(losses))
     bring_about_losses(place, verdicts, losses, (victim(frames), beside(frames)), (saving, sooner))
