@@ -13,6 +13,7 @@ import ray
 from mlbs_actors.actors.channels import ChannelClosedError, ChannelOffer, OfferedChannel
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import LayerPart, PartFactory
+from mlbs_actors.actors.priority import stepping_back
 from mlbs_actors.actors.processes import Handle, Reference, identity
 from mlbs_actors.actors.saved_states import SavedLayer, SaveState, StateWriter, layer_file
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
@@ -59,7 +60,8 @@ class LayerActor:
 
     def __init__(self, parts: PartFactory) -> None:
         limit_process()
-        parts.warm_layer()
+        with stepping_back():
+            parts.warm_layer()
         self._parts = parts
         self._part: LayerPart | None = None
         self._writer = StateWriter()

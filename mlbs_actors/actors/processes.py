@@ -10,6 +10,8 @@ import ray
 from ray.exceptions import GetTimeoutError, OutOfMemoryError, RayActorError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+from mlbs_actors.actors.priority import stepping_back
+
 __all__ = ["LOST_PROCESS", "Handle", "Reference", "ask", "end", "identity", "spawn", "spawn_standby"]
 
 #: A Ray actor handle; Ray makes its methods at run time, so there is no type to state.
@@ -66,7 +68,8 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, node: str) -> Handl
     """
 
     def wait(self: object) -> None:
-        warm()
+        with stepping_back():
+            warm()
 
     def become(self: object, *arguments: object, **after: object) -> None:
         kind.__init__(self, *arguments)  # type: ignore[misc]

@@ -4,7 +4,7 @@ Through Ray's object store every frame and map would cost several messages betwe
 daemon: with four layers, more than the calls themselves. Here a message is copied once into a *slot*, and
 whoever is told of it reads it where it is.
 
-The coordinator owns all slots of its stream. With each call it lends the slot for the answer, and it takes
+The coordinator owns all slots of its stream. With each note it lends the slot for the answer, and it takes
 a slot back when nobody can read it any more. The memory is anonymous (``memfd_create``) and found through
 its owner's ``/proc`` entry: it is gone with the last process that holds it, however that ends, and what a
 process has written outlives that process.
