@@ -242,7 +242,7 @@ def test_released_processes_become_other_layers_and_idle_ones_beyond_the_spare_a
 def test_the_pool_is_refilled_in_the_background(node: Node, tmp_path: Path) -> None:
     stream = node.start(spec("two", FakeReader([picture(t, live=[1]) for t in range(500)], tmp_path)))
     stream.advance().result(timeout=120)
-    assert node.census() == PoolCensus(idle=1, busy=2)
+    wait_until(lambda: node.census() == PoolCensus(idle=1, busy=2))
     stream.stop(drain=False)
     assert node.census().busy == 0
 

@@ -59,7 +59,7 @@ def session(proc: Path, *, layer: float = 0.0, raylet: float = 0.0) -> dict[int,
     fake_process(proc, 11, 10, "/opt/raylet --node", 2.0 + raylet, 0.0)
     fake_process(proc, 12, 11, "ray::LayerActor.serve", 0.0 + layer, 3.0)
     fake_process(proc, 13, 11, "ray::LayerActor", 0.0, 0.0)
-    fake_process(proc, 14, 11, "ray::ReaderActor.read", 4.0, 0.0)
+    fake_process(proc, 14, 11, "ray::ReaderActor.serve", 4.0, 0.0)
     fake_process(proc, 99, 1, "ray::LayerActor of another session", 50.0, 50.0)
     (proc / "meminfo").touch()
     return process_tree(10, proc)

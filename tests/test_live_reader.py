@@ -19,6 +19,7 @@ from test_recovery import as_rows, started, take
 from mlbs_actors.actors import Node
 from mlbs_actors.actors import live_reader as live_reader_module
 from mlbs_actors.actors.live_reader import FrameRing, LiveReaderActor
+from mlbs_actors.actors.reader import ReadNext
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, SlotPool
 from mlbs_actors.actors.stream_protocol import (
     FrameReader,
@@ -98,9 +99,9 @@ def reader_of(*sources: Answers) -> LiveReaderActor:
     return LiveReaderActor(lambda: next(opened))
 
 
-def asked(reader: LiveReaderActor, run: int, *, fresh: bool) -> SourceFrame | SourceSilence | None:
+def asked(reader: LiveReaderActor, *, fresh: bool) -> SourceFrame | SourceSilence | None:
     """What a start of the stream learns when it asks for its next row."""
-    said = reader.read(run, SlotPool().take("frame"), fresh=fresh)
+    said = reader.read(ReadNext(SlotPool().take("frame"), fresh))
     if not isinstance(said, Shared):
         return said
     frame: SourceFrame = SharedMemory().taken(said)
@@ -110,31 +111,30 @@ def asked(reader: LiveReaderActor, run: int, *, fresh: bool) -> SourceFrame | So
 
 def test_a_second_start_is_given_the_same_rows_again_and_then_new_ones() -> None:
     reader = reader_of(Answers(*(row(index, IMAGE) for index in range(6)), SourceSilence("stalled")))
-    reader.go_on(1, SourcePosition())
-    first = [asked(reader, 1, fresh=True) for _ in range(5)]
+    reader.go_on(SourcePosition())
+    first = [asked(reader, fresh=True) for _ in range(5)]
     reader.forget(2)
-    reader.go_on(2, SourcePosition(2, 0.1, 0.0))
-    assert asked(reader, 1, fresh=True) == SourceSilence(None)  # of a start that is over; nothing is taken
-    again = [asked(reader, 2, fresh=True) for _ in range(4)]
+    reader.go_on(SourcePosition(2, 0.1, 0.0))
+    again = [asked(reader, fresh=True) for _ in range(4)]
     assert again[:3] == first[2:]
     assert again[3] == row(5, IMAGE)
-    assert asked(reader, 2, fresh=True) == SourceSilence("stalled")
+    assert asked(reader, fresh=True) == SourceSilence("stalled")
 
 
 def test_without_anything_fresh_a_reader_ends_after_what_it_gave_before() -> None:
     source = Answers(*(row(index, IMAGE) for index in range(6)))
     reader = reader_of(source)
-    reader.go_on(1, SourcePosition())
-    given = [asked(reader, 1, fresh=True) for _ in range(3)]
-    reader.go_on(2, SourcePosition(1, 0.0, 0.0))
-    assert [asked(reader, 2, fresh=False) for _ in range(4)] == [*given[1:], None, None]
+    reader.go_on(SourcePosition())
+    given = [asked(reader, fresh=True) for _ in range(3)]
+    reader.go_on(SourcePosition(1, 0.0, 0.0))
+    assert [asked(reader, fresh=False) for _ in range(4)] == [*given[1:], None, None]
     assert len(source.said) == 3
 
 
 def test_a_new_reader_goes_on_with_a_gap_and_consecutive_rows_and_times() -> None:
     reader = reader_of(Answers(row(0, IMAGE), row(1), row(2, IMAGE)))
-    reader.go_on(5, SourcePosition(40, 8.0, time.time() - 3.0))
-    rows = [asked(reader, 5, fresh=True) for _ in range(4)]
+    reader.go_on(SourcePosition(40, 8.0, time.time() - 3.0))
+    rows = [asked(reader, fresh=True) for _ in range(4)]
     frames = [frame for frame in rows if isinstance(frame, SourceFrame)]
     assert [(one.index, one.name, one.status) for one in frames] == [
         (40, "00040", "gap"),
@@ -148,17 +148,17 @@ def test_a_new_reader_goes_on_with_a_gap_and_consecutive_rows_and_times() -> Non
 
 def test_a_new_reader_of_a_stream_that_has_not_begun_begins_without_a_gap() -> None:
     reader = reader_of(Answers(row(0, IMAGE)))
-    reader.go_on(1, SourcePosition())
-    assert asked(reader, 1, fresh=True) == row(0, IMAGE)
+    reader.go_on(SourcePosition())
+    assert asked(reader, fresh=True) == row(0, IMAGE)
 
 
 def test_what_the_ring_does_not_hold_any_more_is_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
     reader = reader_of(Answers(*(row(index, IMAGE) for index in range(70))))
-    reader.go_on(1, SourcePosition())
+    reader.go_on(SourcePosition())
     for _ in range(live_reader_module.MOST_PICTURES + 2):
-        asked(reader, 1, fresh=True)
-    reader.go_on(2, SourcePosition(1, 0.0, 0.0))
-    gap, fresh = asked(reader, 2, fresh=True), asked(reader, 2, fresh=True)
+        asked(reader, fresh=True)
+    reader.go_on(SourcePosition(1, 0.0, 0.0))
+    gap, fresh = asked(reader, fresh=True), asked(reader, fresh=True)
     assert isinstance(gap, SourceFrame)
     assert isinstance(fresh, SourceFrame)
     assert (gap.index, gap.status, gap.pts) == (1, "gap", 0.0)
@@ -168,15 +168,15 @@ def test_what_the_ring_does_not_hold_any_more_is_a_gap(monkeypatch: pytest.Monke
 def test_a_camera_that_gave_pictures_to_another_process_is_not_given_up() -> None:
     away = Answers(SourceError("The camera is away."))
     reader = reader_of(away, Answers(row(0, IMAGE)))
-    reader.go_on(1, SourcePosition(7, 1.0, time.time()))
-    asked(reader, 1, fresh=True)
-    assert asked(reader, 1, fresh=True) == SourceSilence("reconnecting", "The camera is away.")
+    reader.go_on(SourcePosition(7, 1.0, time.time()))
+    asked(reader, fresh=True)
+    assert asked(reader, fresh=True) == SourceSilence("reconnecting", "The camera is away.")
     assert away.closed
-    assert isinstance(asked(reader, 1, fresh=True), SourceFrame)
+    assert isinstance(asked(reader, fresh=True), SourceFrame)
     new = reader_of(Answers(SourceError("The camera is away.")))
-    new.go_on(1, SourcePosition())
+    new.go_on(SourcePosition())
     with pytest.raises(SourceError):
-        asked(new, 1, fresh=True)
+        asked(new, fresh=True)
 
 
 # The record

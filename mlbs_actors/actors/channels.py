@@ -68,9 +68,9 @@ class Channel:
         except (EOFError, OSError):
             raise ChannelClosedError from None
 
-    def has_note(self) -> bool:
-        """Whether :meth:`receive` would not wait."""
-        return self._incoming.poll()
+    def has_note(self, seconds: float = 0.0) -> bool:
+        """Whether :meth:`receive` would not wait, or after so many seconds would not."""
+        return self._incoming.poll(seconds)
 
     def close(self) -> None:
         """Let the other end know that no more notes come from here, and that none are read."""

@@ -106,7 +106,7 @@ class CoordinatorActor:
         self._source = (
             ReadAhead(links.reader, spec.max_frames, self._slots, self._memory)
             if spec.replayable
-            else LiveReadAhead(links.reader, run, spec.max_frames, self._slots, self._memory)
+            else LiveReadAhead(links.reader, spec.max_frames, self._slots, self._memory)
         )
         self._layers = LiveLayers(links.pool, run, spec.config)
         self._labelling = Labelling(links.segmenter)
@@ -202,10 +202,7 @@ class CoordinatorActor:
         if opening.resume_from is not None:
             self._restore(opening.resume_from.folder)
         self._labelling.begin()
-        if isinstance(self._source, LiveReadAhead):
-            self._go_on(self._source)
-        else:
-            self._to_skip = 0 if self._interrupted else self._read
+        self._begin_reading()
         self._await_snapshot()
         self._begun = True
 
@@ -222,9 +219,13 @@ class CoordinatorActor:
         self._position = state.position
         self._saved = state.position.rows
 
-    def _go_on(self, source: LiveReadAhead) -> None:
+    def _begin_reading(self) -> None:
         try:
-            source.go_on(self._position, self._read)
+            if isinstance(self._source, LiveReadAhead):
+                self._source.go_on(self._position, self._read)
+            else:
+                self._source.begin()
+                self._to_skip = 0 if self._interrupted else self._read
         except RayError as error:
             raise self._reader_failure(error) from None
 
@@ -370,6 +371,7 @@ class CoordinatorActor:
 
     def _close_after_failure(self) -> None:
         """Commit what was labelled before, and what still is."""
+        self._source.stop()
         with suppress(ChannelClosedError, RayError):
             self._await_labelled()
         self._labelling.close()

@@ -11,18 +11,21 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import ray
+from ray.exceptions import GetTimeoutError
 
-from mlbs_actors.actors.processes import Handle, Reference
-from mlbs_actors.actors.reader import Answer, ReadAhead, answer
+from mlbs_actors.actors.channels import ChannelClosedError, ChannelOffer, OfferedChannel
+from mlbs_actors.actors.processes import Handle
+from mlbs_actors.actors.reader import Answer, ReadAhead, ReadNext, answer
 from mlbs_actors.actors.shared_memory import SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourcePosition, SourceSilence
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import SourceError
 
-__all__ = ["MOST_PICTURES", "FrameRing", "LiveReadAhead", "LiveReaderActor"]
+__all__ = ["MOST_PICTURES", "Forget", "FrameRing", "LiveReadAhead", "LiveReaderActor"]
 
 #: Pictures that are kept: what comes in the time of two snapshots. At 1920×1080 that is 400 MB.
 MOST_PICTURES = 64
@@ -80,6 +83,13 @@ class FrameRing:
         self._pictures -= self._rows.popleft().image is not None
 
 
+@dataclass(frozen=True, slots=True)
+class Forget:
+    """Tells a live reader that nobody will go back to before so many rows."""
+
+    rows: int
+
+
 class LiveReaderActor:
     """Reads a live source for one start of its stream after the other.
 
@@ -92,41 +102,43 @@ class LiveReaderActor:
         self._open_reader = open_reader
         self._reader: FrameReader | None = None
         self._ring = FrameRing()
-        self._run: int | None = None
-        self._memory = SharedMemory()  # of that run
-        self._row = 0  # that the run asks for next
+        self._memory = SharedMemory()  # of the newest start
+        self._row = 0  # that it asks for next
         self._position = SourcePosition()
         self._lag: float | None = None  # of the source's times behind those of the stream, s
 
-    def go_on(self, run: int, position: SourcePosition) -> None:
-        """Give what comes after ``position`` to the start ``run`` of the stream, and nothing to any other."""
-        self._run, self._memory, self._row = run, SharedMemory(), position.rows
+    def go_on(self, position: SourcePosition) -> ChannelOffer:
+        """Give what comes after ``position`` to a new start of the stream, through the channel returned."""
+        self._channel, self._memory, self._row = OfferedChannel(), SharedMemory(), position.rows
         if not self._ring.first <= position.rows <= self._ring.next:
             self._position = position
             self._ring.begin_at(position.rows)
             self._ring.append(SourceFrame(position.rows, None, position.pts, _name(position.rows), "gap"))
+        return self._channel.offer
 
-    def read(self, run: int, slot: Slot, *, fresh: bool) -> Answer:
+    def serve(self) -> None:
+        """Do what that start asks for, until no more can come; raises SourceError."""
+        with suppress(ChannelClosedError), self._channel.taken() as channel:
+            while True:
+                note: ReadNext | Forget = channel.receive()
+                if isinstance(note, Forget):
+                    self.forget(note.rows)
+                else:
+                    channel.send(self.read(note))
+
+    def read(self, note: ReadNext) -> Answer:
         """Return the next row, or that there is none at present; raises SourceError.
 
-        Parameters
-        ----------
-        run : int
-            Who asks. What a start that is over has asked for is not taken from the one that followed.
-        slot : Slot
-            For a picture; what the ring keeps is a copy of its own.
-        fresh : bool
-            Whether the source is to be waited for; else None once all is given that was given before.
+        A picture is a copy of what the ring keeps. If nothing fresh is asked for, None once all is given that
+        was given before.
         """
-        if run != self._run:
-            return SourceSilence(None)
         if self._row == self._ring.next:
-            said = self._ask_source() if fresh else None
+            said = self._ask_source() if note.fresh else None
             if not isinstance(said, SourceFrame):
                 return said
             self._ring.append(self._placed(said))
         self._row += 1
-        return answer(self._ring[self._row - 1], slot, self._memory)
+        return answer(self._ring[self._row - 1], note.slot, self._memory)
 
     def forget(self, rows: int) -> None:
         """Forget what is before a snapshot after so many rows."""
@@ -173,25 +185,20 @@ class LiveReadAhead(ReadAhead):
     ----------
     reader : Handle
         A :class:`LiveReaderActor`.
-    run : int
-        The number of this start.
     max_frames, slots, memory
         As for :class:`ReadAhead`.
     """
 
-    def __init__(
-        self, reader: Handle, run: int, max_frames: int | None, slots: SlotPool, memory: SharedMemory
-    ) -> None:
+    def __init__(self, reader: Handle, max_frames: int | None, slots: SlotPool, memory: SharedMemory) -> None:
         super().__init__(reader, max_frames, slots, memory)
-        self._run = run
         self._fresh = True
         self._answers = False
         self._forgotten = 0
 
     def go_on(self, position: SourcePosition, frames: int) -> None:
-        """Have what comes after ``position`` and ``frames`` frames, before the first :meth:`next`."""
+        """Have what comes after ``position`` and ``frames`` frames; instead of :meth:`begin`."""
         self._pass_over(frames)
-        ray.get(self._reader.go_on.remote(self._run, position))
+        self._serve(ray.get(self._reader.go_on.remote(position)))
 
     def finish(self) -> None:
         """Ask for what was given before, and for nothing new."""
@@ -200,15 +207,17 @@ class LiveReadAhead(ReadAhead):
     def forget(self, rows: int) -> None:
         """See :meth:`LiveReaderActor.forget`."""
         if rows > self._forgotten:
-            self._reader.forget.remote(rows)
+            self._send(Forget(rows))
             self._forgotten = rows
 
-    def _read(self, slot: Slot) -> Reference:
-        reference: Reference = self._reader.read.remote(self._run, slot, fresh=self._fresh)
-        return reference
+    def _request(self, slot: Slot) -> ReadNext:
+        return ReadNext(slot, self._fresh)
 
-    def _value(self, reference: Reference) -> Answer:
-        # Its process may take long to start, but then it answers soon.
-        value: Answer = ray.get(reference, timeout=_ANSWER_SECONDS if self._answers else None)
+    def _receive(self) -> Answer:
+        # It may take long to open its source, but then it answers soon.
+        assert self._channel is not None  # begun
+        if self._answers and not self._channel.has_note(_ANSWER_SECONDS):
+            raise GetTimeoutError("A live reader does not answer.")
+        said = super()._receive()
         self._answers = True
-        return value
+        return said

@@ -256,14 +256,14 @@ class StreamActors:
         if drain:
             with suppress(MlbsError):
                 self._final = self._explained(self._coordinator.finish.remote()).result()
+        end(self._others, _STOP_SECONDS)
         if self._live and returns and _answers(self._reader):
             self.living_reader = self._reader
         else:
             # It releases its device or file if it can; a stuck one is ended all the same.
             with suppress(RayError, GetTimeoutError):
                 ray.get(self._reader.close.remote(), timeout=1.0)
-            self._others.append(self._reader)
-        end(self._others, _STOP_SECONDS)
+            end([self._reader], _STOP_SECONDS)
         for last in (self._pool.end.remote(self._run), self._sink.close.remote(self._run)):
             with suppress(RayError, GetTimeoutError):
                 ray.get(last, timeout=_STOP_SECONDS)

@@ -36,6 +36,9 @@ class PoolPolicy:
     ----------
     spare : int
         Idle processes kept ready; a started process takes about 135 MB.
+    refill_seconds : float
+        How long after a birth a spare process is started in its place, s: where objects enter, others leave,
+        and the processes of those come back.
     idle_seconds : float
         Idle processes beyond these are ended once they were idle for this long, s.
     start_seconds : float
@@ -45,6 +48,7 @@ class PoolPolicy:
     """
 
     spare: int = 2
+    refill_seconds: float = 0.25
     idle_seconds: float = 10.0
     start_seconds: float = 180.0
     release_seconds: float = 3.0
@@ -90,6 +94,7 @@ class PoolActor:
         self._node = ray.get_runtime_context().get_node_id()
         self._idle: list[_Idle] = []
         self._busy: dict[int, dict[str, Handle]] = {}  # by stream and process
+        self._closed = False
 
     async def begin(self, run: int) -> int:
         """Let a new stream in; return its number, which no other stream may have had."""
@@ -149,7 +154,7 @@ class PoolActor:
                     ) from error
             else:
                 # Not before: where every start fails, refilling for each try would try for ever.
-                self._refill()
+                asyncio.get_running_loop().call_later(self._policy.refill_seconds, self._refill)
                 if run in self._busy and offer is not None:
                     return process.handle, offer
         raise LayerError(f"Layer {layer} was to be born in a stream that has ended; start the stream again.")
@@ -173,6 +178,7 @@ class PoolActor:
 
     async def close(self) -> None:
         """End every process, and wait until all are gone."""
+        self._closed = True
         idle, self._idle = self._idle, []
         lent = [handle for busy in self._busy.values() for handle in busy.values()]
         self._busy = {}
@@ -202,7 +208,7 @@ class PoolActor:
         return _Idle(handle, ready, time.monotonic())
 
     def _refill(self) -> None:
-        while len(self._idle) < self._policy.spare:
+        while not self._closed and len(self._idle) < self._policy.spare:
             self._idle.append(self._start())
 
     def _shrink(self) -> None:

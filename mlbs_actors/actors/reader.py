@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import TypeAlias
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import NoReturn, TypeAlias
 
 import ray
+from ray.exceptions import GetTimeoutError
 
+from mlbs_actors.actors.channels import Channel, ChannelClosedError, ChannelOffer, OfferedChannel, take
 from mlbs_actors.actors.processes import Handle, Reference
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.determinism import limit_process
 
-__all__ = ["Answer", "ReadAhead", "ReaderActor", "answer"]
+__all__ = ["Answer", "ReadAhead", "ReadNext", "ReaderActor", "Skip", "answer"]
 
 #: What a reader says when it is asked for its next row: where a picture is, what has none, or the end.
 Answer: TypeAlias = "Shared[SourceFrame] | SourceFrame | SourceSilence | None"
@@ -21,6 +25,32 @@ Answer: TypeAlias = "Shared[SourceFrame] | SourceFrame | SourceSilence | None"
 #: Frames that are decoded beside the work on the one before them. Two, so that a slow one (a key
 #: frame) is made up for; each is held in memory.
 _FRAMES_AHEAD = 2
+
+#: How long it may take until Ray has noticed that a reader's process is gone, s.
+_CAUSE_SECONDS = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class ReadNext:
+    """Asks a reader for its next row.
+
+    Attributes
+    ----------
+    slot : Slot
+        For a picture.
+    fresh : bool
+        Whether a live source is to be waited for; else only what it gave before is wanted.
+    """
+
+    slot: Slot
+    fresh: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Skip:
+    """Asks a reader to pass over frames."""
+
+    frames: int
 
 
 class ReaderActor:
@@ -31,14 +61,30 @@ class ReaderActor:
         self._open_reader = open_reader
         self._reader: FrameReader | None = None
         self._memory = SharedMemory()
+        self._channel = OfferedChannel()
 
-    def read(self, slot: Slot) -> Answer:
+    def offer(self) -> ChannelOffer:
+        """Return the channel through which the stream asks for its frames."""
+        return self._channel.offer
+
+    def serve(self) -> None:
+        """Do what is asked for, until no more can come; raises SourceError."""
+        with suppress(ChannelClosedError), self._channel.taken() as channel:
+            while True:
+                note: ReadNext | Skip = channel.receive()
+                if isinstance(note, Skip):
+                    self.skip(note)
+                    channel.send(None)
+                else:
+                    channel.send(self.read(note))
+
+    def read(self, note: ReadNext) -> Answer:
         """Return the next frame or that there is none at present, None at the end; raises SourceError."""
-        return answer(self._next(), slot, self._memory)
+        return answer(self._next(), note.slot, self._memory)
 
-    def skip(self, frames: int) -> None:
+    def skip(self, note: Skip) -> None:
         """Read frames and throw them away, and what comes between them; raises SourceError."""
-        for _ in range(frames):
+        for _ in range(note.frames):
             while isinstance(self._next(), SourceSilence):
                 continue
 
@@ -82,12 +128,18 @@ class ReadAhead:
         self._left = max_frames
         self._slots = slots
         self._memory = memory
-        self._asked: deque[tuple[Reference, Slot]] = deque()
+        self._asked: deque[Slot] = deque()
+        self._channel: Channel | None = None
+
+    def begin(self) -> None:
+        """Have the reader serve, before the first :meth:`next`; raises as that does."""
+        self._serve(ray.get(self._reader.offer.remote()))
 
     def skip(self, frames: int) -> None:
         """Pass over frames, before the first :meth:`next`; raises as that does."""
         self._pass_over(frames)
-        ray.get(self._reader.skip.remote(frames))
+        self._send(Skip(frames))
+        self._receive()
 
     def next(self) -> tuple[Shared[SourceFrame] | None, SourceFrame | SourceSilence] | None:
         """Return the next frame or silence, a picture with where it is, or None at the end.
@@ -99,9 +151,10 @@ class ReadAhead:
         """
         self._ask(_FRAMES_AHEAD + 1)
         if not self._asked:
+            self.stop()
             return None
-        reference, slot = self._asked.popleft()
-        said = self._value(reference)
+        slot = self._asked.popleft()
+        said = self._receive()
         if isinstance(said, Shared):
             return said, self._memory.taken(said)
         self._slots.give_back([slot])
@@ -114,7 +167,7 @@ class ReadAhead:
         return None, said
 
     def problem(self) -> str | None:
-        """Return :attr:`FrameReader.problem`; raises RayError if the process died."""
+        """Return :attr:`FrameReader.problem`, after :meth:`stop`; raises RayError if the process died."""
         problem: str | None = ray.get(self._reader.problem.remote())
         return problem
 
@@ -122,6 +175,8 @@ class ReadAhead:
         """Ask for no more frames and forget those that were asked for."""
         self._left = 0
         self._asked.clear()
+        if self._channel is not None:
+            self._channel.close()
 
     def finish(self) -> None:
         """Come to an end soon, without a frame that could not be had again."""
@@ -130,6 +185,19 @@ class ReadAhead:
     def forget(self, rows: int) -> None:
         """Note that nobody will go back to before so many rows."""
 
+    def _serve(self, offer: ChannelOffer) -> None:
+        with suppress(ChannelClosedError):
+            self._channel = take(offer)
+        # Not before: a reader that outlives its stream must not wait for who never takes the channel.
+        self._served: Reference = self._reader.serve.remote()
+        if self._channel is None:
+            self._raise_cause()
+
+    def _raise_cause(self) -> NoReturn:
+        """Raise why the reader has closed its channel."""
+        ray.get(self._served, timeout=_CAUSE_SECONDS)
+        raise GetTimeoutError("A reader that was asked for more serves no more.")
+
     def _pass_over(self, frames: int) -> None:
         if self._left is not None:
             self._left -= frames
@@ -137,14 +205,24 @@ class ReadAhead:
     def _ask(self, wanted: int) -> None:
         while len(self._asked) < wanted and self._left != 0:
             slot = self._slots.take("frame")
-            self._asked.append((self._read(slot), slot))
+            self._send(self._request(slot))
+            self._asked.append(slot)
             if self._left is not None:
                 self._left -= 1
 
-    def _read(self, slot: Slot) -> Reference:
-        reference: Reference = self._reader.read.remote(slot)
-        return reference
+    def _request(self, slot: Slot) -> ReadNext:
+        return ReadNext(slot)
 
-    def _value(self, reference: Reference) -> Answer:
-        value: Answer = ray.get(reference)
-        return value
+    def _send(self, note: object) -> None:
+        assert self._channel is not None  # begun
+        # Of a reader that is gone there may still be answers, and then the cause.
+        with suppress(ChannelClosedError):
+            self._channel.send(note)
+
+    def _receive(self) -> Answer:
+        assert self._channel is not None  # begun
+        try:
+            said: Answer = self._channel.receive()
+        except ChannelClosedError:
+            self._raise_cause()
+        return said

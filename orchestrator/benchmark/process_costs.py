@@ -1,7 +1,7 @@
 """What processes cost: CPU time and private memory of a process and all its descendants, by kind.
 
 Read from ``/proc``. The kind of one of our actors is known by the name that Ray gives its process,
-``ray::ReaderActor.read``; whatever else descends from the driver is Ray's own.
+``ray::ReaderActor.serve``; whatever else descends from the driver is Ray's own.
 """
 
 from __future__ import annotations

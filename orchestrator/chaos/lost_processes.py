@@ -33,7 +33,7 @@ _HANG_SECONDS = 45.0
 
 #: Processes of which one is killed at its work: the row's number and name, the process's title then.
 _KILLED = (
-    ("12", "reader killed", "ray::ReaderActor.read"),
+    ("12", "reader killed", "ray::ReaderActor.serve"),
     ("13", "layer killed", "ray::LayerActor.serve"),
     ("13", "pool killed", "ray::PoolActor"),
     ("13", "sink killed", "ray::SinkActor"),
