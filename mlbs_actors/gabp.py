@@ -210,7 +210,7 @@ def motion_field(
     -----
     Paper §5, P(M|tracks) ∝ Π N(m_i | m_j, Σ_m) Π N(m_i | m_track, Σ_p).
     """
-    if not (np.isfinite(positions).all() and np.isfinite(motions).all() and np.isfinite(prior_mean).all()):
+    if not (_all_finite(positions) and _all_finite(motions) and np.isfinite(prior_mean).all()):
         raise SolverError(
             "A motion field needs finite evidence; drop trajectories with NaN or infinite motion."
         )
@@ -220,7 +220,7 @@ def motion_field(
     spacing = parameters.spacing_px
     grid = _grid_shape(shape, spacing)
     prior = np.empty((2, *grid))
-    prior[:] = np.moveaxis(np.broadcast_to(prior_mean, (*grid, 2)), 2, 0)
+    prior[0], prior[1] = prior_mean[..., 0], prior_mean[..., 1]
     inside = _inside(positions, height, width)
     points = positions[inside]
     nodes, shares = _bilinear_taps(points, *grid, spacing)
@@ -240,13 +240,13 @@ def motion_field(
         iterations += solution.iterations
         if last_round:
             break
-        weights = _robust_weights(_misfit(measured, deviation, nodes, shares), parameters.robust_px)
+        weights = _robust_weights(measured, deviation, nodes, shares, parameters.robust_px)
 
     point_weights = np.zeros(len(positions), np.float32)
     point_weights[inside] = weights
     return MotionField(
         shape=(height, width),
-        mean=np.ascontiguousarray(np.moveaxis(prior + deviation, 0, 2), np.float32),
+        mean=_sum_by_nodes(prior, deviation),
         spacing=spacing,
         variance=_marginal_variance(points, weights, shape, parameters).astype(np.float32),
         variance_spacing=parameters.variance_spacing_px,
@@ -283,6 +283,25 @@ def _to_pixels(values: Array, spacing: int, shape: tuple[int, int]) -> Array:
     size = (values.shape[1] * spacing, values.shape[0] * spacing)
     pixels: Array = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
     return np.ascontiguousarray(pixels[: shape[0], : shape[1]])
+
+
+@njit(cache=True)
+def _all_finite(values: Array) -> bool:
+    for value in values.flat:
+        if not np.isfinite(value):
+            return False
+    return True
+
+
+@njit(cache=True)
+def _sum_by_nodes(prior: Array, deviation: Array) -> Array:
+    """Sum of two (2, gh, gw) fields, (gh, gw, 2) float32."""
+    total = np.empty((prior.shape[1], prior.shape[2], 2), np.float32)
+    for v in range(total.shape[0]):
+        for u in range(total.shape[1]):
+            for axis in range(2):
+                total[v, u, axis] = prior[axis, v, u] + deviation[axis, v, u]
+    return total
 
 
 @njit(cache=True)
@@ -348,7 +367,11 @@ def _prior_precision(grid: tuple[int, int], parameters: MotionParameters) -> flo
 
 
 @njit(cache=True)
-def _robust_weights(misfit: Array, robust_px: float) -> Array:
+def _robust_weights(
+    measured: Array, field: Array, nodes: Array, shares: Array, robust_px: float
+) -> Array:
+    """Geman and McClure's weights of some points, by how far they are from a field."""
+    misfit = _misfit(measured, field, nodes, shares)
     squared = misfit[:, 0] ** 2 + misfit[:, 1] ** 2
     scale = max(robust_px, 3.0 * 1.4826 * np.sqrt(np.median(squared)))
     weights: Array = (scale**2 / (scale**2 + squared)) ** 2

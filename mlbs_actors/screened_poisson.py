@@ -78,37 +78,24 @@ def solve(
     SolverError
         If the direct solver misses the tolerance too.
     """
-    size = float(np.sqrt(np.sum(rhs * rhs)))
-    if size == 0.0:
-        return Solution(np.zeros_like(rhs), 0.0, 0, "multigrid")
     levels, edges = _pyramid(screening.shape[0], screening.shape[1], edge)
-    value = np.zeros((rhs.shape[0], rhs.shape[1] + 2, rhs.shape[2] + 2))
-    value[:, 1:-1, 1:-1] = start
-    iterations = _conjugate_gradients(
-        screening,
-        rhs,
-        edge,
-        levels,
-        edges,
-        0.5 * tolerance * size / rhs.shape[0] ** 0.5,
-        max_iterations,
-        value,
+    value, iterations, residual = _solve(
+        screening, rhs, edge, levels, edges, start, tolerance, max_iterations
     )
-    residual = _residual(screening, rhs, edge, value) / size
     if residual <= tolerance:
-        return Solution(np.ascontiguousarray(value[:, 1:-1, 1:-1]), residual, iterations, "multigrid")
+        return Solution(value, residual, iterations, "multigrid")
     # Imported here, because it is hardly ever wanted, and every layer's process would pay for it.
     from scipy.sparse.linalg import splu
 
     factors = splu(assemble(screening, edge).tocsc())
-    value[:, 1:-1, 1:-1] = np.stack([factors.solve(part.ravel()) for part in rhs]).reshape(rhs.shape)
-    residual = _residual(screening, rhs, edge, value) / size
+    value = np.stack([factors.solve(part.ravel()) for part in rhs]).reshape(rhs.shape)
+    residual = _residual(screening, rhs, edge, np.pad(value, ((0, 0), (1, 1), (1, 1)))) / _norm(rhs)
     if not residual <= tolerance:
         raise SolverError(
             f"The field could be solved to a relative residual of {residual:.1e} only and {tolerance:.1e} is "
             "wanted; raise the tolerance, or bring the standard deviations of its terms closer together."
         )
-    return Solution(np.ascontiguousarray(value[:, 1:-1, 1:-1]), residual, iterations, "direct")
+    return Solution(value, residual, iterations, "direct")
 
 
 def assemble(screening: Array, edge: float) -> scipy.sparse.dia_array:
@@ -145,6 +132,28 @@ def neighbour_counts(rows: int, columns: int) -> Array:
     degree[:, 1:] += 1
     degree[:, :-1] += 1
     return degree
+
+
+@njit(cache=True)
+def _solve(
+    screening: Array, rhs: Array, edge: float, levels: Array, edges: Array, start: Array, tolerance: float,
+    limit: int,
+) -> tuple[Array, int, float]:  # fmt: skip
+    """The value, how many iterations it took, and its relative residual."""
+    size = _norm(rhs)
+    if size == 0.0:
+        return np.zeros(rhs.shape), 0, 0.0
+    value = np.zeros((rhs.shape[0], rhs.shape[1] + 2, rhs.shape[2] + 2))
+    value[:, 1:-1, 1:-1] = start
+    target = 0.5 * tolerance * size / rhs.shape[0] ** 0.5
+    iterations = _conjugate_gradients(screening, rhs, edge, levels, edges, target, limit, value)
+    residual = _residual(screening, rhs, edge, value) / size
+    return value[:, 1:-1, 1:-1].copy(), iterations, residual
+
+
+@njit(cache=True)
+def _norm(rhs: Array) -> float:
+    return float(np.sqrt(np.sum(rhs * rhs)))
 
 
 @njit(cache=True)
