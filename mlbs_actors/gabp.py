@@ -38,7 +38,6 @@ Differs from the paper:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -117,8 +116,6 @@ class MotionField:
         Conjugate-gradient iterations, all rounds together.
     residual : float
         |b − A d| / |b| of the last solve.
-    solver : {"multigrid", "direct"}
-        What solved the last round.
     """
 
     shape: tuple[int, int]
@@ -129,7 +126,6 @@ class MotionField:
     point_weights: Array
     iterations: int
     residual: float
-    solver: Literal["multigrid", "direct"]
 
     def dense(self) -> Array:
         """Mean at every pixel: (h, w, 2) float32, px/frame; bilinear, constant past the outer nodes."""
@@ -223,25 +219,25 @@ def motion_field(
     prior[0], prior[1] = prior_mean[..., 0], prior_mean[..., 1]
     inside = _inside(positions, height, width)
     points = positions[inside]
-    nodes, shares = _bilinear_taps(points, *grid, spacing)
-    measured = _misfit(motions[inside], prior, nodes, shares)
-
-    weights = np.ones(len(points))
-    iterations = 0
-    edge, precision = 1.0 / parameters.smoothness_std_px**2, _prior_precision(grid, parameters)
-    deviation = np.zeros((2, *grid))
-    for round_index in range(parameters.robust_rounds + 1):
-        lumped = _lump(nodes, shares, weights / parameters.point_std_px**2, measured, precision, *grid)
-        last_round = round_index == parameters.robust_rounds or len(points) == 0
-        # A rough field is enough to weigh the trajectories by.
-        tolerance = parameters.tolerance if last_round else max(parameters.tolerance, _ROUGH_TOLERANCE)
-        solution = solve(lumped[0], lumped[1:], edge, deviation, tolerance, parameters.max_iterations)
-        deviation = solution.value
-        iterations += solution.iterations
-        if last_round:
-            break
-        weights = _robust_weights(measured, deviation, nodes, shares, parameters.robust_px)
-
+    deviation, weights, iterations, residual = _robust_deviation(
+        points,
+        motions[inside],
+        prior,
+        spacing,
+        1.0 / parameters.smoothness_std_px**2,
+        1.0 / parameters.point_std_px**2,
+        _prior_precision(grid, parameters),
+        parameters.robust_px,
+        parameters.robust_rounds,
+        parameters.tolerance,
+        parameters.max_iterations,
+    )
+    if not residual <= parameters.tolerance:
+        raise SolverError(
+            f"The field could be solved to a relative residual of {residual:.1e} only and "
+            f"{parameters.tolerance:.1e} is wanted; raise the tolerance, or bring the standard deviations of "
+            "its terms closer together."
+        )
     point_weights = np.zeros(len(positions), np.float32)
     point_weights[inside] = weights
     return MotionField(
@@ -252,8 +248,7 @@ def motion_field(
         variance_spacing=parameters.variance_spacing_px,
         point_weights=point_weights,
         iterations=iterations,
-        residual=solution.residual,
-        solver=solution.solver,
+        residual=residual,
     )
 
 
@@ -268,7 +263,6 @@ def _empty_field(shape: tuple[int, int], point_count: int, parameters: MotionPar
         point_weights=np.zeros(point_count, np.float32),
         iterations=0,
         residual=0.0,
-        solver="multigrid",
     )
 
 
@@ -287,10 +281,7 @@ def _to_pixels(values: Array, spacing: int, shape: tuple[int, int]) -> Array:
 
 @njit(cache=True)
 def _all_finite(values: Array) -> bool:
-    for value in values.flat:
-        if not np.isfinite(value):
-            return False
-    return True
+    return bool(np.isfinite(values).all())
 
 
 @njit(cache=True)
@@ -332,6 +323,31 @@ def _bilinear_taps(points: Array, rows: int, columns: int, spacing: int) -> tupl
 
 
 @njit(cache=True)
+def _robust_deviation(
+    points: Array, motions: Array, prior: Array, spacing: int, edge: float, point_precision: float,
+    prior_precision: float, robust_px: float, robust_rounds: int, tolerance: float, max_iterations: int,
+) -> tuple[Array, Array, int, float]:  # fmt: skip
+    """How far the field (2, gh, gw) is from its prior, the points' weights, the iterations of all rounds, and
+    the residual of the last."""
+    rows, columns = prior.shape[1], prior.shape[2]
+    nodes, shares = _bilinear_taps(points, rows, columns, spacing)
+    measured = _misfit(motions, prior, nodes, shares)
+    weights, deviation = np.ones(points.shape[0]), np.zeros(prior.shape)
+    iterations, residual = 0, 0.0
+    rounds = robust_rounds if points.shape[0] else 0
+    for number in range(rounds + 1):
+        lumped = _lump(nodes, shares, weights * point_precision, measured, prior_precision, rows, columns)
+        # A rough field is enough to weigh the trajectories by.
+        accepted = tolerance if number == rounds else max(tolerance, _ROUGH_TOLERANCE)
+        solution = solve(lumped[0], lumped[1:], edge, deviation, accepted, max_iterations)
+        deviation, residual = solution.value, solution.residual
+        iterations += solution.iterations
+        if number < rounds:
+            weights = _robust_weights(_misfit(measured, deviation, nodes, shares), robust_px)
+    return deviation, weights, iterations, residual
+
+
+@njit(cache=True)
 def _misfit(values: Array, field: Array, nodes: Array, shares: Array) -> Array:
     """Points' values (n, 2) less those of a (2, gh, gw) field."""
     flat = field.reshape(2, -1)
@@ -367,11 +383,7 @@ def _prior_precision(grid: tuple[int, int], parameters: MotionParameters) -> flo
 
 
 @njit(cache=True)
-def _robust_weights(
-    measured: Array, field: Array, nodes: Array, shares: Array, robust_px: float
-) -> Array:
-    """Geman and McClure's weights of some points, by how far they are from a field."""
-    misfit = _misfit(measured, field, nodes, shares)
+def _robust_weights(misfit: Array, robust_px: float) -> Array:
     squared = misfit[:, 0] ** 2 + misfit[:, 1] ** 2
     scale = max(robust_px, 3.0 * 1.4826 * np.sqrt(np.median(squared)))
     weights: Array = (scale**2 / (scale**2 + squared)) ** 2
