@@ -1,8 +1,8 @@
 """The screened Poisson matrix of a grid, factorised exactly: A = L D Lᵀ.
 
 The matrix is that of :mod:`mlbs_actors.screened_poisson`. With the nodes numbered along the grid's shorter
-side, all its elements, and those of L, lie within that side's length of the diagonal: the cost is O(long side ·
-short side³), which for the grid of a small object is less than a few iterations of any other solver.
+side, all its elements, and those of L, lie within that side's length of the diagonal: the cost is O(long
+side · short side³), which for the grid of a small object is less than a few iterations of any other solver.
 """
 
 from __future__ import annotations
