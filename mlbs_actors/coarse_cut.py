@@ -3,8 +3,8 @@
 The cost of a cut grows faster than its pixels. An energy is therefore first minimised over the labellings
 in which every 2×2 block has one label, which is an energy of the same form on a quarter of the pixels; then
 only pixels near the outlines of that solution are labelled anew (the banded cut of Lombaert, Sun, Grady and
-Xu, ICCV 2005). The result is a labelling that no expansion within the band improves; the tests bound how
-far its energy lies above that of a cut of all pixels.
+Xu, ICCV 2005), every label once: a second sweep would move hardly a pixel. The tests bound how far the energy
+of the result lies above that of a cut of all pixels.
 
 Differs from the paper, which cuts the whole grid.
 """

@@ -17,7 +17,8 @@ Differs from the paper:
 * The start is label 0 everywhere: every labelling with one more label is one expansion away, and with two
   labels the first one ends in a global optimum. An expansion is tried again only where something has
   changed: the last one was the best there.
-* Of more than ``LARGE`` pixels, only those near the outlines of a coarser solution are cut (``coarse_cut``).
+* Of more than ``LARGE`` pixels, only those near the outlines of a coarser solution are cut (``coarse_cut``),
+  in one sweep.
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ class CutResult:
     sweeps : int
         Rounds of expansions over the labels.
     converged : bool
-        No expansion or removal of a label lowers the energy; False if ``max_sweeps`` ended the search.
+        No expansion or removal of a label lowers the energy; False if ``max_sweeps`` ended the search, or the
+        image is large.
     decided_fraction : float
         Fraction of the pixels that were decided without a cut, in [0, 1].
     """
@@ -80,7 +82,7 @@ def minimise(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> CutResult:
 
     With two labels it is a global optimum. Else no expansion of the whole image lowers it, although only
     undecided pixels are cut (``cut_pruning`` says why), and of those only the parts around which something
-    has changed.
+    has changed. An image of more than ``LARGE`` pixels is labelled coarse to fine, near to that.
 
     Parameters
     ----------
@@ -121,7 +123,7 @@ def _minimise(whole: LabelCostEnergy, max_sweeps: int) -> tuple[Array, list[int]
     if shape[0] * shape[1] > LARGE:
         band = band_around_outlines(whole, _minimise(halved(whole), max_sweeps)[0])
         labels, rest, start = band.labels, band.rest, band.start
-        # The outlines are nearly there: a second sweep over a band would move a pixel in ten thousand.
+        # The outlines are nearly there: a second sweep over a band would move hardly a pixel.
         max_sweeps = 1
     else:
         pruning = prune(whole.of_pixels())
