@@ -34,6 +34,7 @@ from mlbs_actors.label_cost_energy import (
     NEIGHBOUR_OFFSETS,
     UNDECIDED,
     LabelCostEnergy,
+    Offers,
     UndecidedEnergy,
     neighbour_and_weight,
     undecided_energy,
@@ -69,12 +70,12 @@ def prune(whole: LabelCostEnergy) -> Pruning:
     -------
     Pruning
     """
-    labels, certain = _decide(whole.unary, whole.weights, whole.label_costs)
+    labels, certain = _decide(whole.unary, whole.boxes(), whole.weights, whole.label_costs)
     return Pruning(labels, undecided_energy(whole, labels, certain))
 
 
-def reachable(rest: UndecidedEnergy, start: Array) -> tuple[Array, ...]:
-    """Pixels that each label can ever take in best expansions and removals, from a labelling on.
+def reachable(rest: UndecidedEnergy, start: Array) -> Offers:
+    """The offers that can ever be taken in best expansions and removals, from a labelling on.
 
     A pixel never takes a label that costs more than its own by more than all its neighbours and all label
     costs can pay back; what it can take from the start, and so on, is all that it can ever have.
@@ -86,80 +87,68 @@ def reachable(rest: UndecidedEnergy, start: Array) -> tuple[Array, ...]:
 
     Returns
     -------
-    tuple of (m,) intp
-        For each label positions 0 … n−1, ascending.
+    Offers
     """
-    within = _reach(rest.unary, rest.weight, np.int64(rest.label_costs.sum()), start)
-    return tuple(np.flatnonzero(own <= within) for own in rest.unary)
-
-
-def movable(
-    rest: UndecidedEnergy, labels: Array, alpha: int, candidates: Array | None = None
-) -> tuple[Array, Array]:
-    """Pixels that a best expansion of ``alpha`` may take, and labels that it leaves in use.
-
-    A pixel is left out when taking it costs more than its neighbours, those that can be at alpha, and the
-    release of its own label can ever pay back: every move is better without it. Its neighbours then have one
-    less to count on and its label stays in use, so the test is repeated.
-
-    Parameters
-    ----------
-    rest : UndecidedEnergy
-    labels : (n,) intp
-        The labelling to expand in.
-    alpha : int
-        Label position.
-    candidates : (m,) intp, optional
-        All that can ever take alpha, as :func:`reachable` tells; all pixels by default.
-
-    Returns
-    -------
-    pixels : (m,) intp
-        Positions 0 … n−1, ascending.
-    kept : (K,) bool
-        Labels that keep a pixel in every best move, or cost nothing; alpha's own entry has no meaning.
-    """
-    if candidates is None:
-        candidates = np.arange(labels.size)
-    pixels, kept = _movable(
-        rest.unary, rest.neighbour, rest.weight, rest.label_costs, labels, alpha, candidates
+    offers = rest.offers
+    within = _reach(
+        offers.pixel,
+        offers.cost,
+        rest.weight,
+        np.int64(rest.label_costs.sum()),
+        offers.chosen(start),
     )
-    return pixels, kept
+    return Offers(*_only_within(offers.first, offers.pixel, offers.cost, within))
 
 
 @njit(cache=True)
-def _reach(unary: Array, weight: Array, label_cost: np.int64, start: Array) -> Array:
+def _reach(pixel: Array, cost: Array, weight: Array, label_cost: np.int64, chosen: Array) -> Array:
     """Cost up to which each pixel can ever come to have a label."""
-    count = start.size
-    payable, within = np.empty(count, np.int64), np.empty(count, np.int64)
-    for p in range(count):
+    payable, within = np.empty(chosen.size, np.int64), np.empty(chosen.size, np.int64)
+    for p in range(chosen.size):
         payable[p] = label_cost
         for k in range(8):
             payable[p] += weight[p, k]
-        within[p] = unary[start[p], p] + payable[p]
+        within[p] = chosen[p] + payable[p]
     changed = True
     while changed:
         changed = False
-        for label in range(unary.shape[0]):
-            for p in range(count):
-                cost = unary[label, p]
-                if cost <= within[p] and cost + payable[p] > within[p]:
-                    within[p] = cost + payable[p]
-                    changed = True
+        for entry in range(pixel.size):
+            p = pixel[entry]
+            if cost[entry] <= within[p] and cost[entry] + payable[p] > within[p]:
+                within[p] = cost[entry] + payable[p]
+                changed = True
     return within
 
 
 @njit(cache=True)
-def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Array]:
+def _only_within(first: Array, pixel: Array, cost: Array, within: Array) -> tuple[Array, Array, Array]:
+    kept_first = np.zeros_like(first)
+    kept_pixel, kept_cost = np.empty_like(pixel), np.empty_like(cost)
+    count = 0
+    for label in range(first.size - 1):
+        for entry in range(first[label], first[label + 1]):
+            if cost[entry] <= within[pixel[entry]]:
+                kept_pixel[count], kept_cost[count] = pixel[entry], cost[entry]
+                count += 1
+        kept_first[label + 1] = count
+    return kept_first, kept_pixel[:count].copy(), kept_cost[:count].copy()
+
+
+@njit(cache=True)
+def _decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> tuple[Array, Array]:
     """Labels, and which of them are certain."""
     label_count, height, width = unary.shape
     best = np.zeros((height, width), np.int32)
-    least = unary[0].copy()
-    second = np.full((height, width), 2**29, np.int32)  # beyond every cost: there may be no other label
-    for label in range(1, label_count):
-        for y in range(height):
-            for x in range(width):
+    # Beyond every cost: there may be no other label.
+    least = np.full((height, width), 2**29, np.int32)
+    second = np.full((height, width), 2**29, np.int32)
+    folded = np.empty_like(unary)
+    for label in range(label_count):
+        top, bottom, left, right = places[label]
+        for y in range(top, bottom):
+            for x in range(left, right):
                 cost = unary[label, y, x]
+                folded[label, y, x] = cost
                 if cost < least[y, x]:
                     best[y, x], least[y, x], second[y, x] = label, cost, least[y, x]
                 elif cost < second[y, x]:
@@ -179,7 +168,6 @@ def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Ar
             evidence[best[y, x]] += max(second[y, x] - least[y, x] - open_weight[y, x], 0)
 
     labels = np.full((height, width), UNDECIDED, np.intp)
-    folded = unary.copy()
     certain = np.zeros(label_count, np.bool_)
     queue = np.empty(height * width, np.int32)
     while True:
@@ -207,15 +195,17 @@ def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Ar
                 if w == 0:
                     continue
                 evidence[best[v, u]] -= max(second[v, u] - least[v, u] - open_weight[v, u], 0)
-                folded[label, v, u] -= w
                 open_weight[v, u] -= w
-                cost = folded[label, v, u]
-                if label == best[v, u]:
-                    least[v, u] = cost
-                elif cost < least[v, u]:
-                    best[v, u], least[v, u], second[v, u] = label, cost, least[v, u]
-                elif cost < second[v, u]:
-                    second[v, u] = cost
+                top, bottom, left, right = places[label]
+                if top <= v < bottom and left <= u < right:
+                    folded[label, v, u] -= w
+                    cost = folded[label, v, u]
+                    if label == best[v, u]:
+                        least[v, u] = cost
+                    elif cost < least[v, u]:
+                        best[v, u], least[v, u], second[v, u] = label, cost, least[v, u]
+                    elif cost < second[v, u]:
+                        second[v, u] = cost
                 margin = second[v, u] - least[v, u] - open_weight[v, u]
                 evidence[best[v, u]] += max(margin, 0)
                 if margin > 0 and certain[best[v, u]]:
@@ -227,14 +217,44 @@ def _decide(unary: Array, weights: Array, label_costs: Array) -> tuple[Array, Ar
 
 
 @njit(cache=True)
-def _movable(
-    unary: Array, neighbour: Array, weight: Array, label_costs: Array, labels: Array, alpha: int,
-    candidates: Array,
-) -> tuple[Array, Array]:  # fmt: skip
+def movable(
+    candidates: Array, costs: Array, chosen: Array, neighbour: Array, weight: Array, label_costs: Array,
+    labels: Array, alpha: int,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Pixels that a best expansion of ``alpha`` may take, and labels that it leaves in use.
+
+    A pixel is left out when taking it costs more than its neighbours, those that can be at alpha, and the
+    release of its own label can ever pay back: every move is better without it. Its neighbours then have one
+    less to count on and its label stays in use, so the test is repeated.
+
+    Parameters
+    ----------
+    candidates, costs : (c,) int32
+        Alpha's offers that can ever be taken (:func:`reachable`).
+    chosen : (n,) int32
+        What each pixel pays for the label that it has.
+    neighbour, weight : (n, 8) int32
+    label_costs : (K,) int64
+        As of :class:`~mlbs_actors.label_cost_energy.UndecidedEnergy`.
+    labels : (n,) intp
+        The labelling to expand in.
+    alpha : int
+        Label position.
+
+    Returns
+    -------
+    pixels : (m,) intp
+        Positions 0 … n−1, ascending.
+    price : (m,) int64
+        What alpha costs each of them more than its own label.
+    kept : (K,) bool
+        Labels that keep a pixel in every best move, or cost nothing; alpha's own entry has no meaning.
+    """
     kept = label_costs == 0
     if candidates.size < labels.size and not kept.all():
         stays = np.ones(labels.size, np.bool_)
-        stays[candidates] = False
+        for p in candidates:
+            stays[p] = False
         for p in range(labels.size):
             kept[labels[p]] |= stays[p]
     free = np.zeros(labels.size, np.bool_)
@@ -247,7 +267,7 @@ def _movable(
         label = labels[p]
         if label == alpha:
             continue
-        cost = np.int64(unary[alpha, p]) - unary[label, p]
+        cost = np.int64(costs[i]) - chosen[p]
         refund = np.int64(0) if kept[label] else label_costs[label]
         if cost > refund:
             for k in range(8):
@@ -281,5 +301,5 @@ def _movable(
                 left += 1
         # A round that leaves out few is not worth another; stopping early only makes the graph larger.
         if 4 * (count - left) <= count:
-            return pixels[:left], kept
+            return pixels[:left].copy(), price[:left].copy(), kept
         count = left

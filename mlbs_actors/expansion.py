@@ -1,6 +1,7 @@
 """One expansion: of some pixels, those that best take a label (§7).
 
-It is a minimum cut, of pixels alone by ``min_cut``; a label that could be got rid of needs a general graph.
+It is a minimum cut: of pixels alone by ``min_cut`` where all labels stay paid for (:func:`free_expansion`); a
+label that could be got rid of needs a general graph (:func:`paid_expansion`).
 
 Differs from the construction of Delong et al., in which one node a label cost has an edge to each of
 thousands of pixels: on such a star the Boykov–Kolmogorov algorithm crawls. Here the pixels of one image row
@@ -19,74 +20,79 @@ from mlbs_actors.label_cost_energy import UndecidedEnergy
 from mlbs_actors.messages import Array
 from mlbs_actors.min_cut import min_cut
 
-__all__ = ["expansion"]
+__all__ = ["free_expansion", "paid_expansion", "paid_for"]
 
 
-def expansion(
-    rest: UndecidedEnergy, labels: Array, alpha: int, nodes: Array, kept: Array
-) -> tuple[Array, int]:
-    """Find the pixels that best take a label.
+@njit(cache=True)
+def free_expansion(
+    neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array, price: Array
+) -> tuple[Array, np.int64]:
+    """Find the pixels that best take a label, no label being freed of its cost.
 
     Parameters
     ----------
-    rest : UndecidedEnergy
+    neighbour, weight : (n, 8) int32
+        As of :class:`~mlbs_actors.label_cost_energy.UndecidedEnergy`.
     labels : (n,) intp
         The labelling to expand in.
     alpha : int
         Label position.
     nodes : (m,) intp
         Positions of the pixels that may take it.
+    price : (m,) int64
+        What alpha costs each of them more than its own label.
+
+    Returns
+    -------
+    moves : (m,) bool
+        Which of the nodes take it.
+    change : int
+        Of the energy; the cost of alpha itself is not in the graph: it is the same for all moves that move
+        anything.
+    """
+    surplus, near, capacity, unmoved = _move_graph(neighbour, weight, labels, alpha, nodes, price)
+    flow, moves = min_cut(surplus, near, capacity)
+    return moves, flow - unmoved
+
+
+def paid_expansion(
+    rest: UndecidedEnergy, labels: Array, alpha: int, nodes: Array, price: Array, kept: Array
+) -> tuple[Array, int]:
+    """Find the pixels that best take a label, where labels that lose all their pixels cost nothing any more.
+
+    Parameters
+    ----------
+    rest : UndecidedEnergy
+    labels, alpha, nodes, price
+        As for :func:`free_expansion`.
     kept : (K,) bool
         Labels that stay in use whatever moves, or cost nothing (:func:`~mlbs_actors.cut_pruning.movable`).
 
     Returns
     -------
-    moved : (k,) intp
-        Those of the nodes that take it.
+    moves : (m,) bool
     change : int
-        Of the energy; the cost of alpha itself is not in the graph: it is the same for all moves that move
-        anything.
+        As :func:`free_expansion` returns them.
     """
-    if nodes.size == 0:
-        return nodes, 0
-    paid = _paid_for(labels, nodes, kept)
-    if paid.size:
-        surplus, neighbour, residual, unmoved = _move_graph(
-            rest.unary, rest.neighbour, rest.weight, labels, alpha, nodes
-        )
-        members = [np.flatnonzero(labels[nodes] == label) for label in paid]
-        groups = [
-            (own, rest.row[nodes[own]], int(rest.label_costs[k]))
-            for own, k in zip(members, paid, strict=True)
-        ]
-        flow, on_sink_side = _cut_with_label_costs(surplus, neighbour, residual, groups)
-        moved = nodes[on_sink_side]
-        change = int(flow - unmoved) - int(rest.label_costs[paid].sum())
-    else:
-        moved, difference = _cut(rest.unary, rest.neighbour, rest.weight, labels, alpha, nodes)
-        change = int(difference)
-    if not (rest.elsewhere[alpha] or (labels == alpha).any()):
-        change += int(rest.label_costs[alpha])
-    return moved, change
+    paid = paid_for(labels, nodes, kept)
+    surplus, neighbour, residual, unmoved = _move_graph(
+        rest.neighbour, rest.weight, labels, alpha, nodes, price
+    )
+    members = [np.flatnonzero(labels[nodes] == label) for label in paid]
+    groups = [
+        (own, rest.row[nodes[own]], int(rest.label_costs[k])) for own, k in zip(members, paid, strict=True)
+    ]
+    flow, on_sink_side = _cut_with_label_costs(surplus, neighbour, residual, groups)
+    return on_sink_side, int(flow - unmoved) - int(rest.label_costs[paid].sum())
 
 
 @njit(cache=True)
-def _paid_for(labels: Array, nodes: Array, kept: Array) -> Array:
+def paid_for(labels: Array, nodes: Array, kept: Array) -> Array:
     """The nodes' labels that a move could free of their cost, ascending."""
     paid = np.zeros(kept.size, np.bool_)
     for i in range(nodes.size):
         paid[labels[nodes[i]]] = True
     return np.flatnonzero(paid & ~kept)
-
-
-@njit(cache=True)
-def _cut(
-    unary: Array, neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array
-) -> tuple[Array, np.int64]:
-    """The nodes that best take alpha, no label being freed, and the change of the energy."""
-    surplus, near, capacity, unmoved = _move_graph(unary, neighbour, weight, labels, alpha, nodes)
-    flow, moved = min_cut(surplus, near, capacity)
-    return nodes[moved], flow - unmoved
 
 
 def _cut_with_label_costs(
@@ -116,7 +122,7 @@ def _cut_with_label_costs(
 
 @njit(cache=True)
 def _move_graph(
-    unary: Array, neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array
+    neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array, price: Array
 ) -> tuple[Array, Array, Array, np.int64]:
     """What moving costs over staying (m,), neighbours among the m nodes and capacities to them (m, 8), and
     the cost if nothing moves.
@@ -133,7 +139,7 @@ def _move_graph(
     unmoved = np.int64(0)
     for i in range(nodes.size):
         p = nodes[i]
-        stay, move = unary[labels[p], p], unary[alpha, p]
+        stay, move = np.int64(0), price[i]
         for k in range(8):
             q = neighbour[p, k]
             if q < 0:

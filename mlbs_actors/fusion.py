@@ -25,7 +25,7 @@ from numba import njit
 from mlbs_actors.cells import in_cells
 from mlbs_actors.kde import AppearanceParameters, confidence
 from mlbs_actors.messages import COST_STEP, Array, LayerPosterior, Region
-from mlbs_actors.region_groups import common, slices_in
+from mlbs_actors.region_groups import common
 from mlbs_actors.row_log import row_log
 
 __all__ = ["RATIO_STEP", "FusedCosts", "fused_costs", "quantised_ratio", "with_appearance"]
@@ -122,45 +122,37 @@ def fused_costs(
     FusedCosts
     """
     shape = (box.height, box.width)
-    trust = _trust(half_confidence)
-    parts = [_Part.of(one, box) for one in posteriors]
+    trust, strength = _trust(half_confidence), np.float32(weight / COST_STEP)
+    parts = [_corners(one, box) for one in posteriors]
     known, matched = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    for part in parts:
-        _add_known(known[part.place], matched[part.place], part.log_ratio, part.samples, trust, _EXP)
+    for corners, one in zip(parts, posteriors, strict=True):
+        _add_known(known, matched, *corners, one.log_ratio.view(np.uint8), one.samples, trust, _EXP)
     fallback = _fallback(known, matched)
     cost = np.empty((len(parts), *shape), np.uint8)
     total = np.zeros(shape, np.float32)
-    for part, own, one in zip(parts, cost, posteriors, strict=True):
+    for corners, own, one in zip(parts, cost, posteriors, strict=True):
         own[...] = one.outside_cost
-        fused = np.empty(part.cost.shape, np.uint8)
-        others = np.ascontiguousarray(fallback[part.place]).view(np.uint8)
-        strength = np.float32(weight / COST_STEP)
-        _add_appearance(part.cost, part.log_ratio, part.samples, others, trust, _EXP, strength, fused)
-        own[part.place] = fused
-        _add_likelihood(total[part.place], fused, LIKELIHOOD)
+        _fuse(
+            own,
+            total,
+            *corners,
+            one.cost,
+            one.log_ratio.view(np.uint8),
+            one.samples,
+            fallback.view(np.uint8),
+            trust,
+            _EXP,
+            strength,
+            LIKELIHOOD,
+        )
     return FusedCosts(cost, _normaliser(total), fallback)
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """A layer's posterior as far as it lies in a box; the arrays are contiguous copies."""
-
-    place: tuple[slice, slice]
-    cost: Array
-    log_ratio: Array
-    samples: Array
-
-    @classmethod
-    def of(cls, one: LayerPosterior, box: Region) -> _Part:
-        cells = in_cells(one.region, one.cell)
-        both = common(cells, box)
-        own = slices_in(both, cells)
-        return cls(
-            slices_in(both, box),
-            one.cost[own].copy(),
-            one.log_ratio[own].copy().view(np.uint8),
-            one.samples[own].copy(),
-        )
+def _corners(one: LayerPosterior, box: Region) -> tuple[int, int, int, int, int, int]:
+    """What a layer's region has in common with a box: row and column in the box, in the region, and size."""
+    cells = in_cells(one.region, one.cell)
+    both = common(cells, box)
+    return both.y - box.y, both.x - box.x, both.y - cells.y, both.x - cells.x, both.height, both.width
 
 
 @functools.lru_cache(maxsize=16)
@@ -173,15 +165,15 @@ def _trust(half_confidence: float) -> Array:
 
 @njit(cache=True)
 def _add_known(
-    known: Array, matched: Array, log_ratio: Array, samples: Array, trust: Array, ratio_of: Array
-) -> None:
+    known: Array, matched: Array, top: int, left: int, own_top: int, own_left: int, height: int, width: int,
+    log_ratio: Array, samples: Array, trust: Array, ratio_of: Array,
+) -> None:  # fmt: skip
     """Add κ and κ r of one layer; log r comes by its bits as an unsigned byte."""
-    height, width = samples.shape
     for y in range(height):
         for x in range(width):
-            own = trust[samples[y, x]]
-            known[y, x] += own
-            matched[y, x] += own * ratio_of[log_ratio[y, x]]
+            own = trust[samples[own_top + y, own_left + x]]
+            known[top + y, left + x] += own
+            matched[top + y, left + x] += own * ratio_of[log_ratio[own_top + y, own_left + x]]
 
 
 @njit(cache=True)
@@ -225,10 +217,28 @@ def _add_appearance(
 
 
 @njit(cache=True)
-def _add_likelihood(total: Array, fused: Array, likelihood: Array) -> None:
-    for y in range(fused.shape[0]):
-        for x in range(fused.shape[1]):
-            total[y, x] += likelihood[fused[y, x]]
+def _fuse(
+    fused: Array, total: Array, top: int, left: int, own_top: int, own_left: int, height: int, width: int,
+    cost: Array, log_ratio: Array, samples: Array, fallback: Array, trust: Array, ratio_of: Array,
+    strength: np.float32, likelihood: Array,
+) -> None:  # fmt: skip
+    """Put one layer's whole cost into its place, and add its likelihood to the sum of all."""
+    rows, columns = slice(top, top + height), slice(left, left + width)
+    own_rows, own_columns = slice(own_top, own_top + height), slice(own_left, own_left + width)
+    part, sums = fused[rows, columns], total[rows, columns]
+    _add_appearance(
+        cost[own_rows, own_columns],
+        log_ratio[own_rows, own_columns],
+        samples[own_rows, own_columns],
+        fallback[rows, columns],
+        trust,
+        ratio_of,
+        strength,
+        part,
+    )
+    for y in range(height):
+        for x in range(width):
+            sums[y, x] += likelihood[part[y, x]]
 
 
 @njit(cache=True)

@@ -38,7 +38,6 @@ Differs from the paper:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -117,8 +116,6 @@ class MotionField:
         Conjugate-gradient iterations, all rounds together.
     residual : float
         |b − A d| / |b| of the last solve.
-    solver : {"multigrid", "direct"}
-        What solved the last round.
     """
 
     shape: tuple[int, int]
@@ -129,7 +126,6 @@ class MotionField:
     point_weights: Array
     iterations: int
     residual: float
-    solver: Literal["multigrid", "direct"]
 
     def dense(self) -> Array:
         """Mean at every pixel: (h, w, 2) float32, px/frame; bilinear, constant past the outer nodes."""
@@ -210,7 +206,7 @@ def motion_field(
     -----
     Paper §5, P(M|tracks) ∝ Π N(m_i | m_j, Σ_m) Π N(m_i | m_track, Σ_p).
     """
-    if not (np.isfinite(positions).all() and np.isfinite(motions).all() and np.isfinite(prior_mean).all()):
+    if not (_all_finite(positions) and _all_finite(motions) and np.isfinite(prior_mean).all()):
         raise SolverError(
             "A motion field needs finite evidence; drop trajectories with NaN or infinite motion."
         )
@@ -220,40 +216,39 @@ def motion_field(
     spacing = parameters.spacing_px
     grid = _grid_shape(shape, spacing)
     prior = np.empty((2, *grid))
-    prior[:] = np.moveaxis(np.broadcast_to(prior_mean, (*grid, 2)), 2, 0)
+    prior[0], prior[1] = prior_mean[..., 0], prior_mean[..., 1]
     inside = _inside(positions, height, width)
     points = positions[inside]
-    nodes, shares = _bilinear_taps(points, *grid, spacing)
-    measured = _misfit(motions[inside], prior, nodes, shares)
-
-    weights = np.ones(len(points))
-    iterations = 0
-    edge, precision = 1.0 / parameters.smoothness_std_px**2, _prior_precision(grid, parameters)
-    deviation = np.zeros((2, *grid))
-    for round_index in range(parameters.robust_rounds + 1):
-        lumped = _lump(nodes, shares, weights / parameters.point_std_px**2, measured, precision, *grid)
-        last_round = round_index == parameters.robust_rounds or len(points) == 0
-        # A rough field is enough to weigh the trajectories by.
-        tolerance = parameters.tolerance if last_round else max(parameters.tolerance, _ROUGH_TOLERANCE)
-        solution = solve(lumped[0], lumped[1:], edge, deviation, tolerance, parameters.max_iterations)
-        deviation = solution.value
-        iterations += solution.iterations
-        if last_round:
-            break
-        weights = _robust_weights(_misfit(measured, deviation, nodes, shares), parameters.robust_px)
-
+    deviation, weights, iterations, residual = _robust_deviation(
+        points,
+        motions[inside],
+        prior,
+        spacing,
+        1.0 / parameters.smoothness_std_px**2,
+        1.0 / parameters.point_std_px**2,
+        _prior_precision(grid, parameters),
+        parameters.robust_px,
+        parameters.robust_rounds,
+        parameters.tolerance,
+        parameters.max_iterations,
+    )
+    if not residual <= parameters.tolerance:
+        raise SolverError(
+            f"The field could be solved to a relative residual of {residual:.1e} only and "
+            f"{parameters.tolerance:.1e} is wanted; raise the tolerance, or bring the standard deviations of "
+            "its terms closer together."
+        )
     point_weights = np.zeros(len(positions), np.float32)
     point_weights[inside] = weights
     return MotionField(
         shape=(height, width),
-        mean=np.ascontiguousarray(np.moveaxis(prior + deviation, 0, 2), np.float32),
+        mean=_sum_by_nodes(prior, deviation),
         spacing=spacing,
         variance=_marginal_variance(points, weights, shape, parameters).astype(np.float32),
         variance_spacing=parameters.variance_spacing_px,
         point_weights=point_weights,
         iterations=iterations,
-        residual=solution.residual,
-        solver=solution.solver,
+        residual=residual,
     )
 
 
@@ -268,7 +263,6 @@ def _empty_field(shape: tuple[int, int], point_count: int, parameters: MotionPar
         point_weights=np.zeros(point_count, np.float32),
         iterations=0,
         residual=0.0,
-        solver="multigrid",
     )
 
 
@@ -283,6 +277,22 @@ def _to_pixels(values: Array, spacing: int, shape: tuple[int, int]) -> Array:
     size = (values.shape[1] * spacing, values.shape[0] * spacing)
     pixels: Array = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
     return np.ascontiguousarray(pixels[: shape[0], : shape[1]])
+
+
+@njit(cache=True)
+def _all_finite(values: Array) -> bool:
+    return bool(np.isfinite(values).all())
+
+
+@njit(cache=True)
+def _sum_by_nodes(prior: Array, deviation: Array) -> Array:
+    """Sum of two (2, gh, gw) fields, (gh, gw, 2) float32."""
+    total = np.empty((prior.shape[1], prior.shape[2], 2), np.float32)
+    for v in range(total.shape[0]):
+        for u in range(total.shape[1]):
+            for axis in range(2):
+                total[v, u, axis] = prior[axis, v, u] + deviation[axis, v, u]
+    return total
 
 
 @njit(cache=True)
@@ -310,6 +320,31 @@ def _bilinear_taps(points: Array, rows: int, columns: int, spacing: int) -> tupl
         shares[point, 0], shares[point, 1] = (1 - down) * (1 - along), (1 - down) * along
         shares[point, 2], shares[point, 3] = down * (1 - along), down * along
     return nodes, shares
+
+
+@njit(cache=True)
+def _robust_deviation(
+    points: Array, motions: Array, prior: Array, spacing: int, edge: float, point_precision: float,
+    prior_precision: float, robust_px: float, robust_rounds: int, tolerance: float, max_iterations: int,
+) -> tuple[Array, Array, int, float]:  # fmt: skip
+    """How far the field (2, gh, gw) is from its prior, the points' weights, the iterations of all rounds, and
+    the residual of the last."""
+    rows, columns = prior.shape[1], prior.shape[2]
+    nodes, shares = _bilinear_taps(points, rows, columns, spacing)
+    measured = _misfit(motions, prior, nodes, shares)
+    weights, deviation = np.ones(points.shape[0]), np.zeros(prior.shape)
+    iterations, residual = 0, 0.0
+    rounds = robust_rounds if points.shape[0] else 0
+    for number in range(rounds + 1):
+        lumped = _lump(nodes, shares, weights * point_precision, measured, prior_precision, rows, columns)
+        # A rough field is enough to weigh the trajectories by.
+        accepted = tolerance if number == rounds else max(tolerance, _ROUGH_TOLERANCE)
+        solution = solve(lumped[0], lumped[1:], edge, deviation, accepted, max_iterations)
+        deviation, residual = solution.value, solution.residual
+        iterations += solution.iterations
+        if number < rounds:
+            weights = _robust_weights(_misfit(measured, deviation, nodes, shares), robust_px)
+    return deviation, weights, iterations, residual
 
 
 @njit(cache=True)

@@ -17,23 +17,23 @@ Differs from the paper:
 * The start is label 0 everywhere: every labelling with one more label is one expansion away, and with two
   labels the first one ends in a global optimum. An expansion is tried again only where something has
   changed: the last one was the best there.
-* Of more than ``LARGE`` pixels, only those near the outlines of a coarser solution are cut (``coarse_cut``).
+* Of more than ``LARGE`` pixels, only those near the outlines of a coarser solution are cut (``coarse_cut``),
+  in one sweep.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
-from mlbs_actors.coarse_cut import band_around_outlines, halved, unhalved
+from mlbs_actors.coarse_cut import band_around_outlines, halved
 from mlbs_actors.contrast import MAX_COST
 from mlbs_actors.cut_pruning import movable, prune, reachable
 from mlbs_actors.errors import ConfigError
-from mlbs_actors.expansion import expansion
-from mlbs_actors.label_cost_energy import LabelCostEnergy, UndecidedEnergy
+from mlbs_actors.expansion import free_expansion, paid_expansion, paid_for
+from mlbs_actors.label_cost_energy import LabelCostEnergy, Offers, UndecidedEnergy
 from mlbs_actors.messages import Array
 
 __all__ = [
@@ -63,7 +63,8 @@ class CutResult:
     sweeps : int
         Rounds of expansions over the labels.
     converged : bool
-        No expansion or removal of a label lowers the energy; False if ``max_sweeps`` ended the search.
+        No expansion or removal of a label lowers the energy; False if ``max_sweeps`` ended the search, or the
+        image is large.
     decided_fraction : float
         Fraction of the pixels that were decided without a cut, in [0, 1].
     """
@@ -81,7 +82,7 @@ def minimise(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> CutResult:
 
     With two labels it is a global optimum. Else no expansion of the whole image lowers it, although only
     undecided pixels are cut (``cut_pruning`` says why), and of those only the parts around which something
-    has changed.
+    has changed. An image of more than ``LARGE`` pixels is labelled coarse to fine, near to that.
 
     Parameters
     ----------
@@ -109,8 +110,10 @@ def minimise(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> CutResult:
 
 
 def lowest_labels(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> Array:
-    """The labels alone of :func:`minimise`, (H, W) intp: what the energies are takes time to tell."""
-    _check(whole)
+    """The labels alone of :func:`minimise`, (H, W) intp, from costs that are known to fit.
+
+    To look at all costs, and to tell the energies, takes time.
+    """
     return _minimise(whole, max_sweeps)[0]
 
 
@@ -118,9 +121,10 @@ def _minimise(whole: LabelCostEnergy, max_sweeps: int) -> tuple[Array, list[int]
     """Labels, energies up to a constant, whether nothing lowers them, and the fraction decided."""
     shape = whole.weights.shape[:2]
     if shape[0] * shape[1] > LARGE:
-        labels = unhalved(_minimise(halved(whole), max_sweeps)[0], shape)
-        rest = band_around_outlines(whole, labels)
-        start = labels.reshape(-1)[rest.pixels]
+        band = band_around_outlines(whole, _minimise(halved(whole), max_sweeps)[0])
+        labels, rest, start = band.labels, band.rest, band.start
+        # The outlines are nearly there: a second sweep over a band would move hardly a pixel.
+        max_sweeps = 1
     else:
         pruning = prune(whole.of_pixels())
         labels, rest = pruning.labels, pruning.rest
@@ -137,7 +141,13 @@ def _check(whole: LabelCostEnergy) -> None:
         raise ConfigError(
             f"Give unary costs of shape (labels ≥ 1, height ≥ 1, width ≥ 1), not {unary.shape}."
         )
-    if unary.dtype != np.int32 or not max(-int(unary.min()), int(unary.max())) <= MAX_COST:
+    parts = [
+        own[top:bottom, left:right]
+        for own, (top, bottom, left, right) in zip(unary, whole.boxes(), strict=True)
+    ]
+    if unary.dtype != np.int32 or any(
+        max(-int(part.min()), int(part.max())) > MAX_COST for part in parts if part.size
+    ):
         raise ConfigError(f"Give unary costs as int32, none beyond ±{MAX_COST}; clip −log P before the cut.")
     cells = unary.shape[1:]
     if whole.side == 1:
@@ -164,63 +174,189 @@ class _Course:
     Attributes
     ----------
     labels : (n,) intp
+    chosen : (n,) int32
+        What each pixel pays for its label.
     energy : int
     step : int
         How many expansions have changed the labelling.
     changed_at : (n,) int32
         Step that gave each pixel its label; 0 at the start.
+    news_at : (n,) int32
+        Step that last changed a pixel or a neighbour of it; 0 at the start.
     came_from : (n,) intp
         Label before that step; −1 at the start.
     expanded_at : (K,) int64
         Step after which each label was last expanded; −1 if never.
-    candidates : tuple of (m,) intp
-        Pixels that each label can ever take (:func:`~mlbs_actors.cut_pruning.reachable`).
+    offers : Offers
+        What each label can ever take (:func:`~mlbs_actors.cut_pruning.reachable`).
     """
 
     labels: Array
+    chosen: Array
     energy: int
     step: int
     changed_at: Array
+    news_at: Array
     came_from: Array
     expanded_at: Array
-    candidates: tuple[Array, ...]
+    offers: Offers
 
     @classmethod
     def starting(cls, rest: UndecidedEnergy, labels: Array) -> _Course:
         count = labels.size
-        never = np.full(rest.label_costs.size, -1)
-        steps, nothing = np.zeros(count, np.int32), np.full(count, -1)
-        return cls(labels, rest.energy(labels), 0, steps, nothing, never, reachable(rest, labels))
+        return cls(
+            labels=labels,
+            chosen=rest.offers.chosen(labels),
+            energy=rest.energy(labels),
+            step=0,
+            changed_at=np.zeros(count, np.int32),
+            news_at=np.zeros(count, np.int32),
+            came_from=np.full(count, -1),
+            expanded_at=np.full(rest.label_costs.size, -1),
+            offers=reachable(rest, labels),
+        )
 
-    def expand(self, rest: UndecidedEnergy, alphas: Sequence[int]) -> None:
+    def expand(self, rest: UndecidedEnergy, alphas: Array) -> None:
         """One sweep; a label is left out if nothing has changed since its last expansion."""
-        for alpha in alphas:
-            if self.expanded_at[alpha] == self.step:
-                continue
-            nodes, kept = movable(rest, self.labels, alpha, self.candidates[alpha])
-            if rest.label_costs[alpha] == 0 and self.expanded_at[alpha] >= 0:
-                nodes = _worth_expanding(
-                    rest.neighbour,
-                    rest.label_costs,
-                    self.labels,
-                    self.changed_at,
-                    self.came_from,
-                    self.expanded_at[alpha],
-                    alpha,
-                    nodes,
-                )
-            moved, change = expansion(rest, self.labels, alpha, nodes, kept)
+        turn = 0
+        while True:
+            turn, self.step, self.energy, nodes, price, kept = _expand_in_turn(
+                alphas,
+                turn,
+                self.offers.first,
+                self.offers.pixel,
+                self.offers.cost,
+                rest.neighbour,
+                rest.weight,
+                rest.label_costs,
+                self.labels,
+                self.chosen,
+                self.changed_at,
+                self.news_at,
+                self.came_from,
+                self.expanded_at,
+                self.step,
+                self.energy,
+            )
+            if turn == alphas.size:
+                return
+            alpha = alphas[turn]
+            moves, change = paid_expansion(rest, self.labels, alpha, nodes, price, kept)
+            change += int(_cost_of_use(rest.label_costs, self.labels, alpha))
             if change < 0:
                 self.energy += change
                 self.step += 1
-                self.came_from[moved] = self.labels[moved]
-                self.labels[moved], self.changed_at[moved] = alpha, self.step
+                _take(
+                    rest.neighbour,
+                    self.labels,
+                    self.chosen,
+                    self.changed_at,
+                    self.news_at,
+                    self.came_from,
+                    self.step,
+                    alpha,
+                    nodes[moves],
+                    price[moves],
+                )
             self.expanded_at[alpha] = self.step
+            turn += 1
+
+
+@njit(cache=True)
+def _expand_in_turn(
+    alphas: Array, turn: int, first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array,
+    label_costs: Array, labels: Array, chosen: Array, changed_at: Array, news_at: Array, came_from: Array,
+    expanded_at: Array, step: int, energy: int,
+) -> tuple[int, int, int, Array, Array, Array]:  # fmt: skip
+    """Expand labels until one is due that could free another of its cost: its turn, how the course stands,
+    and what :func:`~mlbs_actors.cut_pruning.movable` tells of it."""
+    for due in range(turn, alphas.size):
+        alpha = alphas[due]
+        if expanded_at[alpha] == step:
+            continue
+        own = slice(first[alpha], first[alpha + 1])
+        again = label_costs[alpha] == 0 and expanded_at[alpha] >= 0
+        if again and _nothing_new(pixel[own], label_costs, labels, news_at, expanded_at[alpha], alpha):
+            expanded_at[alpha] = step
+            continue
+        nodes, price, kept = movable(
+            pixel[own], cost[own], chosen, neighbour, weight, label_costs, labels, alpha
+        )
+        if again:
+            worth = _worth_expanding(
+                neighbour,
+                label_costs,
+                labels,
+                changed_at,
+                news_at,
+                came_from,
+                expanded_at[alpha],
+                alpha,
+                nodes,
+            )
+            nodes, price = nodes[worth], price[worth]
+        if paid_for(labels, nodes, kept).size:
+            return due, step, energy, nodes, price, kept
+        if nodes.size:
+            moves, change = free_expansion(neighbour, weight, labels, alpha, nodes, price)
+            change += _cost_of_use(label_costs, labels, alpha)
+            if change < 0:
+                energy += int(change)
+                step += 1
+                _take(
+                    neighbour,
+                    labels,
+                    chosen,
+                    changed_at,
+                    news_at,
+                    came_from,
+                    step,
+                    alpha,
+                    nodes[moves],
+                    price[moves],
+                )
+        expanded_at[alpha] = step
+    nothing = np.empty(0, np.int64)
+    return alphas.size, step, energy, nothing, nothing, label_costs == 0
+
+
+@njit(cache=True)
+def _take(
+    neighbour: Array, labels: Array, chosen: Array, changed_at: Array, news_at: Array, came_from: Array,
+    step: int, alpha: int, moved: Array, price: Array,
+) -> None:  # fmt: skip
+    """Give some pixels the label alpha."""
+    for i in range(moved.size):
+        p = moved[i]
+        came_from[p], labels[p] = labels[p], alpha
+        chosen[p] += price[i]
+        changed_at[p], news_at[p] = step, step
+        for k in range(8):
+            if neighbour[p, k] >= 0:
+                news_at[neighbour[p, k]] = step
+
+
+@njit(cache=True)
+def _cost_of_use(label_costs: Array, labels: Array, alpha: int) -> int:
+    """What a label costs that is not used yet."""
+    return 0 if label_costs[alpha] == 0 or (labels == alpha).any() else int(label_costs[alpha])
+
+
+@njit(cache=True)
+def _nothing_new(
+    candidates: Array, label_costs: Array, labels: Array, news_at: Array, expanded_at: int, alpha: int
+) -> bool:
+    """Whether all that a label could take is free, and has not changed since its last expansion, nor what is
+    beside it."""
+    for p in candidates:
+        if labels[p] != alpha and (news_at[p] > expanded_at or label_costs[labels[p]] > 0):
+            return False
+    return True
 
 
 def _search(rest: UndecidedEnergy, start: Array, max_sweeps: int) -> tuple[Array, list[int], bool]:
     """Expand in turn, then try removals, until nothing helps; also the energy at the start and a sweep."""
-    every_label = range(rest.label_costs.size)
+    every_label = np.arange(rest.label_costs.size)
     course = _Course.starting(rest, start)
     if not start.any():
         course.expanded_at[0] = 0
@@ -244,20 +380,40 @@ def _remove_labels(rest: UndecidedEnergy, course: _Course) -> _Course:
         if others.size == 0:
             continue
         orphans = np.flatnonzero(labels == label)
-        offers = rest.unary[np.ix_(others, orphans)]
-        loss = int((offers.min(axis=0) - rest.unary[label, orphans]).sum())
+        allowed = np.zeros(rest.label_costs.size, np.bool_)
+        allowed[others] = True
+        shared, loss = _shared_out(
+            rest.offers.first, rest.offers.pixel, rest.offers.cost, labels, course.chosen, int(label), allowed
+        )
         around = rest.neighbour[orphans]
         outline = int(rest.weight[orphans][(around >= 0) & (labels[around] != label)].sum())
         # Neither its cost nor its outline, if saved, could make up for its evidence.
         if loss >= outline + rest.label_costs[label]:
             continue
-        shared = labels.copy()
-        shared[orphans] = others[offers.argmin(axis=0)]
         proposal = _Course.starting(rest, shared)
-        proposal.expand(rest, np.union1d(shared[orphans], shared[around[around >= 0]]).tolist())
+        proposal.expand(rest, np.union1d(shared[orphans], shared[around[around >= 0]]))
         if proposal.energy < course.energy:
             course = proposal
     return course
+
+
+@njit(cache=True)
+def _shared_out(
+    first: Array, pixel: Array, cost: Array, labels: Array, chosen: Array, label: int, allowed: Array
+) -> tuple[Array, int]:
+    """A labelling where each pixel of one label has the cheapest of some others, the lowest of several, and
+    what they cost more."""
+    shared, least = labels.copy(), np.full(labels.size, 2**40)
+    for other in np.flatnonzero(allowed):
+        for entry in range(first[other], first[other + 1]):
+            p = pixel[entry]
+            if labels[p] == label and cost[entry] < least[p]:
+                shared[p], least[p] = other, cost[entry]
+    loss = np.int64(0)
+    for p in range(labels.size):
+        if labels[p] == label:
+            loss += least[p] - chosen[p]
+    return shared, int(loss)
 
 
 @njit(cache=True)
@@ -266,12 +422,13 @@ def _worth_expanding(
     label_costs: Array,
     labels: Array,
     changed_at: Array,
+    news_at: Array,
     came_from: Array,
     expanded_at: int,
     alpha: int,
     nodes: Array,
 ) -> Array:
-    """Those of the nodes whose connected part an expansion of the free label alpha could still improve.
+    """Nodes (m,) bool whose connected part an expansion of the free label alpha could still improve.
 
     What an expansion gains is the sum over the connected parts of what it moves, if their labels are free.
     A part gains nothing where no pixel of it or beside it has changed since alpha's last expansion, and
@@ -294,17 +451,15 @@ def _worth_expanding(
             p = part[head]
             head += 1
             oldest = min(oldest, changed_at[p])
-            newest = max(newest, changed_at[p])
+            newest = max(newest, news_at[p])
             free = free and label_costs[labels[p]] == 0
             from_alpha = from_alpha and came_from[p] == alpha
             for k in range(8):
                 q = neighbour[p, k]
-                if q >= 0:
-                    newest = max(newest, changed_at[q])
-                    if open_node[q]:
-                        open_node[q] = False
-                        part[tail] = q
-                        tail += 1
+                if q >= 0 and open_node[q]:
+                    open_node[q] = False
+                    part[tail] = q
+                    tail += 1
         if not (free and (newest <= expanded_at or (from_alpha and oldest == newest))):
             worth[part[:tail]] = True
-    return nodes[worth[nodes]]
+    return worth[nodes]

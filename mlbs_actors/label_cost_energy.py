@@ -18,6 +18,7 @@ __all__ = [
     "NEIGHBOUR_OFFSETS",
     "UNDECIDED",
     "LabelCostEnergy",
+    "Offers",
     "UndecidedEnergy",
     "neighbour_and_weight",
     "undecided_energy",
@@ -46,7 +47,11 @@ class LabelCostEnergy:
     side : int
         Of the square cells whose pixels share their unary costs.
     extras : (n, 4) int64
-        Label, row, column, and what is added to that label's unary cost at that pixel alone.
+        Label, row, column, and what is added to that label's unary cost at that pixel alone; the label can
+        be there.
+    places : (K, 4) int64, optional
+        The box of cells that each label can have: first row, row past the last, first column, column past the
+        last. Its costs elsewhere are never read. Everywhere by default.
     """
 
     unary: Array
@@ -54,21 +59,54 @@ class LabelCostEnergy:
     label_costs: Array
     side: int = 1
     extras: Array = field(default_factory=lambda: np.zeros((0, 4), np.int64))
+    places: Array | None = None
+
+    def boxes(self) -> Array:
+        """``places``, of all labels in any case."""
+        if self.places is not None:
+            return self.places
+        return np.tile(
+            np.array([0, self.unary.shape[1], 0, self.unary.shape[2]], np.int64), (len(self.unary), 1)
+        )
 
     def of_pixels(self) -> LabelCostEnergy:
         """The same energy with a unary cost for each pixel, (K, H, W)."""
         if self.side == 1 and len(self.extras) == 0:
             return self
         height, width = self.weights.shape[:2]
-        unary = self.unary.repeat(self.side, axis=1).repeat(self.side, axis=2)[:, :height, :width].copy()
+        places = np.minimum(self.boxes() * self.side, np.array([height, height, width, width]))
+        unary = np.empty((len(self.unary), height, width), np.int32)
+        _spread(self.unary, self.side, places, unary)
         np.add.at(unary, tuple(self.extras[:, :3].T), self.extras[:, 3].astype(np.int32))
-        return LabelCostEnergy(unary, self.weights, self.label_costs)
+        return LabelCostEnergy(unary, self.weights, self.label_costs, places=places)
 
     def energy(self, labels: Array) -> int:
-        """E(labels) of label positions (H, W) intp."""
+        """E(labels) of label positions (H, W) intp, each of which can be where it is."""
         used = np.bincount(labels.reshape(-1), minlength=self.label_costs.size) > 0
         pixel_terms = _image_energy(self.of_pixels().unary, self.weights, labels)
         return int(pixel_terms) + int(self.label_costs[used].sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Offers:
+    """What the undecided pixels can have: label by label, the pixels that can have it and what it costs them.
+
+    Attributes
+    ----------
+    first : (K + 1,) int64
+        Label k has the entries ``first[k]`` … ``first[k + 1]`` − 1.
+    pixel : (m,) int32
+        Position of a pixel among the undecided ones, ascending within a label.
+    cost : (m,) int32
+    """
+
+    first: Array
+    pixel: Array
+    cost: Array
+
+    def chosen(self, labels: Array) -> Array:
+        """What each pixel pays for its label, (n,) int32, of labels (n,) intp that they can have."""
+        return np.asarray(_chosen(self.first, self.pixel, self.cost, labels))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +119,8 @@ class UndecidedEnergy:
         Flat index in the image, ascending.
     row : (n,) intp
         Image row.
-    unary : (K, n) int32
-        With the pair terms to decided neighbours folded in.
+    offers : Offers
+        Unary costs, with the pair terms to decided neighbours folded in.
     neighbour : (n, 8) int32
         Position in ``pixels`` of each neighbour, −1 where there is none or it is decided.
     weight : (n, 8) int32
@@ -95,7 +133,7 @@ class UndecidedEnergy:
 
     pixels: Array
     row: Array
-    unary: Array
+    offers: Offers
     neighbour: Array
     weight: Array
     label_costs: Array
@@ -108,7 +146,7 @@ class UndecidedEnergy:
 
     def energy(self, labels: Array) -> int:
         """Energy of a labelling (n,) intp of the undecided pixels."""
-        pixel_terms = _energy(self.unary, self.neighbour, self.weight, labels)
+        pixel_terms = _energy(self.offers.chosen(labels), self.neighbour, self.weight, labels)
         return int(pixel_terms) + int(self.label_costs[self.used(labels)].sum())
 
 
@@ -127,12 +165,23 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     -------
     UndecidedEnergy
     """
-    pixels = np.flatnonzero(labels == UNDECIDED)
-    neighbour, weight = _around(whole.weights, labels, pixels)
+    pixels, position = _numbered(labels)
+    neighbour, weight = _around(whole.weights, position, pixels)
+    offers = _offers(
+        whole.unary,
+        whole.side,
+        whole.extras,
+        whole.boxes(),
+        whole.weights,
+        labels,
+        pixels,
+        neighbour,
+        position,
+    )
     return UndecidedEnergy(
         pixels,
         pixels // labels.shape[1],
-        _folded(whole.unary, whole.side, whole.extras, whole.weights, labels, pixels),
+        Offers(*offers),
         neighbour,
         weight,
         np.where(elsewhere, 0, whole.label_costs),
@@ -150,40 +199,115 @@ def neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, in
 
 
 @njit(cache=True)
-def _folded(unary: Array, side: int, extras: Array, weights: Array, labels: Array, pixels: Array) -> Array:
-    """Unary (K, n) of the undecided pixels with the pair terms to decided neighbours."""
-    label_count, _, columns = unary.shape
-    height, width = labels.shape
-    cells = np.empty(pixels.size, np.intp)
-    for i in range(pixels.size):
-        cells[i] = pixels[i] // width // side * columns + pixels[i] % width // side
-    folded = np.empty((label_count, pixels.size), np.int32)
-    for label in range(label_count):
-        own = unary[label].reshape(-1)
-        for i in range(pixels.size):
-            folded[label, i] = own[cells[i]]
-    for i in range(pixels.size):
-        y, x = pixels[i] // width, pixels[i] % width
-        for k in range(8):
-            v, u, row, column, direction = neighbour_and_weight(y, x, k)
-            if 0 <= v < height and 0 <= u < width and labels[v, u] != UNDECIDED:
-                # As in the test above: up to a constant, agreeing with it saves the weight.
-                folded[labels[v, u], i] -= weights[row, column, direction]
-    for extra in range(extras.shape[0]):
-        pixel = extras[extra, 1] * width + extras[extra, 2]
-        i = np.searchsorted(pixels, pixel)
-        if i < pixels.size and pixels[i] == pixel:
-            folded[extras[extra, 0], i] += extras[extra, 3]
-    return folded
+def _spread(unary: Array, side: int, places: Array, spread: Array) -> None:
+    """Every pixel of a label's place, which is given in pixels, takes its cell's cost."""
+    for label in range(unary.shape[0]):
+        top, bottom, left, right = places[label]
+        for y in range(top, bottom):
+            own, costs = unary[label, y // side], spread[label, y]
+            for x in range(left, right):
+                costs[x] = own[x // side]
 
 
 @njit(cache=True)
-def _around(weights: Array, labels: Array, pixels: Array) -> tuple[Array, Array]:
-    """Neighbours (n, 8) of the undecided pixels among themselves, and the weights to them."""
+def _offers(
+    unary: Array, side: int, extras: Array, places: Array, weights: Array, labels: Array, pixels: Array,
+    neighbour: Array, position: Array,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """The fields of `Offers`; the last three as of :func:`_numbered` and :func:`_around`."""
     height, width = labels.shape
-    position = np.full((height, width), -1, np.int32)
+    rows = np.searchsorted(pixels, np.arange(height + 1) * width)  # the first undecided pixel of each row
+    columns, cells = np.empty(pixels.size, np.int32), np.empty(pixels.size, np.int32)
+    # Up to a constant, agreeing with a neighbour of known label saves the weight. Hardly ever are there two.
+    known, saved = np.full(pixels.size, UNDECIDED, np.intp), np.zeros(pixels.size, np.int32)
+    several = np.zeros(pixels.size, np.bool_)
     for i in range(pixels.size):
-        position[pixels[i] // width, pixels[i] % width] = i
+        y, x = pixels[i] // width, pixels[i] % width
+        columns[i], cells[i] = x, x // side
+        for k in range(8):
+            if neighbour[i, k] >= 0:
+                continue
+            v, u, row, column, direction = neighbour_and_weight(y, x, k)
+            if 0 <= v < height and 0 <= u < width and labels[v, u] != UNDECIDED:
+                if known[i] == UNDECIDED:
+                    known[i] = labels[v, u]
+                if labels[v, u] == known[i]:
+                    saved[i] += weights[row, column, direction]
+                else:
+                    several[i] = True
+    first = np.zeros(unary.shape[0] + 1, np.int64)
+    pixel, cost = np.empty(4 * pixels.size, np.int32), np.empty(4 * pixels.size, np.int32)
+    count = 0
+    for label in range(unary.shape[0]):
+        top, bottom, left, right = places[label] * side
+        for y in range(top, min(bottom, height)):
+            begin, end = rows[y], rows[y + 1]
+            if left > 0:
+                begin += np.searchsorted(columns[begin:end], left)
+            if right < width:
+                end = begin + np.searchsorted(columns[begin:end], right)
+            if count + end - begin > pixel.size:
+                more = np.empty(pixel.size + end - begin, np.int32)
+                pixel, cost = np.concatenate((pixel, more)), np.concatenate((cost, more))
+            own = unary[label, y // side]
+            for i in range(begin, end):
+                total = own[cells[i]]
+                if known[i] == label:
+                    total -= saved[i]
+                elif several[i]:
+                    total -= _saved_by(label, labels, weights, y, columns[i])
+                pixel[count], cost[count] = i, total
+                count += 1
+        first[label + 1] = count
+    for extra in range(extras.shape[0]):
+        i = position[extras[extra, 1], extras[extra, 2]]
+        if i >= 0:
+            begin, end = first[extras[extra, 0]], first[extras[extra, 0] + 1]
+            cost[begin + np.searchsorted(pixel[begin:end], i)] += extras[extra, 3]
+    return first, pixel[:count].copy(), cost[:count].copy()
+
+
+@njit(cache=True)
+def _saved_by(label: int, labels: Array, weights: Array, y: int, x: int) -> int:
+    """Sum of the weights to a pixel's neighbours of one label."""
+    saved = 0
+    for k in range(8):
+        v, u, row, column, direction = neighbour_and_weight(y, x, k)
+        if 0 <= v < labels.shape[0] and 0 <= u < labels.shape[1] and labels[v, u] == label:
+            saved += weights[row, column, direction]
+    return saved
+
+
+@njit(cache=True)
+def _chosen(first: Array, pixel: Array, cost: Array, labels: Array) -> Array:
+    chosen = np.empty(labels.size, np.int32)
+    for label in range(first.size - 1):
+        for entry in range(first[label], first[label + 1]):
+            if labels[pixel[entry]] == label:
+                chosen[pixel[entry]] = cost[entry]
+    return chosen
+
+
+@njit(cache=True)
+def _numbered(labels: Array) -> tuple[Array, Array]:
+    """Flat indices of the undecided pixels, ascending, and the position of each pixel among them, −1 if it is
+    decided."""
+    height, width = labels.shape
+    pixels, position = np.empty(labels.size, np.intp), np.empty((height, width), np.int32)
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            undecided = labels[y, x] == UNDECIDED
+            pixels[count] = y * width + x  # kept if it counts: a branch would be mispredicted
+            position[y, x] = count if undecided else -1
+            count += undecided
+    return pixels[:count].copy(), position
+
+
+@njit(cache=True)
+def _around(weights: Array, position: Array, pixels: Array) -> tuple[Array, Array]:
+    """Neighbours (n, 8) of the undecided pixels among themselves, and the weights to them."""
+    width = position.shape[1]
     neighbour, weight = np.full((pixels.size, 8), -1, np.int32), np.zeros((pixels.size, 8), np.int32)
     for i in range(pixels.size):
         y, x = pixels[i] // width, pixels[i] % width
@@ -214,11 +338,11 @@ def _image_energy(unary: Array, weights: Array, labels: Array) -> np.int64:
 
 
 @njit(cache=True)
-def _energy(unary: Array, neighbour: Array, weight: Array, labels: Array) -> np.int64:
+def _energy(chosen: Array, neighbour: Array, weight: Array, labels: Array) -> np.int64:
     """Unary and pair terms; the first four neighbours name each pair once."""
     total = np.int64(0)
     for p in range(labels.size):
-        total += unary[labels[p], p]
+        total += chosen[p]
         for k in range(4):
             q = neighbour[p, k]
             if q >= 0 and labels[q] != labels[p]:

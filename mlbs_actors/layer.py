@@ -147,6 +147,7 @@ class Layer:
             prior_std_px=config.motion.prior_std_px,
             robust_px=config.motion.robust_px,
         )
+        self._trust = confidence(np.arange(256), self._density(1))
 
     def step(
         self,
@@ -276,7 +277,7 @@ class Layer:
             log_ratio=log_ratio,
             samples=samples,
             outside_cost=255,
-            confidence=float(_mean_trust(model.count, confidence(np.arange(256), density))),
+            confidence=float(_mean_trust(model.count, self._trust)),
             velocity=velocity,
             stage_ms={
                 "update": 1e3 * (finished - start),

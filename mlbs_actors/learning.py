@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numba import njit
 
 from mlbs_actors.cells import aligned, in_cells
 from mlbs_actors.config import Config, length_scale
@@ -29,11 +30,30 @@ def near_trajectories(
     cells = in_cells(region, side)
     own = trajectory_distance([evidence], cells, side)
     others = trajectory_distance(_others(evidence, frame_evidence), cells, side)
-    trusted = (own <= weights.learn_px * scale) & (own < others)
-    unexplained = _unexplained(frame_evidence, side)[cells.slices]
-    trusted &= unexplained >= config.layers.unexplained_noise / UNEXPLAINED_STEP
-    body = closed_distance(own, weights.close_px * scale, side)
-    away = np.clip((body - weights.near_px * scale) / (weights.fade_px * scale), 0.0, 1.0)
+    return _trusted_and_away(
+        own,
+        others,
+        closed_distance(own, weights.close_px * scale, side),
+        _unexplained(frame_evidence, side)[cells.slices].copy(),
+        config.layers.unexplained_noise / UNEXPLAINED_STEP,
+        np.float32(weights.learn_px * scale),
+        np.float32(weights.near_px * scale),
+        np.float32(weights.fade_px * scale),
+    )
+
+
+@njit(cache=True)
+def _trusted_and_away(
+    own: Array, others: Array, body: Array, unexplained: Array, least: float, learn: np.float32,
+    near: np.float32, fade: np.float32,
+) -> tuple[Array, Array]:  # fmt: skip
+    trusted, away = np.empty(own.shape, np.bool_), np.empty(own.shape, np.float32)
+    zero, one = np.float32(0), np.float32(1)
+    for y in range(own.shape[0]):
+        for x in range(own.shape[1]):
+            closest = own[y, x] <= learn and own[y, x] < others[y, x]
+            trusted[y, x] = closest and unexplained[y, x] >= least
+            away[y, x] = min(max((body[y, x] - near) / fade, zero), one)
     return trusted, away
 
 
@@ -79,4 +99,7 @@ def _surroundings(layers: list[LayerEvidence], margin: float, shape: tuple[int, 
 def _unexplained(evidence: FrameEvidence, side: int) -> Array:
     """How badly the camera's motion explains the image, at the frame's cells of this side, uint8."""
     height, width = evidence.shape
-    return np.asarray(cv2.resize(evidence.unexplained, (-(-width // side), -(-height // side))))
+    grid = (-(-height // side), -(-width // side))
+    if evidence.unexplained.shape == grid:
+        return evidence.unexplained
+    return np.asarray(cv2.resize(evidence.unexplained, grid[::-1]))

@@ -85,7 +85,7 @@ def photometric_advantage(
         )
         for source in sources
     )
-    noise = np.float32(min(max(np.median(camera_error[::2, ::2]), LEAST_NOISE), MOST_NOISE))
+    noise = np.float32(min(max(_median(camera_error[::2, ::2]), LEAST_NOISE), MOST_NOISE))
     advantage = np.zeros(known.shape, np.float32)
     _compare(own_error, camera_error, noise, own, known, np.float32(largest), advantage)
     return advantage
@@ -113,6 +113,11 @@ def _find_sources(
                 and 0 <= camera_x <= right
                 and 0 <= camera_y <= bottom
             )
+
+
+@njit(cache=True)
+def _median(values: Array) -> float:
+    return float(np.median(values))
 
 
 @njit(cache=True)

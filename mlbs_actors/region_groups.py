@@ -13,7 +13,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from mlbs_actors.messages import Region
+import numpy as np
+from numba import njit
+
+from mlbs_actors.messages import Array, Region
 
 __all__ = ["RegionGroup", "around", "common", "group_regions", "slices_in"]
 
@@ -50,17 +53,37 @@ def group_regions(regions: Sequence[Region], shape: tuple[int, int]) -> list[Reg
         In the order of their first members.
     """
     frame = Region(0, 0, shape[1], shape[0])
-    groups: list[RegionGroup] = []
-    for position, region in enumerate(regions):
-        if region.area == 0:
-            continue
-        merged = RegionGroup(common(around([region], 1), frame), (position,))
-        while touching := [one for one in groups if common(one.box, merged.box).area]:
-            groups = [one for one in groups if one not in touching]
-            for one in touching:
-                merged = RegionGroup(around([one.box, merged.box]), one.members + merged.members)
-        groups.append(RegionGroup(merged.box, tuple(sorted(merged.members))))
-    return sorted(groups, key=lambda group: group.members)
+    members = [position for position, region in enumerate(regions) if region.area]
+    boxes = [common(around([regions[position]], 1), frame) for position in members]
+    corners = np.array([(one.x, one.y, one.x + one.width, one.y + one.height) for one in boxes], np.int64)
+    groups: dict[int, list[int]] = {}
+    for position, group in zip(members, _merged(corners.reshape(-1, 4)).tolist(), strict=True):
+        groups.setdefault(group, []).append(position)
+    merged = [corners[group].tolist() for group in groups]
+    return [
+        RegionGroup(Region(left, top, right - left, bottom - top), tuple(positions))
+        for (left, top, right, bottom), positions in zip(merged, groups.values(), strict=True)
+    ]
+
+
+@njit(cache=True)
+def _merged(corners: Array) -> Array:
+    """Merge boxes (n, 4: left, top, right, bottom) until none overlap: the first of each one's group, whose
+    corners become those of the whole group."""
+    group = np.arange(len(corners))
+    changed = True
+    while changed:
+        changed = False
+        for one in range(len(corners)):
+            for other in range(one + 1, len(corners)):
+                if group[one] != one or group[other] != other:
+                    continue
+                a, b = corners[one], corners[other]
+                if max(a[0], b[0]) < min(a[2], b[2]) and max(a[1], b[1]) < min(a[3], b[3]):
+                    a[:2], a[2:] = np.minimum(a[:2], b[:2]), np.maximum(a[2:], b[2:])
+                    group[group == other] = one
+                    changed = True
+    return group
 
 
 def common(one: Region, other: Region) -> Region:

@@ -7,29 +7,27 @@ of the Gaussian Markov random field of :mod:`mlbs_actors.gabp`.
 :func:`solve` runs conjugate gradients with one multigrid V-cycle as the preconditioner; the cost a node
 does not grow with the grid, nor with the unevenness of s (preconditioners that replace s by its mean suffer
 from it). The V-cycle runs in single precision, which a preconditioner can do, the iterations in double. The
-residual they return with is computed anew; where it misses the tolerance a direct sparse solve takes over.
+residual they return with is computed anew; where it misses the tolerance the matrix is factorised
+(:mod:`mlbs_actors.banded_factors`), and so it is at once where the grid is small.
 """
 
 from __future__ import annotations
 
-import functools
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from mlbs_actors.errors import SolverError
+from mlbs_actors.banded_factors import factorised, solved
 from mlbs_actors.messages import Array
 
-if TYPE_CHECKING:
-    import scipy.sparse
+__all__ = ["Solution", "solve"]
 
-__all__ = ["Solution", "assemble", "neighbour_counts", "solve"]
+#: Grids whose shorter side has at most so many nodes are solved directly: there that takes no longer.
+SMALL = 16
 
 
-@dataclass(frozen=True, slots=True)
-class Solution:
+class Solution(NamedTuple):
     """What :func:`solve` found.
 
     Attributes
@@ -39,16 +37,14 @@ class Solution:
         |b − A d| / |b| over all components.
     iterations : int
         Conjugate-gradient iterations of the slowest component.
-    solver : {"multigrid", "direct"}
-        What found the value.
     """
 
     value: Array
     residual: float
     iterations: int
-    solver: Literal["multigrid", "direct"]
 
 
+@njit(cache=True)
 def solve(
     screening: Array, rhs: Array, edge: float, start: Array, tolerance: float, max_iterations: int
 ) -> Solution:
@@ -72,79 +68,29 @@ def solve(
     Returns
     -------
     Solution
-
-    Raises
-    ------
-    SolverError
-        If the direct solver misses the tolerance too.
+        Its residual is above the tolerance if the arithmetic allows no less.
     """
-    size = float(np.sqrt(np.sum(rhs * rhs)))
+    size = np.sqrt(np.sum(rhs * rhs))
     if size == 0.0:
-        return Solution(np.zeros_like(rhs), 0.0, 0, "multigrid")
-    levels, edges = _pyramid(screening.shape[0], screening.shape[1], edge)
+        return Solution(np.zeros(rhs.shape), 0.0, 0)
     value = np.zeros((rhs.shape[0], rhs.shape[1] + 2, rhs.shape[2] + 2))
-    value[:, 1:-1, 1:-1] = start
-    iterations = _conjugate_gradients(
-        screening,
-        rhs,
-        edge,
-        levels,
-        edges,
-        0.5 * tolerance * size / rhs.shape[0] ** 0.5,
-        max_iterations,
-        value,
-    )
+    iterations = 0
+    if min(screening.shape) > SMALL:
+        value[:, 1:-1, 1:-1] = start
+        target = 0.5 * tolerance * size / rhs.shape[0] ** 0.5
+        iterations = _conjugate_gradients(screening, rhs, edge, target, max_iterations, value)
+        residual = _residual(screening, rhs, edge, value) / size
+        if residual <= tolerance:
+            return Solution(value[:, 1:-1, 1:-1].copy(), residual, iterations)
+    upright = screening.shape[0] >= screening.shape[1]
+    lower = factorised(screening.copy() if upright else screening.T.copy(), edge)
+    for part in range(rhs.shape[0]):
+        if upright:
+            value[part, 1:-1, 1:-1] = solved(lower, rhs[part])
+        else:
+            value[part, 1:-1, 1:-1] = solved(lower, rhs[part].T.copy()).T
     residual = _residual(screening, rhs, edge, value) / size
-    if residual <= tolerance:
-        return Solution(np.ascontiguousarray(value[:, 1:-1, 1:-1]), residual, iterations, "multigrid")
-    # Imported here, because it is hardly ever wanted, and every layer's process would pay for it.
-    from scipy.sparse.linalg import splu
-
-    factors = splu(assemble(screening, edge).tocsc())
-    value[:, 1:-1, 1:-1] = np.stack([factors.solve(part.ravel()) for part in rhs]).reshape(rhs.shape)
-    residual = _residual(screening, rhs, edge, value) / size
-    if not residual <= tolerance:
-        raise SolverError(
-            f"The field could be solved to a relative residual of {residual:.1e} only and {tolerance:.1e} is "
-            "wanted; raise the tolerance, or bring the standard deviations of its terms closer together."
-        )
-    return Solution(np.ascontiguousarray(value[:, 1:-1, 1:-1]), residual, iterations, "direct")
-
-
-def assemble(screening: Array, edge: float) -> scipy.sparse.dia_array:
-    """Return A as a sparse matrix, nodes in raster order."""
-    from scipy.sparse import dia_array
-
-    rows, columns = screening.shape
-    beside = np.full((rows, columns), -edge)
-    beside[:, -1] = 0.0  # the last node of a row and the first of the next are no neighbours
-    beside_flat = beside.ravel()
-    below = np.full(rows * columns, -edge)
-    diagonal = screening.ravel() + edge * neighbour_counts(rows, columns).ravel()
-    offsets = [0, 1, -1, columns, -columns]
-    data = np.stack(
-        [
-            diagonal,
-            np.roll(beside_flat, 1),
-            beside_flat,
-            below,
-            below,
-        ]  # dia format: column j of each diagonal
-    )
-    if columns == 1:
-        offsets, data = [0, 1, -1], np.stack([diagonal, below, below])
-    return dia_array((data, offsets), shape=(rows * columns, rows * columns))
-
-
-@functools.lru_cache(maxsize=64)
-def neighbour_counts(rows: int, columns: int) -> Array:
-    """Number of neighbours of each node of a grid, (rows, columns) float64."""
-    degree = np.zeros((rows, columns))
-    degree[1:] += 1
-    degree[:-1] += 1
-    degree[:, 1:] += 1
-    degree[:, :-1] += 1
-    return degree
+    return Solution(value[:, 1:-1, 1:-1].copy(), residual, iterations)
 
 
 @njit(cache=True)
@@ -171,19 +117,21 @@ def _residual(screening: Array, rhs: Array, edge: float, value: Array) -> float:
 # horizontal). A sweep writes into a second array: in place it could not run in vector registers.
 
 
-@functools.lru_cache(maxsize=64)
+@njit(cache=True)
 def _pyramid(rows: int, columns: int, edge: float) -> tuple[Array, Array]:
-    levels, edges = [], []
+    count, longer = 1, max(rows, columns)
+    while longer > 1:
+        count, longer = count + 1, (longer + 1) // 2
+    levels, edges = np.empty((count, 3), np.int64), np.empty((count, 2), np.float32)
     start, vertical, horizontal = 0, edge, edge
-    while True:
-        levels.append((start, rows, columns))
-        edges.append((vertical, horizontal))
+    for level in range(count):
+        levels[level, 0], levels[level, 1], levels[level, 2] = start, rows, columns
+        edges[level, 0], edges[level, 1] = vertical, horizontal
         start += (rows + 2) * (columns + 2)
-        if rows == columns == 1:
-            return np.array(levels, np.int64), np.array(edges, np.float32)
         vertical *= 1.0 if columns > 1 else 0.5
         horizontal *= 1.0 if rows > 1 else 0.5
         rows, columns = (rows + 1) // 2, (columns + 1) // 2
+    return levels, edges
 
 
 @njit(cache=True)
@@ -298,10 +246,10 @@ def _product(a: Array, b: Array, sums: Array) -> float:
 
 @njit(cache=True)
 def _conjugate_gradients(
-    screening: Array, rhs: Array, edge: float, levels: Array, edges: Array, target: float, limit: int,
-    value: Array,
-) -> int:  # fmt: skip
+    screening: Array, rhs: Array, edge: float, target: float, limit: int, value: Array
+) -> int:
     """Improve value (k, rows + 2, columns + 2) until each component's residual norm is ≤ target."""
+    levels, edges = _pyramid(screening.shape[0], screening.shape[1], edge)
     total = levels[-1, 0] + 9
     diagonal, inverse = np.zeros(total, np.float32), np.zeros((2, total), np.float32)
     right, half, result = (

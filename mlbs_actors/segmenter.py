@@ -21,8 +21,9 @@ from numba import njit
 from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells
 from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.config import Config, length_scale
-from mlbs_actors.contrast import COST_QUANTUM, MAX_COST, contrast_weights
+from mlbs_actors.contrast import COST_QUANTUM, contrast_weights
 from mlbs_actors.errors import FrameError
+from mlbs_actors.freed_memory import keep_freed_memory
 from mlbs_actors.fusion import FusedCosts, fused_costs
 from mlbs_actors.graph_cut import lowest_labels
 from mlbs_actors.label_cost_energy import LabelCostEnergy
@@ -41,6 +42,9 @@ from mlbs_actors.region_groups import common, group_regions, slices_in
 from mlbs_actors.shadows import Darkening, contact_shadow, darkening, ground_colour, shadow_likelihood
 
 __all__ = ["Segmenter", "SegmenterState"]
+
+#: Quanta of the graph cut in one of the layers' costs.
+_QUANTA = np.int32(round(COST_STEP / COST_QUANTUM))
 
 
 @dataclass(slots=True)
@@ -70,6 +74,7 @@ class Segmenter:
     """
 
     def __init__(self, config: Config, state: SegmenterState | None = None) -> None:
+        keep_freed_memory()
         self.config = config
         self.state = state or SegmenterState(0, np.zeros((0, 0), np.uint16))
 
@@ -152,7 +157,8 @@ class Segmenter:
         box = in_pixels(cells, side, result.labels.shape)
         weight, half = self.config.posterior.appearance, self.config.appearance.half_confidence_samples
         fused = fused_costs(posteriors, cells, weight, half)
-        costs = _data_costs(fused.cost, posteriors, cells)
+        places = _places(posteriors, cells)
+        costs = _data_costs(fused.cost, places)
         if dark is not None and config.shadow > 0:
             _discount_shadows(costs, posteriors, cells, shadow_likelihood(dark), config.shadow)
         frame_shape = (frame.shape[0], frame.shape[1])
@@ -162,7 +168,7 @@ class Segmenter:
         label_costs = np.full(len(members), round(config.label_cost * scale**2 / COST_QUANTUM), np.int64)
         label_costs[0] = 0  # the background is always there
         weights = contrast_weights(image, config.contrast_strength, config.contrast_scale)
-        positions = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls))
+        positions = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, places))
         solved = perf_counter()
         labels = result.labels[box.slices]
         labels[...] = np.array([one.layer for one in posteriors], np.uint16)[positions]
@@ -196,13 +202,23 @@ class _Maps:
         return cls(np.zeros(shape, np.uint16), np.full(grid, 255, np.uint8), np.zeros(grid, np.int8))
 
 
-def _data_costs(cost: Array, posteriors: list[LayerPosterior], box: Region) -> Array:
-    """Costs of a box's cells (K, rows, columns) int32, ``COST_QUANTUM`` a pixel; outside its region no layer
-    can own one."""
-    costs = np.full(cost.shape, MAX_COST, np.int32)
-    for own, fused, one in zip(costs, cost, posteriors, strict=True):
-        place = slices_in(common(in_cells(one.region, one.cell), box), box)
-        np.multiply(fused[place], round(COST_STEP / COST_QUANTUM), out=own[place], dtype=np.int32)
+def _places(posteriors: list[LayerPosterior], box: Region) -> Array:
+    """The box of cells that each layer can own inside another one, as a graph cut wants it, (K, 4) int64."""
+    own = [common(in_cells(one.region, one.cell), box) for one in posteriors]
+    places = [(one.y, one.y + one.height, one.x, one.x + one.width) for one in own]
+    return np.asarray(np.array(places, np.int64) - np.array([box.y, box.y, box.x, box.x]))
+
+
+@njit(cache=True)
+def _data_costs(cost: Array, places: Array) -> Array:
+    """Costs (K, rows, columns) int32, ``COST_QUANTUM`` a pixel; only where a layer can own a cell."""
+    costs = np.empty(cost.shape, np.int32)
+    for own in range(cost.shape[0]):
+        top, bottom, left, right = places[own]
+        for y in range(top, bottom):
+            fused, row = cost[own, y], costs[own, y]
+            for x in range(left, right):
+                row[x] = np.int32(fused[x]) * _QUANTA
     return costs
 
 

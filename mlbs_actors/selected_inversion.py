@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from mlbs_actors.banded_factors import factorised
 from mlbs_actors.messages import Array
-from mlbs_actors.screened_poisson import neighbour_counts
 
 __all__ = ["inverse_diagonal"]
 
@@ -35,30 +35,14 @@ def inverse_diagonal(screening: Array, edge: float) -> Array:
     """
     if screening.shape[0] < screening.shape[1]:
         return np.ascontiguousarray(inverse_diagonal(screening.T, edge).T)
-    diagonal = screening + edge * neighbour_counts(*screening.shape)
-    return np.asarray(_inverse_diagonal(np.ascontiguousarray(diagonal), edge))
+    return np.asarray(_inverse_diagonal(np.ascontiguousarray(screening), edge))
 
 
 @njit(cache=True)
-def _inverse_diagonal(diagonal: Array, edge: float) -> Array:
-    rows, columns = diagonal.shape
+def _inverse_diagonal(screening: Array, edge: float) -> Array:
+    rows, columns = screening.shape
     size, width = rows * columns, columns
-    # lower[j, k] is the element (j + k, j): of A at first, of L below the diagonal after the elimination.
-    lower = np.zeros((size + width, width + 1))
-    for node in range(size):
-        lower[node, 0] = diagonal[node // columns, node % columns]
-        if (node + 1) % columns != 0:
-            lower[node, 1] = -edge
-        if node + columns < size:
-            lower[node, width] = -edge  # the very element beside the diagonal where a line is one node
-    factor = np.empty(width + 1)
-    for node in range(size):
-        factor[:] = lower[node] / lower[node, 0]
-        for k in range(1, width + 1):
-            change, below, row = lower[node, k], factor[k:], lower[node + k]
-            for i in range(below.size):
-                row[i] -= change * below[i]
-        lower[node, 1:] = factor[1:]
+    lower = factorised(screening, edge)
     # inverse[i, width + k] is Z's element (i, i + k), on both sides of the diagonal.
     inverse = np.zeros((size + width, 2 * width + 1))
     column = np.empty(width)

@@ -30,8 +30,9 @@ def trajectory_distance(layers: Sequence[LayerEvidence], cells: Region, side: in
         px; infinite everywhere if no trajectory lies in the region.
     """
     free = np.full((cells.height, cells.width), 255, np.uint8)
-    for evidence in layers:
-        _mark(evidence.positions, side, cells.x, cells.y, free)
+    if layers:
+        positions = [evidence.positions for evidence in layers]
+        _mark(np.concatenate(positions), side, cells.x, cells.y, free)
     if free.size == 0 or free.all():
         return np.full(free.shape, np.inf, np.float32)
     return np.asarray(np.float32(side) * cv2.distanceTransform(free, cv2.DIST_L2, 5))
@@ -40,11 +41,11 @@ def trajectory_distance(layers: Sequence[LayerEvidence], cells: Region, side: in
 @njit(cache=True)
 def _mark(positions: Array, side: int, left: int, top: int, free: Array) -> None:
     """Set the cells to 0 in which some positions lie."""
+    height, width = free.shape
     for point in range(positions.shape[0]):
-        x = int(np.rint(positions[point, 0])) // side - left
-        y = int(np.rint(positions[point, 1])) // side - top
-        if 0 <= x < free.shape[1] and 0 <= y < free.shape[0]:
-            free[y, x] = 0
+        x, y = np.rint(positions[point, 0]) - side * left, np.rint(positions[point, 1]) - side * top
+        if 0 <= x < side * width and 0 <= y < side * height:
+            free[int(y) // side, int(x) // side] = 0
 
 
 def closed_distance(distance: Array, radius: float, side: int) -> Array:

@@ -8,11 +8,16 @@ import pytest
 from test_graph_cut import in_quanta, problem_of, random_problem, slow_energy
 
 from mlbs_actors import graph_cut
-from mlbs_actors.coarse_cut import BAND, MAX_BLOCK_COST, band_around_outlines, halved, unhalved
-from mlbs_actors.contrast import contrast_weights
+from mlbs_actors.coarse_cut import MAX_BLOCK_COST, band_around_outlines, halved
+from mlbs_actors.contrast import MAX_COST, contrast_weights
 from mlbs_actors.graph_cut import lowest_labels, minimise
-from mlbs_actors.label_cost_energy import LabelCostEnergy
+from mlbs_actors.label_cost_energy import UNDECIDED, LabelCostEnergy
 from mlbs_actors.messages import Array
+
+
+def unhalved(blocks: Array, shape: tuple[int, ...]) -> Array:
+    """The labelling of pixels that the blocks' labels stand for."""
+    return blocks.repeat(2, axis=0).repeat(2, axis=1)[: shape[0], : shape[1]]
 
 
 def moving_scene(seed: int) -> LabelCostEnergy:
@@ -66,9 +71,10 @@ def test_costs_of_cells_and_of_single_pixels_are_those_of_all_pixels(
     np.testing.assert_array_equal(halved(given).unary, halved(plain).unary)
     labels = rng.integers(0, count, (height, width))
     assert given.energy(labels) == slow_energy(labels, plain)
-    np.testing.assert_array_equal(
-        band_around_outlines(given, labels).unary, band_around_outlines(plain, labels).unary
-    )
+    blocks = labels[::2, ::2]
+    bands = [band_around_outlines(one, blocks).rest.offers for one in (given, plain)]
+    np.testing.assert_array_equal(bands[0].pixel, bands[1].pixel)
+    np.testing.assert_array_equal(bands[0].cost, bands[1].cost)
     np.testing.assert_array_equal(lowest_labels(given), minimise(plain).labels)
 
 
@@ -81,21 +87,61 @@ def test_what_no_pixel_may_have_no_block_may_have() -> None:
 
 def test_only_pixels_near_an_outline_are_open_and_the_rest_is_folded_into_their_costs() -> None:
     problem = moving_scene(0)
-    labels = np.zeros((80, 96), np.intp)
-    labels[20:50, 30:70] = 2
-    rest = band_around_outlines(problem, labels)
+    blocks = np.zeros((40, 48), np.intp)
+    blocks[10:25, 15:35] = 2
+    labels: Array = unhalved(blocks, (80, 96))
+    band = band_around_outlines(problem, blocks)
+    rest = band.rest
     assert rest.elsewhere.tolist() == [True, False, True, False]
-    open_pixels = np.zeros(labels.size, bool)
-    open_pixels[rest.pixels] = True
-    open_pixels = open_pixels.reshape(labels.shape)
-    assert open_pixels[20 - BAND : 20 + BAND, 40].all()
-    assert not open_pixels[20 + BAND : 50 - BAND, 30 + BAND : 70 - BAND].any()
-    before, other = labels.reshape(-1)[rest.pixels], labels.copy()
+    open_pixels: Array = np.isin(np.arange(labels.size).reshape(labels.shape), rest.pixels)
+    np.testing.assert_array_equal(np.where(open_pixels, UNDECIDED, labels), band.labels)
+    # Two pixels to either side, also around the corners.
+    near = np.zeros(labels.shape, bool)
+    for y, x in np.argwhere(labels[:-1, :] != labels[1:, :]):
+        near[y - 1 : y + 3, x - 2 : x + 3] = True
+    for y, x in np.argwhere(labels[:, :-1] != labels[:, 1:]):
+        near[y - 2 : y + 3, x - 1 : x + 3] = True
+    np.testing.assert_array_equal(open_pixels, near)
+    before: Array = labels.reshape(-1)[rest.pixels]
+    other = labels.copy()
+    np.testing.assert_array_equal(band.start, before)
     other[21, 40], other[19, 35] = 0, 2
     after = other.reshape(-1)[rest.pixels]
     assert rest.energy(after) - rest.energy(before) == slow_energy(other, problem) - slow_energy(
         labels, problem
     )
+
+
+@pytest.mark.parametrize("shape", [(11, 14), (8, 8), (1, 7), (6, 1)])
+@pytest.mark.parametrize("side", [1, 2, 3])
+def test_a_label_that_can_only_be_in_its_place_costs_too_much_elsewhere(
+    side: int, shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        problem = random_problem(seed, (4, *shape), 3.0)
+        rows, columns = -(-shape[0] // side), -(-shape[1] // side)
+        unary = rng.integers(0, 3000, (4, rows, columns)).astype(np.int32)
+        places, extras = np.array([[0, rows, 0, columns]] * 4), []
+        dear = unary.copy()
+        for label in range(1, 4):
+            top, left = int(rng.integers(0, rows)), int(rng.integers(0, columns))
+            bottom, right = int(rng.integers(top, rows)) + 1, int(rng.integers(left, columns)) + 1
+            places[label] = top, bottom, left, right
+            outside = np.ones((rows, columns), bool)
+            outside[top:bottom, left:right] = False
+            dear[label][outside] = MAX_COST
+            unary[label][outside] = -(2**20)  # is not looked at
+            extras.append((label, min(bottom * side, shape[0]) - 1, left * side, -2000))
+        pulls = np.array(extras, np.int64)
+        plain = LabelCostEnergy(dear, problem.weights, problem.label_costs, side, pulls)
+        placed = LabelCostEnergy(unary, problem.weights, problem.label_costs, side, pulls, places)
+        labels = minimise(plain).labels
+        assert placed.energy(labels) == slow_energy(labels, plain.of_pixels())
+        for large in (10**6, 20):
+            monkeypatch.setattr(graph_cut, "LARGE", large)
+            np.testing.assert_array_equal(lowest_labels(placed), lowest_labels(plain))
+            np.testing.assert_array_equal(minimise(placed).labels, minimise(plain).labels)
 
 
 @pytest.mark.parametrize("seed", range(4))

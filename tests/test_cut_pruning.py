@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from mlbs_actors.cut_pruning import movable, prune, reachable
-from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS, UNDECIDED, LabelCostEnergy
+from mlbs_actors.label_cost_energy import (
+    NEIGHBOUR_OFFSETS,
+    UNDECIDED,
+    LabelCostEnergy,
+    Offers,
+    UndecidedEnergy,
+)
 from mlbs_actors.messages import Array
 
 
@@ -47,6 +53,31 @@ def enumerate_labellings(whole: LabelCostEnergy) -> Enumeration:
     label_count, height, width = whole.unary.shape
     labellings = np.array(list(itertools.product(range(label_count), repeat=height * width)))
     return Enumeration(labellings, slow_energies(whole, labellings))
+
+
+def movable_of(rest: UndecidedEnergy, labels: Array, alpha: int, offers: Offers) -> tuple[Array, Array]:
+    """Pixels and kept labels; the prices are checked on the way."""
+    own = slice(offers.first[alpha], offers.first[alpha + 1])
+    pixels, price, kept = movable(
+        offers.pixel[own],
+        offers.cost[own],
+        rest.offers.chosen(labels),
+        rest.neighbour,
+        rest.weight,
+        rest.label_costs,
+        labels,
+        alpha,
+    )
+    for pixel, dearer in zip(pixels, price, strict=True):
+        cost = costs_of(rest, alpha), costs_of(rest, int(labels[pixel]))
+        assert dearer == cost[0][pixel] - cost[1][pixel]
+    return pixels, kept
+
+
+def costs_of(rest: UndecidedEnergy, label: int) -> dict[int, int]:
+    offers = rest.offers
+    own = slice(offers.first[label], offers.first[label + 1])
+    return dict(zip(offers.pixel[own].tolist(), offers.cost[own].tolist(), strict=True))
 
 
 def slow_energies(whole: LabelCostEnergy, labellings: Array) -> Array:
@@ -115,7 +146,7 @@ def test_no_best_expansion_moves_a_pixel_that_is_left_out(label_cost: int) -> No
         count = rest.pixels.size
         labels = np.random.default_rng(seed).integers(0, 3, count)
         for alpha in range(3):
-            pixels, kept = movable(rest, labels, alpha)
+            pixels, kept = movable_of(rest, labels, alpha, rest.offers)
             moves = np.array(list(itertools.product([False, True], repeat=count)), bool)
             moves = moves[~(moves & (labels == alpha)).any(axis=1)]
             energies = np.array([rest.energy(np.where(move, alpha, labels)) for move in moves])
@@ -138,7 +169,8 @@ def test_no_best_expansion_ever_gives_a_pixel_a_label_out_of_its_reach() -> None
         rest = prune(whole).rest
         count = rest.pixels.size
         labels = np.random.default_rng(seed).integers(0, 3, count)
-        within = reachable(rest, labels)
+        offers = reachable(rest, labels)
+        within = [offers.pixel[offers.first[label] : offers.first[label + 1]] for label in range(3)]
         out_of_reach += sum(count - len(own) for own in within)
         for alpha in (0, 1, 2, 0, 1):
             moves = np.array(list(itertools.product([False, True], repeat=count)), bool)
@@ -146,8 +178,8 @@ def test_no_best_expansion_ever_gives_a_pixel_a_label_out_of_its_reach() -> None
             energies = np.array([rest.energy(np.where(move, alpha, labels)) for move in moves])
             best = moves[energies == energies.min()]
             assert not np.delete(best, within[alpha], axis=1).any()
-            plain, _ = movable(rest, labels, alpha)
-            np.testing.assert_array_equal(movable(rest, labels, alpha, within[alpha])[0], plain)
+            plain, _ = movable_of(rest, labels, alpha, rest.offers)
+            np.testing.assert_array_equal(movable_of(rest, labels, alpha, offers)[0], plain)
             labels = np.where(best[0], alpha, labels)
     assert out_of_reach > 50
 

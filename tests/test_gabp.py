@@ -185,6 +185,12 @@ def test_evidence_that_is_not_finite_is_refused() -> None:
         motion_field(np.array([[1.0, np.nan]]), np.zeros((1, 2)), (8, 8), np.zeros(2), MotionParameters())
 
 
+def test_a_tolerance_beyond_the_arithmetic_is_an_error_and_not_a_wrong_answer() -> None:
+    positions, motions = scattered(40, (40, 60), 5)
+    with pytest.raises(SolverError, match="raise the tolerance"):
+        motion_field(positions, motions, (40, 60), np.zeros(2), MotionParameters(tolerance=1e-25))
+
+
 def test_equal_evidence_gives_equal_bytes() -> None:
     positions, motions = scattered(200, (120, 160), 5)
     first, second = (

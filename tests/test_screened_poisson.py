@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mlbs_actors.errors import SolverError
 from mlbs_actors.messages import Array
-from mlbs_actors.screened_poisson import assemble, solve
+from mlbs_actors.screened_poisson import SMALL, solve
 from mlbs_actors.selected_inversion import inverse_diagonal
 
 
@@ -31,21 +30,18 @@ def uneven_screening(shape: tuple[int, int], seed: int) -> Array:
     return screening
 
 
-SHAPES = [(1, 1), (1, 7), (7, 1), (2, 2), (3, 2), (5, 8), (16, 16), (13, 21)]
+SHAPES = [(1, 1), (1, 7), (7, 1), (2, 2), (3, 2), (5, 8), (16, 16), (13, 21), (21, 13), (5, 30)]
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_assembled_matrix_is_the_one_of_the_definition(shape: tuple[int, int]) -> None:
-    screening = uneven_screening(shape, 1)
-    np.testing.assert_allclose(assemble(screening, 4.0).toarray(), dense_matrix(screening, 4.0), atol=1e-12)
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_multigrid_agrees_with_a_dense_solve(shape: tuple[int, int]) -> None:
+@pytest.mark.parametrize("iterations", [0, 60])
+def test_both_solvers_agree_with_a_dense_solve(shape: tuple[int, int], iterations: int) -> None:
     screening = uneven_screening(shape, 2)
     rhs = np.random.default_rng(3).normal(size=(2, *shape))
-    solution = solve(screening, rhs, 4.0, np.zeros_like(rhs), 1e-10, 60)
-    assert solution.solver == "multigrid"
+    solution = solve(screening, rhs, 4.0, np.zeros_like(rhs), 1e-10, iterations)
+    assert solution.residual <= 1e-10
+    # Small grids are solved without an iteration.
+    assert (solution.iterations > 0) == (iterations > 0 and min(shape) > SMALL)
     expected = np.linalg.solve(dense_matrix(screening, 4.0), rhs.reshape(2, -1).T).T.reshape(rhs.shape)
     np.testing.assert_allclose(solution.value, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
@@ -65,7 +61,7 @@ def test_evidence_in_one_corner_only_still_converges() -> None:
     rhs = np.zeros((1, 60, 80))
     rhs[0, :5, :5] = 4.0 * 3.0
     solution = solve(screening, rhs, 4.0, np.zeros_like(rhs), 1e-8, 60)
-    assert solution.solver == "multigrid"
+    assert solution.iterations > 0
     np.testing.assert_allclose(solution.value[0, -1, -1], 3.0, atol=0.01)
 
 
@@ -79,20 +75,13 @@ def test_a_good_first_guess_saves_iterations() -> None:
 
 
 def test_the_direct_solver_takes_over_when_iterations_run_out() -> None:
-    screening = uneven_screening((12, 9), 8)
-    rhs = np.random.default_rng(9).normal(size=(2, 12, 9))
+    screening = uneven_screening((22, 19), 8)
+    rhs = np.random.default_rng(9).normal(size=(2, 22, 19))
     solution = solve(screening, rhs, 4.0, np.zeros_like(rhs), 1e-9, 1)
-    assert solution.solver == "direct"
+    assert solution.iterations == 1
     assert solution.residual <= 1e-9
     expected = np.linalg.solve(dense_matrix(screening, 4.0), rhs.reshape(2, -1).T).T.reshape(rhs.shape)
     np.testing.assert_allclose(solution.value, expected, rtol=1e-6, atol=1e-6)
-
-
-def test_a_tolerance_beyond_the_arithmetic_is_an_error_and_not_a_wrong_answer() -> None:
-    screening = uneven_screening((12, 9), 10)
-    rhs = np.random.default_rng(11).normal(size=(2, 12, 9))
-    with pytest.raises(SolverError, match="raise the tolerance"):
-        solve(screening, rhs, 4.0, np.zeros_like(rhs), 1e-25, 5)
 
 
 def test_nothing_on_the_right_gives_nothing() -> None:
