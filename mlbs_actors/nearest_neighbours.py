@@ -122,7 +122,9 @@ def _limit(squared: Array, wanted: int, most: np.float32, whole: bool) -> np.flo
         share = np.float32(wanted - fewer) / np.float32(more - fewer)
         middle = least + min(max(share, np.float32(0.1)), np.float32(0.9)) * (most - least)
         if middle <= least or middle >= most:
-            return most
+            middle = np.float32(0.5) * (least + most)
+            if middle <= least or middle >= most:  # no number lies between
+                return most
         within = _count_within(squared, middle)
         if within == wanted:
             return middle
