@@ -34,6 +34,7 @@ from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow import dense_flow, flow_gray
 from mlbs_actors.flow_focus import focus_boxes, focus_cells
+from mlbs_actors.freed_memory import keep_freed_memory
 from mlbs_actors.held_frames import HeldFrame, first_frame, held_frame, relabelled
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.messages import (
@@ -122,6 +123,7 @@ class Coordinator:
     """
 
     def __init__(self, config: Config, state: CoordinatorState | None = None) -> None:
+        keep_freed_memory()  # no other part makes so many large temporaries
         self.config = config
         self.state = state or CoordinatorState.beginning(config)
 
