@@ -152,8 +152,8 @@ def camera_evidence(
     # Every fourth pixel tells the noise as well.
     noise = np.float32(np.clip(np.median(camera_error[::2, ::2]), LEAST_NOISE, MOST_NOISE))
     np.subtract(camera_error, flow_error, out=flow_error)
-    flow_error /= noise
-    camera_error /= noise
+    for error in (camera_error, flow_error):
+        np.divide(error, noise, out=error)
     return CameraEvidence(camera_error, flow_error)
 
 

@@ -105,9 +105,11 @@ def resized_flow(flow: Array, shape: tuple[int, int]) -> Array:
     _, height, width = flow.shape
     if shape == (height, width):
         return flow
-    factors = (np.float32(shape[1] / width), np.float32(shape[0] / height))
-    resized = [factor * cv2.resize(one, shape[::-1]) for factor, one in zip(factors, flow, strict=True)]
-    return np.stack(resized)
+    resized = np.empty((2, *shape), np.float32)
+    for one, wider, factor in zip(flow, resized, (shape[1] / width, shape[0] / height), strict=True):
+        cv2.resize(one, shape[::-1], dst=wider)
+        wider *= np.float32(factor)
+    return resized
 
 
 def improve_flow(
