@@ -150,7 +150,7 @@ def improve_flow(
 def _patch_places(start: int, length: int, stride: int) -> Array:
     """Where patches begin along one axis: the last one ends where the part does."""
     last = start + length - PATCH
-    return np.append(np.arange(start, last, stride), last)
+    return np.minimum(np.arange(start, last + stride, stride), last)
 
 
 @njit(cache=True)
