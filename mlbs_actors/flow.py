@@ -230,7 +230,9 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
     shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
     smoothed, sheared = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
     steepness = np.empty(width, np.float32)
-    there, back = flow.reshape(-1), reverse.reshape(-1)
+    along, across = np.empty(width, np.float32), np.empty(width, np.float32)
+    inside, near = np.empty(width, np.bool_), np.empty(width, np.int32)
+    back = reverse.reshape(-1)
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     for y in range(height):
         # Loops without a branch run in vector registers.
@@ -251,9 +253,14 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
                     sheared[axis, before], sheared[axis, x], sheared[axis, after], by_x, by_y,
                 )  # fmt: skip
         for x in range(width):
-            reliable[y, x] = _agrees(
-                there, back, x, y, width, height, steepness[x], shrink_x, shrink_y, limits
+            inside[x], near[x], along[x], across[x] = _there(
+                middle[x, 0], middle[x, 1], x, y, width, height, shrink_x, shrink_y
             )
+        for x in range(width):  # the only one that cannot
+            along[x], across[x] = _back(back, near[x], width, along[x], across[x])
+        for x in range(width):
+            confirmed = _confirmed(middle[x, 0], middle[x, 1], along[x], across[x], steepness[x], limits)
+            reliable[y, x] = confirmed & inside[x]
     return reliable
 
 
@@ -266,7 +273,7 @@ def _reliable_at(
     reliable = np.zeros(xs.size, np.bool_)
     by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
     shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
-    there, back = flow.reshape(-1), reverse.reshape(-1)
+    back = reverse.reshape(-1)
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     for point in range(xs.size):
         x, y = xs[point], ys[point]
@@ -278,7 +285,10 @@ def _reliable_at(
             _, sheared = _across(upper, middle, lower, x, axis)
             right, sheared_right = _across(upper, middle, lower, after, axis)
             gradient += _slope(left, right, sheared_left, sheared, sheared_right, by_x, by_y)
-        reliable[point] = _agrees(there, back, x, y, width, height, gradient, shrink_x, shrink_y, limits)
+        u, v = flow[y, x, 0], flow[y, x, 1]
+        inside, near, along, across = _there(u, v, x, y, width, height, shrink_x, shrink_y)
+        back_u, back_v = _back(back, near, width, along, across)
+        reliable[point] = inside & _confirmed(u, v, back_u, back_v, gradient, limits)
     return reliable
 
 
@@ -301,31 +311,44 @@ def _slope(
 
 
 @njit(cache=True, inline="always")
-def _agrees(
-    flow: Array, back: Array, x: int, y: int, width: int, height: int, gradient: np.float32,
-    shrink_x: np.float32, shrink_y: np.float32, limits: tuple[np.float32, ...],
-) -> bool:  # fmt: skip
-    """The checks of one pixel; flows are flat, and indices narrow, so that many can be gathered at once."""
-    zero, one = np.float32(0), np.float32(1)
-    right, bottom = np.float32(width - 1), np.float32(height - 1)
-    here = np.uint64(2 * (y * width + x))
-    u, v = flow[here], flow[here + np.uint64(1)]
+def _there(
+    u: np.float32, v: np.float32, x: int, y: int, width: int, height: int, shrink_x: np.float32,
+    shrink_y: np.float32,
+) -> tuple[bool, np.int32, np.float32, np.float32]:  # fmt: skip
+    """Whether flow leads to a place inside; the pixel above and left of it, and the way from that, px."""
+    zero, right, bottom = np.float32(0), np.float32(width - 1), np.float32(height - 1)
     there_x = np.float32(np.int32(x)) + u * shrink_x
     there_y = np.float32(np.int32(y)) + v * shrink_y
     inside = (there_x >= zero) & (there_x <= right) & (there_y >= zero) & (there_y <= bottom)
     there_x, there_y = min(max(there_x, zero), right), min(max(there_y, zero), bottom)
     column, row = min(np.int32(there_x), np.int32(width - 2)), min(np.int32(there_y), np.int32(height - 2))
-    along, across = there_x - np.float32(column), there_y - np.float32(row)
-    near = np.uint64(np.uint32(np.int32(2) * (row * np.int32(width) + column)))
-    below, aside = near + np.uint64(2 * width), np.uint64(2)
+    near = np.int32(row * np.int32(width) + column)
+    return bool(inside), near, there_x - np.float32(column), there_y - np.float32(row)
+
+
+@njit(cache=True, inline="always")
+def _back(
+    back: Array, near: np.int32, width: int, along: np.float32, across: np.float32
+) -> tuple[np.float32, np.float32]:
+    """Flow at a place of :func:`_there`, from a flat one."""
+    one, aside = np.float32(1), np.uint64(2)
+    u, below = np.uint64(np.uint32(np.int32(2) * near)), np.uint64(2 * width)
+    v = u + np.uint64(1)
     w00, w01 = (one - across) * (one - along), (one - across) * along
     w10, w11 = across * (one - along), across * along
-    back_u = w00 * back[near] + w01 * back[near + aside]
-    back_u += w10 * back[below] + w11 * back[below + aside]
-    near, below = near + np.uint64(1), below + np.uint64(1)
-    back_v = w00 * back[near] + w01 * back[near + aside]
-    back_v += w10 * back[below] + w11 * back[below + aside]
+    back_u = w00 * back[u] + w01 * back[u + aside]
+    back_u += w10 * back[u + below] + w11 * back[u + below + aside]
+    back_v = w00 * back[v] + w01 * back[v + aside]
+    back_v += w10 * back[v + below] + w11 * back[v + below + aside]
+    return back_u, back_v
+
+
+@njit(cache=True, inline="always")
+def _confirmed(
+    u: np.float32, v: np.float32, back_u: np.float32, back_v: np.float32, gradient: np.float32,
+    limits: tuple[np.float32, ...],
+) -> bool:  # fmt: skip
     squared = u * u + v * v
     error = (u + back_u) * (u + back_u) + (v + back_v) * (v + back_v)
     agrees = error < limits[0] * (squared + back_u * back_u + back_v * back_v) + limits[1]
-    return bool(inside & agrees & (gradient <= limits[2] * squared + limits[3]))
+    return bool(agrees & (gradient <= limits[2] * squared + limits[3]))
