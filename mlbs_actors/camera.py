@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 
 from mlbs_actors.messages import Array
 
@@ -141,14 +142,41 @@ def camera_evidence(
     height, width = current.shape
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     by_camera = cv2.warpPerspective(previous, mapping, (width, height), flags=flags)
-    reached = cv2.warpPerspective(np.full_like(previous, 255), mapping, (width, height), flags=flags)
     source_x = np.arange(width, dtype=np.float32)[None, :] + flow[..., 0] / np.float32(step[0])
     source_y = np.arange(height, dtype=np.float32)[:, None] + flow[..., 1] / np.float32(step[1])
     by_flow = cv2.remap(previous, source_x, source_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     camera_error, flow_error = (
-        cv2.boxFilter(np.where(reached == 255, cv2.absdiff(current, moved), 0), cv2.CV_32F, (5, 5))
+        cv2.boxFilter(_difference(current, moved, mapping), cv2.CV_32F, (5, 5))
         for moved in (by_camera, by_flow)
     )
     # Every fourth pixel tells the noise as well.
     noise = np.float32(np.clip(np.median(camera_error[::2, ::2]), LEAST_NOISE, MOST_NOISE))
-    return CameraEvidence(camera_error / noise, (camera_error - flow_error) / noise)
+    np.subtract(camera_error, flow_error, out=flow_error)
+    for error in (camera_error, flow_error):
+        np.divide(error, noise, out=error)
+    return CameraEvidence(camera_error, flow_error)
+
+
+@njit(cache=True)
+def _difference(current: Array, moved: Array, mapping: Array) -> Array:
+    """Absolute difference of two grey frames; 0 where the mapping leads out of the frame, (h, w) uint8."""
+    height, width = current.shape
+    difference = np.zeros((height, width), np.uint8)
+    for y in range(height):
+        # Where in the row x, y and the remaining width and height of the source are not negative.
+        left, right = 0.0, width - 1.0
+        for axis, length in ((0, width - 1.0), (1, height - 1.0)):
+            slope, start = mapping[axis, 0], mapping[axis, 1] * y + mapping[axis, 2]
+            below = length * mapping[2, 0] - slope
+            end = length * (mapping[2, 1] * y + mapping[2, 2]) - start
+            for rise, value in ((slope, start), (below, end)):
+                if rise > 0:
+                    left = max(left, -value / rise)
+                elif rise < 0:
+                    right = min(right, -value / rise)
+                elif value < 0:
+                    right = -1.0
+        for x in range(int(np.ceil(left)), int(np.floor(right)) + 1):
+            one, other = current[y, x], moved[y, x]
+            difference[y, x] = one - other if one > other else other - one
+    return difference

@@ -42,7 +42,7 @@ class _Section(BaseModel):
 
 
 class FlowConfig(_Section):
-    """Dense optical flow (§3): OpenCV DIS where the authors use LDOF."""
+    """Dense optical flow (§3): dense inverse search (DIS) where the authors use LDOF."""
 
     scale: float = Field(
         0.5,

@@ -328,11 +328,10 @@ class Coordinator:
         state = self.state
         assert state.shape is not None
         registry = LayerRegistry(self.config.layers, state.shape, state.registry)
-        layer = np.array([registry.layer_of(int(label)) for label in np.unique(held.labels)])
-        layer = (
-            layer[np.searchsorted(np.unique(held.labels), held.labels)] if len(held.labels) else held.labels
-        )
-        with_tracks = (int(one) for one in np.unique(layer) if one > BACKGROUND)
+        known, place = np.unique(held.labels, return_inverse=True)
+        owners = [registry.layer_of(int(label)) for label in known]
+        layer = np.array(owners, np.int64)[place]
+        with_tracks = (one for one in owners if one > BACKGROUND)
         live = sorted({BACKGROUND, *with_tracks, *registry.live_layers(held.frame_index)})
         # Where the camera's motion explains the image as well, a trajectory says nothing for an object: flow
         # bleeds from an object over the smooth road beside it.

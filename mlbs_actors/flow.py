@@ -1,13 +1,13 @@
 """Dense optical flow between successive frames, both ways, with its forward–backward check (§3).
 
-Differs from the paper: the authors use LDOF (tens of seconds a frame); here it is OpenCV's DIS on the
-shrunk frame, a few milliseconds a direction, and the same flow serves the tracks, the layers' motion
-likelihood and the camera model.
+Differs from the paper: the authors use LDOF (tens of seconds a frame); here it is dense inverse
+search (:mod:`mlbs_actors.inverse_search`) on the shrunk frame, a few milliseconds a direction, and the
+same flow serves the tracks, the layers' motion likelihood and the camera model.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,6 +15,15 @@ import numpy as np
 from numba import njit
 
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
+from mlbs_actors.inverse_search import (
+    PATCH,
+    FlowLevel,
+    SearchEffort,
+    coarsest_level,
+    flow_levels,
+    improve_flow,
+    resized_flow,
+)
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["DenseFlow", "dense_flow", "flow_gray", "sample_flow"]
@@ -65,7 +74,7 @@ def flow_gray(frame: Array, config: FlowConfig) -> Array:
     Returns
     -------
     (h, w) uint8
-        At least 16 px a side, the least that DIS accepts.
+        At least 16 px a side, two patches of the search.
     """
     gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
     height, width = gray.shape
@@ -125,16 +134,28 @@ def dense_flow(
     DenseFlow
     """
     step = (shape[1] / current.shape[1], shape[0] / current.shape[0])
-    first = focus is None
+    whole = [Region(0, 0, current.shape[1], current.shape[0])]
     if focus is None:
-        focus = [Region(0, 0, current.shape[1], current.shape[0])]
-    backward = _flow(_solver(config, first=first), current, previous, config.finest_scale, focus)
-    # Outside the boxes the scene moves as the camera does: there it is enough to turn the flow around.
-    start = None if _is_whole(focus, current) else _inverted(backward)
-    forward = _flow(_solver(config, first=first), previous, current, config.finest_scale, focus, start)
-    for flow in (forward, backward):
-        for axis in range(2):  # each by itself: an operand of two numbers would be gone over pixel by pixel
-            flow[..., axis] *= np.float32(step[axis])
+        effort = SearchEffort(
+            config.first_search_iterations, config.first_refinement_iterations, config.first_patch_stride_px
+        )
+        focus = whole
+    else:
+        effort = SearchEffort(config.search_iterations, config.refinement_iterations, config.patch_stride_px)
+    coarsest = coarsest_level(current.shape)
+    finest = min(config.finest_scale, coarsest)
+    before, now = flow_levels(previous, coarsest), flow_levels(current, coarsest)
+    # Halves alone would not do: flow bleeds 10–20 px past an object's outline then.
+    backward = np.zeros((2, *now[coarsest].gray.shape), np.float32)
+    backward = _finer(now, before, backward, range(coarsest, finest, -1), whole, effort)
+    backward = _finer(now, before, backward, [finest], focus, effort)
+    if list(focus) == whole:
+        turned, first = -resized_flow(backward, now[coarsest].gray.shape), coarsest
+    else:
+        # Outside the boxes the scene moves as the camera does: there it is enough to turn the flow around.
+        turned, first = _inverted(backward), min(finest + 1, coarsest)
+    forward = _finer(before, now, turned, range(first, finest - 1, -1), focus, effort)
+    forward, backward = (_full_size(resized_flow(one, current.shape), *step) for one in (forward, backward))
     thresholds = (
         checks.consistency_relative,
         checks.consistency_px2,
@@ -144,72 +165,59 @@ def dense_flow(
     return DenseFlow(forward, backward, _reliable(backward, forward, *step, thresholds), step, thresholds)
 
 
-def _solver(config: FlowConfig, *, first: bool) -> cv2.DISOpticalFlow:
-    """One for a single direction: what it keeps between calls must not meet another size."""
-    solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-    if first:
-        search, refinement = config.first_search_iterations, config.first_refinement_iterations
-        stride = config.first_patch_stride_px
-    else:
-        search, refinement = config.search_iterations, config.refinement_iterations
-        stride = config.patch_stride_px
-    solver.setGradientDescentIterations(search)
-    solver.setVariationalRefinementIterations(refinement)
-    solver.setPatchStride(stride)
-    return solver
-
-
-def _flow(
-    solver: cv2.DISOpticalFlow,
-    source: Array,
-    target: Array,
-    finest: int,
-    focus: Sequence[Region],
-    start: Array | None = None,
+def _finer(
+    source: Sequence[FlowLevel],
+    target: Sequence[FlowLevel],
+    flow: Array,
+    levels: Iterable[int],
+    boxes: Sequence[Region],
+    effort: SearchEffort,
 ) -> Array:
-    """DIS from one grey frame to another, (h, w, 2) float32, px of theirs.
-
-    In the boxes it begins a level above the finest if there is a flow to start from, which is kept elsewhere;
-    else it begins with the coarsest, and stops a level above the finest elsewhere.
-    """
-    # The presets stop at half the size they are given: flow bleeds 10–20 px past an object's outline then.
-    solver.setFinestScale(finest)
-    if _is_whole(focus, source):
-        # None, which the stubs do not know: no initial flow.
-        return np.asarray(solver.calc(source, target, None))  # type: ignore[call-overload]
-    if start is None:
-        solver.setFinestScale(finest + 1)
-        flow = np.asarray(solver.calc(source, target, None))  # type: ignore[call-overload]
-        solver.setFinestScale(finest)
-        solver.setCoarsestScale(finest)
-    else:
-        flow = start
-        solver.setCoarsestScale(finest + 1)
-    for box in focus:
-        part = np.ascontiguousarray(flow[box.slices])
-        cut_source, cut_target = (np.ascontiguousarray(frame[box.slices]) for frame in (source, target))
-        flow[box.slices] = solver.calc(cut_source, cut_target, part)
+    """Carry a flow (2, h, w), which may be overwritten, through levels; improve it in boxes of level 0."""
+    for level in levels:
+        shape = source[level].gray.shape
+        flow = resized_flow(flow, shape)
+        for box in boxes:
+            improve_flow(source[level], target[level], flow, _on_level(box, level, shape), effort)
     return flow
 
 
-def _is_whole(focus: Sequence[Region], frame: Array) -> bool:
-    """Whether the boxes are one, the frame."""
-    return len(focus) == 1 and focus[0].area == frame.size
+def _on_level(box: Region, level: int, shape: tuple[int, int]) -> Region:
+    """The pixels of a level that a box of level 0 covers; at least a patch."""
+    places = []
+    for start, length, all_ in ((box.x, box.width, shape[1]), (box.y, box.height, shape[0])):
+        end = min(max(-(-(start + length) >> level), (start >> level) + PATCH), all_)
+        places.append((min(start >> level, end - PATCH), end))
+    (left, right), (top, bottom) = places
+    return Region(left, top, right - left, bottom - top)
+
+
+@njit(cache=True)
+def _full_size(flow: Array, step_x: float, step_y: float) -> Array:
+    """Flow planes (2, h, w) in px of the shrunk frame as (h, w, 2) in full-size px."""
+    _, height, width = flow.shape
+    scaled = np.empty((height, width, 2), np.float32)
+    by_x, by_y = np.float32(step_x), np.float32(step_y)
+    for y in range(height):
+        for x in range(width):
+            scaled[y, x, 0], scaled[y, x, 1] = by_x * flow[0, y, x], by_y * flow[1, y, x]
+    return scaled
 
 
 @njit(cache=True)
 def _inverted(flow: Array) -> Array:
-    """The flow the other way, (h, w, 2): u with u(x) = −flow(x + u(x)), to a pixel in two rounds."""
-    height, width = flow.shape[:2]
+    """The flow the other way, planes (2, h, w): u with u(x) = −flow(x + u(x)), to a pixel in two rounds."""
+    _, height, width = flow.shape
     inverse = np.empty_like(flow)
+    right, bottom = np.float32(width - 1), np.float32(height - 1)
     for y in range(height):
         for x in range(width):
-            u, v = -flow[y, x, 0], -flow[y, x, 1]
+            u, v = -flow[0, y, x], -flow[1, y, x]
             for _ in range(2):
-                there_x = min(max(int(np.rint(x + u)), 0), width - 1)
-                there_y = min(max(int(np.rint(y + v)), 0), height - 1)
-                u, v = -flow[there_y, there_x, 0], -flow[there_y, there_x, 1]
-            inverse[y, x, 0], inverse[y, x, 1] = u, v
+                there_x = np.uintp(min(max(np.rint(np.float32(x) + u), np.float32(0)), right))
+                there_y = np.uintp(min(max(np.rint(np.float32(y) + v), np.float32(0)), bottom))
+                u, v = -flow[0, there_y, there_x], -flow[1, there_y, there_x]
+            inverse[0, y, x], inverse[1, y, x] = u, v
     return inverse
 
 
@@ -222,7 +230,9 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
     shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
     smoothed, sheared = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
     steepness = np.empty(width, np.float32)
-    there, back = flow.reshape(-1), reverse.reshape(-1)
+    along, across = np.empty(width, np.float32), np.empty(width, np.float32)
+    inside, near = np.empty(width, np.bool_), np.empty(width, np.int32)
+    back = reverse.reshape(-1)
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     for y in range(height):
         # Loops without a branch run in vector registers.
@@ -243,9 +253,14 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
                     sheared[axis, before], sheared[axis, x], sheared[axis, after], by_x, by_y,
                 )  # fmt: skip
         for x in range(width):
-            reliable[y, x] = _agrees(
-                there, back, x, y, width, height, steepness[x], shrink_x, shrink_y, limits
+            inside[x], near[x], along[x], across[x] = _there(
+                middle[x, 0], middle[x, 1], x, y, width, height, shrink_x, shrink_y
             )
+        for x in range(width):  # the only one that cannot
+            along[x], across[x] = _back(back, near[x], width, along[x], across[x])
+        for x in range(width):
+            confirmed = _confirmed(middle[x, 0], middle[x, 1], along[x], across[x], steepness[x], limits)
+            reliable[y, x] = confirmed & inside[x]
     return reliable
 
 
@@ -258,7 +273,7 @@ def _reliable_at(
     reliable = np.zeros(xs.size, np.bool_)
     by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
     shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
-    there, back = flow.reshape(-1), reverse.reshape(-1)
+    back = reverse.reshape(-1)
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     for point in range(xs.size):
         x, y = xs[point], ys[point]
@@ -270,7 +285,10 @@ def _reliable_at(
             _, sheared = _across(upper, middle, lower, x, axis)
             right, sheared_right = _across(upper, middle, lower, after, axis)
             gradient += _slope(left, right, sheared_left, sheared, sheared_right, by_x, by_y)
-        reliable[point] = _agrees(there, back, x, y, width, height, gradient, shrink_x, shrink_y, limits)
+        u, v = flow[y, x, 0], flow[y, x, 1]
+        inside, near, along, across = _there(u, v, x, y, width, height, shrink_x, shrink_y)
+        back_u, back_v = _back(back, near, width, along, across)
+        reliable[point] = inside & _confirmed(u, v, back_u, back_v, gradient, limits)
     return reliable
 
 
@@ -293,31 +311,44 @@ def _slope(
 
 
 @njit(cache=True, inline="always")
-def _agrees(
-    flow: Array, back: Array, x: int, y: int, width: int, height: int, gradient: np.float32,
-    shrink_x: np.float32, shrink_y: np.float32, limits: tuple[np.float32, ...],
-) -> bool:  # fmt: skip
-    """The checks of one pixel; flows are flat, and indices narrow, so that many can be gathered at once."""
-    zero, one = np.float32(0), np.float32(1)
-    right, bottom = np.float32(width - 1), np.float32(height - 1)
-    here = np.uint64(2 * (y * width + x))
-    u, v = flow[here], flow[here + np.uint64(1)]
+def _there(
+    u: np.float32, v: np.float32, x: int, y: int, width: int, height: int, shrink_x: np.float32,
+    shrink_y: np.float32,
+) -> tuple[bool, np.int32, np.float32, np.float32]:  # fmt: skip
+    """Whether flow leads to a place inside; the pixel above and left of it, and the way from that, px."""
+    zero, right, bottom = np.float32(0), np.float32(width - 1), np.float32(height - 1)
     there_x = np.float32(np.int32(x)) + u * shrink_x
     there_y = np.float32(np.int32(y)) + v * shrink_y
     inside = (there_x >= zero) & (there_x <= right) & (there_y >= zero) & (there_y <= bottom)
     there_x, there_y = min(max(there_x, zero), right), min(max(there_y, zero), bottom)
     column, row = min(np.int32(there_x), np.int32(width - 2)), min(np.int32(there_y), np.int32(height - 2))
-    along, across = there_x - np.float32(column), there_y - np.float32(row)
-    near = np.uint64(np.uint32(np.int32(2) * (row * np.int32(width) + column)))
-    below, aside = near + np.uint64(2 * width), np.uint64(2)
+    near = np.int32(row * np.int32(width) + column)
+    return bool(inside), near, there_x - np.float32(column), there_y - np.float32(row)
+
+
+@njit(cache=True, inline="always")
+def _back(
+    back: Array, near: np.int32, width: int, along: np.float32, across: np.float32
+) -> tuple[np.float32, np.float32]:
+    """Flow at a place of :func:`_there`, from a flat one."""
+    one, aside = np.float32(1), np.uint64(2)
+    u, below = np.uint64(np.uint32(np.int32(2) * near)), np.uint64(2 * width)
+    v = u + np.uint64(1)
     w00, w01 = (one - across) * (one - along), (one - across) * along
     w10, w11 = across * (one - along), across * along
-    back_u = w00 * back[near] + w01 * back[near + aside]
-    back_u += w10 * back[below] + w11 * back[below + aside]
-    near, below = near + np.uint64(1), below + np.uint64(1)
-    back_v = w00 * back[near] + w01 * back[near + aside]
-    back_v += w10 * back[below] + w11 * back[below + aside]
+    back_u = w00 * back[u] + w01 * back[u + aside]
+    back_u += w10 * back[u + below] + w11 * back[u + below + aside]
+    back_v = w00 * back[v] + w01 * back[v + aside]
+    back_v += w10 * back[v + below] + w11 * back[v + below + aside]
+    return back_u, back_v
+
+
+@njit(cache=True, inline="always")
+def _confirmed(
+    u: np.float32, v: np.float32, back_u: np.float32, back_v: np.float32, gradient: np.float32,
+    limits: tuple[np.float32, ...],
+) -> bool:  # fmt: skip
     squared = u * u + v * v
     error = (u + back_u) * (u + back_u) + (v + back_v) * (v + back_v)
     agrees = error < limits[0] * (squared + back_u * back_u + back_v * back_v) + limits[1]
-    return bool(inside & agrees & (gradient <= limits[2] * squared + limits[3]))
+    return bool(agrees & (gradient <= limits[2] * squared + limits[3]))

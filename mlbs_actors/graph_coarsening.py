@@ -10,7 +10,6 @@ hide the borders that are looked for.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 from numba import njit
 
 from mlbs_actors.messages import Array
@@ -24,13 +23,13 @@ CLOSENESS = (0.7, 0.5, 0.3)
 WORTHWHILE = 0.95
 
 
-def coarsen(affinity: sp.csr_array, most: int) -> tuple[Array, Array]:
+def coarsen(pointers: Array, neighbours: Array, weights: Array, most: int) -> tuple[Array, Array]:
     """Join nodes as long as some belong together.
 
     Parameters
     ----------
-    affinity : (n, n) sparse, symmetric, non-negative
-        Without a diagonal.
+    pointers, neighbours, weights : (n + 1,) int32, (e,) int32, (e,) float64
+        Compressed rows of the affinities, a symmetric matrix without a diagonal, none of them negative.
     most : int
         Most nodes that one may stand for, ≥ 1.
 
@@ -41,11 +40,10 @@ def coarsen(affinity: sp.csr_array, most: int) -> tuple[Array, Array]:
     joined : (m, m) float64
         Sums of the affinities between the groups; on the diagonal within them, every edge twice.
     """
-    count = affinity.shape[0]
+    count = len(pointers) - 1
     group = np.arange(count, dtype=np.int32)
     sizes, within = np.ones(count, np.int32), np.zeros(count)
-    pointers, neighbours, weights = affinity.indptr, affinity.indices, affinity.data
-    edges = np.ones(affinity.nnz, np.int32)
+    edges = np.ones(len(weights), np.int32)
     for closeness in CLOSENESS:
         while most > 1:
             parent, left = _match(pointers, neighbours, weights, edges, sizes, most, closeness)

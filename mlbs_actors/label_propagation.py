@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
+from numba import njit
 from scipy.sparse.linalg import splu
 
 from mlbs_actors.messages import Array
@@ -81,19 +81,60 @@ def propagate_absorbing(affinity: sp.csr_array, labels: Array, classes: int) -> 
     share = np.zeros((len(labels), classes))
     known = labels >= 0
     share[np.flatnonzero(known), labels[known]] = 1.0
-    unknown = np.flatnonzero(~known)
-    edges = sp.csr_array(affinity[unknown])
-    edges.data = np.where(edges.data >= NO_EDGE, edges.data, 0.0)
-    edges.eliminate_zeros()  # they would count as connections and make the system singular
-    among = sp.csr_array(edges[:, unknown])
-    _, component = connected_components(among, directed=False)
-    to_known = edges @ known.astype(np.float64) > 0
-    reached = np.isin(component, component[to_known])
-    if not reached.any():
-        return share
-    solved = unknown[reached]
-    degree = np.asarray(edges.sum(axis=1)).ravel()[reached]
-    inverse = sp.diags_array(1.0 / degree)
-    system = sp.identity(len(solved), format="csc") - inverse @ among[reached][:, reached]
-    share[solved] = splu(sp.csc_array(system)).solve(np.asarray(inverse @ (edges[reached] @ share)))
+    solved, pointers, columns, values, towards = _absorbing_system(
+        affinity.indptr, affinity.indices, affinity.data, labels, classes
+    )
+    if len(solved):
+        # Rows times their degrees: (D − A)_uu Y_u = A_ul Y_l is symmetric, so that rows are columns.
+        system = sp.csc_array((values, columns, pointers), shape=(len(solved), len(solved)))
+        share[solved] = splu(system).solve(towards)
     return share
+
+
+@njit(cache=True)
+def _absorbing_system(
+    pointers: Array, neighbours: Array, weights: Array, labels: Array, classes: int
+) -> tuple[Array, Array, Array, Array, Array]:
+    """The unlabelled nodes from which a labelled one can be reached, and their equations.
+
+    Returns
+    -------
+    solved : (m,) int64
+        The nodes, ascending.
+    pointers, columns, values : (m + 1,) int32, (e,) int32, (e,) float64
+        Compressed rows of (D − A)_uu.
+    towards : (m, classes) float64
+        A_ul Y_l.
+    """
+    count = labels.size
+    reached = labels >= 0
+    waiting = list(np.flatnonzero(reached))
+    while len(waiting):
+        node = waiting.pop()
+        for e in range(pointers[node], pointers[node + 1]):
+            if weights[e] >= NO_EDGE and not reached[neighbours[e]]:
+                reached[neighbours[e]] = True
+                waiting.append(neighbours[e])
+    solved = np.flatnonzero(reached & (labels < 0))
+    place = np.full(count, -1, np.int32)
+    place[solved] = np.arange(solved.size)
+    starts = np.zeros(solved.size + 1, np.int32)
+    columns, values = np.empty(neighbours.size + count, np.int32), np.empty(neighbours.size + count)
+    towards = np.zeros((solved.size, classes))
+    used = 0
+    for row in range(solved.size):
+        diagonal, degree = used, 0.0
+        columns[used] = row
+        used += 1
+        for e in range(pointers[solved[row]], pointers[solved[row] + 1]):
+            other = neighbours[e]
+            if weights[e] >= NO_EDGE:
+                degree += weights[e]
+                if labels[other] >= 0:
+                    towards[row, labels[other]] += weights[e]
+                else:
+                    columns[used], values[used] = place[other], -weights[e]
+                    used += 1
+        values[diagonal] = degree
+        starts[row + 1] = used
+    return solved, starts, columns[:used], values[:used], towards

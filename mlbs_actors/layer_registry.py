@@ -259,8 +259,10 @@ class LayerRegistry:
         """
         labels = labels.copy()
         state = self.state
-        counts = {int(label): int((labels == label).sum()) for label in state.labels}
-        enough = np.array([counts[int(label)] >= self.config.min_tracks for label in state.labels], bool)
+        # Their row, of those that are known; most of the known ones sleep.
+        rows = np.minimum(np.searchsorted(state.labels, labels), max(len(state.labels) - 1, 0))
+        known = np.flatnonzero(state.labels[rows] == labels) if len(state.labels) else np.zeros(0, np.intp)
+        enough = np.bincount(rows[known], minlength=len(state.labels)) >= self.config.min_tracks
         for row in np.flatnonzero(enough):
             members = labels == state.labels[row]
             state.seen[row] = state.tracked[row] = frame_index
@@ -272,10 +274,10 @@ class LayerRegistry:
             )
         coasting = ~enough & (state.labels > 0) & (state.seen == frame_index - 1)
         coasting &= frame_index - state.tracked <= self.config.coast_frames
-        coasting &= np.array([self.layer_of(int(label)) in published for label in state.labels], bool)
+        for row in np.flatnonzero(coasting):
+            coasting[row] = self.layer_of(int(state.labels[row])) in published
         state.seen[coasting] = frame_index
-        for label in state.labels[~enough & ~coasting]:
-            labels[labels == label] = UNLABELLED
+        labels[known[~(enough | coasting)[rows[known]]]] = UNLABELLED
         asleep = frame_index - state.seen
         keep = np.where(state.labels > 0, asleep <= self.config.dormant_frames, asleep == 0)
         self._select(keep)

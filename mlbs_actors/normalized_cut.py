@@ -19,7 +19,6 @@ import numpy as np
 import scipy.sparse as sp
 from numba import njit
 from scipy.linalg import eigh
-from scipy.sparse.csgraph import connected_components
 
 from mlbs_actors.graph_coarsening import coarsen
 from mlbs_actors.messages import Array
@@ -176,15 +175,16 @@ def recursive_cut(
     eligible = np.flatnonzero(apart >= 0)
     if len(eligible) == 0:
         return labels
-    present = _subgraph(affinity, eligible, apart)
-    _, part = connected_components(present, directed=False)
+    present = _kept_edges(affinity.indptr, affinity.indices, affinity.data, eligible, apart)
+    part = _components(*present[:2])
     waiting = np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
+    alike = np.zeros(len(eligible), np.int64)
     clusters = []
     while waiting:
         nodes = waiting.pop()
         if len(nodes) < min_side:
             continue
-        group, joined = coarsen(_subgraph(present, nodes), max(len(nodes) // EXACT_NODES, 1))
+        group, joined = coarsen(*_kept_edges(*present, nodes, alike), max(len(nodes) // EXACT_NODES, 1))
         if not holds_together(joined, threshold):
             cut = best_cut(joined, np.bincount(group), min_side)
             if cut.value < threshold:
@@ -197,20 +197,11 @@ def recursive_cut(
     return labels
 
 
-def _subgraph(affinity: sp.csr_array, nodes: Array, apart: Array | None = None) -> sp.csr_array:
-    """The edges that count between some of the nodes, given in ascending order."""
-    if apart is None:
-        apart = np.zeros(affinity.shape[0], np.int64)
-    pointers, neighbours, weights = _kept_edges(
-        affinity.indptr, affinity.indices, affinity.data, nodes, apart
-    )
-    return sp.csr_array((weights, neighbours, pointers), shape=(len(nodes), len(nodes)))
-
-
 @njit(cache=True)
 def _kept_edges(
     pointers: Array, neighbours: Array, weights: Array, nodes: Array, apart: Array
 ) -> tuple[Array, Array, Array]:
+    """Row pointers, columns and values of the edges that count between some of the nodes, which ascend."""
     position = np.full(apart.size, -1, neighbours.dtype)
     position[nodes] = np.arange(nodes.size)
     kept_pointers = np.zeros(nodes.size + 1, pointers.dtype)
@@ -225,3 +216,26 @@ def _kept_edges(
                 kept += 1
         kept_pointers[i + 1] = kept
     return kept_pointers, kept_neighbours[:kept], kept_weights[:kept]
+
+
+@njit(cache=True)
+def _components(pointers: Array, neighbours: Array) -> Array:
+    """Number of the connected part of each node of a symmetric graph, by their first nodes, (n,) int64."""
+    count = pointers.size - 1
+    part = np.full(count, -1, np.int64)
+    waiting = np.empty(count, np.int64)
+    parts = 0
+    for first in range(count):
+        if part[first] >= 0:
+            continue
+        part[first], waiting[0], left = parts, first, 1
+        while left > 0:
+            left -= 1
+            node = waiting[left]
+            for e in range(pointers[node], pointers[node + 1]):
+                other = neighbours[e]
+                if part[other] < 0:
+                    part[other], waiting[left] = parts, other
+                    left += 1
+        parts += 1
+    return part

@@ -23,7 +23,6 @@ from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.contrast import COST_QUANTUM, contrast_weights
 from mlbs_actors.errors import FrameError
-from mlbs_actors.freed_memory import keep_freed_memory
 from mlbs_actors.fusion import FusedCosts, fused_costs
 from mlbs_actors.graph_cut import lowest_labels
 from mlbs_actors.label_cost_energy import LabelCostEnergy
@@ -74,7 +73,6 @@ class Segmenter:
     """
 
     def __init__(self, config: Config, state: SegmenterState | None = None) -> None:
-        keep_freed_memory()
         self.config = config
         self.state = state or SegmenterState(0, np.zeros((0, 0), np.uint16))
 

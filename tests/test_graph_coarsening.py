@@ -22,7 +22,8 @@ def grid_graph(rows: int, columns: int, border: int, across: float) -> tuple[Arr
 
 
 def coarse(affinity: Array, most: int) -> tuple[Array, Array]:
-    return coarsen(sp.csr_array(affinity), most)
+    edges = sp.csr_array(affinity)
+    return coarsen(edges.indptr, edges.indices, edges.data, most)
 
 
 def test_joined_nodes_sum_their_edges() -> None:

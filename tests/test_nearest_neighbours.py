@@ -31,7 +31,7 @@ def test_the_nearest_are_as_far_as_those_of_a_tree(cloud: str, radius: float) ->
         known = row[row >= 0]
         assert i not in known
         assert len(set(known.tolist())) == len(known)
-        gaps = np.hypot(*(points[known] - points[i]).T)
+        gaps = np.sort(np.hypot(*(points[known] - points[i]).T))
         np.testing.assert_allclose(gaps, distance[i][np.isfinite(distance[i])][1:], atol=1e-4)
 
 
@@ -51,3 +51,12 @@ def test_pairs_are_sorted_and_each_comes_once(cloud: str) -> None:
     points = CLOUDS[cloud].astype(np.float32)
     first, second = neighbour_pairs(points, 5, 30.0)
     assert list(zip(first.tolist(), second.tolist(), strict=True)) == all_pairs(points, 5, 30.0)
+
+
+@pytest.mark.parametrize("wanted", [1, 4, 7])
+def test_distances_that_differ_in_their_last_bits_are_told_apart(wanted: int) -> None:
+    x = np.full(9, 3.0, np.float32)
+    for i in range(1, 9):
+        x[i] = np.nextafter(x[i - 1], np.float32(4))
+    points = np.stack([np.r_[np.float32(0), x], np.zeros(10, np.float32)], axis=1)
+    assert set(nearest(points, wanted, 50.0)[0].tolist()) == set(range(1, wanted + 1))

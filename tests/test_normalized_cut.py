@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
+from mlbs_actors import normalized_cut
 from mlbs_actors.messages import Array
 from mlbs_actors.normalized_cut import (
     EXACT_NODES,
@@ -262,3 +264,14 @@ def test_a_node_alone_and_one_that_nothing_ties_hold_together() -> None:
     assert holds_together(np.full((1, 1), 3.0), 0.01)
     apart, _ = block_graph([5, 5], between=0.0)
     assert not holds_together(apart, 0.01)
+
+
+def test_connected_parts_are_those_of_scipy_numbered_by_their_first_nodes() -> None:
+    affinity = np.random.default_rng(3).random((300, 300))
+    affinity = np.where(affinity + affinity.T < 0.11, 1.0, 0.0)
+    graph = sp.csr_array(affinity)
+    count, expected = connected_components(graph, directed=False)
+    part = normalized_cut._components(graph.indptr, graph.indices)
+    assert 5 < count < 200
+    np.testing.assert_array_equal(part, expected)
+    assert (np.diff(np.unique(part, return_index=True)[1]) > 0).all()

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.determinism import single_threaded
+from mlbs_actors.freed_memory import keep_freed_memory
 from mlbs_actors.messages import Array
 
 __all__ = ["EngineCall", "EngineCost", "play", "steady_cost"]
@@ -55,7 +56,7 @@ class EngineCost:
 
 
 def play(frames: Iterable[Array], config: Config) -> list[EngineCall]:
-    """Give frames to a new engine, in one thread.
+    """Give frames to a new engine, in one thread of a process that is set up as those of the pipeline are.
 
     Parameters
     ----------
@@ -63,6 +64,7 @@ def play(frames: Iterable[Array], config: Config) -> list[EngineCall]:
         Made outside the time that is taken.
     config : Config
     """
+    keep_freed_memory()
     engine = MultilayerSubtractor(config)
     calls = []
     with single_threaded():
