@@ -11,7 +11,7 @@ map; with ``lookahead`` every frame waits for later ones in the same way. Frames
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -136,7 +136,9 @@ class Coordinator:
         first_held = self.state.held[0].frame_index if self.state.held else self.state.next_frame
         return frame_index < first_held
 
-    def step(self, frame_index: int, frame: Array, feedback: Segmentation | None) -> list[FrameEvidence]:
+    def step(
+        self, frame_index: int, frame: Array, feedback: Callable[[], Segmentation] | None
+    ) -> list[FrameEvidence]:
         """Take one frame.
 
         Parameters
@@ -145,8 +147,9 @@ class Coordinator:
             The next one, counting from 0.
         frame : (H, W, 3) uint8
             BGR; one of another size than the last begins an epoch.
-        feedback : Segmentation or None
-            Of :meth:`feedback_index`.
+        feedback : callable or None
+            Returns the Segmentation of :meth:`feedback_index`. It is asked for last: who makes it may be at
+            work while the frame is tracked and its trajectories are clustered.
 
         Returns
         -------
@@ -188,10 +191,10 @@ class Coordinator:
             state.held = (first_frame(state.held[0], flow, state.gray, gray, camera),)
         state.next_frame, state.shape, state.gray = frame_index + 1, shape, gray
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
-        published = [] if feedback is None else [one.layer for one in feedback.layers]
         if self._clustering_due(frame_index):
-            self._cluster(frame, frame_index, published, stage_ms)
+            self._cluster(frame, frame_index, feedback, stage_ms)
         elif state.clustered:
+            published = _published(feedback)
             with _timed(stage_ms, "clustering"):
                 registry = LayerRegistry(config.layers, shape, state.registry)
                 self._observe(registry, labels, frame, frame_index, published)
@@ -214,7 +217,7 @@ class Coordinator:
         if state.held and not state.clustered:
             # Fewer frames than the first clustering wants: it is done with what there is.
             colourless = np.zeros((*(state.shape or (0, 0)), 3), np.uint8)
-            self._cluster(colourless, state.next_frame - 1, [], {})
+            self._cluster(colourless, state.next_frame - 1, None, {})
         return self._emit(state.next_frame - 1)
 
     def _check(self, frame_index: int, frame: Array) -> None:
@@ -257,7 +260,11 @@ class Coordinator:
         return trajectory_graph(state.trajectories, spreads, state.shape, self.config.affinity)
 
     def _cluster(
-        self, frame: Array, frame_index: int, published: Collection[int], stage_ms: dict[str, float]
+        self,
+        frame: Array,
+        frame_index: int,
+        feedback: Callable[[], Segmentation] | None,
+        stage_ms: dict[str, float],
     ) -> None:
         """Decide the label of every live trajectory, and with it which layers live."""
         state, config = self.state, self.config
@@ -289,6 +296,8 @@ class Coordinator:
             registry.forget({int(label): int(labels[split == label][0]) for label in gone})
             # What the first clustering finds has been there since the first frame.
             labels = registry.admit(labels, frame_index if state.clustered else state.epoch, origins)
+        published = _published(feedback)
+        with _timed(stage_ms, "clustering"):
             self._observe(registry, labels, frame, frame_index, published)
             probation = config.layers.probation_frames if state.clustered else 0
             state.labels = registry.promote(state.labels, frame_index, probation)
@@ -364,6 +373,11 @@ class Coordinator:
             stage_ms=held.stage_ms,
             epoch=state.epoch,
         )
+
+
+def _published(feedback: Callable[[], Segmentation] | None) -> list[int]:
+    """Layers that own pixels of the label map that is to be read."""
+    return [] if feedback is None else [one.layer for one in feedback().layers]
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from mlbs_actors.config import Config
 from mlbs_actors.coordinator import Coordinator
@@ -68,7 +69,7 @@ class MultilayerSubtractor:
         index = self._coordinator.state.next_frame
         with single_threaded():
             wanted = self._coordinator.feedback_index(index)
-            feedback = None if wanted is None else self._published[wanted]
+            feedback = None if wanted is None else partial(self._published.__getitem__, wanted)
             evidence = self._coordinator.step(index, frame, feedback)
             self._waiting[index] = frame.copy()  # the caller may reuse its buffer
             return [self._label(one) for one in evidence]

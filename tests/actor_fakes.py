@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -98,12 +99,15 @@ class _Coordinator:
     def feedback_index(self, frame_index: int) -> int | None:
         return None if frame_index < max(self._hold, 2) else frame_index - 2
 
-    def step(self, frame_index: int, frame: Array, feedback: Segmentation | None) -> list[FrameEvidence]:
+    def step(
+        self, frame_index: int, frame: Array, feedback: Callable[[], Segmentation] | None
+    ) -> list[FrameEvidence]:
         if frame[DEATHS["coordinator"]][0]:
             self._death.come()
-        assert (None if feedback is None else feedback.frame_index) == self.feedback_index(frame_index)
-        if feedback is not None:
-            self.state.checksum = zlib.crc32(feedback.labels.tobytes(), self.state.checksum)
+        read = None if feedback is None else feedback()
+        assert (None if read is None else read.frame_index) == self.feedback_index(frame_index)
+        if read is not None:
+            self.state.checksum = zlib.crc32(read.labels.tobytes(), self.state.checksum)
         self.state.held += ((frame_index, frame),)
         return [] if frame_index + 1 < self._hold else self.flush()
 
@@ -426,7 +430,9 @@ def rows_in_one_process(parts: PartFactory, pictures: Iterable[Array], config: C
     given = list(pictures)
     for index, image in enumerate(given):
         wanted = coordinator.feedback_index(index)
-        complete = coordinator.step(index, image, None if wanted is None else results[wanted])
+        complete = coordinator.step(
+            index, image, None if wanted is None else partial(results.__getitem__, wanted)
+        )
         if index == len(given) - 1:
             complete = [*complete, *coordinator.flush()]
         for evidence in complete:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -328,7 +329,8 @@ def test_a_layer_that_lost_its_trajectories_stays_while_the_map_of_two_frames_ag
         feedback = None
         if wanted is not None:
             layers = (summary,) if shown else ()
-            feedback = Segmentation(wanted, nothing, nothing, nothing.astype(np.int8), layers, (0.0, 0.0), 0)
+            told = Segmentation(wanted, nothing, nothing, nothing.astype(np.int8), layers, (0.0, 0.0), 0)
+            feedback = partial(replace, told)
         for one in coordinator.step(t, picture, feedback):
             live[one.frame_index] = 1 in {own.layer for own in one.layers}
     last = max(t for t in live if live[t])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -188,7 +189,7 @@ class Engine:
     def apply(self, picture: Array) -> Iterator[bytes]:
         index = self.coordinator.state.next_frame
         wanted = self.coordinator.feedback_index(index)
-        feedback = None if wanted is None else self.published[wanted]
+        feedback = None if wanted is None else partial(self.published.__getitem__, wanted)
         evidence = self.coordinator.step(index, picture, feedback)
         self.held[index] = picture
         for one in evidence:

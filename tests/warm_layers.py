@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import sys
+from functools import partial
 from typing import TypeVar
 
 from numba.core.dispatcher import Dispatcher
@@ -46,7 +47,8 @@ def main() -> None:
     video = scene("demo", frames=8, seed=1, width=320, height=240)
     for t in range(len(video)):
         wanted = coordinator.feedback_index(t)
-        for evidence in coordinator.step(t, video.frame(t), None if wanted is None else results[wanted]):
+        feedback = None if wanted is None else partial(results.__getitem__, wanted)
+        for evidence in coordinator.step(t, video.frame(t), feedback):
             frame = arrived(video.frame(evidence.frame_index))
             posteriors = []
             for own in evidence.layers:

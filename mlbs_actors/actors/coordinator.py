@@ -1,9 +1,9 @@
 """The coordinator of a stream in a process of its own: the conductor of the stream's other processes.
 
 It fetches the frames, finds out what each layer needs to know, and has the segmenter label them with the
-layers, so that no picture passes through it twice and none through the driver. It runs ahead of
-the layers by at most two frames: the tracking of frame t+1 needs the label map of t−1, and runs beside the
-layers' work on t.
+layers, so that no picture passes through it twice and none through the driver. It runs ahead
+of the layers by at most two frames: it tracks and clusters frame t+1 beside their work on t−1 and t, and then
+waits for the label map of t−1, by which it decides which layers live.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections import Counter, deque
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import ray
@@ -297,7 +298,7 @@ class CoordinatorActor:
         """Let the engine's coordinator take the next picture, and start the work that it makes possible."""
         index = self._counts["ok"] - 1  # the engine counts the frames it is given
         wanted = self._coordinator.feedback_index(index)
-        feedback = None if wanted is None else self._labelled(wanted)
+        feedback = None if wanted is None else partial(self._labelled, wanted)
         for evidence in self._coordinator.step(index, image, feedback):
             self._label(evidence)
 

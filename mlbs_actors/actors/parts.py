@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
@@ -48,8 +48,13 @@ class CoordinatorPart(Protocol):
     def feedback_index(self, frame_index: int) -> int | None:
         """Return the frame whose Segmentation :meth:`step` will read, None for none."""
 
-    def step(self, frame_index: int, frame: Array, feedback: Segmentation | None) -> list[FrameEvidence]:
-        """Take the next frame; return the evidence complete by now, in frame order."""
+    def step(
+        self, frame_index: int, frame: Array, feedback: Callable[[], Segmentation] | None
+    ) -> list[FrameEvidence]:
+        """Take the next frame; return the evidence complete by now, in frame order.
+
+        What makes the label map that ``feedback`` returns may be at work until that is called.
+        """
 
     def flush(self) -> list[FrameEvidence]:
         """Return the evidence of the frames still held, at the end of the stream."""

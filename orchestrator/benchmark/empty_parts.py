@@ -6,7 +6,7 @@ what the actors themselves do.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -75,7 +75,11 @@ class _EmptyCoordinator:
     def feedback_index(self, frame_index: int) -> int | None:
         return None if frame_index < 2 else frame_index - 2
 
-    def step(self, frame_index: int, frame: Array, feedback: Segmentation | None) -> list[FrameEvidence]:
+    def step(
+        self, frame_index: int, frame: Array, feedback: Callable[[], Segmentation] | None
+    ) -> list[FrameEvidence]:
+        if feedback is not None:
+            feedback()
         layers = tuple(replace(layer, last_frame=frame_index - 1) for layer in self.evidence.layers)
         return [replace(self.evidence, frame_index=frame_index, layers=layers, retired=())]
 
