@@ -20,8 +20,8 @@ from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
-from mlbs_actors.freed_memory import keep_freed_memory
 from mlbs_actors.messages import FrameEvidence, LayerKind, LayerPosterior, Segmentation
+from mlbs_actors.process_memory import settle_memory
 from mlbs_actors.state_file import read_state
 
 __all__ = ["LayerActor", "LayerStep", "LiveLayers", "Offers"]
@@ -61,9 +61,9 @@ class LayerActor:
 
     def __init__(self, parts: PartFactory) -> None:
         limit_process()
-        keep_freed_memory()
         with stepping_back():
             parts.warm_layer()
+        settle_memory()
         self._parts = parts
         self._part: LayerPart | None = None
         self._writer = StateWriter()

@@ -30,8 +30,8 @@ from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
-from mlbs_actors.freed_memory import keep_freed_memory
 from mlbs_actors.messages import BACKGROUND, FrameEvidence, LayerAppearance, LayerPosterior, Segmentation
+from mlbs_actors.process_memory import settle_memory
 from mlbs_actors.state_file import read_state
 
 __all__ = ["FrameWork", "LabelledFrame", "Labelling", "Retirement", "SegmenterActor"]
@@ -90,8 +90,8 @@ class SegmenterActor:
 
     def __init__(self, parts: PartFactory, config: Config) -> None:
         limit_process()
-        keep_freed_memory()
         self._segmenter = parts.segmenter(config)
+        settle_memory()
         self._memory = SharedMemory()
         self._order = FrameOrder()
         self._channel = OfferedChannel()

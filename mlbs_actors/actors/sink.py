@@ -17,6 +17,7 @@ from mlbs_actors.actors.stream_protocol import GapStatus, Opening, Snapshot, Sou
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import LayerAppearance, Segmentation
+from mlbs_actors.process_memory import settle_memory
 
 __all__ = ["GapRow", "LabelRow", "Record", "SinkActor"]
 
@@ -68,6 +69,7 @@ class SinkActor:
     def open(self, run: int, open_sink: Callable[[], StreamSink]) -> Opening:
         """Open a stream's record."""
         sink = open_sink()
+        settle_memory()
         before = sink.opening.resume_from
         self._records[run] = sink, FrameOrder(-1 if before is None else before.rows - 1), SharedMemory()
         return sink.opening

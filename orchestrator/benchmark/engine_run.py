@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.determinism import single_threaded
-from mlbs_actors.freed_memory import keep_freed_memory
 from mlbs_actors.messages import Array
+from mlbs_actors.process_memory import settle_memory
 
 __all__ = ["EngineCall", "EngineCost", "play", "steady_cost"]
 
@@ -64,7 +64,7 @@ def play(frames: Iterable[Array], config: Config) -> list[EngineCall]:
         Made outside the time that is taken.
     config : Config
     """
-    keep_freed_memory()
+    settle_memory()
     engine = MultilayerSubtractor(config)
     calls = []
     with single_threaded():

@@ -1,4 +1,4 @@
-"""That a process does not ask the system again for memory that it has freed."""
+"""That a process does not ask again for memory that it has freed, nor looks through what it has loaded."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ import sys
 
 import numpy as np
 
-from mlbs_actors.freed_memory import keep_freed_memory
+from mlbs_actors.process_memory import settle_memory
 
 if sys.argv[1] == "kept":
-    keep_freed_memory()
+    settle_memory()
 
 
 def frame():
@@ -40,3 +40,17 @@ def test_arrays_of_a_second_frame_take_the_memory_of_the_first() -> None:
     }
     assert faults["given back"] > 10_000
     assert faults["kept"] < 500
+
+
+def test_what_was_loaded_before_is_not_looked_through_for_garbage_again() -> None:
+    program = """
+import gc
+
+from mlbs_actors.process_memory import settle_memory
+
+loaded = [[number] for number in range(1_000)]
+settle_memory()
+print(len(gc.get_objects()))
+"""
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
+    assert int(ran.stdout) < 1_000
