@@ -141,6 +141,7 @@ def improve_flow(
         refinement.setDelta(COLOUR)
         refinement.setGamma(GRADIENT)
         refinement.setFixedPointIterations(effort.refinements)
+        refinement.setSorIterations(3)
         before, after = (np.ascontiguousarray(one.gray[part.slices]) for one in (source, target))
         refinement.calcUV(before, after, window[0], window[1])
     for known, found in zip(flow, window, strict=False):  # the last of the window is the sum of weights
