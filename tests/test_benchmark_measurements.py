@@ -140,7 +140,7 @@ def arrivals(times: list[float], objects: dict[int, set[int]] | None = None) -> 
     made = []
     for frame, seconds in enumerate(times):
         seen = frozenset((objects or {}).get(frame, seen))
-        made.append(Arrival(seconds, frame, seen))
+        made.append(Arrival(seconds, seconds, frame, seen))
     return made
 
 

@@ -60,8 +60,8 @@ def measure_births(
 ) -> Finding:
     """Play each scene once, in this process and through Ray.
 
-    Through Ray a frame's time is that between its label map and the one before at the sink, and the pool
-    has its spare processes ready, as after some seconds of any run.
+    Through Ray a frame's time is that between its label map and the one before, as they are made, and the
+    pool has its spare processes ready, as after some seconds of any run.
     """
     rows, figures, plots = [], {}, {}
     for number, name in enumerate(scenes):
@@ -108,10 +108,10 @@ def times_in_process(calls: Sequence[EngineCall], warm: int) -> list[FrameTime]:
 
 
 def times_through_ray(arrivals: Sequence[Arrival], warm: int) -> list[FrameTime]:
-    """Time between each label map after the warm ones and the one before it."""
+    """Time from each label map to the next, as they are made, after the warm ones."""
     born = _births(one.objects for one in arrivals)
     return [
-        FrameTime(one.frame, 1e3 * (one.seconds - before.seconds), birth)
+        FrameTime(one.frame, 1e3 * (one.labelled - before.labelled), birth)
         for (before, one), birth in zip(pairwise(arrivals), born[1:], strict=True)
         if one.frame >= warm
     ]

@@ -15,10 +15,11 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from mlbs_actors import Config
 from mlbs_actors.actors import Node, StreamActors
@@ -31,7 +32,14 @@ from mlbs_actors.actors.stream_protocol import (
     StreamSink,
     StreamSpec,
 )
-from mlbs_actors.messages import LayerAppearance, LayerKind, Segmentation
+from mlbs_actors.messages import (
+    Array,
+    FrameEvidence,
+    LayerAppearance,
+    LayerKind,
+    LayerPosterior,
+    Segmentation,
+)
 from orchestrator.benchmark.process_costs import Process, kinds_of, private_bytes, process_tree
 from orchestrator.command_line import SAVED
 from orchestrator.ray_session import ray_session
@@ -45,6 +53,9 @@ _LOOK_SECONDS = 0.2
 #: What a layer process is as long as it has been no layer.
 SPARE = "spare layer"
 
+#: Among the stages of a label map on its way to the sink: when it was made.
+_LABELLED = "labelled"
+
 #: What the processes are that wait for the next stream.
 STANDBY = "standby"
 
@@ -57,6 +68,8 @@ class Arrival:
     ----------
     seconds : float
         When, on the machine's monotonic clock, s.
+    labelled : float
+        When it was made: some go to the sink together.
     frame : int
         Index of the frame.
     objects : frozenset of int
@@ -64,6 +77,7 @@ class Arrival:
     """
 
     seconds: float
+    labelled: float
     frame: int
     objects: frozenset[int]
 
@@ -118,7 +132,7 @@ class _NotingParts:
 
     def segmenter(self, config: Config) -> SegmenterPart:
         self._wait_no_more()
-        return self.parts.segmenter(config)
+        return _NotingSegmenter(self.parts.segmenter(config))
 
     def warm_layer(self) -> None:
         self.parts.warm_layer()
@@ -135,6 +149,27 @@ class _NotingParts:
         (self.folder / str(os.getpid())).write_text(kind, encoding="utf-8")
 
 
+class _NotingSegmenter:
+    """Another segmenter, which notes in each label map when it was made."""
+
+    def __init__(self, part: SegmenterPart) -> None:
+        self._part = part
+
+    @property
+    def state(self) -> Any:
+        """See :class:`SegmenterPart`."""
+        return self._part.state
+
+    @state.setter
+    def state(self, state: Any) -> None:
+        self._part.state = state
+
+    def step(self, evidence: FrameEvidence, frame: Array, posteriors: list[LayerPosterior]) -> Segmentation:
+        """See :class:`SegmenterPart`."""
+        made = self._part.step(evidence, frame, posteriors)
+        return replace(made, stage_ms={**made.stage_ms, _LABELLED: time.monotonic()})
+
+
 class _NotingSink:
     """Another sink, and a line for each label map that came to it."""
 
@@ -148,8 +183,10 @@ class _NotingSink:
     ) -> int:
         """See :class:`StreamSink`."""
         objects = " ".join(str(layer.layer) for layer in segmentation.layers)
-        self._notes.write(f"{time.monotonic()} {frame.index} {objects}\n")
-        return self._sink.write(segmentation, frame, background)
+        stage_ms = dict(segmentation.stage_ms)
+        labelled = stage_ms.pop(_LABELLED)
+        self._notes.write(f"{time.monotonic()} {labelled} {frame.index} {objects}\n")
+        return self._sink.write(replace(segmentation, stage_ms=stage_ms), frame, background)
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
         """See :class:`StreamSink`."""
@@ -258,7 +295,10 @@ class Pipeline:
         notes = self._notes(number)
         lines = notes.read_text(encoding="ascii").splitlines(keepends=True) if notes.exists() else []
         words = [line.split() for line in lines if line.endswith("\n")]  # the last may not be whole
-        return [Arrival(float(line[0]), int(line[1]), frozenset(map(int, line[2:]))) for line in words]
+        return [
+            Arrival(float(line[0]), float(line[1]), int(line[2]), frozenset(map(int, line[3:])))
+            for line in words
+        ]
 
     def _arrived_since(self, begin: float) -> Callable[[int], int]:
         return lambda number: sum(one.seconds > begin for one in self.arrivals(number))
