@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -245,6 +246,19 @@ def test_the_pool_is_refilled_in_the_background(node: Node, tmp_path: Path) -> N
     wait_until(lambda: node.census() == PoolCensus(idle=1, busy=2))
     stream.stop(drain=False)
     assert node.census().busy == 0
+
+
+def test_a_birth_starts_a_process_only_where_few_are_left(ray_session: RaySession, parts: FakeParts) -> None:
+    policy = PoolPolicy(spare=3, least=2, refill_seconds=0.05)
+    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote(1))
+    for layer, left in ((1, 2), (2, 2)):
+        ray.get(pool.acquire.remote(run, SavedLayer(layer, "object", -1), CONFIG, None))
+        wait_until(lambda left=left: ray.get(pool.census.remote()).idle == left)  # type: ignore[misc]
+    time.sleep(1.0)
+    assert ray.get(pool.census.remote()) == PoolCensus(idle=2, busy=2)
+    wait_until(lambda: len(parts.processes()) == 4)  # three at first, one more at the second birth
+    end([pool])
 
 
 def test_a_birth_takes_another_process_when_an_idle_one_has_died_unnoticed(

@@ -37,9 +37,9 @@ _CORES_A_SINK = 4
 #: Frames of one burst: enough that the driver's part is lost in them, few enough to stop soon.
 _BURST_FRAMES = 8
 
-#: Bursts of a stream before processes are made ready for its return: until then it has no snapshot to go back
-#: to, and its own processes have just been started.
-_BURSTS_ALONE = 4
+#: Bursts of a stream before processes are made ready for its return: its own have just been started, and
+#: later on they would hold up its frames, too.
+_BURSTS_ALONE = 1
 
 #: How long the ends of a stream that is stopped are waited for, s.
 _STOP_SECONDS = 10.0
