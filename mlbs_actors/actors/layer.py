@@ -24,10 +24,10 @@ from mlbs_actors.messages import FrameEvidence, LayerKind, LayerPosterior, Segme
 from mlbs_actors.process_memory import settle_memory
 from mlbs_actors.state_file import read_state
 
-__all__ = ["LayerActor", "LayerStep", "LiveLayers", "Offers"]
+__all__ = ["LayerActor", "LayerOffers", "LayerStep", "LiveLayers"]
 
 #: Layers, and the channels through which their steps are to come.
-Offers: TypeAlias = tuple[tuple[int, ChannelOffer], ...]
+LayerOffers: TypeAlias = tuple[tuple[int, ChannelOffer], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,16 +169,16 @@ class LiveLayers:
             SavedLayer(layer, lent.kind, lent.last_frame) for layer, lent in sorted(self._lent.items())
         )
 
-    def restore(self, layers: Iterable[SavedLayer], folder: Path) -> Offers:
+    def restore(self, layers: Iterable[SavedLayer], folder: Path) -> LayerOffers:
         """Go back to a snapshot; as :meth:`follow`."""
         return self._acquire(layers, folder)
 
-    def follow(self, evidence: FrameEvidence) -> Offers:
+    def follow(self, evidence: FrameEvidence) -> LayerOffers:
         """Give the retired layers' processes back, and wait for a process for every layer just born.
 
         Returns
         -------
-        Offers
+        LayerOffers
             Of the layers just born.
 
         Raises
@@ -200,7 +200,7 @@ class LiveLayers:
         for layer in list(self._lent):
             self._release(layer)
 
-    def _acquire(self, layers: Iterable[SavedLayer], folder: Path | None) -> Offers:
+    def _acquire(self, layers: Iterable[SavedLayer], folder: Path | None) -> LayerOffers:
         wanted = list(layers)
         asked = [self._pool.acquire.remote(self._run, own, self._config, folder) for own in wanted]
         offers = []

@@ -15,7 +15,7 @@ from pathlib import Path
 import ray
 
 from mlbs_actors.actors.channels import Channel, ChannelClosedError, ChannelOffer, OfferedChannel, take
-from mlbs_actors.actors.layer import LayerStep, Offers
+from mlbs_actors.actors.layer import LayerOffers, LayerStep
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.processes import Handle, Reference
@@ -48,7 +48,7 @@ class FrameWork:
         For the label map.
     posteriors : tuple of Slot
         For the answers of the evidence's layers, in ascending id.
-    born : Offers
+    born : LayerOffers
         Where the layers are that are new to the segmenter.
     background : Slot, optional
         For what the background remembers after this frame; None if nobody wants it.
@@ -58,7 +58,7 @@ class FrameWork:
     frame: Shared[SourceFrame]
     answer: Slot
     posteriors: tuple[Slot, ...]
-    born: Offers
+    born: LayerOffers
     background: Slot | None
 
 
@@ -105,13 +105,15 @@ class SegmenterActor:
         """Return the channel through which the stream's work is to come."""
         return self._channel.offer
 
-    def restore(self, folder: Path, layers: Offers, slots: Sequence[Slot]) -> dict[int, Shared[Segmentation]]:
+    def restore(
+        self, folder: Path, layers: LayerOffers, slots: Sequence[Slot]
+    ) -> dict[int, Shared[Segmentation]]:
         """Go back to a snapshot.
 
         Parameters
         ----------
         folder : Path
-        layers : Offers
+        layers : LayerOffers
             Those that lived at that time.
         slots : sequence of Slot
             Two.
@@ -209,7 +211,9 @@ class Labelling:
         self._channel: Channel | None = None
         self.under_way = 0
 
-    def restore(self, folder: Path, layers: Offers, slots: Sequence[Slot]) -> dict[int, Shared[Segmentation]]:
+    def restore(
+        self, folder: Path, layers: LayerOffers, slots: Sequence[Slot]
+    ) -> dict[int, Shared[Segmentation]]:
         """See :meth:`SegmenterActor.restore`; before :meth:`begin`. Raises RayError."""
         published: dict[int, Shared[Segmentation]] = ray.get(
             self._segmenter.restore.remote(folder, layers, slots)
