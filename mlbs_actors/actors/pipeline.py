@@ -26,6 +26,7 @@ from mlbs_actors.actors.reader import ReaderActor
 from mlbs_actors.actors.segmenter import SegmenterActor
 from mlbs_actors.actors.sink import SinkActor
 from mlbs_actors.actors.stream_protocol import RunningStream, StreamProgress, StreamSpec
+from mlbs_actors.actors.turns import Turns
 from mlbs_actors.errors import MlbsError
 
 __all__ = ["Node", "StreamActors", "sinks_of"]
@@ -33,6 +34,11 @@ __all__ = ["Node", "StreamActors", "sinks_of"]
 #: Cores that one sink serves: writing a frame takes a tenth of the CPU time of all that is done for it, so
 #: a sink alone would hold up a node of more than about eight.
 _CORES_A_SINK = 4
+
+#: Cores that a stream of a file keeps busy by itself: so many streams work on a burst at once, but at least
+#: two, one of which may have to wait for its file.
+_CORES_A_TURN = 2
+_LEAST_TURNS = 2
 
 #: Frames of one burst: enough that the driver's part is lost in them, few enough to stop soon.
 _BURST_FRAMES = 8
@@ -79,6 +85,7 @@ class Node:
         self._policy = policy or PoolPolicy()
         self._pool = self._new_pool()
         self._sinks = [spawn(SinkActor, node=self._node) for _ in range(sinks_of(_cores(self._node)))]
+        self._turns = Turns(max(_LEAST_TURNS, _cores(self._node) // _CORES_A_TURN))
         self._runs = count(1)
         self._standby: list[Handle] = []
         self._preparing = Lock()
@@ -103,6 +110,7 @@ class Node:
             reader=reader,
             pool=self._pool,
             sink=self._sinks[run % len(self._sinks)],
+            turns=self._turns,
             under_way=self.prepare,
         )
 
@@ -173,6 +181,8 @@ class StreamActors:
     reader : Handle
     pool, sink : Handle
         The node's.
+    turns : Turns
+        Of the node.
     under_way : callable
         Called again and again once the stream has some frames behind it.
 
@@ -192,6 +202,7 @@ class StreamActors:
         reader: Handle,
         pool: Handle,
         sink: Handle,
+        turns: Turns,
         under_way: Callable[[], None],
     ) -> None:
         self._name = spec.name
@@ -215,6 +226,7 @@ class StreamActors:
             spec, parts, links, self._run, segmenter=segmenter_begun
         )
         self._begun: Future[None] = begun.future()
+        self._turns = turns
         self._under_way = under_way
         self._bursts = 0
         self.living_reader: Handle | None = None
@@ -229,7 +241,9 @@ class StreamActors:
         Future of StreamProgress
             Carries an MlbsError if the stream failed (see :class:`RunningStream`).
         """
-        progress = self._explained(self._coordinator.advance.remote(_BURST_FRAMES))
+        # A camera's stream waits for its pictures, and one that starts for its processes.
+        at_once = self._live or self._bursts == 0
+        progress = self._ask_for_burst() if at_once else self._turns.take(self._ask_for_burst)
         self._bursts += 1
         if self._bursts > _BURSTS_ALONE:  # while the stream works: starting processes takes some time here
             self._under_way()
@@ -268,6 +282,9 @@ class StreamActors:
             with suppress(RayError, GetTimeoutError):
                 ray.get(last, timeout=_STOP_SECONDS)
         return self._final
+
+    def _ask_for_burst(self) -> Future[StreamProgress]:
+        return self._explained(self._coordinator.advance.remote(_BURST_FRAMES))
 
     def _explained(self, reference: Reference) -> Future[StreamProgress]:
         """Return the answer's future with Ray's errors turned into this package's."""
