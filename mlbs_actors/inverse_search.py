@@ -38,6 +38,8 @@ MARGIN = 16
 SHADES = 16
 #: Weights of the variational refinement.
 SMOOTHNESS, COLOUR, GRADIENT = 20.0, 5.0, 10.0
+#: Sweeps of its solver: more make no flow that is told apart better.
+SWEEPS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +143,7 @@ def improve_flow(
         refinement.setDelta(COLOUR)
         refinement.setGamma(GRADIENT)
         refinement.setFixedPointIterations(effort.refinements)
-        refinement.setSorIterations(3)
+        refinement.setSorIterations(SWEEPS)
         before, after = (np.ascontiguousarray(one.gray[part.slices]) for one in (source, target))
         refinement.calcUV(before, after, window[0], window[1])
     for known, found in zip(flow, window, strict=False):  # the last of the window is the sum of weights
