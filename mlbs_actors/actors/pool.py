@@ -216,15 +216,12 @@ class PoolActor:
             self._idle.append(self._start())
 
     def _top_up(self) -> None:
-        """Start a process if too few are idle, and when it is ready see whether there still are."""
-        starting = any(not process.ready.done() for process in self._idle)
-        if self._closed or starting or len(self._idle) >= min(self._policy.least, self._policy.spare):
+        """Start a process if too few are idle and none is starting, and look again after a while."""
+        if self._closed or len(self._idle) >= min(self._policy.least, self._policy.spare):
             return
-        process = self._start()
-        process.ready.add_done_callback(
-            lambda ready: None if ready.cancelled() or ready.exception() else self._top_up()
-        )
-        self._idle.append(process)
+        if all(process.ready.done() for process in self._idle):
+            self._idle.append(self._start())
+        asyncio.get_running_loop().call_later(self._policy.refill_seconds, self._top_up)
 
     def _shrink(self) -> None:
         surplus = sorted(self._idle, key=lambda process: process.since)
