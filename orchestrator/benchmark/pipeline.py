@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from mlbs_actors import Config
-from mlbs_actors.actors import Node, StreamActors
+from mlbs_actors.actors import Node, PoolPolicy, StreamActors
 from mlbs_actors.actors.parts import CoordinatorPart, EngineParts, LayerPart, PartFactory, SegmenterPart
 from mlbs_actors.actors.stream_protocol import (
     FrameReader,
@@ -309,7 +309,8 @@ class Pipeline:
     def _settled(self) -> bool:
         census = self._node.census()
         started = self._layer_kinds().keys() & process_tree(os.getpid()).keys()
-        return len(started) >= census.idle + census.busy
+        # With fewer idle ones the pool is about to start another.
+        return len(started) >= census.idle + census.busy and census.idle >= PoolPolicy().least
 
     def _stands_by(self) -> bool:
         """Whether the coordinator and the segmenter wait that the next stream begins in."""
