@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from ray.exceptions import ActorDiedError, GetTimeoutError, OutOfMemoryError
 
+from mlbs_actors.actors.channels import ChannelClosedError
 from mlbs_actors.actors.failures import explain, is_loss, reader_lost, source_failure
 from mlbs_actors.errors import ActorLostError, SourceError
 
@@ -20,9 +21,10 @@ def test_a_single_frame_is_not_called_frames(frames: int, words: str) -> None:
     assert f" {words} with ValueError" in str(source_failure(ValueError("secret"), "a.mp4", frames))
 
 
-def test_a_process_ended_for_want_of_memory_is_lost_like_any_other() -> None:
+def test_a_process_ended_for_want_of_memory_or_that_closed_its_channel_is_lost_like_any_other() -> None:
     assert is_loss(OUT_OF_MEMORY)
     assert is_loss(ActorDiedError())
+    assert is_loss(ChannelClosedError())
     assert not is_loss(GetTimeoutError("late"))
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from ray.exceptions import ObjectLostError, OutOfMemoryError, RayTaskError
 
+from mlbs_actors.actors.channels import ChannelClosedError
 from mlbs_actors.actors.processes import LOST_PROCESS
 from mlbs_actors.errors import ActorLostError, LayerError, MlbsError, SourceError
 from mlbs_actors.wording import count_of
@@ -76,7 +77,7 @@ def explain(error: BaseException, stream: str, roles: Mapping[str, str]) -> Mlbs
 
 def is_loss(error: BaseException) -> bool:
     """Whether a process, or what it held, is gone: nothing says that it would happen again."""
-    return isinstance(cause_of(error), (*LOST_PROCESS, ObjectLostError))
+    return isinstance(cause_of(error), (*LOST_PROCESS, ObjectLostError, ChannelClosedError))
 
 
 def reader_lost(stream: str, frames: int) -> ActorLostError:
