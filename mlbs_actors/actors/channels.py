@@ -12,6 +12,8 @@ them however a process ends. Who holds one end learns at once when the other end
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -111,6 +113,20 @@ class OfferedChannel:
         self._other_outgoing.close()
         self._other_incoming.close()
         return channel
+
+    def serve(self, answers: Callable[[Any], Iterable[object]]) -> None:
+        """Take the notes that come, once the other end has been taken, until that is closed.
+
+        Parameters
+        ----------
+        answers : callable
+            What is to be sent back for a note, as it is made. If it finds a channel of its own closed, that
+            is the end, too.
+        """
+        with suppress(ChannelClosedError), self.taken() as channel:
+            while True:
+                for answer in answers(channel.receive()):
+                    channel.send(answer)
 
 
 def take(offer: ChannelOffer) -> Channel:

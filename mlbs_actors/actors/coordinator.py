@@ -26,7 +26,7 @@ from mlbs_actors.actors.failures import POOL, SEGMENTER, SINK, explain, is_loss,
 from mlbs_actors.actors.layer import LiveLayers
 from mlbs_actors.actors.live_reader import LiveReadAhead
 from mlbs_actors.actors.parts import PartFactory
-from mlbs_actors.actors.processes import Handle, identity
+from mlbs_actors.actors.processes import NOTICE_SECONDS, Handle, identity
 from mlbs_actors.actors.reader import ReadAhead
 from mlbs_actors.actors.saved_states import (
     CONDUCTOR_FILE,
@@ -61,9 +61,6 @@ _log = logging.getLogger(__name__)
 
 #: Frames that are passed over in one burst on the way back to a snapshot.
 _SKIPPED_FRAMES = 64
-
-#: How long it may take until Ray has noticed that a process is gone, s.
-_CAUSE_SECONDS = 10.0
 
 #: How long a snapshot is waited for without which frames would be lost, s.
 _SNAPSHOT_SECONDS = 30.0
@@ -383,7 +380,7 @@ class CoordinatorActor:
     def _cause_of_loss(self) -> Exception:
         """Why the segmenter or a layer has closed its channel: what the one that did so first has raised."""
         waiting = [*self._layers.served(), self._labelling.served]
-        deadline = time.monotonic() + _CAUSE_SECONDS
+        deadline = time.monotonic() + NOTICE_SECONDS
         while waiting and (left := deadline - time.monotonic()) > 0:
             ended, waiting = ray.wait(waiting, timeout=left)
             try:

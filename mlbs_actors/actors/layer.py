@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
 import ray
 
-from mlbs_actors.actors.channels import ChannelClosedError, ChannelOffer, OfferedChannel
+from mlbs_actors.actors.channels import ChannelOffer, OfferedChannel
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import LayerPart, PartFactory
 from mlbs_actors.actors.priority import stepping_back
@@ -90,15 +89,7 @@ class LayerActor:
         """Do the steps that come, and save the state where that is asked for, until no more can come."""
         if self._part is None or run != self._run:
             return
-        with suppress(ChannelClosedError), self._channel.taken() as channel:
-            while True:
-                note: LayerStep | SaveState = channel.receive()
-                if isinstance(note, SaveState):
-                    self.save(note)
-                    continue
-                channel.send(self.step(note))
-                if note.appearance is not None:
-                    channel.send(self._memory.share(self._part.appearance(), note.appearance))
+        self._channel.serve(self._answers)
         self._writer.finish()
 
     def step(self, step: LayerStep) -> Shared[LayerPosterior]:
@@ -121,6 +112,15 @@ class LayerActor:
         if self._part is not None and run == self._run:
             self._part = None
             del self._memory
+
+    def _answers(self, note: LayerStep | SaveState) -> Iterator[object]:
+        assert self._part is not None  # assigned
+        if isinstance(note, SaveState):
+            self.save(note)
+            return
+        yield self.step(note)
+        if note.appearance is not None:
+            yield self._memory.share(self._part.appearance(), note.appearance)
 
 
 @dataclass(slots=True)

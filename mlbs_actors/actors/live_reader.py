@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import ray
 from ray.exceptions import GetTimeoutError
 
-from mlbs_actors.actors.channels import ChannelClosedError, ChannelOffer, OfferedChannel
+from mlbs_actors.actors.channels import ChannelOffer, OfferedChannel
 from mlbs_actors.actors.processes import Handle
 from mlbs_actors.actors.reader import Answer, ReadAhead, ReadNext, answer
 from mlbs_actors.actors.shared_memory import SharedMemory, Slot, SlotPool
@@ -118,13 +117,7 @@ class LiveReaderActor:
 
     def serve(self) -> None:
         """Do what that start asks for, until no more can come; raises SourceError."""
-        with suppress(ChannelClosedError), self._channel.taken() as channel:
-            while True:
-                note: ReadNext | Forget = channel.receive()
-                if isinstance(note, Forget):
-                    self.forget(note.rows)
-                else:
-                    channel.send(self.read(note))
+        self._channel.serve(self._answers)
 
     def read(self, note: ReadNext) -> Answer:
         """Return the next row, or that there is none at present; raises SourceError.
@@ -152,6 +145,12 @@ class LiveReaderActor:
         """Release the source."""
         if self._reader is not None:
             self._reader.close()
+
+    def _answers(self, note: ReadNext | Forget) -> Iterator[Answer]:
+        if isinstance(note, Forget):
+            self.forget(note.rows)
+        else:
+            yield self.read(note)
 
     def _ask_source(self) -> SourceFrame | SourceSilence | None:
         try:

@@ -12,7 +12,17 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from mlbs_actors.actors.priority import stepping_back
 
-__all__ = ["LOST_PROCESS", "Handle", "Reference", "ask", "end", "identity", "spawn", "spawn_standby"]
+__all__ = [
+    "LOST_PROCESS",
+    "NOTICE_SECONDS",
+    "Handle",
+    "Reference",
+    "ask",
+    "end",
+    "identity",
+    "spawn",
+    "spawn_standby",
+]
 
 #: A Ray actor handle; Ray makes its methods at run time, so there is no type to state.
 Handle: TypeAlias = Any
@@ -23,6 +33,9 @@ Reference: TypeAlias = "ray.ObjectRef[Any]"
 #: What calls of an actor raise whose process is gone: one that Ray has ended because the machine ran out of
 #: memory is told in another way than all others.
 LOST_PROCESS = (RayActorError, OutOfMemoryError)
+
+#: How long it may take until Ray has noticed that a process is gone, s.
+NOTICE_SECONDS = 10.0
 
 
 def spawn(kind: type, *arguments: object, node: str) -> Handle:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NoReturn, TypeAlias
@@ -12,7 +12,7 @@ import ray
 from ray.exceptions import GetTimeoutError
 
 from mlbs_actors.actors.channels import Channel, ChannelClosedError, ChannelOffer, OfferedChannel, take
-from mlbs_actors.actors.processes import Handle, Reference
+from mlbs_actors.actors.processes import NOTICE_SECONDS, Handle, Reference
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.determinism import limit_process
@@ -25,9 +25,6 @@ Answer: TypeAlias = "Shared[SourceFrame] | SourceFrame | SourceSilence | None"
 #: Frames that are decoded beside the work on the one before them. Two, so that a slow one (a key
 #: frame) is made up for; each is held in memory.
 _FRAMES_AHEAD = 2
-
-#: How long it may take until Ray has noticed that a reader's process is gone, s.
-_CAUSE_SECONDS = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +66,7 @@ class ReaderActor:
 
     def serve(self) -> None:
         """Do what is asked for, until no more can come; raises SourceError."""
-        with suppress(ChannelClosedError), self._channel.taken() as channel:
-            while True:
-                note: ReadNext | Skip = channel.receive()
-                if isinstance(note, Skip):
-                    self.skip(note)
-                    channel.send(None)
-                else:
-                    channel.send(self.read(note))
+        self._channel.serve(self._answers)
 
     def read(self, note: ReadNext) -> Answer:
         """Return the next frame or that there is none at present, None at the end; raises SourceError."""
@@ -96,6 +86,13 @@ class ReaderActor:
         """Release the source."""
         if self._reader is not None:
             self._reader.close()
+
+    def _answers(self, note: ReadNext | Skip) -> Iterator[Answer]:
+        if isinstance(note, Skip):
+            self.skip(note)
+            yield None
+        else:
+            yield self.read(note)
 
     def _next(self) -> SourceFrame | SourceSilence | None:
         if self._reader is None:
@@ -195,7 +192,7 @@ class ReadAhead:
 
     def _raise_cause(self) -> NoReturn:
         """Raise why the reader has closed its channel."""
-        ray.get(self._served, timeout=_CAUSE_SECONDS)
+        ray.get(self._served, timeout=NOTICE_SECONDS)
         raise GetTimeoutError("A reader that was asked for more serves no more.")
 
     def _pass_over(self, frames: int) -> None:

@@ -7,14 +7,13 @@ layers do at once beside each other, and labels the frame from what they answer.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import ray
 
-from mlbs_actors.actors.channels import Channel, ChannelClosedError, ChannelOffer, OfferedChannel, take
+from mlbs_actors.actors.channels import Channel, ChannelOffer, OfferedChannel, take
 from mlbs_actors.actors.layer import LayerOffers, LayerStep
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import PartFactory
@@ -138,15 +137,7 @@ class SegmenterActor:
     def serve(self) -> None:
         """Do what the coordinator asks for, in that order, until no more can come."""
         try:
-            with suppress(ChannelClosedError), self._channel.taken() as channel:
-                while True:
-                    note: FrameWork | Retirement | SaveState = channel.receive()
-                    if isinstance(note, FrameWork):
-                        channel.send(self._labelled(note))
-                    elif isinstance(note, Retirement):
-                        self._retire(note)
-                    else:
-                        self.save(note)
+            self._channel.serve(self._answers)
         finally:
             for layer in self._layers.values():
                 layer.close()
@@ -159,6 +150,14 @@ class SegmenterActor:
         assert frame.image is not None  # a quarantined frame has no evidence
         with self._order.step(evidence.frame_index, after=evidence.frame_index - 1):
             return self._segmenter.step(evidence, frame.image, posteriors)
+
+    def _answers(self, note: FrameWork | Retirement | SaveState) -> Iterator[object]:
+        if isinstance(note, FrameWork):
+            yield self._labelled(note)
+        elif isinstance(note, Retirement):
+            self._retire(note)
+        else:
+            self.save(note)
 
     def _labelled(self, work: FrameWork) -> LabelledFrame:
         evidence, frame = self._memory.taken(work.evidence), self._memory.taken(work.frame)
