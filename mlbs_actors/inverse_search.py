@@ -255,6 +255,26 @@ def _source_place(
     return top, left, up * back, up * across, down * back, down * across
 
 
+@njit(cache=True, inline="always")
+def _moved(
+    around: Array,
+    there_y: np.uintp,
+    there_x: np.uintp,
+    row: int,
+    column: int,
+    w00: np.float32,
+    w01: np.float32,
+    w10: np.float32,
+    w11: np.float32,
+) -> np.float32:
+    """What the continued frame shows at a pixel of a moved patch, by :func:`_source_place`."""
+    upper, lower = there_y + np.uintp(row), there_y + np.uintp(row + 1)
+    near, far = there_x + np.uintp(column), there_x + np.uintp(column + 1)
+    moved = w00 * around[upper, near] + w01 * around[upper, far]
+    moved += w10 * around[lower, near] + w11 * around[lower, far]
+    return moved
+
+
 # The loops over a patch go over columns outside: LLVM unrolls the rows, and does all columns at once. Sums
 # are of whole numbers, which may be added in any order.
 
@@ -267,10 +287,7 @@ def _mismatch(shades: Array, around: Array, y: int, x: int, u: np.float32, v: np
     total, squares = np.int32(0), np.int32(0)
     for column in range(PATCH):
         for row in range(PATCH):
-            upper, lower = there_y + np.uintp(row), there_y + np.uintp(row + 1)
-            near, far = there_x + np.uintp(column), there_x + np.uintp(column + 1)
-            moved = w00 * around[upper, near] + w01 * around[upper, far]
-            moved += w10 * around[lower, near] + w11 * around[lower, far]
+            moved = _moved(around, there_y, there_x, row, column, w00, w01, w10, w11)
             difference = np.int32(moved) - shades[top + np.uintp(row), left + np.uintp(column)]
             total = np.int32(total + difference)
             squares = np.int32(squares + np.int32(difference * difference))
@@ -288,10 +305,7 @@ def _differences(
     total, squares, along, below = np.int32(0), np.int32(0), np.int32(0), np.int32(0)
     for column in range(PATCH):
         for row in range(PATCH):
-            upper, lower = there_y + np.uintp(row), there_y + np.uintp(row + 1)
-            near, far = there_x + np.uintp(column), there_x + np.uintp(column + 1)
-            moved = w00 * around[upper, near] + w01 * around[upper, far]
-            moved += w10 * around[lower, near] + w11 * around[lower, far]
+            moved = _moved(around, there_y, there_x, row, column, w00, w01, w10, w11)
             at_y, at_x = top + np.uintp(row), left + np.uintp(column)
             difference = np.int32(moved) - shades[at_y, at_x]
             total = np.int32(total + difference)
@@ -324,10 +338,7 @@ def _densify(
             there_y, there_x, w00, w01, w10, w11 = _source_place(around, y, x, u, v)
             for j in range(PATCH):
                 for i in range(PATCH):
-                    upper, lower = there_y + np.uintp(j), there_y + np.uintp(j + 1)
-                    near, far = there_x + np.uintp(i), there_x + np.uintp(i + 1)
-                    moved = w00 * around[upper, near] + w01 * around[upper, far]
-                    moved += w10 * around[lower, near] + w11 * around[lower, far]
+                    moved = _moved(around, there_y, there_x, j, i, w00, w01, w10, w11)
                     difference = moved - np.float32(shades[np.uintp(y + j), np.uintp(x + i)])
                     weight = one / max(one, abs(difference) / np.float32(SHADES))
                     at_y, at_x = np.uintp(y + j - top), np.uintp(x + i - left)
