@@ -270,7 +270,7 @@ def _moved(
     """What the continued frame shows at a pixel of a moved patch, by :func:`_source_place`."""
     upper, lower = there_y + np.uintp(row), there_y + np.uintp(row + 1)
     near, far = there_x + np.uintp(column), there_x + np.uintp(column + 1)
-    moved = w00 * around[upper, near] + w01 * around[upper, far]
+    moved: np.float32 = w00 * around[upper, near] + w01 * around[upper, far]
     moved += w10 * around[lower, near] + w11 * around[lower, far]
     return moved
 
