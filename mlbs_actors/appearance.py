@@ -32,7 +32,8 @@ __all__ = [
     "AppearanceModel",
     "empty_model",
     "median_colours",
-    "read_image",
+    "padded_planes",
+    "read_row",
     "update",
     "warp_model",
 ]
@@ -164,60 +165,79 @@ def update(model: AppearanceModel, image: Array, mask: Array) -> None:
 
 
 @njit(cache=True)
-def read_image(
-    image: Array, y: int, x: int, right: np.float32, down: np.float32
-) -> tuple[np.float32, np.float32, np.float32]:
-    """Bilinear colour at (right, down) from a pixel, both less than 1 px, held inside the image."""
-    one = np.float32(1)
-    # No branch: a residual's sign is as good as random.
-    above, before = int(down < 0), int(right < 0)
-    top, left = y - above, x - before
-    down, right = down + np.float32(above), right + np.float32(before)
-    bottom, beside = min(top + 1, image.shape[0] - 1), min(left + 1, image.shape[1] - 1)
-    top, left = max(top, 0), max(left, 0)
-    w00, w01 = (one - down) * (one - right), (one - down) * right
-    w10, w11 = down * (one - right), down * right
-    return (
-        w00 * image[top, left, 0] + w01 * image[top, beside, 0]
-        + w10 * image[bottom, left, 0] + w11 * image[bottom, beside, 0],
-        w00 * image[top, left, 1] + w01 * image[top, beside, 1]
-        + w10 * image[bottom, left, 1] + w11 * image[bottom, beside, 1],
-        w00 * image[top, left, 2] + w01 * image[top, beside, 2]
-        + w10 * image[bottom, left, 2] + w11 * image[bottom, beside, 2],
-    )  # fmt: skip
+def padded_planes(image: Array) -> Array:
+    """The channels of an image (h, w, 3) one by one, with its border once more around: (3, h + 2, w + 2)."""
+    height, width = image.shape[0], image.shape[1]
+    planes = np.empty((3, height + 2, width + 2), np.uint8)
+    for y in range(height + 2):
+        row = image[min(max(y - 1, 0), height - 1)].reshape(-1)
+        blues, greens, reds = planes[0, y], planes[1, y], planes[2, y]
+        for x in range(width):
+            place, pixel = np.uint64(x + 1), np.uint64(3 * x)
+            blues[place], greens[place] = row[pixel], row[pixel + np.uint64(1)]
+            reds[place] = row[pixel + np.uint64(2)]
+        for plane in (blues, greens, reds):
+            plane[0], plane[width + 1] = plane[1], plane[width]
+    return planes
+
+
+@njit(cache=True)
+def read_row(planes: Array, y: int, residual: Array, colours: Array) -> None:
+    """Bilinear colours (3, w) of an image's row, each less than 1 px off its pixel, held inside the image.
+
+    ``planes`` are :func:`padded_planes`, ``residual`` (w, 2) says how far (x, y) off. All nine neighbours are
+    weighed, most of them by 0: without a branch, and in the order of the row, this takes a tenth of the time
+    of reading the four that count.
+    """
+    rests, zero, one = residual.reshape(-1), np.float32(0), np.float32(1)
+    for channel in range(3):
+        above, level, below = planes[channel, y], planes[channel, y + 1], planes[channel, y + 2]
+        read = colours[channel]
+        for x in range(residual.shape[0]):
+            right, down = rests[np.uint64(2 * x)], rests[np.uint64(2 * x + 1)]
+            left_share, right_share = max(-right, zero), max(right, zero)
+            share = one - left_share - right_share
+            upper, lower = max(-down, zero), max(down, zero)
+            before, here, after = np.uint64(x), np.uint64(x + 1), np.uint64(x + 2)
+            top = left_share * above[before] + share * above[here] + right_share * above[after]
+            middle = left_share * level[before] + share * level[here] + right_share * level[after]
+            bottom = left_share * below[before] + share * below[here] + right_share * below[after]
+            read[x] = upper * top + (one - upper - lower) * middle + lower * bottom
 
 
 @njit(cache=True)
 def _update(
     samples: Array, count: Array, newest: Array, spread: Array, residual: Array, image: Array, mask: Array
 ) -> None:
-    capacity = samples.shape[3]
+    capacity, width = samples.shape[3], mask.shape[1]
     half, third, rate = np.float32(0.5), np.float32(1 / (3 * SPREAD_STEP)), np.float32(_SPREAD_RATE)
+    planes, colours = padded_planes(image), np.empty((3, width), np.float32)
     for y in range(mask.shape[0]):
-        for x in range(mask.shape[1]):
+        for x in range(width):
+            if mask[y, x] and count[y, x] == 0:
+                residual[y, x, 0], residual[y, x, 1] = 0, 0
+        read_row(planes, y, residual[y], colours)
+        for x in range(width):
             if not mask[y, x]:
                 continue
-            known = int(count[y, x])
-            if known == 0:
-                residual[y, x, 0], residual[y, x, 1] = 0, 0
-            colour = read_image(image, y, x, residual[y, x, 0], residual[y, x, 1])
-            slot = 0
+            stack, known, slot = samples[y, x], int(count[y, x]), 0
+            blue, green, red = colours[0, x], colours[1, x], colours[2, x]
             if known > 0:
                 last = int(newest[y, x])
                 slot = last + 1 if last + 1 < capacity else 0
                 difference = (
-                    abs(colour[0] - np.float32(samples[y, x, 0, last]))
-                    + abs(colour[1] - np.float32(samples[y, x, 1, last]))
-                    + abs(colour[2] - np.float32(samples[y, x, 2, last]))
+                    abs(blue - np.float32(stack[0, last]))
+                    + abs(green - np.float32(stack[1, last]))
+                    + abs(red - np.float32(stack[2, last]))
                 )
                 # The running median steps towards the new difference and never past it.
                 old = np.float32(spread[y, x])
                 step = min(max(difference * third - old, -rate), rate)
                 spread[y, x] = np.uint8(np.int32(min(old + step + half, np.float32(255))))
             # By way of int32, which takes one instruction.
-            samples[y, x, 0, slot] = np.uint8(np.int32(colour[0] + half))
-            samples[y, x, 1, slot] = np.uint8(np.int32(colour[1] + half))
-            samples[y, x, 2, slot] = np.uint8(np.int32(colour[2] + half))
+            stack[0, slot] = np.uint8(np.int32(blue + half))
+            stack[1, slot] = np.uint8(np.int32(green + half))
+            stack[2, slot] = np.uint8(np.int32(red + half))
             newest[y, x] = np.uint8(slot)
             count[y, x] = np.uint8(min(known + 1, capacity))
 

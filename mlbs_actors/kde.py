@@ -26,7 +26,7 @@ import numpy as np
 from numba import njit
 from numpy.polynomial import Chebyshev, Polynomial
 
-from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, read_image, warp_model
+from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, padded_planes, read_row, warp_model
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.row_log import row_log
 
@@ -156,32 +156,46 @@ def _tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
 
 
 @njit(cache=True)
-def _least_spread(image: Array, y: int, x: int, floor: np.float32, registration: np.float32) -> int:
-    """Least bandwidth of a pixel for the registration error, in units of ``SPREAD_STEP``.
+def _least_spreads(
+    planes: Array, y: int, floor: np.float32, registration: np.float32, steepest: Array, least: Array
+) -> None:
+    """Least bandwidths of a row for the registration error, (w,) in units of ``SPREAD_STEP``.
 
-    Slopes are Sobel's, of the image mirrored at its border; in each direction that of the steepest channel.
+    Slopes are Sobel's, of the image mirrored at its border; in each direction that of the steepest channel,
+    for which ``steepest`` (2, w) has room.
     """
-    height, width = image.shape[0], image.shape[1]
-    above, below = (y - 1 if y > 0 else min(1, height - 1)), (y + 1 if y + 1 < height else max(height - 2, 0))
-    left, right = (x - 1 if x > 0 else min(1, width - 1)), (x + 1 if x + 1 < width else max(width - 2, 0))
-    steepest_across, steepest_down = 0, 0
+    height, width = planes.shape[1] - 2, planes.shape[2] - 2
+    above = y - 1 if y > 0 else min(1, height - 1)
+    below = y + 1 if y + 1 < height else max(height - 2, 0)
+    steepest[:] = 0
     for channel in range(3):
-        top_left, top_right = int(image[above, left, channel]), int(image[above, right, channel])
-        low_left, low_right = int(image[below, left, channel]), int(image[below, right, channel])
-        across = (
-            (top_right - top_left)
-            + (low_right - low_left)
-            + 2 * (int(image[y, right, channel]) - int(image[y, left, channel]))
-        )
-        down = (
-            (low_left - top_left)
-            + (low_right - top_right)
-            + 2 * (int(image[below, x, channel]) - int(image[above, x, channel]))
-        )
-        steepest_across, steepest_down = max(steepest_across, abs(across)), max(steepest_down, abs(down))
-    squared = np.float32(steepest_across * steepest_across + steepest_down * steepest_down) / np.float32(64)
-    spread = np.sqrt(floor * floor + registration * registration * squared) / np.float32(SPREAD_STEP)
-    return int(min(np.rint(spread), np.float32(255)))
+        upper, middle, lower = planes[channel, above + 1], planes[channel, y + 1], planes[channel, below + 1]
+        for x in range(1, width - 1):  # without a branch: this runs in vector registers
+            across, down = _slopes(upper, middle, lower, x, x - 1, x + 1)
+            steepest[0, x], steepest[1, x] = max(steepest[0, x], across), max(steepest[1, x], down)
+        for x in (0, width - 1):
+            left, right = x - 1 if x > 0 else min(1, width - 1), x + 1 if x + 1 < width else max(width - 2, 0)
+            across, down = _slopes(upper, middle, lower, x, left, right)
+            steepest[0, x], steepest[1, x] = max(steepest[0, x], across), max(steepest[1, x], down)
+    for x in range(width):
+        across, down = steepest[0, x], steepest[1, x]
+        squared = np.float32(across * across + down * down) / np.float32(64)
+        spread = np.sqrt(floor * floor + registration * registration * squared) / np.float32(SPREAD_STEP)
+        least[x] = np.int32(min(np.rint(spread), np.float32(255)))
+
+
+@njit(cache=True, inline="always")
+def _slopes(upper: Array, middle: Array, lower: Array, x: int, left: int, right: int) -> tuple[int, int]:
+    """Absolute slopes across and down of padded rows."""
+    here, before, after = np.uint64(x + 1), np.uint64(left + 1), np.uint64(right + 1)
+    top_left, top_right = np.int32(upper[before]), np.int32(upper[after])
+    low_left, low_right = np.int32(lower[before]), np.int32(lower[after])
+    across = np.int32(middle[after]) - np.int32(middle[before])
+    down = np.int32(lower[here]) - np.int32(upper[here])
+    return (
+        abs(np.int32(top_right - top_left + low_right - low_left + 2 * across)),
+        abs(np.int32(low_left - top_left + low_right - top_right + 2 * down)),
+    )
 
 
 @njit(cache=True)
@@ -189,40 +203,57 @@ def _evaluate(
     samples: Array, count: Array, spread: Array, residual: Array, image: Array, needed: Array,
     floor: np.float32, registration: np.float32, exponent: Array, norm: Array, result: Array,
 ) -> None:  # fmt: skip
-    height, width = result.shape
-    # A float's bits hold its exponent, so 2^n is an integer's shift. All slots, valid or not, and short
+    width, slots = result.shape[1], samples.shape[3]
+    lanes = -(-slots // 4) * 4  # slots of a pixel among the kernels, of which four are summed at once
+    planes, colours = padded_planes(image), np.empty((3, width), np.float32)
+    steepest, bandwidth = np.empty((2, width), np.int32), np.empty(width, np.int32)
+    asked = np.empty(width, np.int32)
+    # A float's bits hold its exponent, so 2^n is an integer's shift. All slots of a row, valid or not, and
     # loops of nothing but arithmetic: these run in vector registers.
-    kernel, bits = np.empty(samples.shape[3], np.float32), np.empty(samples.shape[3], np.int32)
-    power = bits.view(np.float32)
+    kernels, bits = np.zeros(width * lanes, np.float32), np.empty(width * lanes, np.int32)
+    powers = bits.view(np.float32)
     density, logs = np.empty(width, np.float32), np.empty(width, np.float32)
-    for y in range(height):
-        density[:] = np.float32(1)
+    for y in range(result.shape[0]):
+        found = 0
         for x in range(width):
-            known = int(count[y, x])
-            if not needed[y, x] or known == 0:
-                continue
-            blue, green, red = read_image(image, y, x, residual[y, x, 0], residual[y, x, 1])
-            width_index = int(spread[y, x])
-            if registration > 0:
-                width_index = max(width_index, _least_spread(image, y, x, floor, registration))
-            scale = exponent[width_index]
+            asked[found] = x  # kept if it counts: a branch would be mispredicted
+            found += int(needed[y, x] and count[y, x] > 0)
+        if found == 0:
+            continue
+        read_row(planes, y, residual[y], colours)
+        if registration > 0:
+            _least_spreads(planes, y, floor, registration, steepest, bandwidth)
+        else:
+            bandwidth[:] = 0
+        for pixel in range(found):
+            x = asked[pixel]
+            bandwidth[x] = max(bandwidth[x], np.int32(spread[y, x]))
+            scale = exponent[bandwidth[x]]
             blues, greens, reds = samples[y, x, 0], samples[y, x, 1], samples[y, x, 2]
-            for slot in range(kernel.size):
-                d_blue, d_green = np.float32(blues[slot]) - blue, np.float32(greens[slot]) - green
-                d_red = np.float32(reds[slot]) - red
-                kernel[slot] = max((d_blue * d_blue + d_green * d_green + d_red * d_red) * scale, _LEAST)
-            for slot in range(kernel.size):
-                bits[slot] = np.int32(kernel[slot])
-            for slot in range(kernel.size):
-                z = kernel[slot] - np.float32(bits[slot])
-                kernel[slot] = _P0 + z * (_P1 + z * (_P2 + z * (_P3 + z * _P4)))
-            for slot in range(kernel.size):
-                bits[slot] = (bits[slot] + np.int32(127)) << np.int32(23)
-            total = np.float32(0)
-            for slot in range(known):
-                total += kernel[slot] * power[slot]
-            density[x] = norm[width_index] * total / np.float32(known)
-        row_log(density, logs)
-        for x in range(width):
-            if needed[y, x] and count[y, x] > 0:
-                result[y, x] = logs[x]
+            own = kernels[pixel * lanes : (pixel + 1) * lanes]
+            for slot in range(slots):
+                blue = np.float32(blues[slot]) - colours[0, x]
+                green = np.float32(greens[slot]) - colours[1, x]
+                red = np.float32(reds[slot]) - colours[2, x]
+                own[slot] = max((blue * blue + green * green + red * red) * scale, _LEAST)
+        for i in range(found * lanes):
+            bits[i] = np.int32(kernels[i])
+        for i in range(found * lanes):
+            z = kernels[i] - np.float32(bits[i])
+            kernels[i] = _P0 + z * (_P1 + z * (_P2 + z * (_P3 + z * _P4)))
+        for i in range(found * lanes):
+            bits[i] = (bits[i] + np.int32(127)) << np.int32(23)
+        for i in range(found * lanes):
+            kernels[i] *= powers[i]
+        for pixel in range(found):
+            x = asked[pixel]
+            known, own = int(count[y, x]), kernels[pixel * lanes : (pixel + 1) * lanes]
+            own[known:] = 0
+            one, two, three, four = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+            for slot in range(0, lanes, 4):
+                one, two = one + own[slot], two + own[slot + 1]
+                three, four = three + own[slot + 2], four + own[slot + 3]
+            density[pixel] = norm[bandwidth[x]] * ((one + two) + (three + four)) / np.float32(known)
+        row_log(density[:found], logs[:found])
+        for pixel in range(found):
+            result[y, asked[pixel]] = logs[pixel]

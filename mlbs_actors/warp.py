@@ -70,54 +70,68 @@ def nearest_sources(
 def _find_sources(
     residual: Array, motion: Array, shift_x: int, shift_y: int, source: Array, new_residual: Array
 ) -> None:
-    height, width = residual.shape[0], residual.shape[1]
-    stored = residual.reshape(-1)
-    half = np.float32(0.5)
-    missed = np.empty(source.shape[1] + 1, np.uint64)
-    # Indices that are known to be unsigned save the test for a negative one: a third of the time.
+    stored, half, zero = residual.reshape(-1), np.float32(0.5), np.float32(0)
+    height, width = np.int32(residual.shape[0]), np.int32(residual.shape[1])
+    count = source.shape[1]
+    column, row, place = np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)
+    # x and y, one after the other: parts of a pixel, steps to the stack, and what that stack has stored.
+    part, step = np.empty((2, count), np.float32), np.empty((2, count), np.float32)
+    rest, inside = np.empty((2, count), np.float32), np.empty(count, np.bool_)
+    missed = np.empty(count + 1, np.int32)
+    # Loops without a branch, and in 32 bits, run in vector registers.
     for y in range(source.shape[0]):
         moves, sources, rests = motion[y].reshape(-1), source[y], new_residual[y].reshape(-1)
-        count = 0
-        for x in range(source.shape[1]):
+        for x in range(count):
             move_x, move_y = moves[np.uint64(2 * x)], moves[np.uint64(2 * x + 1)]
             # Halves round upwards whatever the sign, so that a pan is treated alike everywhere.
             whole_x, whole_y = np.floor(move_x + half), np.floor(move_y + half)
-            column, row = x + shift_x + int(whole_x), y + shift_y + int(whole_y)
-            if not (0 <= row < height and 0 <= column < width):
-                sources[np.uint64(x)] = -1
-                rests[np.uint64(2 * x)], rests[np.uint64(2 * x + 1)] = np.float32(0), np.float32(0)
-                continue
             # q lies this far from the nearest pixel. Exact in single precision, as q itself is not.
-            part_x, part_y = move_x - whole_x, move_y - whole_y
-            place = row * width + column
-            step_x = np.floor(part_x - stored[np.uint64(2 * place)] + half)
-            step_y = np.floor(part_y - stored[np.uint64(2 * place + 1)] + half)
-            near_column, near_row = column + int(step_x), row + int(step_y)
-            if not (0 <= near_row < height and 0 <= near_column < width):
-                step_x, step_y, near_column, near_row = np.float32(0), np.float32(0), column, row
-            place = near_row * width + near_column
-            miss_x = step_x + stored[np.uint64(2 * place)] - part_x
-            miss_y = step_y + stored[np.uint64(2 * place + 1)] - part_y
-            sources[np.uint64(x)] = place
-            rests[np.uint64(2 * x)], rests[np.uint64(2 * x + 1)] = miss_x, miss_y
-            missed[np.uint64(count)] = x  # kept if it counts: a branch would be mispredicted
-            count += int(max(abs(miss_x), abs(miss_y)) > half)
-        for i in range(count):
-            x = int(missed[i])
-            whole_x, whole_y = np.floor(motion[y, x, 0] + half), np.floor(motion[y, x, 1] + half)
-            place, miss_x, miss_y = _best_around(
-                stored,
-                height,
-                width,
-                y + shift_y + int(whole_y),
-                x + shift_x + int(whole_x),
-                motion[y, x, 0] - whole_x,
-                motion[y, x, 1] - whole_y,
+            part[0, x], part[1, x] = move_x - whole_x, move_y - whole_y
+            column[x] = np.int32(x + shift_x) + np.int32(whole_x)
+            row[x] = np.int32(y + shift_y) + np.int32(whole_y)
+            inside[x] = _is_inside(column[x], row[x], width, height)
+            place[x] = row[x] * width + column[x] if inside[x] else np.int32(0)
+        _gather(stored, place, rest)
+        for x in range(count):
+            step_x = np.floor(part[0, x] - rest[0, x] + half)
+            step_y = np.floor(part[1, x] - rest[1, x] + half)
+            near_column, near_row = column[x] + np.int32(step_x), row[x] + np.int32(step_y)
+            near = inside[x] & _is_inside(near_column, near_row, width, height)
+            place[x] = near_row * width + near_column if near else place[x]
+            step[0, x], step[1, x] = step_x if near else zero, step_y if near else zero
+        _gather(stored, place, rest)
+        for x in range(count):
+            miss_x, miss_y = step[0, x] + rest[0, x] - part[0, x], step[1, x] + rest[1, x] - part[1, x]
+            sources[x] = place[x] if inside[x] else np.int32(-1)
+            rests[np.uint64(2 * x)] = miss_x if inside[x] else zero
+            rests[np.uint64(2 * x + 1)] = miss_y if inside[x] else zero
+        found = 0
+        for x in range(count):
+            missed[found] = x  # kept if it counts: a branch would be mispredicted
+            found += int(max(abs(rests[np.uint64(2 * x)]), abs(rests[np.uint64(2 * x + 1)])) > half)
+        for i in range(found):
+            x = missed[i]
+            best, miss_x, miss_y = _best_around(
+                stored, height, width, row[x], column[x], part[0, x], part[1, x]
             )
             if miss_x * miss_x + miss_y * miss_y >= np.float32(MAX_MISS_PX**2):
-                place, miss_x, miss_y = -1, np.float32(0), np.float32(0)
-            source[y, x] = place
-            new_residual[y, x, 0], new_residual[y, x, 1] = miss_x, miss_y
+                best, miss_x, miss_y = -1, zero, zero
+            sources[x] = best
+            rests[2 * x], rests[2 * x + 1] = miss_x, miss_y
+
+
+@njit(cache=True, inline="always")
+def _is_inside(column: np.int32, row: np.int32, width: np.int32, height: np.int32) -> bool:
+    return bool((column >= 0) & (column < width) & (row >= 0) & (row < height))
+
+
+@njit(cache=True)
+def _gather(stored: Array, places: Array, rest: Array) -> None:
+    """Stored residuals (x and y in turn) at some places, into (2, n)."""
+    for i in range(places.size):
+        place = np.uint64(np.uint32(places[i]))
+        rest[0, i] = stored[place * np.uint64(2)]
+        rest[1, i] = stored[place * np.uint64(2) + np.uint64(1)]
 
 
 @njit(cache=True)
