@@ -185,7 +185,9 @@ def _least_spreads(
 
 
 @njit(cache=True, inline="always")
-def _slopes(upper: Array, middle: Array, lower: Array, x: int, left: int, right: int) -> tuple[int, int]:
+def _slopes(
+    upper: Array, middle: Array, lower: Array, x: int, left: int, right: int
+) -> tuple[np.int32, np.int32]:
     """Absolute slopes across and down of padded rows."""
     here, before, after = np.uint64(x + 1), np.uint64(left + 1), np.uint64(right + 1)
     top_left, top_right = np.int32(upper[before]), np.int32(upper[after])

@@ -112,7 +112,7 @@ def _find_sources(
         for i in range(found):
             x = missed[i]
             best, miss_x, miss_y = _best_around(
-                stored, height, width, row[x], column[x], part[0, x], part[1, x]
+                stored, int(height), int(width), row[x], column[x], part[0, x], part[1, x]
             )
             if miss_x * miss_x + miss_y * miss_y >= np.float32(MAX_MISS_PX**2):
                 best, miss_x, miss_y = -1, zero, zero
