@@ -66,7 +66,7 @@ def halved(whole: LabelCostEnergy) -> LabelCostEnergy:
 
 
 def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
-    """What is left open by a labelling of blocks: those that touch an outline, and those beside them.
+    """What is left open by a labelling of blocks: the pixels on both sides of an outline.
 
     Parameters
     ----------
@@ -85,22 +85,24 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
 
 @njit(cache=True)
 def _opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
-    """The labels of the blocks' pixels, open around the outlines; and which labels are elsewhere."""
+    """The labels of the blocks' pixels, open beside the outlines; and which labels are elsewhere."""
     rows, columns = blocks.shape
-    opened = np.zeros((rows, columns), np.bool_)
+    opened = np.zeros((height, width), np.bool_)
     for v in range(rows):
         for u in range(columns):
+            y, x = 2 * v, 2 * u
             if u + 1 < columns and blocks[v, u] != blocks[v, u + 1]:
-                opened[max(v - 1, 0) : v + 2, u : u + 2] = True
+                opened[max(y - 1, 0) : y + 3, x + 1 : x + 3] = True
             if v + 1 < rows and blocks[v, u] != blocks[v + 1, u]:
-                opened[v : v + 2, max(u - 1, 0) : u + 2] = True
+                opened[y + 1 : y + 3, max(x - 1, 0) : x + 3] = True
     labels, elsewhere = np.empty((height, width), np.intp), np.zeros(label_count, np.bool_)
-    for v in range(rows):
-        for u in range(columns):
-            label = UNDECIDED if opened[v, u] else blocks[v, u]
-            if not opened[v, u]:
-                elsewhere[label] = True
-            labels[2 * v : 2 * v + 2, 2 * u : 2 * u + 2] = label
+    for y in range(height):
+        own, is_open, above = labels[y], opened[y], blocks[y // 2]
+        for x in range(width):
+            own[x] = UNDECIDED if is_open[x] else above[x // 2]
+        for x in range(width):
+            if not is_open[x]:
+                elsewhere[own[x]] = True
     return labels, elsewhere
 
 

@@ -1,7 +1,8 @@
 """One expansion: of some pixels, those that best take a label (§7).
 
-It is a minimum cut: of pixels alone by ``min_cut`` where all labels stay paid for (:func:`free_expansion`); a
-label that could be got rid of needs a general graph (:func:`paid_expansion`).
+It is a minimum cut: of pixels alone by ``min_cut`` where all labels stay paid for (:func:`free_expansion`).
+Where one label could be got rid of, it is the better of two such cuts (:func:`freeing_expansion`); several
+need a general graph (:func:`paid_expansion`).
 
 Differs from the construction of Delong et al., in which one node a label cost has an edge to each of
 thousands of pixels: on such a star the Boykov–Kolmogorov algorithm crawls. Here the pixels of one image row
@@ -20,7 +21,7 @@ from mlbs_actors.label_cost_energy import UndecidedEnergy
 from mlbs_actors.messages import Array
 from mlbs_actors.min_cut import min_cut
 
-__all__ = ["free_expansion", "paid_expansion", "paid_for"]
+__all__ = ["free_expansion", "freeing_expansion", "paid_expansion", "paid_for"]
 
 
 @njit(cache=True)
@@ -53,6 +54,53 @@ def free_expansion(
     surplus, near, capacity, unmoved = _move_graph(neighbour, weight, labels, alpha, nodes, price)
     flow, moves = min_cut(surplus, near, capacity)
     return moves, flow - unmoved
+
+
+@njit(cache=True)
+def freeing_expansion(
+    neighbour: Array,
+    weight: Array,
+    labels: Array,
+    alpha: int,
+    nodes: Array,
+    price: Array,
+    label: int,
+    label_cost: int,
+) -> tuple[Array, np.int64]:
+    """Find the pixels that best take a label, where one other label costs nothing any more without pixels.
+
+    Either not all of that label's pixels move, or all do and the others follow as they like.
+
+    Parameters
+    ----------
+    neighbour, weight, labels, alpha, nodes, price
+        As for :func:`free_expansion`.
+    label, label_cost : int
+        The label, of which all pixels are among the nodes, and what it costs.
+
+    Returns
+    -------
+    moves : (m,) bool
+    change : int
+        As :func:`free_expansion` returns them.
+    """
+    some, change = free_expansion(neighbour, weight, labels, alpha, nodes, price)
+    taken = labels.copy()
+    moves = labels[nodes] == label
+    change_of_all = -np.int64(label_cost)
+    for i in np.flatnonzero(moves):
+        taken[nodes[i]] = alpha
+        change_of_all += price[i]
+        for k in range(8):
+            q = neighbour[nodes[i], k]
+            if q >= 0 and labels[q] == alpha:
+                change_of_all -= weight[nodes[i], k]
+    others = np.flatnonzero(~moves)
+    if others.size:
+        followers, more = free_expansion(neighbour, weight, taken, alpha, nodes[others], price[others])
+        moves[others] = followers
+        change_of_all += more
+    return (moves, change_of_all) if change_of_all < change else (some, change)
 
 
 def paid_expansion(

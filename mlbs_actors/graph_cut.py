@@ -32,7 +32,7 @@ from mlbs_actors.coarse_cut import band_around_outlines, halved
 from mlbs_actors.contrast import MAX_COST
 from mlbs_actors.cut_pruning import movable, prune, reachable
 from mlbs_actors.errors import ConfigError
-from mlbs_actors.expansion import free_expansion, paid_expansion, paid_for
+from mlbs_actors.expansion import free_expansion, freeing_expansion, paid_expansion, paid_for
 from mlbs_actors.label_cost_energy import LabelCostEnergy, Offers, UndecidedEnergy
 from mlbs_actors.messages import Array
 
@@ -268,7 +268,7 @@ def _expand_in_turn(
     label_costs: Array, labels: Array, chosen: Array, changed_at: Array, news_at: Array, came_from: Array,
     expanded_at: Array, step: int, energy: int,
 ) -> tuple[int, int, int, Array, Array, Array]:  # fmt: skip
-    """Expand labels until one is due that could free another of its cost: its turn, how the course stands,
+    """Expand labels until one is due that could free several of their costs: its turn, how the course stands,
     and what :func:`~mlbs_actors.cut_pruning.movable` tells of it."""
     for due in range(turn, alphas.size):
         alpha = alphas[due]
@@ -295,10 +295,16 @@ def _expand_in_turn(
                 nodes,
             )
             nodes, price = nodes[worth], price[worth]
-        if paid_for(labels, nodes, kept).size:
+        paid = paid_for(labels, nodes, kept)
+        if paid.size > 1:
             return due, step, energy, nodes, price, kept
         if nodes.size:
-            moves, change = free_expansion(neighbour, weight, labels, alpha, nodes, price)
+            if paid.size:
+                moves, change = freeing_expansion(
+                    neighbour, weight, labels, alpha, nodes, price, paid[0], label_costs[paid[0]]
+                )
+            else:
+                moves, change = free_expansion(neighbour, weight, labels, alpha, nodes, price)
             change += _cost_of_use(label_costs, labels, alpha)
             if change < 0:
                 energy += int(change)

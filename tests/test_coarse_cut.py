@@ -95,17 +95,17 @@ def test_only_pixels_near_an_outline_are_open_and_the_rest_is_folded_into_their_
     assert rest.elsewhere.tolist() == [True, False, True, False]
     open_pixels: Array = np.isin(np.arange(labels.size).reshape(labels.shape), rest.pixels)
     np.testing.assert_array_equal(np.where(open_pixels, UNDECIDED, labels), band.labels)
-    # Two pixels to either side, also around the corners.
+    # A pixel to either side, also around the corners.
     near = np.zeros(labels.shape, bool)
     for y, x in np.argwhere(labels[:-1, :] != labels[1:, :]):
-        near[y - 1 : y + 3, x - 2 : x + 3] = True
+        near[y : y + 2, x - 1 : x + 2] = True
     for y, x in np.argwhere(labels[:, :-1] != labels[:, 1:]):
-        near[y - 2 : y + 3, x - 1 : x + 3] = True
+        near[y - 1 : y + 2, x : x + 2] = True
     np.testing.assert_array_equal(open_pixels, near)
     before: Array = labels.reshape(-1)[rest.pixels]
     other = labels.copy()
     np.testing.assert_array_equal(band.start, before)
-    other[21, 40], other[19, 35] = 0, 2
+    other[20, 40], other[19, 35] = 0, 2
     after = other.reshape(-1)[rest.pixels]
     assert rest.energy(after) - rest.energy(before) == slow_energy(other, problem) - slow_energy(
         labels, problem
@@ -156,7 +156,7 @@ def test_coarse_to_fine_finds_nearly_the_labels_of_the_whole_cut(
     blank = slow_energy(np.zeros((80, 96), np.intp), problem)
     # Of what the whole cut gains over no object at all, nearly everything.
     assert blank - found.energy >= 0.97 * (blank - exact.energy)
-    assert (found.labels != exact.labels).sum() <= 0.1 * (exact.labels > 0).sum()
+    assert (found.labels != exact.labels).sum() <= 0.12 * (exact.labels > 0).sum()
 
 
 def test_smooth_costs_give_the_very_same_labels(monkeypatch: pytest.MonkeyPatch) -> None:
