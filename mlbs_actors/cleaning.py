@@ -39,13 +39,14 @@ def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) ->
     """
     cleaned = labels[box.slices].copy()
     rows, starts, ends, of_run = _components(cleaned)
-    first = np.unique(of_run, return_index=True)[1]  # of the runs of each component
-    label_of = cleaned[rows[first], starts[first]].astype(np.int64)
-    areas = np.bincount(of_run, ends - starts).astype(np.int64)
-    on_side = (rows == 0) & (box.y > 0) | (rows == box.height - 1) & (box.y + box.height < labels.shape[0])
-    on_side |= (starts == 0) & (box.x > 0) | (ends == box.width) & (box.x + box.width < labels.shape[1])
-    goes_on = np.bincount(of_run, on_side) > 0
-    areas[goes_on & (label_of == BACKGROUND)] += labels.size - box.area
+    # The background goes on where it meets a side that is not the frame's.
+    beyond = (
+        box.x > 0,
+        box.y > 0,
+        box.x + box.width < labels.shape[1],
+        box.y + box.height < labels.shape[0],
+    )
+    label_of, areas = _measured(cleaned, rows, starts, ends, of_run, beyond, labels.size - box.area)
     small = areas < np.where(label_of == BACKGROUND, hole_px, speck_px)
     if not small.any():
         return cleaned
@@ -98,6 +99,32 @@ def _components(labels: Array) -> tuple[Array, Array, Array, Array]:
         else:
             component[run] = component[root]
     return rows, starts, ends, component
+
+
+@njit(cache=True)
+def _measured(
+    labels: Array, rows: Array, starts: Array, ends: Array, of_run: Array,
+    beyond: tuple[bool, bool, bool, bool], area_beyond: int,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Label and area of each component; ``beyond`` says where more follows: left, top, right, bottom."""
+    height, width = labels.shape
+    count = of_run.max() + 1
+    label_of, areas = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    goes_on = np.zeros(count, np.bool_)
+    for run in range(rows.size):
+        one = of_run[run]
+        label_of[one] = labels[rows[run], starts[run]]
+        areas[one] += ends[run] - starts[run]
+        goes_on[one] |= (
+            (beyond[0] and starts[run] == 0)
+            or (beyond[1] and rows[run] == 0)
+            or (beyond[2] and ends[run] == width)
+            or (beyond[3] and rows[run] == height - 1)
+        )
+    for one in range(count):
+        if goes_on[one] and label_of[one] == BACKGROUND:
+            areas[one] += area_beyond
+    return label_of, areas
 
 
 @njit(cache=True)

@@ -203,11 +203,11 @@ class _Course:
 
     @classmethod
     def starting(cls, rest: UndecidedEnergy, labels: Array) -> _Course:
-        count = labels.size
+        count, chosen = labels.size, rest.offers.chosen(labels)
         return cls(
             labels=labels,
-            chosen=rest.offers.chosen(labels),
-            energy=rest.energy(labels),
+            chosen=chosen,
+            energy=rest.energy(labels, chosen),
             step=0,
             changed_at=np.zeros(count, np.int32),
             news_at=np.zeros(count, np.int32),
@@ -381,23 +381,26 @@ def _search(rest: UndecidedEnergy, start: Array, max_sweeps: int) -> tuple[Array
 def _remove_labels(rest: UndecidedEnergy, course: _Course) -> _Course:
     """Try to do without each label that has to be paid for, in ascending order."""
     for label in np.flatnonzero(rest.used(course.labels) & (rest.label_costs > 0)):
-        labels = course.labels
-        others = np.setdiff1d(np.flatnonzero(rest.used(labels)), label)
-        if others.size == 0:
+        others = rest.used(course.labels)
+        others[label] = False
+        if not others.any():
             continue
-        orphans = np.flatnonzero(labels == label)
-        allowed = np.zeros(rest.label_costs.size, np.bool_)
-        allowed[others] = True
-        shared, loss = _shared_out(
-            rest.offers.first, rest.offers.pixel, rest.offers.cost, labels, course.chosen, int(label), allowed
+        shared, near, loss, outline = _shared_out(
+            rest.offers.first,
+            rest.offers.pixel,
+            rest.offers.cost,
+            rest.neighbour,
+            rest.weight,
+            course.labels,
+            course.chosen,
+            int(label),
+            others,
         )
-        around = rest.neighbour[orphans]
-        outline = int(rest.weight[orphans][(around >= 0) & (labels[around] != label)].sum())
         # Neither its cost nor its outline, if saved, could make up for its evidence.
         if loss >= outline + rest.label_costs[label]:
             continue
         proposal = _Course.starting(rest, shared)
-        proposal.expand(rest, np.union1d(shared[orphans], shared[around[around >= 0]]))
+        proposal.expand(rest, np.flatnonzero(near))
         if proposal.energy < course.energy:
             course = proposal
     return course
@@ -405,21 +408,31 @@ def _remove_labels(rest: UndecidedEnergy, course: _Course) -> _Course:
 
 @njit(cache=True)
 def _shared_out(
-    first: Array, pixel: Array, cost: Array, labels: Array, chosen: Array, label: int, allowed: Array
-) -> tuple[Array, int]:
-    """A labelling where each pixel of one label has the cheapest of some others, the lowest of several, and
-    what they cost more."""
+    first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array, labels: Array, chosen: Array,
+    label: int, allowed: Array,
+) -> tuple[Array, Array, int, int]:  # fmt: skip
+    """A labelling where each pixel of one label has the cheapest of some others, the lowest of several; which
+    labels these pixels and those beside them then have; what they cost more, and what their outline costs."""
     shared, least = labels.copy(), np.full(labels.size, 2**40)
     for other in np.flatnonzero(allowed):
         for entry in range(first[other], first[other + 1]):
             p = pixel[entry]
             if labels[p] == label and cost[entry] < least[p]:
                 shared[p], least[p] = other, cost[entry]
-    loss = np.int64(0)
+    near = np.zeros(allowed.size, np.bool_)
+    loss, outline = np.int64(0), np.int64(0)
     for p in range(labels.size):
-        if labels[p] == label:
-            loss += least[p] - chosen[p]
-    return shared, int(loss)
+        if labels[p] != label:
+            continue
+        loss += least[p] - chosen[p]
+        near[shared[p]] = True
+        for k in range(8):
+            q = neighbour[p, k]
+            if q >= 0:
+                near[shared[q]] = True
+                if labels[q] != label:
+                    outline += weight[p, k]
+    return shared, near, loss, outline
 
 
 @njit(cache=True)

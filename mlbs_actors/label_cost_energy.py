@@ -144,9 +144,10 @@ class UndecidedEnergy:
         in_use: Array = self.elsewhere | (np.bincount(labels, minlength=self.elsewhere.size) > 0)
         return in_use
 
-    def energy(self, labels: Array) -> int:
-        """Energy of a labelling (n,) intp of the undecided pixels."""
-        pixel_terms = _energy(self.offers.chosen(labels), self.neighbour, self.weight, labels)
+    def energy(self, labels: Array, chosen: Array | None = None) -> int:
+        """Energy of a labelling (n,) intp of the undecided pixels, and of what they pay for it if known."""
+        chosen = self.offers.chosen(labels) if chosen is None else chosen
+        pixel_terms = _energy(chosen, self.neighbour, self.weight, labels)
         return int(pixel_terms) + int(self.label_costs[self.used(labels)].sum())
 
 
