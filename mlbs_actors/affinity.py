@@ -134,6 +134,17 @@ def _max_motion_distance(
     return distances
 
 
+@njit(cache=True)
+def _exponents(first: Array, second: Array, positions: Array, motion: Array, radius: np.float32) -> Array:
+    """−D_M − |Δp|²/radius² of every edge."""
+    exponents = np.empty(first.size, np.float32)
+    for edge in range(first.size):
+        across = positions[first[edge], 0] - positions[second[edge], 0]
+        down = positions[first[edge], 1] - positions[second[edge], 1]
+        exponents[edge] = -motion[edge] - (across * across + down * down) / (radius * radius)
+    return exponents
+
+
 def trajectory_graph(
     state: TrajectoryState, spreads: Array, shape: tuple[int, int], config: AffinityConfig
 ) -> TrajectoryGraph:
@@ -162,6 +173,5 @@ def trajectory_graph(
     motion = _max_motion_distance(
         first, second, state.residuals, state.ages, units, config.object_relative, config.forgetting
     )
-    gap = state.positions[first] - state.positions[second]
-    spatial = np.square(gap).sum(axis=1) / np.float32(radius * radius)
-    return TrajectoryGraph(first, second, motion, np.exp(-motion - spatial), n)
+    affinity = np.exp(_exponents(first, second, state.positions, motion, np.float32(radius)))
+    return TrajectoryGraph(first, second, motion, affinity, n)

@@ -432,7 +432,7 @@ def _shared_out(
                 near[shared[q]] = True
                 if labels[q] != label:
                     outline += weight[p, k]
-    return shared, near, loss, outline
+    return shared, near, int(loss), int(outline)
 
 
 @njit(cache=True)

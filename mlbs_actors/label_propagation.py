@@ -46,21 +46,53 @@ def propagate_soft(affinity: sp.csr_array, labels: Array, classes: int, restart:
         Share of the walks of each node that ended at each class, rows sum to 1 at most (and errors of
         ``TOLERANCE``).
     """
-    degree = np.asarray(affinity.sum(axis=1)).ravel()
-    inverse = np.divide(1.0 - restart, degree, out=np.zeros_like(degree), where=degree > 0)[:, None]
-    Y = np.zeros((len(labels), classes))
-    known = labels >= 0
-    Y[np.flatnonzero(known), labels[known]] = restart
     # Chebyshev iteration: the eigenvalues of (1−r) P are real and lie within ±(1−r), so the weights and the
     # number of steps are known beforehand.
     radius = 1.0 - restart
     rate = radius / (1.0 + np.sqrt(1.0 - radius**2))
-    weight = 2.0
-    before, Z = np.zeros_like(Y), Y
-    for _ in range(int(np.ceil(np.log(TOLERANCE / 2.0) / np.log(rate)))):
+    steps = int(np.ceil(np.log(TOLERANCE / 2.0) / np.log(rate)))
+    share = _walk(affinity.indptr, affinity.indices, affinity.data, labels, classes, restart, steps)
+    return np.asarray(share[:, :classes])
+
+
+@njit(cache=True)
+def _walk(
+    pointers: Array,
+    neighbours: Array,
+    weights: Array,
+    labels: Array,
+    classes: int,
+    restart: float,
+    steps: int,
+) -> Array:
+    """Shares after some steps, (n, classes and up to three more that are 0): four are summed at once."""
+    count, padded = labels.size, -(-classes // 4) * 4
+    shared_out, start = np.zeros(count), np.zeros((count, padded))
+    for node in range(count):
+        degree = weights[pointers[node] : pointers[node + 1]].sum()
+        shared_out[node] = (1.0 - restart) / degree if degree > 0 else 0.0
+        if labels[node] >= 0:
+            start[node, labels[node]] = restart
+    radius, weight = 1.0 - restart, 2.0
+    before, now, own = np.zeros(start.size), start.reshape(-1).copy(), start.reshape(-1)
+    for _ in range(steps):
         weight = 1.0 / (1.0 - 0.25 * radius**2 * weight)
-        before, Z = Z, weight * (inverse * (affinity @ Z) + Y - before) + before
-    return Z
+        for first in range(0, padded, 4):
+            for node in range(count):
+                one, two, three, four = 0.0, 0.0, 0.0, 0.0
+                for e in range(pointers[node], pointers[node + 1]):
+                    edge, there = weights[e], np.uint64(neighbours[e] * padded + first)
+                    one, two = one + edge * now[there], two + edge * now[there + np.uint64(1)]
+                    three += edge * now[there + np.uint64(2)]
+                    four += edge * now[there + np.uint64(3)]
+                # What was there two steps before makes room for what comes next.
+                come, here = shared_out[node], node * padded + first
+                before[here] += weight * (come * one + own[here] - before[here])
+                before[here + 1] += weight * (come * two + own[here + 1] - before[here + 1])
+                before[here + 2] += weight * (come * three + own[here + 2] - before[here + 2])
+                before[here + 3] += weight * (come * four + own[here + 3] - before[here + 3])
+        before, now = now, before
+    return now.reshape(count, padded)
 
 
 def propagate_absorbing(affinity: sp.csr_array, labels: Array, classes: int) -> Array:
