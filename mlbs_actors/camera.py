@@ -142,19 +142,38 @@ def camera_evidence(
     height, width = current.shape
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     by_camera = cv2.warpPerspective(previous, mapping, (width, height), flags=flags)
-    source_x = np.arange(width, dtype=np.float32)[None, :] + flow[..., 0] / np.float32(step[0])
-    source_y = np.arange(height, dtype=np.float32)[:, None] + flow[..., 1] / np.float32(step[1])
-    by_flow = cv2.remap(previous, source_x, source_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    sources = _flow_sources(flow, np.float32(step[0]), np.float32(step[1]))
+    by_flow = cv2.remap(previous, *sources, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     camera_error, flow_error = (
         cv2.boxFilter(_difference(current, moved, mapping), cv2.CV_32F, (5, 5))
         for moved in (by_camera, by_flow)
     )
     # Every fourth pixel tells the noise as well.
     noise = np.float32(np.clip(np.median(camera_error[::2, ::2]), LEAST_NOISE, MOST_NOISE))
-    np.subtract(camera_error, flow_error, out=flow_error)
-    for error in (camera_error, flow_error):
-        np.divide(error, noise, out=error)
-    return CameraEvidence(camera_error, flow_error)
+    return CameraEvidence(*_in_noise(camera_error, flow_error, noise))
+
+
+@njit(cache=True)
+def _flow_sources(flow: Array, step_x: np.float32, step_y: np.float32) -> tuple[Array, Array]:
+    """x and y of where each pixel comes from, px of the shrunk frame."""
+    height, width = flow.shape[:2]
+    source_x, source_y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    for y in range(height):
+        for x in range(width):
+            source_x[y, x] = np.float32(x) + flow[y, x, 0] / step_x
+            source_y[y, x] = np.float32(y) + flow[y, x, 1] / step_y
+    return source_x, source_y
+
+
+@njit(cache=True)
+def _in_noise(camera_error: Array, flow_error: Array, noise: np.float32) -> tuple[Array, Array]:
+    """What the camera leaves unexplained and what the flow explains better, × noise."""
+    unexplained, advantage = np.empty_like(camera_error), np.empty_like(camera_error)
+    for y in range(camera_error.shape[0]):
+        for x in range(camera_error.shape[1]):
+            unexplained[y, x] = camera_error[y, x] / noise
+            advantage[y, x] = (camera_error[y, x] - flow_error[y, x]) / noise
+    return unexplained, advantage
 
 
 @njit(cache=True)

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
+from numba import njit
 
 from mlbs_actors.affinity import TrajectoryGraph, displacement_spread, trajectory_graph
 from mlbs_actors.clustering import (
@@ -314,13 +315,11 @@ class Coordinator:
         published: Collection[int],
     ) -> None:
         state = self.state
-        limits = np.array(frame.shape[1::-1]) - 1
-        at = np.clip(np.rint(state.trajectories.positions).astype(np.intp), 0, limits)
         state.labels = registry.observe(
             labels,
             state.trajectories.positions,
             state.trajectories.motions,
-            frame[at[:, 1], at[:, 0]],
+            _colours_at(frame, state.trajectories.positions),
             frame_index,
             published,
         )
@@ -337,10 +336,8 @@ class Coordinator:
         state = self.state
         assert state.shape is not None
         registry = LayerRegistry(self.config.layers, state.shape, state.registry)
-        known, place = np.unique(held.labels, return_inverse=True)
-        owners = [registry.layer_of(int(label)) for label in known]
-        layer = np.array(owners, np.int64)[place]
-        with_tracks = (one for one in owners if one > BACKGROUND)
+        owner = registry.layers_of(held.labels)
+        with_tracks = set(owner.tolist()) - {UNLABELLED}
         live = sorted({BACKGROUND, *with_tracks, *registry.live_layers(held.frame_index)})
         # Where the camera's motion explains the image as well, a trajectory says nothing for an object: flow
         # bleeds from an object over the smooth road beside it.
@@ -349,16 +346,15 @@ class Coordinator:
         if held.frame_index == state.epoch:
             # The models of another size; the background's is one of them.
             retired, state.evaluated = set(state.evaluated), {}
+        owner = np.where(telling | (owner == BACKGROUND), owner, UNLABELLED)
+        positions, motions, starts = _by_layer(np.array(live), owner, held.positions, held.motions)
         layers = []
-        for one in live:
+        for one, start, end in zip(live, starts[:-1].tolist(), starts[1:].tolist(), strict=True):
             kind: LayerKind = (
                 "background" if one == BACKGROUND else "other" if one == state.registry.other else "object"
             )
-            members = (layer == one) & (telling | (one == BACKGROUND))
             last_frame = state.evaluated.get(one, -1)
-            layers.append(
-                LayerEvidence(one, kind, last_frame, held.positions[members], held.motions[members])
-            )
+            layers.append(LayerEvidence(one, kind, last_frame, positions[start:end], motions[start:end]))
         state.evaluated = dict.fromkeys(live, held.frame_index)
         return FrameEvidence(
             frame_index=held.frame_index,
@@ -373,6 +369,34 @@ class Coordinator:
             stage_ms=held.stage_ms,
             epoch=state.epoch,
         )
+
+
+@njit(cache=True)
+def _colours_at(frame: Array, positions: Array) -> Array:
+    """Colours of the pixels nearest to some positions, (n, 3) uint8."""
+    colours = np.empty((positions.shape[0], 3), np.uint8)
+    for i in range(positions.shape[0]):
+        x = min(max(int(np.rint(positions[i, 0])), 0), frame.shape[1] - 1)
+        y = min(max(int(np.rint(positions[i, 1])), 0), frame.shape[0] - 1)
+        colours[i] = frame[y, x]
+    return colours
+
+
+@njit(cache=True)
+def _by_layer(live: Array, owner: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
+    """Positions and motions layer by layer, in their order, and where each of the live layers starts (k + 1);
+    those that belong to none are left out."""
+    place, starts = np.searchsorted(live, owner), np.zeros(live.size + 1, np.int64)
+    for i in range(owner.size):
+        if owner[i] != UNLABELLED:
+            starts[place[i] + 1] += 1
+    starts = np.cumsum(starts)
+    order, following = np.empty(starts[-1], np.int64), starts.copy()
+    for i in range(owner.size):
+        if owner[i] != UNLABELLED:
+            order[following[place[i]]] = i
+            following[place[i]] += 1
+    return positions[order], motions[order], starts
 
 
 def _published(feedback: Callable[[], Segmentation] | None) -> list[int]:

@@ -208,16 +208,21 @@ def _full_size(flow: Array, step_x: float, step_y: float) -> Array:
 def _inverted(flow: Array) -> Array:
     """The flow the other way, planes (2, h, w): u with u(x) = −flow(x + u(x)), to a pixel in two rounds."""
     _, height, width = flow.shape
-    inverse = np.empty_like(flow)
-    right, bottom = np.float32(width - 1), np.float32(height - 1)
+    inverse, place = np.empty_like(flow), np.empty(width, np.int32)
+    right, bottom, zero = np.float32(width - 1), np.float32(height - 1), np.float32(0)
+    along, down = flow[0].reshape(-1), flow[1].reshape(-1)
     for y in range(height):
+        u, v = inverse[0, y], inverse[1, y]
         for x in range(width):
-            u, v = -flow[0, y, x], -flow[1, y, x]
-            for _ in range(2):
-                there_x = np.uintp(min(max(np.rint(np.float32(x) + u), np.float32(0)), right))
-                there_y = np.uintp(min(max(np.rint(np.float32(y) + v), np.float32(0)), bottom))
-                u, v = -flow[0, there_y, there_x], -flow[1, there_y, there_x]
-            inverse[0, y, x], inverse[1, y, x] = u, v
+            u[x], v[x] = -flow[0, y, x], -flow[1, y, x]
+        for _ in range(2):
+            for x in range(width):  # in vector registers
+                there_x = np.int32(min(max(np.rint(np.float32(np.int32(x)) + u[x]), zero), right))
+                there_y = np.int32(min(max(np.rint(np.float32(np.int32(y)) + v[x]), zero), bottom))
+                place[x] = np.int32(there_y * np.int32(width)) + there_x
+            for x in range(width):
+                there = np.uint64(np.uint32(place[x]))
+                u[x], v[x] = -along[there], -down[there]
     return inverse
 
 

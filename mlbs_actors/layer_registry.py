@@ -18,11 +18,12 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
 from mlbs_actors.clustering import UNLABELLED
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import BACKGROUND, Array
-from mlbs_actors.reidentification import SIGNATURE_BINS, Sighting, best_sleeper, colour_signature
+from mlbs_actors.reidentification import SIGNATURE_BINS, Sighting, best_sleeper, colour_signatures
 
 __all__ = ["LayerRegistry", "RegistryState"]
 
@@ -148,24 +149,19 @@ class LayerRegistry:
         """Layer ids, without the background, awake at the newest frame or one held before it; ascending."""
         state = self.state
         awake = (state.labels > 0) & (state.born <= frame_index) & (state.seen >= frame_index)
-        ids = {self.layer_of(int(label)) for label in self.state.labels[awake]}
-        return tuple(sorted(ids))
+        return tuple(sorted(set(self.layers_of(state.labels[awake]).tolist())))
 
     def remembered_layers(self) -> frozenset[int]:
         """Layer ids, without the background, that live or sleep."""
-        return frozenset(self.layer_of(int(label)) for label in self.state.labels if label > 0)
+        return frozenset(self.layers_of(self.state.labels[self.state.labels > 0]).tolist())
 
-    def layer_of(self, label: int) -> int:
-        """Layer id of a label, −1 for none.
+    def layers_of(self, labels: Array) -> Array:
+        """Layer ids of some labels, (n,) int64, −1 for none.
 
         A candidate that fell off an object belongs to its layer until it has one of its own.
         """
-        row = np.flatnonzero(self.state.labels == label)
-        if label < BACKGROUND:
-            return self.layer_of(int(self.state.origins[row[0]])) if len(row) else UNLABELLED
-        if len(row) and self.state.pooled[row[0]]:
-            return self.state.other
-        return label
+        state = self.state
+        return np.asarray(_layers_of(labels, state.labels, state.origins, state.pooled, state.other))
 
     def forget(self, merged: Mapping[int, int]) -> None:
         """Drop labels that were merged into others: nothing is left that could wake.
@@ -257,27 +253,20 @@ class LayerRegistry:
         (n,) int64
             Trajectories of labels that have too few are −1.
         """
-        labels = labels.copy()
         state = self.state
-        # Their row, of those that are known; most of the known ones sleep.
-        rows = np.minimum(np.searchsorted(state.labels, labels), max(len(state.labels) - 1, 0))
-        known = np.flatnonzero(state.labels[rows] == labels) if len(state.labels) else np.zeros(0, np.intp)
-        enough = np.bincount(rows[known], minlength=len(state.labels)) >= self.config.min_tracks
-        for row in np.flatnonzero(enough):
-            members = labels == state.labels[row]
-            state.seen[row] = state.tracked[row] = frame_index
-            state.centroids[row] = positions[members].mean(axis=0)
-            state.velocities[row] = -motions[members].mean(axis=0)
-            fresh = colour_signature(colours[members])
-            state.signatures[row] = (
-                fresh if state.signatures[row].sum() == 0 else 0.9 * state.signatures[row] + 0.1 * fresh
-            )
-        coasting = ~enough & (state.labels > 0) & (state.seen == frame_index - 1)
+        rows, counts, means = _sightings(state.labels, labels, positions, motions)
+        enough = counts >= self.config.min_tracks
+        state.seen[enough] = state.tracked[enough] = frame_index
+        state.centroids[enough], state.velocities[enough] = means[enough, :2], -means[enough, 2:]
+        fresh = colour_signatures(rows, colours, len(state.labels))[enough]
+        old = state.signatures[enough]
+        state.signatures[enough] = np.where(old.any(axis=1, keepdims=True), 0.9 * old + 0.1 * fresh, fresh)
+        coasting: Array = ~enough & (state.labels > 0) & (state.seen == frame_index - 1)
         coasting &= frame_index - state.tracked <= self.config.coast_frames
-        for row in np.flatnonzero(coasting):
-            coasting[row] = self.layer_of(int(state.labels[row])) in published
+        coasting[coasting] = np.isin(self.layers_of(state.labels[coasting]), list(published))
         state.seen[coasting] = frame_index
-        labels[known[~(enough | coasting)[rows[known]]]] = UNLABELLED
+        awake: Array = np.append(enough | coasting, True)  # the last for those of no known label
+        labels = np.where(awake[rows], labels, UNLABELLED)
         asleep = frame_index - state.seen
         keep = np.where(state.labels > 0, asleep <= self.config.dormant_frames, asleep == 0)
         self._select(keep)
@@ -382,3 +371,41 @@ class LayerRegistry:
                 self.state = state = replace(state, other=state.next_layer, next_layer=state.next_layer + 1)
             sizes = [int((labels == state.labels[row]).sum()) for row in single]
             state.pooled[single[int(np.lexsort((-state.labels[single], np.array(sizes)))[0])]] = True
+
+
+@njit(cache=True)
+def _row_of(known: Array, label: int) -> int:
+    """Where a label stands among the known ones, which ascend; −1 if it is none of them."""
+    row = int(np.searchsorted(known, label))
+    return row if row < known.size and known[row] == label else -1
+
+
+@njit(cache=True)
+def _layers_of(labels: Array, known: Array, origins: Array, pooled: Array, other: int) -> Array:
+    layers = np.empty(labels.size, np.int64)
+    for i in range(labels.size):
+        label = labels[i]
+        row = _row_of(known, label)
+        if label < BACKGROUND:
+            label = origins[row] if row >= 0 else UNLABELLED
+            row = _row_of(known, label)
+        layers[i] = other if row >= 0 and pooled[row] else label
+    return layers
+
+
+@njit(cache=True)
+def _sightings(known: Array, labels: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
+    """Row of each trajectory's label, −1 if it is not known; how many each has, and their mean positions and
+    motions (k, 4)."""
+    rows = np.empty(labels.size, np.int64)
+    counts, means = np.zeros(known.size, np.int64), np.zeros((known.size, 4), np.float32)
+    for i in range(labels.size):
+        row = rows[i] = _row_of(known, labels[i])
+        if row >= 0:
+            counts[row] += 1
+            for axis in range(2):
+                means[row, axis] += positions[i, axis]
+                means[row, 2 + axis] += motions[i, axis]
+    for row in range(known.size):
+        means[row] /= np.float32(max(counts[row], 1))
+    return rows, counts, means

@@ -8,11 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from mlbs_actors.config import LayersConfig, length_scale
 from mlbs_actors.messages import Array
 
-__all__ = ["SIGNATURE_BINS", "Sighting", "best_sleeper", "colour_signature"]
+__all__ = ["SIGNATURE_BINS", "Sighting", "best_sleeper", "colour_signatures"]
 
 #: Bins a colour channel of a signature.
 SIGNATURE_BINS = 6
@@ -29,7 +30,7 @@ class Sighting:
     centroids, velocities : (k, 2) float64
         Mean position (px) and forward motion (px/frame).
     signatures : (k, SIGNATURE_BINS³) float32
-        Of :func:`colour_signature`.
+        Of :func:`colour_signatures`.
     """
 
     seen: Array
@@ -38,22 +39,34 @@ class Sighting:
     signatures: Array
 
 
-def colour_signature(colours: Array) -> Array:
-    """Normalised colour histogram of some pixels.
+@njit(cache=True)
+def colour_signatures(rows: Array, colours: Array, count: int) -> Array:
+    """Normalised colour histograms of some groups of pixels.
 
     Parameters
     ----------
+    rows : (n,) int64
+        Group of each pixel, −1 for none.
     colours : (n, 3) uint8
+    count : int
+        Of the groups.
 
     Returns
     -------
-    (SIGNATURE_BINS³,) float32
-        Sum 1, or 0 without pixels.
+    (count, SIGNATURE_BINS³) float32
+        Sum 1, or 0 of a group without pixels.
     """
-    bins = colours.astype(np.intp) * SIGNATURE_BINS // 256
-    flat = (bins[:, 0] * SIGNATURE_BINS + bins[:, 1]) * SIGNATURE_BINS + bins[:, 2]
-    histogram = np.bincount(flat, minlength=SIGNATURE_BINS**3).astype(np.float32)
-    return histogram / np.float32(max(len(colours), 1))
+    histograms, pixels = np.zeros((count, SIGNATURE_BINS**3), np.float32), np.zeros(count, np.float32)
+    for i in range(rows.size):
+        if rows[i] >= 0:
+            place = np.int64(0)
+            for channel in range(3):
+                place = place * SIGNATURE_BINS + np.int64(colours[i, channel]) * SIGNATURE_BINS // 256
+            histograms[rows[i], place] += 1
+            pixels[rows[i]] += 1
+    for row in range(count):
+        histograms[row] /= max(pixels[row], np.float32(1))
+    return histograms
 
 
 def best_sleeper(

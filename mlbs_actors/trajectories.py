@@ -108,25 +108,34 @@ def advance_trajectories(state: TrajectoryState, flow: DenseFlow, shape: tuple[i
     TrajectoryState
         At frame t, but for the residuals (:func:`with_residuals`).
     """
-    height, width = shape
     motion = sample_flow(flow.forward, state.positions, flow.step)
-    positions = state.positions + motion
-    cell_x = np.clip((state.positions[:, 0] / flow.step[0]).astype(np.intp), 0, flow.forward.shape[1] - 1)
-    cell_y = np.clip((state.positions[:, 1] / flow.step[1]).astype(np.intp), 0, flow.forward.shape[0] - 1)
-    alive = (
-        flow.forward_reliable_at(cell_x, cell_y)
-        & (positions[:, 0] >= 0)
-        & (positions[:, 0] <= width - 1)
-        & (positions[:, 1] >= 0)
-        & (positions[:, 1] <= height - 1)
+    positions, cell_x, cell_y, inside = _moved(
+        state.positions, motion, flow.step, flow.forward.shape[:2], (shape[0], shape[1])
     )
-    kept = selected(state, np.flatnonzero(alive))
+    alive = np.flatnonzero(inside & flow.forward_reliable_at(cell_x, cell_y))
+    kept = selected(state, alive)
     return replace(
         kept,
         positions=positions[alive],
         motions=-motion[alive],
-        ages=np.minimum(kept.ages + 1, state.residuals.shape[1]).astype(np.int32),
+        ages=np.minimum(kept.ages + np.int32(1), np.int32(state.residuals.shape[1])),
     )
+
+
+@njit(cache=True)
+def _moved(
+    positions: Array, motion: Array, step: tuple[float, float], grid: tuple[int, int], shape: tuple[int, int]
+) -> tuple[Array, Array, Array, Array]:
+    """Where points get to, column and row of the flow's grid they come from, and who stays in the frame."""
+    count = positions.shape[0]
+    moved, inside = positions + motion, np.empty(count, np.bool_)
+    cell_x, cell_y = np.empty(count, np.int64), np.empty(count, np.int64)
+    step_x, step_y = np.float32(step[0]), np.float32(step[1])
+    for i in range(count):
+        cell_x[i] = min(max(int(positions[i, 0] / step_x), 0), grid[1] - 1)
+        cell_y[i] = min(max(int(positions[i, 1] / step_y), 0), grid[0] - 1)
+        inside[i] = 0 <= moved[i, 0] <= shape[1] - 1 and 0 <= moved[i, 1] <= shape[0] - 1
+    return moved, cell_x, cell_y, inside
 
 
 def selected(state: TrajectoryState, positions: Array) -> TrajectoryState:
@@ -178,31 +187,34 @@ def seed_trajectories(
     border in px.
     """
     structure = cv2.cornerMinEigenVal(gray, blockSize=5, ksize=3)
-    everywhere = np.ones(gray.shape, bool)
-    state = _seeded(state, structure, flow, shape, config.seed_spacing_px, LEAST_SPACING, everywhere)
+    mean = float(structure.mean())
+    wanted = np.ones(gray.shape, bool) if flow is None else flow.backward_reliable
+    state = _seeded(state, structure, mean, flow, shape, config.seed_spacing_px, LEAST_SPACING, wanted)
     if dense is not None:
-        state = _seeded(state, structure, flow, shape, config.dense_spacing_px, LEAST_DENSE_SPACING, dense)
+        state = _seeded(
+            state, structure, mean, flow, shape, config.dense_spacing_px, LEAST_DENSE_SPACING, wanted & dense
+        )
     return state
 
 
 def _seeded(
     state: TrajectoryState,
     structure: Array,
+    mean: float,
     flow: DenseFlow | None,
     shape: tuple[int, int],
     spacing_px: float,
     least: float,
-    where: Array,
+    wanted: Array,
 ) -> TrajectoryState:
     """Seed one grid; nearer than ``least`` px of the shrunk frame the flow cannot tell two points apart."""
     height, width = shape
     step = (width / structure.shape[1], height / structure.shape[0])
     spacing = max(spacing_px * length_scale(height, width), least * max(step))
     grid = (max(1, int(height / spacing)), max(1, int(width / spacing)))
-    wanted = where if flow is None else where & flow.backward_reliable
     # A live trajectory covers a disc around it.
     free = _uncovered(state.positions, structure.shape, step, 0.75 * spacing / (0.5 * (step[0] + step[1])))
-    points = _grid_seeds(structure, float(structure.mean()), wanted & free, shape, step, grid)
+    points = _grid_seeds(structure, mean, wanted, free, shape, step, grid)
     age, back = 0, np.zeros_like(points)
     if flow is not None:
         age, back = 1, sample_flow(flow.backward, points, flow.step)
@@ -242,11 +254,12 @@ def _grid_seeds(
     structure: Array,
     mean: float,
     wanted: Array,
+    free: Array,
     shape: tuple[int, int],
     step: tuple[float, float],
     grid: tuple[int, int],
 ) -> Array:
-    """The points of a grid in raster order that are wanted and have enough structure, (n, 2) float32."""
+    """The points of a grid in raster order that are wanted, free and structured, (n, 2) float32."""
     height, width = shape
     rows, columns = grid
     points = np.empty((rows * columns, 2), np.float32)
@@ -257,7 +270,7 @@ def _grid_seeds(
         for column in range(columns):
             x = np.float32((column + 0.5) * width / columns)
             u = min(int(x / step[0]), wanted.shape[1] - 1)
-            if not wanted[v, u]:
+            if not (wanted[v, u] and free[v, u]):
                 continue
             border = min(min(x, y), min(width - 1 - x, height - 1 - y))
             if structure[v, u] > mean * (0.1 + np.exp(-0.1 * border)):
@@ -315,18 +328,19 @@ def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -
     advantage : (n,) float32
         :class:`~mlbs_actors.camera.CameraEvidence` at each trajectory, × the frame's noise.
     """
-    newest = np.where(state.ages[:, None] > 0, state.motions - predicted, np.float32(0))
     evidence = EVIDENCE_KEPT * state.evidence + np.clip(advantage, *EVIDENCE_BOUNDS).astype(np.float32)
-    residuals = _remembered(state.residuals, state.rows, newest)
+    residuals = _remembered(state.residuals, state.rows, state.ages, state.motions, predicted)
     return replace(state, residuals=residuals, rows=np.arange(len(state)), evidence=evidence)
 
 
 @njit(cache=True)
-def _remembered(residuals: Array, rows: Array, newest: Array) -> Array:
-    """The newest residuals and those before, one frame older."""
+def _remembered(residuals: Array, rows: Array, ages: Array, motions: Array, predicted: Array) -> Array:
+    """The newest residuals, 0 of those without a motion, and those before, one frame older."""
     moved = np.empty((rows.size, *residuals.shape[1:]), np.float32)
     for trajectory in range(rows.size):
-        moved[trajectory, 0] = newest[trajectory]
+        for axis in range(2):
+            known = motions[trajectory, axis] - predicted[trajectory, axis]
+            moved[trajectory, 0, axis] = known if ages[trajectory] > 0 else np.float32(0)
         row = rows[trajectory]
         if row < 0:
             moved[trajectory, 1:] = 0

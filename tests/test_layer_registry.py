@@ -94,7 +94,7 @@ class Stream:
 
     def layer_of(self, name: str) -> int | None:
         """The layer of a thing seen in the newest frame, None before its birth."""
-        layer = self.registry.layer_of(self.labels[name])
+        (layer,) = self.registry.layers_of(np.array([self.labels[name]])).tolist()
         return layer if layer > BACKGROUND else None
 
     def skip(self, frames: int) -> None:

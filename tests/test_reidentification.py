@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mlbs_actors.reidentification import colour_signature
+from mlbs_actors.reidentification import colour_signatures
 
 
 def test_a_signature_is_the_share_of_each_colour_bin() -> None:
     colours = np.random.default_rng(0).integers(0, 256, (500, 3)).astype(np.uint8)
-    signature = colour_signature(colours)
+    (signature,) = colour_signatures(np.zeros(len(colours), np.int64), colours, 1)
     bins = round(len(signature) ** (1 / 3))
     expected = np.zeros((bins, bins, bins))
     for blue, green, red in colours.astype(int):
@@ -20,4 +20,4 @@ def test_a_signature_is_the_share_of_each_colour_bin() -> None:
 
 
 def test_no_pixels_have_an_empty_signature() -> None:
-    assert colour_signature(np.zeros((0, 3), np.uint8)).sum() == 0.0
+    assert colour_signatures(np.zeros(0, np.int64), np.zeros((0, 3), np.uint8), 1).sum() == 0.0
