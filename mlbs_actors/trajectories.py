@@ -140,16 +140,17 @@ def _moved(
 
 def selected(state: TrajectoryState, positions: Array) -> TrajectoryState:
     """The trajectories at some positions of the arrays, ascending (n,) intp; the others are lost."""
-    return TrajectoryState(
-        state.ids[positions],
-        state.positions[positions],
-        state.motions[positions],
-        state.residuals,
-        state.rows[positions],
-        state.ages[positions],
-        state.evidence[positions],
-        state.next_id,
+    ids, places, motions, rows, ages, evidence = _at(
+        positions, state.ids, state.positions, state.motions, state.rows, state.ages, state.evidence
     )
+    return TrajectoryState(ids, places, motions, state.residuals, rows, ages, evidence, state.next_id)
+
+
+@njit(cache=True)
+def _at(
+    chosen: Array, ids: Array, positions: Array, motions: Array, rows: Array, ages: Array, evidence: Array
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    return ids[chosen], positions[chosen], motions[chosen], rows[chosen], ages[chosen], evidence[chosen]
 
 
 def seed_trajectories(
@@ -298,20 +299,24 @@ def evenly_spread(positions: Array, spacing: float) -> Array:
     """
     if len(positions) == 0:
         return np.zeros(0, np.intp)
-    square = np.floor(positions / np.float32(spacing)).astype(np.int64)
-    return _first_of_each(square - square.min(axis=0))
+    return np.asarray(_first_of_each(positions, np.float32(spacing)))
 
 
 @njit(cache=True)
-def _first_of_each(squares: Array) -> Array:
-    """Positions of the first point of each square; squares are (n, 2) int64, from 0 on."""
-    taken = np.zeros((squares[:, 0].max() + 1, squares[:, 1].max() + 1), np.bool_)
-    first = np.empty(len(squares), np.intp)
+def _first_of_each(positions: Array, spacing: np.float32) -> Array:
+    """Positions in the array of the first point of each square."""
+    column, row = np.empty(len(positions), np.int64), np.empty(len(positions), np.int64)
+    for point in range(len(positions)):
+        column[point] = int(np.floor(positions[point, 0] / spacing))
+        row[point] = int(np.floor(positions[point, 1] / spacing))
+    left, top = column.min(), row.min()
+    taken = np.zeros((column.max() - left + 1, row.max() - top + 1), np.bool_)
+    first = np.empty(len(positions), np.intp)
     found = 0
-    for point in range(len(squares)):
-        column, row = squares[point]
-        if not taken[column, row]:
-            taken[column, row] = True
+    for point in range(len(positions)):
+        square = column[point] - left, row[point] - top
+        if not taken[square]:
+            taken[square] = True
             first[found] = point
             found += 1
     return first[:found]
