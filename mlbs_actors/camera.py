@@ -93,10 +93,10 @@ def shrunk_homography(matrix: Array, step: tuple[float, float]) -> Array:
     (3, 3) float64
     """
     # Full-size pixel centres lie at (shrunk + ½)·step − ½.
-    shrink = np.array(
-        [[1 / step[0], 0, 0.5 / step[0] - 0.5], [0, 1 / step[1], 0.5 / step[1] - 0.5], [0, 0, 1]]
-    )
-    return np.asarray(shrink @ matrix @ np.linalg.inv(shrink))
+    (x, y), shift_x, shift_y = step, 0.5 * step[0] - 0.5, 0.5 * step[1] - 0.5
+    enlarge = np.array([[x, 0, shift_x], [0, y, shift_y], [0, 0, 1]])
+    shrink = np.array([[1 / x, 0, -shift_x / x], [0, 1 / y, -shift_y / y], [0, 0, 1]])
+    return np.asarray(shrink @ matrix @ enlarge)
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,17 +69,42 @@ def trusted_background(
     whole = in_cells(Region(0, 0, shape[1], shape[0]), side)
     trusted = np.ones((whole.height, whole.width), np.bool_)
     objects = _others(evidence, frame_evidence)
-    # A cell is judged up to this far from the objects, by own trajectories up to this far from it.
+    # A cell is judged up to this far from the objects, by own trajectories up to this far from it; distances
+    # are told for four cells at once, which is exact enough for what is many cells.
+    coarse = 2 * side
     near = in_cells(
-        aligned(_surroundings(objects, 2.0 * weights.keep_off_px * scale, shape), side, shape), side
+        aligned(_surroundings(objects, 2.0 * weights.keep_off_px * scale, shape), coarse, shape), coarse
     )
-    own, others = (trajectory_distance(some, near, side) for some in ([evidence], objects))
-    trusted[near.slices] = (others > weights.keep_off_px * scale) | (own + 2.0 * scale < others)
+    own, others = (trajectory_distance(some, near, coarse) for some in ([evidence], objects))
+    least = 0.0
     if frame_evidence.frame_index > frame_evidence.epoch:
-        unexplained = _unexplained(frame_evidence, side)[near.slices]
-        still = unexplained < 0.5 * config.layers.unexplained_noise / UNEXPLAINED_STEP
-        trusted[near.slices] |= still & (others > weights.learn_px * scale)
+        least = 0.5 * config.layers.unexplained_noise / UNEXPLAINED_STEP
+    _judge(
+        own,
+        others,
+        _unexplained(frame_evidence, side),
+        least,
+        np.float32(weights.keep_off_px * scale),
+        np.float32(weights.learn_px * scale),
+        np.float32(2.0 * scale),
+        trusted[2 * near.y :, 2 * near.x :],
+    )
     return trusted
+
+
+@njit(cache=True)
+def _judge(
+    own: Array, others: Array, unexplained: Array, least: float, keep_off: np.float32, learn: np.float32,
+    beside: np.float32, trusted: Array,
+) -> None:  # fmt: skip
+    """Where the background may learn near objects; the distances are of four cells each."""
+    top, left = unexplained.shape[0] - trusted.shape[0], unexplained.shape[1] - trusted.shape[1]
+    for y in range(min(2 * own.shape[0], trusted.shape[0])):
+        for x in range(min(2 * own.shape[1], trusted.shape[1])):
+            other = others[y // 2, x // 2]
+            still = unexplained[top + y, left + x] < least
+            free = other > keep_off or own[y // 2, x // 2] + beside < other
+            trusted[y, x] = free or (still and other > learn)
 
 
 def _others(evidence: LayerEvidence, frame_evidence: FrameEvidence) -> list[LayerEvidence]:
