@@ -14,6 +14,7 @@ A layer's id is for life and never reused; id 0 is the background.
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mlbs_actors.errors import MlbsError
+from mlbs_actors.pickling import pickled_by_values
 
 if TYPE_CHECKING:
     from supervision import Detections
@@ -46,6 +48,7 @@ LayerKind = Literal["background", "object", "other"]
 BACKGROUND = 0
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class Region:
     """A half-open rectangle of pixels: columns x … x+width−1, rows y … y+height−1."""
@@ -66,6 +69,7 @@ class Region:
         return self.width * self.height
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LayerEvidence:
     """The trajectories of one layer at one frame (coordinator → layer).
@@ -138,6 +142,52 @@ class FrameEvidence:
     epoch: int = 0
 
 
+def _pickled_evidence(evidence: FrameEvidence) -> tuple[Any, ...]:
+    """Evidence is pickled with one array of positions and one of motions, however many layers there are."""
+    layers = evidence.layers
+    heads = tuple((one.layer, one.kind, one.last_frame, len(one.positions)) for one in layers)
+    nothing = np.zeros((0, 2), np.float32)
+    return _evidence_of_layers, (
+        heads,
+        np.concatenate([nothing, *(one.positions for one in layers)]),
+        np.concatenate([nothing, *(one.motions for one in layers)]),
+        evidence.frame_index,
+        evidence.shape,
+        evidence.camera,
+        evidence.flow,
+        evidence.flow_reliable,
+        evidence.unexplained,
+        evidence.retired,
+        evidence.latency_frames,
+        evidence.stage_ms,
+        evidence.epoch,
+    )
+
+
+def _evidence_of_layers(
+    heads: tuple[tuple[int, LayerKind, int, int], ...],
+    positions: Array,
+    motions: Array,
+    frame_index: int,
+    shape: tuple[int, int],
+    camera: Array,
+    flow: Array,
+    flow_reliable: Array,
+    unexplained: Array,
+    *rest: Any,
+) -> FrameEvidence:
+    layers, start = [], 0
+    for layer, kind, last_frame, count in heads:
+        own = slice(start, start + count)
+        layers.append(LayerEvidence(layer, kind, last_frame, positions[own], motions[own]))
+        start += count
+    return FrameEvidence(frame_index, shape, camera, flow, flow_reliable, unexplained, tuple(layers), *rest)
+
+
+copyreg.pickle(FrameEvidence, _pickled_evidence)
+
+
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LayerPosterior:
     """One layer's unnormalised posterior of one frame, quantised and cropped (layer → segmenter).
@@ -182,6 +232,7 @@ class LayerPosterior:
     stage_ms: Mapping[str, float] = field(default_factory=dict)
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LayerAppearance:
     """What a layer remembers of its looks, at the frame it was evaluated last (layer → sink).
@@ -210,6 +261,7 @@ UNEXPLAINED_STEP = 1.0 / 8.0
 COST_STEP = 1.0 / 16.0
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LayerSummary:
     """What one layer looks like in one published label map: a row of ``layers-*.parquet``.
@@ -239,6 +291,7 @@ class LayerSummary:
     confidence: float
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class Segmentation:
     """The published result of one frame.

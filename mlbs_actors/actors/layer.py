@@ -20,6 +20,7 @@ from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.messages import FrameEvidence, LayerKind, LayerPosterior, Segmentation
+from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.process_memory import settle_memory
 from mlbs_actors.state_file import read_state
 
@@ -29,6 +30,7 @@ __all__ = ["LayerActor", "LayerOffers", "LayerStep", "LiveLayers"]
 LayerOffers: TypeAlias = tuple[tuple[int, ChannelOffer], ...]
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LayerStep:
     """A frame that a layer is to do.

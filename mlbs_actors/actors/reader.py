@@ -16,6 +16,7 @@ from mlbs_actors.actors.processes import NOTICE_SECONDS, Handle, Reference
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.determinism import limit_process
+from mlbs_actors.pickling import pickled_by_values
 
 __all__ = ["Answer", "ReadAhead", "ReadNext", "ReaderActor", "Skip", "answer"]
 
@@ -27,6 +28,7 @@ Answer: TypeAlias = "Shared[SourceFrame] | SourceFrame | SourceSilence | None"
 _FRAMES_AHEAD = 2
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class ReadNext:
     """Asks a reader for its next row.

@@ -30,12 +30,14 @@ from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.messages import BACKGROUND, FrameEvidence, LayerAppearance, LayerPosterior, Segmentation
+from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.process_memory import settle_memory
 from mlbs_actors.state_file import read_state
 
 __all__ = ["FrameWork", "LabelledFrame", "Labelling", "Retirement", "SegmenterActor"]
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class FrameWork:
     """A frame that is to be labelled, once the one before it is.
@@ -68,6 +70,7 @@ class Retirement:
     layers: tuple[int, ...]
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LabelledFrame:
     """What has come of a :class:`FrameWork`.

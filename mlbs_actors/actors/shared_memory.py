@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 
 from mlbs_actors.errors import ActorLostError, LayerError
+from mlbs_actors.pickling import pickled_by_values
 
 __all__ = ["Shared", "SharedMemory", "Slot", "SlotKind", "SlotPool"]
 
@@ -37,6 +38,7 @@ _LEAST_BYTES = 1 << 16
 _HEADER = struct.Struct("<Q")
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class Slot:
     """Memory that is lent for one message.
@@ -58,6 +60,7 @@ class Slot:
     turn: int
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class Shared(Generic[Message]):
     """Where a message is.

@@ -17,6 +17,7 @@ from mlbs_actors.actors.stream_protocol import GapStatus, Opening, Snapshot, Sou
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import LayerAppearance, Segmentation
+from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.process_memory import settle_memory
 
 __all__ = ["GapRow", "LabelRow", "Record", "SinkActor"]
@@ -37,6 +38,7 @@ _PENDING_SNAPSHOTS = 3
 _LOOK_SECONDS = 0.05
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LabelRow:
     """One result: a row of a record, where its parts are."""
@@ -46,6 +48,7 @@ class LabelRow:
     background: Shared[LayerAppearance] | None
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class GapRow:
     """A frame without label map: its source index, its time, and why."""

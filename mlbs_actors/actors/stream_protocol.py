@@ -30,6 +30,7 @@ from typing import Literal, Protocol
 
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
+from mlbs_actors.pickling import pickled_by_values
 
 __all__ = [
     "FrameReader",
@@ -54,6 +55,7 @@ GapStatus = Literal["dropped", "gap", "quarantined"]
 SourceStatus = Literal["ok", GapStatus]
 
 
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class SourceFrame:
     """One frame as its source delivered it.
