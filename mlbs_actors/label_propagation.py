@@ -26,6 +26,8 @@ __all__ = ["propagate_absorbing", "propagate_soft"]
 NO_EDGE = 1e-12
 #: Error of a soft walk's shares.
 TOLERANCE = 1e-2
+#: A share of a class that a neighbour gives a node with none of it yet counts from here on.
+LEAST_SHARE = 1e-5
 
 
 def propagate_soft(affinity: sp.csr_array, labels: Array, classes: int, restart: float) -> Array:
@@ -51,8 +53,9 @@ def propagate_soft(affinity: sp.csr_array, labels: Array, classes: int, restart:
     radius = 1.0 - restart
     rate = radius / (1.0 + np.sqrt(1.0 - radius**2))
     steps = int(np.ceil(np.log(TOLERANCE / 2.0) / np.log(rate)))
-    share = _walk(affinity.indptr, affinity.indices, affinity.data, labels, classes, restart, steps)
-    return np.asarray(share[:, :classes])
+    return np.asarray(
+        _walk(affinity.indptr, affinity.indices, affinity.data, labels, classes, restart, steps)
+    )
 
 
 @njit(cache=True)
@@ -65,34 +68,44 @@ def _walk(
     restart: float,
     steps: int,
 ) -> Array:
-    """Shares after some steps, (n, classes and up to three more that are 0): four are summed at once."""
-    count, padded = labels.size, -(-classes // 4) * 4
-    shared_out, start = np.zeros(count), np.zeros((count, padded))
+    """Shares after some steps, (n, classes): class by class, only as far as walks from its nodes get."""
+    count = labels.size
+    come = np.empty(count)
     for node in range(count):
         degree = weights[pointers[node] : pointers[node + 1]].sum()
-        shared_out[node] = (1.0 - restart) / degree if degree > 0 else 0.0
-        if labels[node] >= 0:
-            start[node, labels[node]] = restart
-    radius, weight = 1.0 - restart, 2.0
-    before, now, own = np.zeros(start.size), start.reshape(-1).copy(), start.reshape(-1)
-    for _ in range(steps):
-        weight = 1.0 / (1.0 - 0.25 * radius**2 * weight)
-        for first in range(0, padded, 4):
-            for node in range(count):
-                one, two, three, four = 0.0, 0.0, 0.0, 0.0
+        come[node] = (1.0 - restart) / degree if degree > 0 else 0.0
+    radius, share = 1.0 - restart, np.zeros((count, classes))
+    before, now, start = np.zeros(count), np.zeros(count), np.zeros(count)
+    reached, is_reached = np.empty(count, np.int64), np.zeros(count, np.bool_)
+    for one in range(classes):
+        found = 0
+        for node in range(count):
+            if labels[node] == one:
+                start[node] = now[node] = restart
+                reached[found], is_reached[node] = node, True
+                found += 1
+        weight, newest = 2.0, 0
+        for _ in range(steps):
+            for place in range(newest, found):
+                node, newest = reached[place], place + 1
                 for e in range(pointers[node], pointers[node + 1]):
-                    edge, there = weights[e], np.uint64(neighbours[e] * padded + first)
-                    one, two = one + edge * now[there], two + edge * now[there + np.uint64(1)]
-                    three += edge * now[there + np.uint64(2)]
-                    four += edge * now[there + np.uint64(3)]
+                    other = neighbours[e]
+                    if not is_reached[other] and come[other] * weights[e] * now[node] >= LEAST_SHARE:
+                        reached[found], is_reached[other] = other, True
+                        found += 1
+            weight = 1.0 / (1.0 - 0.25 * radius**2 * weight)
+            for place in range(found):
+                node, total = reached[place], 0.0
+                for e in range(pointers[node], pointers[node + 1]):
+                    total += weights[e] * now[neighbours[e]]
                 # What was there two steps before makes room for what comes next.
-                come, here = shared_out[node], node * padded + first
-                before[here] += weight * (come * one + own[here] - before[here])
-                before[here + 1] += weight * (come * two + own[here + 1] - before[here + 1])
-                before[here + 2] += weight * (come * three + own[here + 2] - before[here + 2])
-                before[here + 3] += weight * (come * four + own[here + 3] - before[here + 3])
-        before, now = now, before
-    return now.reshape(count, padded)
+                before[node] += weight * (come[node] * total + start[node] - before[node])
+            before, now = now, before
+        for place in range(found):
+            node = reached[place]
+            share[node, one] = now[node]
+            before[node], now[node], start[node], is_reached[node] = 0.0, 0.0, 0.0, False
+    return share
 
 
 def propagate_absorbing(affinity: sp.csr_array, labels: Array, classes: int) -> Array:
