@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numba import njit
 from scipy.linalg import eigh
+from scipy.linalg.lapack import dpotrf
 
 from mlbs_actors.graph_coarsening import coarsen
 from mlbs_actors.messages import Array
@@ -77,15 +78,28 @@ def holds_together(affinity: Array, threshold: float) -> bool:
         The diagonal adds to the volume.
     threshold : float
     """
-    root = np.sqrt(np.maximum(affinity.sum(axis=1), 1e-12))
-    trivial = root / np.linalg.norm(root)
-    shifted = 2.0 * np.outer(trivial, trivial) - affinity / np.outer(root, root)
-    shifted.flat[:: len(root) + 1] += 1.0 - threshold * (1.0 + 1e-6)
-    try:
-        np.linalg.cholesky(shifted)
-    except np.linalg.LinAlgError:
-        return False
-    return True
+    # A symmetric matrix is its transpose, which LAPACK takes as it is.
+    *_, failed = dpotrf(
+        _shifted_laplacian(affinity, threshold * (1.0 + 1e-6)).T, overwrite_a=True, clean=False
+    )
+    return not failed
+
+
+@njit(cache=True)
+def _shifted_laplacian(affinity: Array, threshold: float) -> Array:
+    """The normalised Laplacian with its smallest eigenvalue moved from 0 to 2, less threshold · I."""
+    count = len(affinity)
+    root = np.empty(count)
+    for node in range(count):
+        root[node] = np.sqrt(max(affinity[node].sum(), 1e-12))
+    volume = (root * root).sum()
+    shifted = np.empty((count, count))
+    for one in range(count):
+        for other in range(count):
+            joint = root[one] * root[other]
+            shifted[one, other] = 2.0 * joint / volume - affinity[one, other] / joint
+        shifted[one, one] += 1.0 - threshold
+    return shifted
 
 
 def best_cut(affinity: Array, sizes: Array, min_side: int) -> TwoWayCut:
