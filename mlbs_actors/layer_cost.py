@@ -14,6 +14,7 @@ from numba import njit
 
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.fusion import LIKELIHOOD, RATIO_STEP, with_appearance
+from mlbs_actors.half_precision import single_precision
 from mlbs_actors.messages import (
     COST_STEP,
     UNEXPLAINED_STEP,
@@ -98,7 +99,7 @@ def layer_cost(
         needed,
         motion,
         variance,
-        evidence.flow[rows, columns].astype(np.float32),
+        single_precision(evidence.flow[rows, columns]),
         np.ascontiguousarray(evidence.flow_reliable[rows, columns]),
         np.ascontiguousarray(evidence.unexplained[rows, columns]),
         top,
