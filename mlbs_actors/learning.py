@@ -76,35 +76,38 @@ def trusted_background(
         aligned(_surroundings(objects, 2.0 * weights.keep_off_px * scale, shape), coarse, shape), coarse
     )
     own, others = (trajectory_distance(some, near, coarse) for some in ([evidence], objects))
+    rows, columns = (
+        slice(2 * near.y, 2 * (near.y + near.height)),
+        slice(2 * near.x, 2 * (near.x + near.width)),
+    )
     least = 0.0
     if frame_evidence.frame_index > frame_evidence.epoch:
         least = 0.5 * config.layers.unexplained_noise / UNEXPLAINED_STEP
-    _judge(
+    trusted[rows, columns] = _judged(
         own,
         others,
-        _unexplained(frame_evidence, side),
+        _unexplained(frame_evidence, side)[rows, columns].copy(),
         least,
         np.float32(weights.keep_off_px * scale),
         np.float32(weights.learn_px * scale),
         np.float32(2.0 * scale),
-        trusted[2 * near.y :, 2 * near.x :],
     )
     return trusted
 
 
 @njit(cache=True)
-def _judge(
+def _judged(
     own: Array, others: Array, unexplained: Array, least: float, keep_off: np.float32, learn: np.float32,
-    beside: np.float32, trusted: Array,
-) -> None:  # fmt: skip
+    beside: np.float32,
+) -> Array:  # fmt: skip
     """Where the background may learn near objects; the distances are of four cells each."""
-    top, left = unexplained.shape[0] - trusted.shape[0], unexplained.shape[1] - trusted.shape[1]
-    for y in range(min(2 * own.shape[0], trusted.shape[0])):
-        for x in range(min(2 * own.shape[1], trusted.shape[1])):
+    trusted: Array = np.empty(unexplained.shape, np.bool_)
+    for y in range(trusted.shape[0]):
+        for x in range(trusted.shape[1]):
             other = others[y // 2, x // 2]
-            still = unexplained[top + y, left + x] < least
             free = other > keep_off or own[y // 2, x // 2] + beside < other
-            trusted[y, x] = free or (still and other > learn)
+            trusted[y, x] = free or (unexplained[y, x] < least and other > learn)
+    return trusted
 
 
 def _others(evidence: LayerEvidence, frame_evidence: FrameEvidence) -> list[LayerEvidence]:
