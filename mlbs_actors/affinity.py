@@ -135,13 +135,15 @@ def _max_motion_distance(
 
 
 @njit(cache=True)
-def _exponents(first: Array, second: Array, positions: Array, motion: Array, radius: np.float32) -> Array:
+def _exponents(
+    first: Array, second: Array, positions: Array, motion: Array, squared_radius: np.float32
+) -> Array:
     """−D_M − |Δp|²/radius² of every edge."""
     exponents = np.empty(first.size, np.float32)
     for edge in range(first.size):
         across = positions[first[edge], 0] - positions[second[edge], 0]
         down = positions[first[edge], 1] - positions[second[edge], 1]
-        exponents[edge] = -motion[edge] - (across * across + down * down) / (radius * radius)
+        exponents[edge] = -motion[edge] - (across * across + down * down) / squared_radius
     return exponents
 
 
@@ -173,5 +175,5 @@ def trajectory_graph(
     motion = _max_motion_distance(
         first, second, state.residuals, state.ages, units, config.object_relative, config.forgetting
     )
-    affinity = np.exp(_exponents(first, second, state.positions, motion, np.float32(radius)))
+    affinity = np.exp(_exponents(first, second, state.positions, motion, np.float32(radius * radius)))
     return TrajectoryGraph(first, second, motion, affinity, n)

@@ -161,14 +161,17 @@ def update(model: AppearanceModel, image: Array, mask: Array) -> None:
     mask : (h, w) bool
         The layer's pixels in the published map. A full stack forgets its oldest sample.
     """
+    image = np.ascontiguousarray(image)
     _update(model.samples, model.count, model.newest, model.spread, model.residual, image, mask)
 
 
 @njit(cache=True)
 def padded_planes(image: Array) -> Array:
-    """The channels of an image (h, w, 3) one by one, with its border once more around: (3, h + 2, w + 2)."""
+    """The channels of a C-contiguous image (h, w, 3), with its border once more around: (3, h + 2, w + 2)."""
     height, width = image.shape[0], image.shape[1]
     planes = np.empty((3, height + 2, width + 2), np.uint8)
+    if height == 0:
+        return planes
     for y in range(height + 2):
         row = image[min(max(y - 1, 0), height - 1)].reshape(-1)
         blues, greens, reds = planes[0, y], planes[1, y], planes[2, y]

@@ -108,7 +108,7 @@ def _measured(
 ) -> tuple[Array, Array]:  # fmt: skip
     """Label and area of each component; ``beyond`` says where more follows: left, top, right, bottom."""
     height, width = labels.shape
-    count = of_run.max() + 1
+    count = of_run.max() + 1 if of_run.size else 0
     label_of, areas = np.zeros(count, np.int64), np.zeros(count, np.int64)
     goes_on = np.zeros(count, np.bool_)
     for run in range(rows.size):

@@ -60,7 +60,7 @@ def contrast_weights(image: Array, strength: float = 0.8, scale: float = 200.0) 
         )
     if not 0 < scale < math.inf:
         raise ConfigError(f"The contrast scale is {scale}; give a positive number of squared grey levels.")
-    return _contrast(padded_planes(image), _weights_by_distance(strength, scale))
+    return _contrast(padded_planes(np.ascontiguousarray(image)), _weights_by_distance(strength, scale))
 
 
 @functools.lru_cache(maxsize=16)

@@ -82,7 +82,7 @@ def freeing_expansion(
     -------
     moves : (m,) bool
     change : int
-        As :func:`free_expansion` returns them.
+        As :func:`free_expansion` returns them, with the label's cost if it is saved.
     """
     some, change = free_expansion(neighbour, weight, labels, alpha, nodes, price)
     taken = labels.copy()

@@ -103,7 +103,7 @@ def log_likelihood(
         model.count,
         model.spread,
         model.residual,
-        image,
+        np.ascontiguousarray(image),
         needed,
         np.float32(parameters.bandwidth_floor),
         np.float32(parameters.registration),

@@ -8,7 +8,8 @@ Two walks behind one option:
   restart probability, so that a wrong label heals when its neighbourhood disagrees.
 
 Differs from the paper: its (I − P_uu) is singular on a component without any labelled node; such nodes
-stay unlabelled (−1) here, and the caller decides whether they are a new object.
+stay unlabelled (−1) here, and the caller decides whether they are a new object. The soft walk leaves out what
+so little of a class reaches that no decision hangs on it.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ __all__ = ["propagate_absorbing", "propagate_soft"]
 NO_EDGE = 1e-12
 #: Error of a soft walk's shares.
 TOLERANCE = 1e-2
-#: A share of a class that a neighbour gives a node with none of it yet counts from here on.
+#: A walk goes on to a node once a neighbour hands it at least this share of a class.
 LEAST_SHARE = 1e-5
 
 
@@ -77,22 +78,34 @@ def _walk(
     radius, share = 1.0 - restart, np.zeros((count, classes))
     before, now, start = np.zeros(count), np.zeros(count), np.zeros(count)
     reached, is_reached = np.empty(count, np.int64), np.zeros(count, np.bool_)
+    border = np.empty(count, np.int64)  # nodes with a neighbour that is not reached
     for one in range(classes):
         found = 0
         for node in range(count):
             if labels[node] == one:
                 start[node] = now[node] = restart
-                reached[found], is_reached[node] = node, True
+                reached[found], is_reached[node], border[found] = node, True, node
                 found += 1
-        weight, newest = 2.0, 0
+        weight, on_border = 2.0, found
         for _ in range(steps):
-            for place in range(newest, found):
-                node, newest = reached[place], place + 1
+            candidates, on_border, before_step = on_border, 0, found
+            for place in range(candidates):
+                node, is_closed = border[place], True
                 for e in range(pointers[node], pointers[node + 1]):
                     other = neighbours[e]
-                    if not is_reached[other] and come[other] * weights[e] * now[node] >= LEAST_SHARE:
+                    if is_reached[other]:
+                        continue
+                    if come[other] * weights[e] * now[node] >= LEAST_SHARE:
                         reached[found], is_reached[other] = other, True
                         found += 1
+                    else:
+                        is_closed = False
+                if not is_closed:
+                    border[on_border] = node
+                    on_border += 1
+            for place in range(before_step, found):
+                border[on_border] = reached[place]
+                on_border += 1
             weight = 1.0 / (1.0 - 0.25 * radius**2 * weight)
             for place in range(found):
                 node, total = reached[place], 0.0

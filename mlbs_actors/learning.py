@@ -69,8 +69,8 @@ def trusted_background(
     whole = in_cells(Region(0, 0, shape[1], shape[0]), side)
     trusted = np.ones((whole.height, whole.width), np.bool_)
     objects = _others(evidence, frame_evidence)
-    # A cell is judged up to this far from the objects, by own trajectories up to this far from it; distances
-    # are told for four cells at once, which is exact enough for what is many cells.
+    # A cell is judged up to this far from the objects, by own trajectories up to this far from it. Distances
+    # are told for 2×2 cells at once: the lead of own trajectories is then "in a nearer one of these".
     coarse = 2 * side
     near = in_cells(
         aligned(_surroundings(objects, 2.0 * weights.keep_off_px * scale, shape), coarse, shape), coarse

@@ -60,6 +60,10 @@ def nearest_sources(
     """
     source = np.empty((new_region.height, new_region.width), np.int32)
     new_residual = np.empty((new_region.height, new_region.width, 2), np.float32)
+    if residual.size == 0:
+        source.fill(-1)
+        new_residual.fill(0.0)
+        return source, new_residual
     _find_sources(
         residual, motion, new_region.x - old_region.x, new_region.y - old_region.y, source, new_residual
     )

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from mlbs_actors.appearance import (
     SPREAD_STEP,
     AppearanceModel,
     empty_model,
     median_colours,
+    padded_planes,
+    read_row,
     update,
     warp_model,
 )
@@ -119,3 +122,34 @@ def test_the_median_colours_are_the_lower_medians_of_the_samples() -> None:
         expected = samples[:, (known - 1) // 2] if known else np.zeros(3)
         assert found[y, x].tolist() == expected.tolist()
     assert len(np.unique(model.count)) > 2
+
+
+@pytest.mark.parametrize("shape", [(7, 9), (1, 1), (2, 2), (1, 5), (5, 1), (6, 2)])
+def test_a_row_is_read_as_by_bilinear_interpolation_held_inside_the_image(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(sum(shape))
+    image = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
+    residual = rng.uniform(-0.99, 0.99, (*shape, 2)).astype(np.float32)
+    found = np.empty((3, shape[1]), np.float32)
+    for y in range(shape[0]):
+        read_row(padded_planes(image), y, residual[y], found)
+        for x in range(shape[1]):
+            right, down = x + float(residual[y, x, 0]), y + float(residual[y, x, 1])
+            left, top = int(np.floor(right)), int(np.floor(down))
+            expected = np.zeros(3)
+            for row, row_share in ((top, 1 - (down - top)), (top + 1, down - top)):
+                for column, share in ((left, 1 - (right - left)), (left + 1, right - left)):
+                    inside = image[np.clip(row, 0, shape[0] - 1), np.clip(column, 0, shape[1] - 1)]
+                    expected += row_share * share * inside
+            np.testing.assert_allclose(found[:, x], expected, atol=1e-3)
+
+
+def test_a_part_of_a_picture_may_be_given_and_one_without_rows() -> None:
+    picture = random_image(3)
+    part, whole = (
+        empty_model(Region(2, 0, 5, REGION.height), 4),
+        empty_model(Region(2, 0, 5, REGION.height), 4),
+    )
+    update(part, picture[:, 2:7], np.ones((REGION.height, 5), bool))
+    update(whole, picture[:, 2:7].copy(), np.ones((REGION.height, 5), bool))
+    np.testing.assert_array_equal(part.samples, whole.samples)
+    assert padded_planes(np.zeros((0, 5, 3), np.uint8)).shape == (3, 2, 7)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mlbs_actors.camera import camera_evidence, camera_homography, homography_motion
+from mlbs_actors.camera import _median_error, camera_evidence, camera_homography, homography_motion
 from mlbs_actors.messages import Array
 
 #: A roll of 2°, a zoom of 3 %, a shift and a little perspective.
@@ -214,3 +214,10 @@ def test_where_the_frame_before_did_not_reach_nothing_is_better_explained() -> N
         previous, current, translation(-30, 0), unmoving(current.shape), (1.0, 1.0)
     ).advantage
     assert np.abs(advantage[:, :27]).max() == 0.0
+
+
+@pytest.mark.parametrize("shape", [(12, 14), (11, 13), (5, 5), (9, 2)])
+def test_the_noise_is_the_median_of_every_fourth_error(shape: tuple[int, int]) -> None:
+    difference = np.random.default_rng(sum(shape)).integers(0, 256, shape).astype(np.uint8)
+    error = cv2.boxFilter(difference, cv2.CV_32F, (5, 5))
+    assert _median_error(error) == pytest.approx(float(np.median(error[::2, ::2])), abs=1e-5)

@@ -121,3 +121,16 @@ def test_all_labelled_or_none_labelled_is_no_special_case(label: int) -> None:
     np.testing.assert_array_equal(propagate_absorbing(graph, labels, 2), expected)
     soft = propagate_soft(graph, labels, 2, 0.3)
     np.testing.assert_array_equal(soft > 0, expected > 0)
+
+
+def test_a_soft_walk_goes_on_from_nodes_that_little_reached_at_first() -> None:
+    edges = [(0, 1, 1.0), (1, 2, 1.0), (0, 2, 1.0), (2, 3, 1.0), (3, 4, 1.0), (4, 5, 1.0), (0, 3, 1e-4)]
+    dense = np.zeros((6, 6))
+    for one, other, weight in edges:
+        dense[one, other] = dense[other, one] = weight
+    labels = np.array([0, -1, -1, -1, -1, -1])
+    walk = dense / dense.sum(axis=1, keepdims=True)
+    expected = 0.3 * np.linalg.solve(np.eye(6) - 0.7 * walk, (labels == 0).astype(float))
+    share = propagate_soft(sp.csr_array(dense), labels, 1, 0.3)
+    np.testing.assert_allclose(share[:, 0], expected, atol=1e-2)
+    assert (share > 0).all()

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from layer_fakes import CAR, SHAPE, WHOLE, frame_of, grid, owned, picture, published, tracks
 
-from mlbs_actors.cells import in_cells, spread_over_cells
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
 from mlbs_actors.fusion import with_appearance
@@ -243,16 +242,19 @@ def test_the_background_learns_away_from_objects_beside_its_own_trajectories_and
     evidence = replace(evidence, unexplained=unexplained, frame_index=frame_index)
     layer = Layer(config, 0, "background")
     layer.step(evidence.layers[0], evidence, picture(), None)
-    near_own, near_object = (
-        spread_over_cells(trajectory_distance([one], in_cells(WHOLE, 2), 2), 2, SHAPE)
-        for one in evidence.layers
-    )
+    # Distances are told for four cells at once: what hangs on less than that may go either way.
+    near_own, near_object = (trajectory_distance([one], WHOLE, 1) for one in evidence.layers)
     shown = cv2.resize(unexplained, SHAPE[::-1]) * UNEXPLAINED_STEP < 0.5 * config.layers.unexplained_noise
-    expected = (near_object > 80.0 * SCALE) | (near_own + 2.0 * SCALE < near_object)
-    if frame_index > 0:
-        expected |= (near_object > 20.0 * SCALE) & shown
-    np.testing.assert_array_equal(layer.state.trusted, expected)
-    assert 0.01 < 1 - expected.mean() < 0.5
+    surely, perhaps = (
+        (near_object > 80.0 * SCALE + slack)
+        | (near_own + 2.0 * SCALE + slack < near_object)
+        | ((near_object > 20.0 * SCALE + slack) & shown & (frame_index > 0))
+        for slack in (4.0, -4.0)
+    )
+    trusted = layer.state.trusted
+    assert trusted[surely].all()
+    assert not trusted[~perhaps].any()
+    assert 0.01 < (~perhaps).mean() < surely.mean()
 
 
 def test_a_layer_does_not_learn_from_a_map_of_another_frame() -> None:

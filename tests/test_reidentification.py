@@ -21,3 +21,14 @@ def test_a_signature_is_the_share_of_each_colour_bin() -> None:
 
 def test_no_pixels_have_an_empty_signature() -> None:
     assert colour_signatures(np.zeros(0, np.int64), np.zeros((0, 3), np.uint8), 1).sum() == 0.0
+
+
+def test_each_group_has_its_own_signature_and_what_is_in_none_counts_for_none() -> None:
+    colours = np.random.default_rng(1).integers(0, 256, (60, 3)).astype(np.uint8)
+    rows = np.random.default_rng(2).integers(-1, 2, 60)
+    together = colour_signatures(rows, colours, 3)
+    for row in range(2):
+        own = colours[rows == row]
+        (alone,) = colour_signatures(np.zeros(len(own), np.int64), own, 1)
+        np.testing.assert_array_equal(together[row], alone)
+    assert not together[2].any()
