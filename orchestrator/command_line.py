@@ -34,7 +34,8 @@ output:
   DIR/status.json                how each stream stands, while running too
   DIR/report.html                pictures, objects over time, faults; one page, no server needed
   DIR/ray.log                    warnings of Ray itself
-  DIR/NAME/masks/FRAME.png       a pixel's value is its layer's id, 0 is the background
+  DIR/NAME/masks/FRAME.png       a pixel's value is its layer's id, 0 is the background; an
+                                 indexed picture: read it with Pillow, cv2.imread gives colours
   DIR/NAME/layers-*.parquet      a row per frame and layer
   DIR/NAME/frames-*.parquet      a row per frame
   DIR/NAME/overlay.mp4           the labels over the video
