@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numba import njit
 
-from mlbs_actors.appearance import padded_planes
 from mlbs_actors.errors import ConfigError, FrameError
+from mlbs_actors.image_rows import padded_planes
 from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS
 from mlbs_actors.messages import Array
 

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
-from numba import njit
 
 from mlbs_actors.affinity import TrajectoryGraph, displacement_spread, trajectory_graph
 from mlbs_actors.clustering import (
@@ -35,7 +34,7 @@ from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow import dense_flow, flow_gray
 from mlbs_actors.flow_focus import focus_boxes, focus_cells
-from mlbs_actors.held_frames import HeldFrame, first_frame, held_frame, relabelled
+from mlbs_actors.held_frames import HeldFrame, by_layer, first_frame, held_frame, relabelled
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.messages import (
     BACKGROUND,
@@ -45,6 +44,7 @@ from mlbs_actors.messages import (
     LayerKind,
     Segmentation,
 )
+from mlbs_actors.reidentification import colours_at
 from mlbs_actors.tracking import track
 from mlbs_actors.trajectories import TrajectoryState, empty_trajectories
 
@@ -319,7 +319,7 @@ class Coordinator:
             labels,
             state.trajectories.positions,
             state.trajectories.motions,
-            _colours_at(frame, state.trajectories.positions),
+            colours_at(frame, state.trajectories.positions),
             frame_index,
             published,
         )
@@ -347,7 +347,7 @@ class Coordinator:
             # The models of another size; the background's is one of them.
             retired, state.evaluated = set(state.evaluated), {}
         owner = np.where(telling | (owner == BACKGROUND), owner, UNLABELLED)
-        positions, motions, starts = _by_layer(np.array(live), owner, held.positions, held.motions)
+        positions, motions, starts = by_layer(np.array(live), owner, held.positions, held.motions)
         layers = []
         for one, start, end in zip(live, starts[:-1].tolist(), starts[1:].tolist(), strict=True):
             kind: LayerKind = (
@@ -369,34 +369,6 @@ class Coordinator:
             stage_ms=held.stage_ms,
             epoch=state.epoch,
         )
-
-
-@njit(cache=True)
-def _colours_at(frame: Array, positions: Array) -> Array:
-    """Colours of the pixels nearest to some positions, (n, 3) uint8."""
-    colours = np.empty((positions.shape[0], 3), np.uint8)
-    for i in range(positions.shape[0]):
-        x = min(max(int(np.rint(positions[i, 0])), 0), frame.shape[1] - 1)
-        y = min(max(int(np.rint(positions[i, 1])), 0), frame.shape[0] - 1)
-        colours[i] = frame[y, x]
-    return colours
-
-
-@njit(cache=True)
-def _by_layer(live: Array, owner: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
-    """Positions and motions layer by layer, in their order, and where each of the live layers starts (k + 1);
-    those that belong to none are left out."""
-    place, starts = np.searchsorted(live, owner), np.zeros(live.size + 1, np.int64)
-    for i in range(owner.size):
-        if owner[i] != UNLABELLED:
-            starts[place[i] + 1] += 1
-    starts = np.cumsum(starts)
-    order, following = np.empty(starts[-1], np.int64), starts.copy()
-    for i in range(owner.size):
-        if owner[i] != UNLABELLED:
-            order[following[place[i]]] = i
-            following[place[i]] += 1
-    return positions[order], motions[order], starts
 
 
 def _published(feedback: Callable[[], Segmentation] | None) -> list[int]:

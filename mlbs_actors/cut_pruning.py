@@ -74,7 +74,7 @@ def prune(whole: LabelCostEnergy) -> Pruning:
     return Pruning(labels, undecided_energy(whole, labels, certain))
 
 
-def reachable(rest: UndecidedEnergy, start: Array) -> Offers:
+def reachable(rest: UndecidedEnergy, chosen: Array) -> Offers:
     """The offers that can ever be taken in best expansions and removals, from a labelling on.
 
     A pixel never takes a label that costs more than its own by more than all its neighbours and all label
@@ -83,7 +83,8 @@ def reachable(rest: UndecidedEnergy, start: Array) -> Offers:
     Parameters
     ----------
     rest : UndecidedEnergy
-    start : (n,) intp
+    chosen : (n,) int32
+        What each pixel pays for the label that it starts with.
 
     Returns
     -------
@@ -95,7 +96,7 @@ def reachable(rest: UndecidedEnergy, start: Array) -> Offers:
         offers.cost,
         rest.weight,
         np.int64(rest.label_costs.sum()),
-        offers.chosen(start),
+        chosen,
     )
     return Offers(*_only_within(offers.first, offers.pixel, offers.cost, within))
 

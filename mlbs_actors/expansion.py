@@ -104,7 +104,7 @@ def freeing_expansion(
 
 
 def paid_expansion(
-    rest: UndecidedEnergy, labels: Array, alpha: int, nodes: Array, price: Array, kept: Array
+    rest: UndecidedEnergy, labels: Array, alpha: int, nodes: Array, price: Array, paid: Array
 ) -> tuple[Array, int]:
     """Find the pixels that best take a label, where labels that lose all their pixels cost nothing any more.
 
@@ -113,8 +113,8 @@ def paid_expansion(
     rest : UndecidedEnergy
     labels, alpha, nodes, price
         As for :func:`free_expansion`.
-    kept : (K,) bool
-        Labels that stay in use whatever moves, or cost nothing (:func:`~mlbs_actors.cut_pruning.movable`).
+    paid : (l,) int64
+        Those labels, of which all pixels are among the nodes (:func:`paid_for`).
 
     Returns
     -------
@@ -122,7 +122,6 @@ def paid_expansion(
     change : int
         As :func:`free_expansion` returns them.
     """
-    paid = paid_for(labels, nodes, kept)
     surplus, neighbour, residual, unmoved = _move_graph(
         rest.neighbour, rest.weight, labels, alpha, nodes, price
     )
@@ -136,7 +135,8 @@ def paid_expansion(
 
 @njit(cache=True)
 def paid_for(labels: Array, nodes: Array, kept: Array) -> Array:
-    """The nodes' labels that a move could free of their cost, ascending."""
+    """The nodes' labels that a move could free of their cost, ascending; ``kept`` as of
+    :func:`~mlbs_actors.cut_pruning.movable`."""
     paid = np.zeros(kept.size, np.bool_)
     for i in range(nodes.size):
         paid[labels[nodes[i]]] = True

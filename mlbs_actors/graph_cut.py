@@ -30,10 +30,10 @@ from numba import njit
 
 from mlbs_actors.coarse_cut import band_around_outlines, halved
 from mlbs_actors.contrast import MAX_COST
-from mlbs_actors.cut_pruning import movable, prune, reachable
+from mlbs_actors.cut_pruning import prune
 from mlbs_actors.errors import ConfigError
-from mlbs_actors.expansion import free_expansion, freeing_expansion, paid_expansion, paid_for
-from mlbs_actors.label_cost_energy import LabelCostEnergy, Offers, UndecidedEnergy
+from mlbs_actors.expansion_course import Course
+from mlbs_actors.label_cost_energy import LabelCostEnergy, UndecidedEnergy
 from mlbs_actors.messages import Array
 
 __all__ = [
@@ -167,203 +167,10 @@ def _check(whole: LabelCostEnergy) -> None:
         raise ConfigError(f"Give {len(unary)} label costs, each from 0 to {_MAX_LABEL_COST}.")
 
 
-@dataclass(slots=True)
-class _Course:
-    """A labelling on its way down, and when which expansion was tried.
-
-    Attributes
-    ----------
-    labels : (n,) intp
-    chosen : (n,) int32
-        What each pixel pays for its label.
-    energy : int
-    step : int
-        How many expansions have changed the labelling.
-    changed_at : (n,) int32
-        Step that gave each pixel its label; 0 at the start.
-    news_at : (n,) int32
-        Step that last changed a pixel or a neighbour of it; 0 at the start.
-    came_from : (n,) intp
-        Label before that step; −1 at the start.
-    expanded_at : (K,) int64
-        Step after which each label was last expanded; −1 if never.
-    offers : Offers
-        What each label can ever take (:func:`~mlbs_actors.cut_pruning.reachable`).
-    """
-
-    labels: Array
-    chosen: Array
-    energy: int
-    step: int
-    changed_at: Array
-    news_at: Array
-    came_from: Array
-    expanded_at: Array
-    offers: Offers
-
-    @classmethod
-    def starting(cls, rest: UndecidedEnergy, labels: Array) -> _Course:
-        count, chosen = labels.size, rest.offers.chosen(labels)
-        return cls(
-            labels=labels,
-            chosen=chosen,
-            energy=rest.energy(labels, chosen),
-            step=0,
-            changed_at=np.zeros(count, np.int32),
-            news_at=np.zeros(count, np.int32),
-            came_from=np.full(count, -1),
-            expanded_at=np.full(rest.label_costs.size, -1),
-            offers=reachable(rest, labels),
-        )
-
-    def expand(self, rest: UndecidedEnergy, alphas: Array) -> None:
-        """One sweep; a label is left out if nothing has changed since its last expansion."""
-        turn = 0
-        while True:
-            turn, self.step, self.energy, nodes, price, kept = _expand_in_turn(
-                alphas,
-                turn,
-                self.offers.first,
-                self.offers.pixel,
-                self.offers.cost,
-                rest.neighbour,
-                rest.weight,
-                rest.label_costs,
-                self.labels,
-                self.chosen,
-                self.changed_at,
-                self.news_at,
-                self.came_from,
-                self.expanded_at,
-                self.step,
-                self.energy,
-            )
-            if turn == alphas.size:
-                return
-            alpha = alphas[turn]
-            moves, change = paid_expansion(rest, self.labels, alpha, nodes, price, kept)
-            change += int(_cost_of_use(rest.label_costs, self.labels, alpha))
-            if change < 0:
-                self.energy += change
-                self.step += 1
-                _take(
-                    rest.neighbour,
-                    self.labels,
-                    self.chosen,
-                    self.changed_at,
-                    self.news_at,
-                    self.came_from,
-                    self.step,
-                    alpha,
-                    nodes[moves],
-                    price[moves],
-                )
-            self.expanded_at[alpha] = self.step
-            turn += 1
-
-
-@njit(cache=True)
-def _expand_in_turn(
-    alphas: Array, turn: int, first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array,
-    label_costs: Array, labels: Array, chosen: Array, changed_at: Array, news_at: Array, came_from: Array,
-    expanded_at: Array, step: int, energy: int,
-) -> tuple[int, int, int, Array, Array, Array]:  # fmt: skip
-    """Expand labels until one is due that could free several of their costs: its turn, how the course stands,
-    and what :func:`~mlbs_actors.cut_pruning.movable` tells of it."""
-    for due in range(turn, alphas.size):
-        alpha = alphas[due]
-        if expanded_at[alpha] == step:
-            continue
-        own = slice(first[alpha], first[alpha + 1])
-        again = label_costs[alpha] == 0 and expanded_at[alpha] >= 0
-        if again and _nothing_new(pixel[own], label_costs, labels, news_at, expanded_at[alpha], alpha):
-            expanded_at[alpha] = step
-            continue
-        nodes, price, kept = movable(
-            pixel[own], cost[own], chosen, neighbour, weight, label_costs, labels, alpha
-        )
-        if again:
-            worth = _worth_expanding(
-                neighbour,
-                label_costs,
-                labels,
-                changed_at,
-                news_at,
-                came_from,
-                expanded_at[alpha],
-                alpha,
-                nodes,
-            )
-            nodes, price = nodes[worth], price[worth]
-        paid = paid_for(labels, nodes, kept)
-        if paid.size > 1:
-            return due, step, energy, nodes, price, kept
-        if nodes.size:
-            if paid.size:
-                moves, change = freeing_expansion(
-                    neighbour, weight, labels, alpha, nodes, price, paid[0], label_costs[paid[0]]
-                )
-            else:
-                moves, change = free_expansion(neighbour, weight, labels, alpha, nodes, price)
-            change += _cost_of_use(label_costs, labels, alpha)
-            if change < 0:
-                energy += int(change)
-                step += 1
-                _take(
-                    neighbour,
-                    labels,
-                    chosen,
-                    changed_at,
-                    news_at,
-                    came_from,
-                    step,
-                    alpha,
-                    nodes[moves],
-                    price[moves],
-                )
-        expanded_at[alpha] = step
-    nothing = np.empty(0, np.int64)
-    return alphas.size, step, energy, nothing, nothing, label_costs == 0
-
-
-@njit(cache=True)
-def _take(
-    neighbour: Array, labels: Array, chosen: Array, changed_at: Array, news_at: Array, came_from: Array,
-    step: int, alpha: int, moved: Array, price: Array,
-) -> None:  # fmt: skip
-    """Give some pixels the label alpha."""
-    for i in range(moved.size):
-        p = moved[i]
-        came_from[p], labels[p] = labels[p], alpha
-        chosen[p] += price[i]
-        changed_at[p], news_at[p] = step, step
-        for k in range(8):
-            if neighbour[p, k] >= 0:
-                news_at[neighbour[p, k]] = step
-
-
-@njit(cache=True)
-def _cost_of_use(label_costs: Array, labels: Array, alpha: int) -> int:
-    """What a label costs that is not used yet."""
-    return 0 if label_costs[alpha] == 0 or (labels == alpha).any() else int(label_costs[alpha])
-
-
-@njit(cache=True)
-def _nothing_new(
-    candidates: Array, label_costs: Array, labels: Array, news_at: Array, expanded_at: int, alpha: int
-) -> bool:
-    """Whether all that a label could take is free, and has not changed since its last expansion, nor what is
-    beside it."""
-    for p in candidates:
-        if labels[p] != alpha and (news_at[p] > expanded_at or label_costs[labels[p]] > 0):
-            return False
-    return True
-
-
 def _search(rest: UndecidedEnergy, start: Array, max_sweeps: int) -> tuple[Array, list[int], bool]:
     """Expand in turn, then try removals, until nothing helps; also the energy at the start and a sweep."""
     every_label = np.arange(rest.label_costs.size)
-    course = _Course.starting(rest, start)
+    course = Course.starting(rest, start)
     if not start.any():
         course.expanded_at[0] = 0
     trace = [course.energy]
@@ -378,7 +185,7 @@ def _search(rest: UndecidedEnergy, start: Array, max_sweeps: int) -> tuple[Array
     return course.labels, trace, False
 
 
-def _remove_labels(rest: UndecidedEnergy, course: _Course) -> _Course:
+def _remove_labels(rest: UndecidedEnergy, course: Course) -> Course:
     """Try to do without each label that has to be paid for, in ascending order."""
     for label in np.flatnonzero(rest.used(course.labels) & (rest.label_costs > 0)):
         others = rest.used(course.labels)
@@ -399,7 +206,7 @@ def _remove_labels(rest: UndecidedEnergy, course: _Course) -> _Course:
         # Neither its cost nor its outline, if saved, could make up for its evidence.
         if loss >= outline + rest.label_costs[label]:
             continue
-        proposal = _Course.starting(rest, shared)
+        proposal = Course.starting(rest, shared)
         proposal.expand(rest, np.flatnonzero(near))
         if proposal.energy < course.energy:
             course = proposal
@@ -433,52 +240,3 @@ def _shared_out(
                 if labels[q] != label:
                     outline += weight[p, k]
     return shared, near, int(loss), int(outline)
-
-
-@njit(cache=True)
-def _worth_expanding(
-    neighbour: Array,
-    label_costs: Array,
-    labels: Array,
-    changed_at: Array,
-    news_at: Array,
-    came_from: Array,
-    expanded_at: int,
-    alpha: int,
-    nodes: Array,
-) -> Array:
-    """Nodes (m,) bool whose connected part an expansion of the free label alpha could still improve.
-
-    What an expansion gains is the sum over the connected parts of what it moves, if their labels are free.
-    A part gains nothing where no pixel of it or beside it has changed since alpha's last expansion, and
-    nothing where the very last change in and around it was to take all of it from alpha: that was a best
-    expansion too, which could have left any of it.
-    """
-    open_node = np.zeros(labels.size, np.bool_)
-    open_node[nodes] = True
-    worth = np.zeros(labels.size, np.bool_)
-    part = np.empty(nodes.size, np.intp)
-    for i in range(nodes.size):
-        if not open_node[nodes[i]]:
-            continue
-        open_node[nodes[i]] = False
-        part[0] = nodes[i]
-        head, tail = 0, 1
-        oldest, newest = changed_at[nodes[i]], changed_at[nodes[i]]
-        free, from_alpha = True, True
-        while head < tail:
-            p = part[head]
-            head += 1
-            oldest = min(oldest, changed_at[p])
-            newest = max(newest, news_at[p])
-            free = free and label_costs[labels[p]] == 0
-            from_alpha = from_alpha and came_from[p] == alpha
-            for k in range(8):
-                q = neighbour[p, k]
-                if q >= 0 and open_node[q]:
-                    open_node[q] = False
-                    part[tail] = q
-                    tail += 1
-        if not (free and (newest <= expanded_at or (from_alpha and oldest == newest))):
-            worth[part[:tail]] = True
-    return worth[nodes]

@@ -11,13 +11,15 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numba import njit
 
 from mlbs_actors.camera import CameraEvidence, camera_evidence
+from mlbs_actors.clustering import UNLABELLED
 from mlbs_actors.flow import DenseFlow, sample_flow
 from mlbs_actors.messages import UNEXPLAINED_STEP, Array
 from mlbs_actors.trajectories import EVIDENCE_BOUNDS, TrajectoryState
 
-__all__ = ["HeldFrame", "first_frame", "held_frame", "relabelled"]
+__all__ = ["HeldFrame", "by_layer", "first_frame", "held_frame", "relabelled"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +142,23 @@ def relabelled(
         most[alive] = np.maximum(most[alive], trajectories.evidence[place[alive]])
         result.append(replace(held, labels=newest, evidence=most))
     return tuple(result)
+
+
+@njit(cache=True)
+def by_layer(live: Array, owner: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
+    """Positions and motions layer by layer, in their order, and where each of the live layers starts (k + 1);
+    those that belong to none are left out."""
+    place, starts = np.searchsorted(live, owner), np.zeros(live.size + 1, np.int64)
+    for i in range(owner.size):
+        if owner[i] != UNLABELLED:
+            starts[place[i] + 1] += 1
+    starts = np.cumsum(starts)
+    order, following = np.empty(starts[-1], np.int64), starts.copy()
+    for i in range(owner.size):
+        if owner[i] != UNLABELLED:
+            order[following[place[i]]] = i
+            following[place[i]] += 1
+    return positions[order], motions[order], starts
 
 
 def _quantised(unexplained: Array) -> Array:

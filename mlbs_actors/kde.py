@@ -26,7 +26,8 @@ import numpy as np
 from numba import njit
 from numpy.polynomial import Chebyshev, Polynomial
 
-from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, padded_planes, read_row, warp_model
+from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, warp_model
+from mlbs_actors.image_rows import padded_planes, read_row
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.row_log import row_log
 

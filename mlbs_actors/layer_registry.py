@@ -18,10 +18,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from mlbs_actors.clustering import UNLABELLED
 from mlbs_actors.config import LayersConfig
+from mlbs_actors.label_rows import layers_of, sightings
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.reidentification import SIGNATURE_BINS, Sighting, best_sleeper, colour_signatures
 
@@ -161,7 +161,7 @@ class LayerRegistry:
         A candidate that fell off an object belongs to its layer until it has one of its own.
         """
         state = self.state
-        return np.asarray(_layers_of(labels, state.labels, state.origins, state.pooled, state.other))
+        return np.asarray(layers_of(labels, state.labels, state.origins, state.pooled, state.other))
 
     def forget(self, merged: Mapping[int, int]) -> None:
         """Drop labels that were merged into others: nothing is left that could wake.
@@ -254,7 +254,7 @@ class LayerRegistry:
             Trajectories of labels that have too few are −1.
         """
         state = self.state
-        rows, counts, means = _sightings(state.labels, labels, positions, motions)
+        rows, counts, means = sightings(state.labels, labels, positions, motions)
         enough = counts >= self.config.min_tracks
         state.seen[enough] = state.tracked[enough] = frame_index
         state.centroids[enough], state.velocities[enough] = means[enough, :2], -means[enough, 2:]
@@ -371,41 +371,3 @@ class LayerRegistry:
                 self.state = state = replace(state, other=state.next_layer, next_layer=state.next_layer + 1)
             sizes = [int((labels == state.labels[row]).sum()) for row in single]
             state.pooled[single[int(np.lexsort((-state.labels[single], np.array(sizes)))[0])]] = True
-
-
-@njit(cache=True)
-def _row_of(known: Array, label: int) -> int:
-    """Where a label stands among the known ones, which ascend; −1 if it is none of them."""
-    row = int(np.searchsorted(known, label))
-    return row if row < known.size and known[row] == label else -1
-
-
-@njit(cache=True)
-def _layers_of(labels: Array, known: Array, origins: Array, pooled: Array, other: int) -> Array:
-    layers = np.empty(labels.size, np.int64)
-    for i in range(labels.size):
-        label = labels[i]
-        row = _row_of(known, label)
-        if label < BACKGROUND:
-            label = origins[row] if row >= 0 else UNLABELLED
-            row = _row_of(known, label)
-        layers[i] = other if row >= 0 and pooled[row] else label
-    return layers
-
-
-@njit(cache=True)
-def _sightings(known: Array, labels: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
-    """Row of each trajectory's label, −1 if it is not known; how many each has, and their mean positions and
-    motions (k, 4)."""
-    rows = np.empty(labels.size, np.int64)
-    counts, means = np.zeros(known.size, np.int64), np.zeros((known.size, 4), np.float32)
-    for i in range(labels.size):
-        row = rows[i] = _row_of(known, labels[i])
-        if row >= 0:
-            counts[row] += 1
-            for axis in range(2):
-                means[row, axis] += positions[i, axis]
-                means[row, 2 + axis] += motions[i, axis]
-    for row in range(known.size):
-        means[row] /= np.float32(max(counts[row], 1))
-    return rows, counts, means

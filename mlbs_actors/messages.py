@@ -69,7 +69,6 @@ class Region:
         return self.width * self.height
 
 
-@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LayerEvidence:
     """The trajectories of one layer at one frame (coordinator → layer).
@@ -232,7 +231,6 @@ class LayerPosterior:
     stage_ms: Mapping[str, float] = field(default_factory=dict)
 
 
-@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LayerAppearance:
     """What a layer remembers of its looks, at the frame it was evaluated last (layer → sink).

@@ -13,7 +13,7 @@ from numba import njit
 from mlbs_actors.config import LayersConfig, length_scale
 from mlbs_actors.messages import Array
 
-__all__ = ["SIGNATURE_BINS", "Sighting", "best_sleeper", "colour_signatures"]
+__all__ = ["SIGNATURE_BINS", "Sighting", "best_sleeper", "colour_signatures", "colours_at"]
 
 #: Bins a colour channel of a signature.
 SIGNATURE_BINS = 6
@@ -37,6 +37,17 @@ class Sighting:
     centroids: Array
     velocities: Array
     signatures: Array
+
+
+@njit(cache=True)
+def colours_at(frame: Array, positions: Array) -> Array:
+    """Colours of the pixels nearest to some positions, (n, 3) uint8."""
+    colours = np.empty((positions.shape[0], 3), np.uint8)
+    for i in range(positions.shape[0]):
+        x = min(max(int(np.rint(positions[i, 0])), 0), frame.shape[1] - 1)
+        y = min(max(int(np.rint(positions[i, 1])), 0), frame.shape[0] - 1)
+        colours[i] = frame[y, x]
+    return colours
 
 
 @njit(cache=True)

@@ -10,11 +10,10 @@ from mlbs_actors.appearance import (
     AppearanceModel,
     empty_model,
     median_colours,
-    padded_planes,
-    read_row,
     update,
     warp_model,
 )
+from mlbs_actors.image_rows import padded_planes, read_row
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.warp import nearest_sources
 

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from mlbs_actors.expansion import freeing_expansion, paid_expansion
+from mlbs_actors.expansion import freeing_expansion, paid_expansion, paid_for
 from mlbs_actors.label_cost_energy import UNDECIDED, LabelCostEnergy, undecided_energy
 from mlbs_actors.messages import Array
 
@@ -44,7 +44,7 @@ def test_an_expansion_frees_labels_where_that_is_best(seed: int, paid: tuple[int
         return terms + int(whole.label_costs[freed].sum()) - began
 
     least = min(change(np.array(moves, bool)) for moves in itertools.product((0, 1), repeat=len(nodes)))
-    found, stated = paid_expansion(rest, labels, alpha, nodes, price, kept)
+    found, stated = paid_expansion(rest, labels, alpha, nodes, price, paid_for(labels, nodes, kept))
     assert change(found) == stated == least
     if len(paid) == 1:
         label_cost = int(rest.label_costs[paid[0]])

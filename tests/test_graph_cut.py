@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mlbs_actors import graph_cut
+from mlbs_actors import expansion_course, graph_cut
 from mlbs_actors.contrast import COST_QUANTUM, MAX_COST, contrast_weights
 from mlbs_actors.errors import ConfigError, FrameError
 from mlbs_actors.graph_cut import minimise
@@ -244,7 +244,7 @@ def test_no_expansion_lowers_the_result_although_few_are_tried_again(
 ) -> None:
     # Three objects, two of them near each other, under weights so strong that hardly a pixel is decided.
     tried, left_out = 0, 0
-    worth_expanding = graph_cut._worth_expanding
+    worth_expanding = expansion_course._worth_expanding
 
     def counted(*arguments: Any) -> Array:
         nonlocal tried, left_out
@@ -252,8 +252,8 @@ def test_no_expansion_lowers_the_result_although_few_are_tried_again(
         tried, left_out = tried + int(worth.sum()), left_out + int((~worth).sum())
         return worth
 
-    monkeypatch.setattr(graph_cut, "_expand_in_turn", graph_cut._expand_in_turn.py_func)
-    monkeypatch.setattr(graph_cut, "_worth_expanding", counted)
+    monkeypatch.setattr(expansion_course, "_expand_in_turn", expansion_course._expand_in_turn.py_func)
+    monkeypatch.setattr(expansion_course, "_worth_expanding", counted)
     for seed in range(30):
         rng = np.random.default_rng(seed)
         unary = rng.uniform(0, 3, (4, 12, 30))

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import pickle
 import sys
 from functools import partial
-from typing import TypeVar
 
 from numba.core.dispatcher import Dispatcher
 
 from mlbs_actors import Config
-from mlbs_actors.actors.parts import EngineParts, LayerPart
+from mlbs_actors.actors.parts import EngineParts, LayerPart, _arrived
 from mlbs_actors.messages import Segmentation
 from orchestrator.sources.synthetic import scene
-
-T = TypeVar("T")
 
 
 def compiled() -> set[tuple[str, str]]:
@@ -24,14 +20,6 @@ def compiled() -> set[tuple[str, str]]:
         kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher)
     ]
     return {(str(kernel), str(signature)) for kernel in kernels for signature in kernel.signatures}
-
-
-def arrived(sent: T) -> T:
-    """What an actor gets: a copy whose arrays are read-only."""
-    buffers: list[pickle.PickleBuffer] = []
-    data = pickle.dumps(sent, protocol=5, buffer_callback=buffers.append)
-    received: T = pickle.loads(data, buffers=[bytes(buffer.raw()) for buffer in buffers])
-    return received
 
 
 def main() -> None:
@@ -49,12 +37,12 @@ def main() -> None:
         wanted = coordinator.feedback_index(t)
         feedback = None if wanted is None else partial(results.__getitem__, wanted)
         for evidence in coordinator.step(t, video.frame(t), feedback):
-            frame = arrived(video.frame(evidence.frame_index))
+            frame = _arrived(video.frame(evidence.frame_index))
             posteriors = []
             for own in evidence.layers:
                 layer = layers.setdefault(own.layer, parts.layer(config, own.layer, own.kind))
                 before = compiled()
-                posteriors.append(layer.step(arrived(own), arrived(evidence), frame, arrived(previous)))
+                posteriors.append(layer.step(_arrived(own), _arrived(evidence), frame, _arrived(previous)))
                 later |= compiled() - before
             previous = segmenter.step(evidence, frame, posteriors)
             results[evidence.frame_index] = previous

@@ -1,0 +1,50 @@
+"""Looks up many labels at once among the ones that a registry knows, which ascend (§4)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from mlbs_actors.clustering import UNLABELLED
+from mlbs_actors.messages import BACKGROUND, Array
+
+__all__ = ["layers_of", "sightings"]
+
+
+@njit(cache=True)
+def _row_of(known: Array, label: int) -> int:
+    """Where a label stands among the known ones, which ascend; −1 if it is none of them."""
+    row = int(np.searchsorted(known, label))
+    return row if row < known.size and known[row] == label else -1
+
+
+@njit(cache=True)
+def layers_of(labels: Array, known: Array, origins: Array, pooled: Array, other: int) -> Array:
+    """Layer ids of labels (n,) int64, −1 for none, by the registry's rows; see `LayerRegistry.layers_of`."""
+    layers = np.empty(labels.size, np.int64)
+    for i in range(labels.size):
+        label = labels[i]
+        row = _row_of(known, label)
+        if label < BACKGROUND:
+            label = origins[row] if row >= 0 else UNLABELLED
+            row = _row_of(known, label)
+        layers[i] = other if row >= 0 and pooled[row] else label
+    return layers
+
+
+@njit(cache=True)
+def sightings(known: Array, labels: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
+    """Row of each trajectory's label, −1 if it is not known; how many each has, and their mean positions and
+    motions (k, 4)."""
+    rows = np.empty(labels.size, np.int64)
+    counts, means = np.zeros(known.size, np.int64), np.zeros((known.size, 4), np.float32)
+    for i in range(labels.size):
+        row = rows[i] = _row_of(known, labels[i])
+        if row >= 0:
+            counts[row] += 1
+            for axis in range(2):
+                means[row, axis] += positions[i, axis]
+                means[row, 2 + axis] += motions[i, axis]
+    for row in range(known.size):
+        means[row] /= np.float32(max(counts[row], 1))
+    return rows, counts, means
