@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mlbs_actors import expansion_course, graph_cut
+from mlbs_actors import expansion_course
 from mlbs_actors.contrast import COST_QUANTUM, MAX_COST, contrast_weights
 from mlbs_actors.errors import ConfigError, FrameError
 from mlbs_actors.graph_cut import minimise
