@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import subprocess
@@ -347,14 +348,22 @@ def _pid(actor: object) -> int:
 
 def test_a_stream_that_has_ended_gets_no_more_processes(ray_session: RaySession, parts: FakeParts) -> None:
     policy = PoolPolicy(spare=0, release_seconds=60.0)
-    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
-    run = ray.get(pool.begin.remote(1))
-    late = pool.acquire.remote(run, SavedLayer(1, "object", -1), CONFIG, None)
-    ray.get(pool.end.remote(run))
-    with pytest.raises(LayerError, match="has ended"):
-        ray.get(late)
-    assert ray.get(pool.census.remote()) == PoolCensus(idle=1, busy=0)
-    end([pool])
+
+    # In this process, where it is certain that the stream ends while the process is starting.
+    async def end_while_a_process_starts() -> PoolCensus:
+        pool = PoolActor(parts, policy)
+        run = await pool.begin(1)
+        late = asyncio.ensure_future(pool.acquire(run, SavedLayer(1, "object", -1), CONFIG, None))
+        await asyncio.sleep(0)
+        assert await pool.census() == PoolCensus(idle=0, busy=1)
+        await pool.end(run)
+        with pytest.raises(LayerError, match="has ended"):
+            await late
+        census = await pool.census()
+        await pool.close()
+        return census
+
+    assert asyncio.run(end_while_a_process_starts()) == PoolCensus(idle=1, busy=0)
 
 
 # ---- processes that wait for a stream
