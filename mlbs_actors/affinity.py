@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.config import AffinityConfig, length_scale
 from mlbs_actors.messages import Array
 from mlbs_actors.nearest_neighbours import neighbour_pairs
@@ -64,7 +64,7 @@ def displacement_spread(state: TrajectoryState, config: AffinityConfig, scale: f
     return max(2.0 * config.motion_relative * speed, floor)
 
 
-@njit(cache=True)
+@compiled()
 def _symmetric(first: Array, second: Array, values: Array, size: int) -> tuple[Array, Array, Array]:
     """Row pointers, columns and values of the symmetric matrix of some sorted pairs."""
     pointers = np.zeros(size + 1, np.int32)
@@ -86,7 +86,7 @@ def _symmetric(first: Array, second: Array, values: Array, size: int) -> tuple[A
     return pointers, columns, filled
 
 
-@njit(cache=True)
+@compiled()
 def _max_motion_distance(
     first: Array,
     second: Array,
@@ -134,7 +134,7 @@ def _max_motion_distance(
     return distances
 
 
-@njit(cache=True)
+@compiled()
 def _exponents(
     first: Array, second: Array, positions: Array, motion: Array, squared_radius: np.float32
 ) -> Array:

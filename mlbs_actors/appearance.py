@@ -22,8 +22,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.image_rows import padded_planes, read_row
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.warp import nearest_sources
@@ -132,7 +132,7 @@ def _stacks(samples: Array) -> Array:
     return samples.reshape(-1, size).view(word)
 
 
-@njit(cache=True)
+@compiled()
 def _take_over(
     source: Array, stacks: Array, count: Array, newest: Array, spread: Array,
     new_stacks: Array, new_count: Array, new_newest: Array, new_spread: Array,
@@ -164,7 +164,7 @@ def update(model: AppearanceModel, image: Array, mask: Array) -> None:
     _update(model.samples, model.count, model.newest, model.spread, model.residual, image, mask)
 
 
-@njit(cache=True)
+@compiled()
 def _update(
     samples: Array, count: Array, newest: Array, spread: Array, residual: Array, image: Array, mask: Array
 ) -> None:
@@ -214,7 +214,7 @@ def median_colours(model: AppearanceModel) -> Array:
     return colours
 
 
-@njit(cache=True)
+@compiled()
 def _medians(samples: Array, count: Array, colours: Array) -> None:
     ordered = np.empty(samples.shape[3], np.uint8)
     for y in range(count.shape[0]):

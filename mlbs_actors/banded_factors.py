@@ -8,14 +8,14 @@ side · short side³), which for the grid of a small object is less than a few i
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["factorised", "solved"]
 
 
-@njit(cache=True)
+@compiled()
 def factorised(screening: Array, edge: float) -> Array:
     """L and D of a grid that has at least as many rows as columns.
 
@@ -50,7 +50,7 @@ def factorised(screening: Array, edge: float) -> Array:
     return lower
 
 
-@njit(cache=True)
+@compiled()
 def solved(lower: Array, rhs: Array) -> Array:
     """The d of A d = rhs.
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["CameraEvidence", "camera_evidence", "camera_homography", "homography_motion", "shrunk_homography"]
@@ -152,7 +152,7 @@ def camera_evidence(
     return CameraEvidence(*_in_noise(camera_error, flow_error, noise))
 
 
-@njit(cache=True)
+@compiled()
 def _flow_sources(flow: Array, step_x: np.float32, step_y: np.float32) -> tuple[Array, Array]:
     """x and y of where each pixel comes from, px of the shrunk frame."""
     height, width = flow.shape[:2]
@@ -164,7 +164,7 @@ def _flow_sources(flow: Array, step_x: np.float32, step_y: np.float32) -> tuple[
     return source_x, source_y
 
 
-@njit(cache=True)
+@compiled()
 def _median_error(error: Array) -> float:
     """Median of every fourth pixel, which tells as much; means over 25 whole numbers are counted by value."""
     counts, values = np.zeros(25 * 255 + 1, np.int32), np.zeros(25 * 255 + 1, np.float32)
@@ -185,7 +185,7 @@ def _median_error(error: Array) -> float:
     return 0.0
 
 
-@njit(cache=True)
+@compiled()
 def _in_noise(camera_error: Array, flow_error: Array, noise: np.float32) -> tuple[Array, Array]:
     """What the camera leaves unexplained and what the flow explains better, × noise."""
     unexplained, advantage = np.empty_like(camera_error), np.empty_like(camera_error)
@@ -196,7 +196,7 @@ def _in_noise(camera_error: Array, flow_error: Array, noise: np.float32) -> tupl
     return unexplained, advantage
 
 
-@njit(cache=True)
+@compiled()
 def _difference(current: Array, moved: Array, mapping: Array) -> Array:
     """Absolute difference of two grey frames; 0 where the mapping leads out of the frame, (h, w) uint8."""
     height, width = current.shape

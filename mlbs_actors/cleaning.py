@@ -11,8 +11,8 @@ the largest component of a label is never a speck, so a small far object survive
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import BACKGROUND, Array, Region
 
 __all__ = ["clean_labels"]
@@ -59,7 +59,7 @@ def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) ->
     return cleaned
 
 
-@njit(cache=True)
+@compiled()
 def _components(labels: Array) -> tuple[Array, Array, Array, Array]:
     """Row, first column, column past the last and component of every run, in raster order; components of
     4-neighbours, in the order of their first runs."""
@@ -101,7 +101,7 @@ def _components(labels: Array) -> tuple[Array, Array, Array, Array]:
     return rows, starts, ends, component
 
 
-@njit(cache=True)
+@compiled()
 def _measured(
     labels: Array, rows: Array, starts: Array, ends: Array, of_run: Array,
     beyond: tuple[bool, bool, bool, bool], area_beyond: int,
@@ -127,7 +127,7 @@ def _measured(
     return label_of, areas
 
 
-@njit(cache=True)
+@compiled()
 def _root(parent: Array, run: int) -> int:
     while parent[run] != run:
         parent[run] = parent[parent[run]]
@@ -135,7 +135,7 @@ def _root(parent: Array, run: int) -> int:
     return run
 
 
-@njit(cache=True)
+@compiled()
 def _give_away(labels: Array, rows: Array, starts: Array, ends: Array) -> None:
     """Give a component to the label that most of the pixels around it have, the lowest of several."""
     top, bottom = max(rows[0] - 1, 0), min(rows[-1] + 2, labels.shape[0])

@@ -21,9 +21,9 @@ from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
 
 from mlbs_actors.affinity import TrajectoryGraph
+from mlbs_actors.compilation import compiled
 from mlbs_actors.config import AffinityConfig, LayersConfig
 from mlbs_actors.label_propagation import propagate_absorbing, propagate_soft
 from mlbs_actors.messages import BACKGROUND, Array
@@ -256,7 +256,7 @@ def _residual_speed(trajectories: TrajectoryState) -> Array:
     return np.asarray(_mean_speed(trajectories.residuals, trajectories.ages))
 
 
-@njit(cache=True)
+@compiled()
 def _mean_speed(residuals: Array, ages: Array) -> Array:
     """Length of each trajectory's mean residual motion over its last ``SPEED_FRAMES`` frames, (n,)."""
     speed = np.empty(ages.size)

@@ -14,8 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.label_cost_energy import UNDECIDED, LabelCostEnergy, UndecidedEnergy, undecided_energy
 from mlbs_actors.messages import Array
 
@@ -83,7 +83,7 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
     return Band(labels, rest, blocks[rest.row // 2, rest.pixels % labels.shape[1] // 2])
 
 
-@njit(cache=True)
+@compiled()
 def _opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
     """The labels of the blocks' pixels, open beside the outlines; and which labels are elsewhere."""
     rows, columns = blocks.shape
@@ -116,7 +116,7 @@ def _halved_places(places: Array, side: int, height: int, width: int) -> Array:
     return np.stack([begins[:, 0], whole_blocks[:, 1], begins[:, 2], whole_blocks[:, 3]], axis=1)
 
 
-@njit(cache=True)
+@compiled()
 def _halved_unary(unary: Array, side: int, extras: Array, places: Array, height: int, width: int) -> Array:
     """Sums over blocks of 2×2 pixels of an (H, W) image, of which each, or each block, has its cost; made
     only where a label can be, in boxes of blocks."""
@@ -148,7 +148,7 @@ def _halved_unary(unary: Array, side: int, extras: Array, places: Array, height:
     return sums
 
 
-@njit(cache=True)
+@compiled()
 def _halved_weights(weights: Array) -> Array:
     height, width, _ = weights.shape
     rows, columns = (height + 1) // 2, (width + 1) // 2

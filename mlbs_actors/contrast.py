@@ -11,8 +11,8 @@ import functools
 import math
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.errors import ConfigError, FrameError
 from mlbs_actors.image_rows import padded_planes
 from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS
@@ -74,7 +74,7 @@ def _weights_by_distance(strength: float, scale: float) -> Array:
     return np.rint(table / COST_QUANTUM).astype(np.int32)
 
 
-@njit(cache=True)
+@compiled()
 def _contrast(planes: Array, table: Array) -> Array:
     """Weights to the first four neighbours by their squared colour distance."""
     height, width = planes.shape[1] - 2, planes.shape[2] - 2

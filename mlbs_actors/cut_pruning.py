@@ -28,8 +28,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.label_cost_energy import (
     NEIGHBOUR_OFFSETS,
     UNDECIDED,
@@ -101,7 +101,7 @@ def reachable(rest: UndecidedEnergy, chosen: Array) -> Offers:
     return Offers(*_only_within(offers.first, offers.pixel, offers.cost, within))
 
 
-@njit(cache=True)
+@compiled()
 def _reach(pixel: Array, cost: Array, weight: Array, label_cost: np.int64, chosen: Array) -> Array:
     """Cost up to which each pixel can ever come to have a label."""
     payable, within = np.empty(chosen.size, np.int64), np.empty(chosen.size, np.int64)
@@ -121,7 +121,7 @@ def _reach(pixel: Array, cost: Array, weight: Array, label_cost: np.int64, chose
     return within
 
 
-@njit(cache=True)
+@compiled()
 def _only_within(first: Array, pixel: Array, cost: Array, within: Array) -> tuple[Array, Array, Array]:
     kept_first = np.zeros_like(first)
     kept_pixel, kept_cost = np.empty_like(pixel), np.empty_like(cost)
@@ -135,7 +135,7 @@ def _only_within(first: Array, pixel: Array, cost: Array, within: Array) -> tupl
     return kept_first, kept_pixel[:count].copy(), kept_cost[:count].copy()
 
 
-@njit(cache=True)
+@compiled()
 def _decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> tuple[Array, Array]:
     """Labels, and which of them are certain."""
     label_count, height, width = unary.shape
@@ -217,7 +217,7 @@ def _decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> 
     return labels, certain
 
 
-@njit(cache=True)
+@compiled()
 def movable(
     candidates: Array, costs: Array, chosen: Array, neighbour: Array, weight: Array, label_costs: Array,
     labels: Array, alpha: int,

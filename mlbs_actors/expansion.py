@@ -15,8 +15,8 @@ from collections.abc import Sequence
 
 import maxflow
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.label_cost_energy import UndecidedEnergy
 from mlbs_actors.messages import Array
 from mlbs_actors.min_cut import min_cut
@@ -24,7 +24,7 @@ from mlbs_actors.min_cut import min_cut
 __all__ = ["free_expansion", "freeing_expansion", "paid_expansion", "paid_for"]
 
 
-@njit(cache=True)
+@compiled()
 def free_expansion(
     neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array, price: Array
 ) -> tuple[Array, np.int64]:
@@ -56,7 +56,7 @@ def free_expansion(
     return moves, flow - unmoved
 
 
-@njit(cache=True)
+@compiled()
 def freeing_expansion(
     neighbour: Array,
     weight: Array,
@@ -133,7 +133,7 @@ def paid_expansion(
     return on_sink_side, int(flow - unmoved) - int(rest.label_costs[paid].sum())
 
 
-@njit(cache=True)
+@compiled()
 def paid_for(labels: Array, nodes: Array, kept: Array) -> Array:
     """The nodes' labels that a move could free of their cost, ascending; ``kept`` as of
     :func:`~mlbs_actors.cut_pruning.movable`."""
@@ -168,7 +168,7 @@ def _cut_with_label_costs(
     return np.int64(graph.maxflow()), graph.get_grid_segments(ids)
 
 
-@njit(cache=True)
+@compiled()
 def _move_graph(
     neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array, price: Array
 ) -> tuple[Array, Array, Array, np.int64]:

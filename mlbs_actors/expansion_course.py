@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.cut_pruning import movable, reachable
 from mlbs_actors.expansion import free_expansion, freeing_expansion, paid_expansion, paid_for
 from mlbs_actors.label_cost_energy import Offers, UndecidedEnergy
@@ -115,7 +115,7 @@ class Course:
             turn += 1
 
 
-@njit(cache=True)
+@compiled()
 def _expand_in_turn(
     alphas: Array, turn: int, first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array,
     label_costs: Array, labels: Array, chosen: Array, changed_at: Array, news_at: Array, came_from: Array,
@@ -179,7 +179,7 @@ def _expand_in_turn(
     return alphas.size, step, energy, nothing, nothing, nothing
 
 
-@njit(cache=True)
+@compiled()
 def _take(
     neighbour: Array, labels: Array, chosen: Array, changed_at: Array, news_at: Array, came_from: Array,
     step: int, alpha: int, moved: Array, price: Array,
@@ -195,13 +195,13 @@ def _take(
                 news_at[neighbour[p, k]] = step
 
 
-@njit(cache=True)
+@compiled()
 def _cost_of_use(label_costs: Array, labels: Array, alpha: int) -> int:
     """What a label costs that is not used yet."""
     return 0 if label_costs[alpha] == 0 or (labels == alpha).any() else int(label_costs[alpha])
 
 
-@njit(cache=True)
+@compiled()
 def _nothing_new(
     candidates: Array, label_costs: Array, labels: Array, news_at: Array, expanded_at: int, alpha: int
 ) -> bool:
@@ -213,7 +213,7 @@ def _nothing_new(
     return True
 
 
-@njit(cache=True)
+@compiled()
 def _worth_expanding(
     neighbour: Array,
     label_costs: Array,

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
 from mlbs_actors.inverse_search import (
     PATCH,
@@ -192,7 +192,7 @@ def _on_level(box: Region, level: int, shape: tuple[int, int]) -> Region:
     return Region(left, top, right - left, bottom - top)
 
 
-@njit(cache=True)
+@compiled()
 def _full_size(flow: Array, step_x: float, step_y: float) -> Array:
     """Flow planes (2, h, w) in px of the shrunk frame as (h, w, 2) in full-size px."""
     _, height, width = flow.shape
@@ -204,7 +204,7 @@ def _full_size(flow: Array, step_x: float, step_y: float) -> Array:
     return scaled
 
 
-@njit(cache=True)
+@compiled()
 def _inverted(flow: Array) -> Array:
     """The flow the other way, planes (2, h, w): u with u(x) = −flow(x + u(x)), to a pixel in two rounds."""
     _, height, width = flow.shape
@@ -226,7 +226,7 @@ def _inverted(flow: Array) -> Array:
     return inverse
 
 
-@njit(cache=True)
+@compiled()
 def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks: tuple[float, ...]) -> Array:
     """The checks of `DenseFlow.thresholds`, inside the frame."""
     height, width = flow.shape[:2]
@@ -269,7 +269,7 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
     return reliable
 
 
-@njit(cache=True)
+@compiled()
 def _reliable_at(
     flow: Array, reverse: Array, step_x: float, step_y: float, checks: tuple[float, ...], xs: Array, ys: Array
 ) -> Array:
@@ -297,14 +297,14 @@ def _reliable_at(
     return reliable
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _across(upper: Array, middle: Array, lower: Array, x: int, axis: int) -> tuple[np.float32, np.float32]:
     """Scharr's smoothing and difference over three rows."""
     smoothed = np.float32(3) * (upper[x, axis] + lower[x, axis]) + np.float32(10) * middle[x, axis]
     return smoothed, lower[x, axis] - upper[x, axis]
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _slope(
     left: np.float32, right: np.float32, sheared_left: np.float32, sheared: np.float32,
     sheared_right: np.float32, by_x: np.float32, by_y: np.float32,
@@ -315,7 +315,7 @@ def _slope(
     return along * along + down * down
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _there(
     u: np.float32, v: np.float32, x: int, y: int, width: int, height: int, shrink_x: np.float32,
     shrink_y: np.float32,
@@ -331,7 +331,7 @@ def _there(
     return bool(inside), near, there_x - np.float32(column), there_y - np.float32(row)
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _back(
     back: Array, near: np.int32, width: int, along: np.float32, across: np.float32
 ) -> tuple[np.float32, np.float32]:
@@ -348,7 +348,7 @@ def _back(
     return back_u, back_v
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _confirmed(
     u: np.float32, v: np.float32, back_u: np.float32, back_v: np.float32, gradient: np.float32,
     limits: tuple[np.float32, ...],

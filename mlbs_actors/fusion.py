@@ -20,9 +20,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from mlbs_actors.cells import in_cells
+from mlbs_actors.compilation import compiled
 from mlbs_actors.kde import AppearanceParameters, confidence
 from mlbs_actors.messages import COST_STEP, Array, LayerPosterior, Region
 from mlbs_actors.region_groups import common
@@ -163,7 +163,7 @@ def _trust(half_confidence: float) -> Array:
     )
 
 
-@njit(cache=True)
+@compiled()
 def _add_known(
     known: Array, matched: Array, top: int, left: int, own_top: int, own_left: int, height: int, width: int,
     log_ratio: Array, samples: Array, trust: Array, ratio_of: Array,
@@ -176,7 +176,7 @@ def _add_known(
             matched[top + y, left + x] += own * ratio_of[log_ratio[own_top + y, own_left + x]]
 
 
-@njit(cache=True)
+@compiled()
 def _fallback(known: Array, matched: Array) -> Array:
     height, width = known.shape
     fallback = np.empty((height, width), np.int8)
@@ -191,7 +191,7 @@ def _fallback(known: Array, matched: Array) -> Array:
     return fallback
 
 
-@njit(cache=True)
+@compiled()
 def _add_appearance(
     cost: Array,
     log_ratio: Array,
@@ -216,7 +216,7 @@ def _add_appearance(
             fused[y, x] = np.uint8(np.int32(min(max(value, least), most)))
 
 
-@njit(cache=True)
+@compiled()
 def _fuse(
     fused: Array, total: Array, top: int, left: int, own_top: int, own_left: int, height: int, width: int,
     cost: Array, log_ratio: Array, samples: Array, fallback: Array, trust: Array, ratio_of: Array,
@@ -241,7 +241,7 @@ def _fuse(
             sums[y, x] += likelihood[part[y, x]]
 
 
-@njit(cache=True)
+@compiled()
 def _normaliser(total: Array) -> Array:
     height, width = total.shape
     normaliser, logs = np.empty((height, width), np.uint8), np.empty(width, np.float32)

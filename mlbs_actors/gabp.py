@@ -41,9 +41,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
 from mlbs_actors.cells import mean_of_cells
+from mlbs_actors.compilation import compiled
 from mlbs_actors.errors import SolverError
 from mlbs_actors.messages import Array
 from mlbs_actors.screened_poisson import solve
@@ -279,12 +279,12 @@ def _to_pixels(values: Array, spacing: int, shape: tuple[int, int]) -> Array:
     return np.ascontiguousarray(pixels[: shape[0], : shape[1]])
 
 
-@njit(cache=True)
+@compiled()
 def _all_finite(values: Array) -> bool:
     return bool(np.isfinite(values).all())
 
 
-@njit(cache=True)
+@compiled()
 def _sum_by_nodes(prior: Array, deviation: Array) -> Array:
     """Sum of two (2, gh, gw) fields, (gh, gw, 2) float32."""
     total = np.empty((prior.shape[1], prior.shape[2], 2), np.float32)
@@ -295,7 +295,7 @@ def _sum_by_nodes(prior: Array, deviation: Array) -> Array:
     return total
 
 
-@njit(cache=True)
+@compiled()
 def _inside(positions: Array, height: int, width: int) -> Array:
     """Which points lie in the region."""
     inside = np.empty(positions.shape[0], np.bool_)
@@ -305,7 +305,7 @@ def _inside(positions: Array, height: int, width: int) -> Array:
     return inside
 
 
-@njit(cache=True)
+@compiled()
 def _bilinear_taps(points: Array, rows: int, columns: int, spacing: int) -> tuple[Array, Array]:
     """Indices (n, 4) of the nodes around each point, and the point's shares (n, 4) in them; they sum to 1."""
     nodes, shares = np.empty((points.shape[0], 4), np.int64), np.empty((points.shape[0], 4))
@@ -322,7 +322,7 @@ def _bilinear_taps(points: Array, rows: int, columns: int, spacing: int) -> tupl
     return nodes, shares
 
 
-@njit(cache=True)
+@compiled()
 def _robust_deviation(
     points: Array, motions: Array, prior: Array, spacing: int, edge: float, point_precision: float,
     prior_precision: float, robust_px: float, robust_rounds: int, tolerance: float, max_iterations: int,
@@ -347,7 +347,7 @@ def _robust_deviation(
     return deviation, weights, iterations, residual
 
 
-@njit(cache=True)
+@compiled()
 def _misfit(values: Array, field: Array, nodes: Array, shares: Array) -> Array:
     """Points' values (n, 2) less those of a (2, gh, gw) field."""
     flat = field.reshape(2, -1)
@@ -361,7 +361,7 @@ def _misfit(values: Array, field: Array, nodes: Array, shares: Array) -> Array:
     return misfit
 
 
-@njit(cache=True)
+@compiled()
 def _lump(
     nodes: Array, shares: Array, evidence: Array, measured: Array, precision: float, rows: int, columns: int
 ) -> Array:
@@ -382,7 +382,7 @@ def _prior_precision(grid: tuple[int, int], parameters: MotionParameters) -> flo
     return 1.0 / (parameters.prior_std_px**2 * grid[0] * grid[1])
 
 
-@njit(cache=True)
+@compiled()
 def _robust_weights(misfit: Array, robust_px: float) -> Array:
     squared = misfit[:, 0] ** 2 + misfit[:, 1] ** 2
     scale = max(robust_px, 3.0 * 1.4826 * np.sqrt(np.median(squared)))

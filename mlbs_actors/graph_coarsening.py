@@ -10,8 +10,8 @@ hide the borders that are looked for.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["coarsen"]
@@ -56,7 +56,7 @@ def coarsen(pointers: Array, neighbours: Array, weights: Array, most: int) -> tu
     return group, _dense(pointers, neighbours, weights, within)
 
 
-@njit(cache=True)
+@compiled()
 def _dense(pointers: Array, neighbours: Array, weights: Array, within: Array) -> Array:
     matrix = np.zeros((within.size, within.size))
     for node in range(within.size):
@@ -66,7 +66,7 @@ def _dense(pointers: Array, neighbours: Array, weights: Array, within: Array) ->
     return matrix
 
 
-@njit(cache=True)
+@compiled()
 def _match(
     pointers: Array, neighbours: Array, weights: Array, edges: Array, sizes: Array, most: int,
     closeness: float,
@@ -102,7 +102,7 @@ def _match(
     return parent, left
 
 
-@njit(cache=True)
+@compiled()
 def _contract(
     pointers: Array, neighbours: Array, weights: Array, edges: Array, sizes: Array, within: Array,
     parent: Array, left: int,

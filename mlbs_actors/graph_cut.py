@@ -26,9 +26,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from mlbs_actors.coarse_cut import band_around_outlines, halved
+from mlbs_actors.compilation import compiled
 from mlbs_actors.contrast import MAX_COST
 from mlbs_actors.cut_pruning import prune
 from mlbs_actors.errors import ConfigError
@@ -213,7 +213,7 @@ def _remove_labels(rest: UndecidedEnergy, course: Course) -> Course:
     return course
 
 
-@njit(cache=True)
+@compiled()
 def _shared_out(
     first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array, labels: Array, chosen: Array,
     label: int, allowed: Array,

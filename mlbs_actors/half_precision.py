@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["single_precision"]
@@ -18,7 +18,7 @@ def single_precision(halves: Array) -> Array:
     return np.asarray(_single_precision(np.ascontiguousarray(halves).view(np.uint16)))
 
 
-@njit(cache=True)
+@compiled()
 def _single_precision(bits: Array) -> Array:
     flat = bits.reshape(-1)
     moved = np.empty(flat.size, np.int32)

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numba import njit
 
 from mlbs_actors.camera import CameraEvidence, camera_evidence
 from mlbs_actors.clustering import UNLABELLED
+from mlbs_actors.compilation import compiled
 from mlbs_actors.flow import DenseFlow, sample_flow
 from mlbs_actors.messages import UNEXPLAINED_STEP, Array
 from mlbs_actors.trajectories import EVIDENCE_BOUNDS, TrajectoryState
@@ -144,7 +144,7 @@ def relabelled(
     return tuple(result)
 
 
-@njit(cache=True)
+@compiled()
 def by_layer(live: Array, owner: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
     """Positions and motions layer by layer, in their order, and where each of the live layers starts (k + 1);
     those that belong to none are left out."""

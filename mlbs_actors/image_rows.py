@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["padded_planes", "read_row"]
 
 
-@njit(cache=True)
+@compiled()
 def padded_planes(image: Array) -> Array:
     """The channels of a C-contiguous image (h, w, 3), with its border once more around: (3, h + 2, w + 2)."""
     height, width = image.shape[0], image.shape[1]
@@ -29,7 +29,7 @@ def padded_planes(image: Array) -> Array:
     return planes
 
 
-@njit(cache=True)
+@compiled()
 def read_row(planes: Array, y: int, residual: Array, colours: Array) -> None:
     """Bilinear colours (3, w) of an image's row, each less than 1 px off its pixel, held inside the image.
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 
 __all__ = [
@@ -156,7 +156,7 @@ def _patch_places(start: int, length: int, stride: int) -> Array:
     return np.minimum(np.arange(start, last + stride, stride), last)
 
 
-@njit(cache=True)
+@compiled()
 def _search(
     shades: Array, around: Array, slope_x: Array, slope_y: Array, flow: Array, across: Array, down: Array,
     iterations: int,
@@ -192,7 +192,7 @@ def _search(
     return motions
 
 
-@njit(cache=True)
+@compiled()
 def _descend(
     shades: Array, around: Array, slope_x: Array, slope_y: Array, y: int, x: int, u: np.float32,
     v: np.float32, iterations: int,
@@ -219,7 +219,7 @@ def _descend(
     return u, v
 
 
-@njit(cache=True)
+@compiled()
 def _slopes(
     slope_x: Array, slope_y: Array, y: int, x: int
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
@@ -239,7 +239,7 @@ def _slopes(
     return np.float32(xx), np.float32(xy), np.float32(yy), np.float32(sum_x), np.float32(sum_y)
 
 
-@njit(cache=True)
+@compiled()
 def _source_place(
     around: Array, y: int, x: int, u: np.float32, v: np.float32
 ) -> tuple[np.uintp, np.uintp, np.float32, np.float32, np.float32, np.float32]:
@@ -255,7 +255,7 @@ def _source_place(
     return top, left, up * back, up * across, down * back, down * across
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _moved(
     around: Array,
     there_y: np.uintp,
@@ -279,7 +279,7 @@ def _moved(
 # are of whole numbers, which may be added in any order.
 
 
-@njit(cache=True)
+@compiled()
 def _mismatch(shades: Array, around: Array, y: int, x: int, u: np.float32, v: np.float32) -> np.float32:
     """Sum of squared differences of a patch and its place in the target, but for their mean."""
     there_y, there_x, w00, w01, w10, w11 = _source_place(around, y, x, u, v)
@@ -295,7 +295,7 @@ def _mismatch(shades: Array, around: Array, y: int, x: int, u: np.float32, v: np
     return np.float32(squares) - mean * np.float32(total)
 
 
-@njit(cache=True)
+@compiled()
 def _differences(
     shades: Array, around: Array, slope_x: Array, slope_y: Array, y: int, x: int, u: np.float32, v: np.float32
 ) -> tuple[np.int32, np.int32, np.int32, np.int32]:
@@ -315,7 +315,7 @@ def _differences(
     return total, squares, along, below
 
 
-@njit(cache=True)
+@compiled()
 def _densify(
     shades: Array,
     around: Array,

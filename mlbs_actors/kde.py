@@ -23,10 +23,10 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.polynomial import Chebyshev, Polynomial
 
 from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, warp_model
+from mlbs_actors.compilation import compiled
 from mlbs_actors.image_rows import padded_planes, read_row
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.row_log import row_log
@@ -156,7 +156,7 @@ def _tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
     return exponent, ((bandwidth * np.sqrt(2.0 * np.pi)) ** -3).astype(np.float32)
 
 
-@njit(cache=True)
+@compiled()
 def _least_spreads(
     planes: Array, y: int, floor: np.float32, registration: np.float32, steepest: Array, least: Array
 ) -> None:
@@ -185,7 +185,7 @@ def _least_spreads(
         least[x] = np.int32(min(np.rint(spread), np.float32(255)))
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _slopes(
     upper: Array, middle: Array, lower: Array, x: int, left: int, right: int
 ) -> tuple[np.int32, np.int32]:
@@ -201,7 +201,7 @@ def _slopes(
     )
 
 
-@njit(cache=True)
+@compiled()
 def _evaluate(
     samples: Array, count: Array, spread: Array, residual: Array, image: Array, needed: Array,
     floor: np.float32, registration: np.float32, exponent: Array, norm: Array, result: Array,

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
 __all__ = [
@@ -190,7 +190,7 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     )
 
 
-@njit(cache=True)
+@compiled()
 def neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, int]:
     """Row and column of a neighbour, and where the weight to it is found: row, column and direction."""
     v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
@@ -199,7 +199,7 @@ def neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, in
     return v, u, v, u, k - 4
 
 
-@njit(cache=True)
+@compiled()
 def _spread(unary: Array, side: int, places: Array, spread: Array) -> None:
     """Every pixel of a label's place, which is given in pixels, takes its cell's cost."""
     for label in range(unary.shape[0]):
@@ -210,7 +210,7 @@ def _spread(unary: Array, side: int, places: Array, spread: Array) -> None:
                 costs[x] = own[x // side]
 
 
-@njit(cache=True)
+@compiled()
 def _offers(
     unary: Array, side: int, extras: Array, places: Array, weights: Array, labels: Array, pixels: Array,
     neighbour: Array, position: Array,
@@ -268,7 +268,7 @@ def _offers(
     return first, pixel[:count].copy(), cost[:count].copy()
 
 
-@njit(cache=True)
+@compiled()
 def _saved_by(label: int, labels: Array, weights: Array, y: int, x: int) -> int:
     """Sum of the weights to a pixel's neighbours of one label."""
     saved = 0
@@ -279,7 +279,7 @@ def _saved_by(label: int, labels: Array, weights: Array, y: int, x: int) -> int:
     return saved
 
 
-@njit(cache=True)
+@compiled()
 def _chosen(first: Array, pixel: Array, cost: Array, labels: Array) -> Array:
     chosen = np.empty(labels.size, np.int32)
     for label in range(first.size - 1):
@@ -289,7 +289,7 @@ def _chosen(first: Array, pixel: Array, cost: Array, labels: Array) -> Array:
     return chosen
 
 
-@njit(cache=True)
+@compiled()
 def _numbered(labels: Array) -> tuple[Array, Array]:
     """Flat indices of the undecided pixels, ascending, and the position of each pixel among them, −1 if it is
     decided."""
@@ -305,7 +305,7 @@ def _numbered(labels: Array) -> tuple[Array, Array]:
     return pixels[:count].copy(), position
 
 
-@njit(cache=True)
+@compiled()
 def _around(weights: Array, position: Array, pixels: Array) -> tuple[Array, Array]:
     """Neighbours (n, 8) of the undecided pixels among themselves, and the weights to them."""
     width = position.shape[1]
@@ -322,7 +322,7 @@ def _around(weights: Array, position: Array, pixels: Array) -> tuple[Array, Arra
     return neighbour, weight
 
 
-@njit(cache=True)
+@compiled()
 def _image_energy(unary: Array, weights: Array, labels: Array) -> np.int64:
     """Unary and pair terms; the first four neighbours name each pair once."""
     total = np.int64(0)
@@ -338,7 +338,7 @@ def _image_energy(unary: Array, weights: Array, labels: Array) -> np.int64:
     return total
 
 
-@njit(cache=True)
+@compiled()
 def _energy(chosen: Array, neighbour: Array, weight: Array, labels: Array) -> np.int64:
     """Unary and pair terms; the first four neighbours name each pair once."""
     total = np.int64(0)

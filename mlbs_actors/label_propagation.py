@@ -16,9 +16,9 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
 from scipy.sparse.linalg import splu
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["propagate_absorbing", "propagate_soft"]
@@ -59,7 +59,7 @@ def propagate_soft(affinity: sp.csr_array, labels: Array, classes: int, restart:
     )
 
 
-@njit(cache=True)
+@compiled()
 def _walk(
     pointers: Array,
     neighbours: Array,
@@ -149,7 +149,7 @@ def propagate_absorbing(affinity: sp.csr_array, labels: Array, classes: int) -> 
     return share
 
 
-@njit(cache=True)
+@compiled()
 def _absorbing_system(
     pointers: Array, neighbours: Array, weights: Array, labels: Array, classes: int
 ) -> tuple[Array, Array, Array, Array, Array]:

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from mlbs_actors.clustering import UNLABELLED
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import BACKGROUND, Array
 
 __all__ = ["layers_of", "sightings"]
 
 
-@njit(cache=True)
+@compiled()
 def _row_of(known: Array, label: int) -> int:
     """Where a label stands among the known ones, which ascend; −1 if it is none of them."""
     row = int(np.searchsorted(known, label))
     return row if row < known.size and known[row] == label else -1
 
 
-@njit(cache=True)
+@compiled()
 def layers_of(labels: Array, known: Array, origins: Array, pooled: Array, other: int) -> Array:
     """Layer ids of labels (n,) int64, −1 for none, by the registry's rows; see `LayerRegistry.layers_of`."""
     layers = np.empty(labels.size, np.int64)
@@ -32,7 +32,7 @@ def layers_of(labels: Array, known: Array, origins: Array, pooled: Array, other:
     return layers
 
 
-@njit(cache=True)
+@compiled()
 def sightings(known: Array, labels: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
     """Row of each trajectory's label, −1 if it is not known; how many each has, and their mean positions and
     motions (k, 4)."""

@@ -37,11 +37,11 @@ from time import perf_counter
 
 import cv2
 import numpy as np
-from numba import njit
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
 from mlbs_actors.camera import shrunk_homography
 from mlbs_actors.cells import cell_side, in_cells, mean_of_cells, spread_over_cells
+from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
 from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_positions
@@ -350,7 +350,7 @@ class Layer:
         )
 
 
-@njit(cache=True)
+@compiled()
 def _mean_trust(count: Array, trust: Array) -> float:
     """Mean of a table's values at some numbers of samples, 0 of none."""
     total = 0.0

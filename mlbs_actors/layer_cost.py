@@ -10,8 +10,8 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.fusion import LIKELIHOOD, RATIO_STEP, with_appearance
 from mlbs_actors.half_precision import single_precision
@@ -147,7 +147,7 @@ def _taps(first: int, count: int, length: float, grid: int) -> tuple[slice, Arra
     return part, low - part.start, high - part.start, share
 
 
-@njit(cache=True)
+@compiled()
 def _places(first: int, count: int, ratio: float, grid: int) -> tuple[Array, Array, Array]:
     low, high = np.empty(count, np.int64), np.empty(count, np.int64)
     share = np.empty(count, np.float32)
@@ -159,7 +159,7 @@ def _places(first: int, count: int, ratio: float, grid: int) -> tuple[Array, Arr
     return low, high, share
 
 
-@njit(cache=True)
+@compiled()
 def _layer_cost(
     needed: Array, motion: Array, variance: Array, flow: Array, reliable: Array, unexplained: Array,
     top: Array, bottom: Array, down: Array, left: Array, right: Array, along: Array, heard: Array,
@@ -225,7 +225,7 @@ def quantised_colours(log_density: Array, count: Array, needed: Array, largest: 
     return log_ratio, samples
 
 
-@njit(cache=True)
+@compiled()
 def _quantise_colours(
     log_density: Array, count: Array, needed: Array, largest: np.float32, log_ratio: Array, samples: Array
 ) -> None:
@@ -282,7 +282,7 @@ def finished_posterior(
     return posterior
 
 
-@njit(cache=True)
+@compiled()
 def _finished_posterior(
     fused: Array, normaliser: Array, won: Array, likelihood: Array, posterior: Array
 ) -> None:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 
 from mlbs_actors.cells import aligned, in_cells
+from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.messages import UNEXPLAINED_STEP, Array, FrameEvidence, LayerEvidence, Region
 from mlbs_actors.trajectory_distance import closed_distance, trajectory_distance
@@ -42,7 +42,7 @@ def near_trajectories(
     )
 
 
-@njit(cache=True)
+@compiled()
 def _trusted_and_away(
     own: Array, others: Array, body: Array, unexplained: Array, least: float, learn: np.float32,
     near: np.float32, fade: np.float32,
@@ -95,7 +95,7 @@ def trusted_background(
     return trusted
 
 
-@njit(cache=True)
+@compiled()
 def _judged(
     own: Array, others: Array, unexplained: Array, least: float, keep_off: np.float32, learn: np.float32,
     beside: np.float32,

@@ -12,8 +12,8 @@ the time that a general graph takes goes into getting and filling its memory.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["min_cut"]
@@ -23,7 +23,7 @@ _NONE, _TERMINAL, _LOST = -1, -2, -3
 _FAR = 2**30
 
 
-@njit(cache=True)
+@compiled()
 def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64, Array]:
     """Cut a graph of n pixels.
 
@@ -162,7 +162,7 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
                     lost_end = lost_end + 1 if lost_end < count else 0
 
 
-@njit(cache=True)
+@compiled()
 def _supply(pixel: int, neighbour: Array, residual: Array, parent: Array, surplus: Array) -> np.int32:
     """What can flow from the source to a pixel of its tree."""
     least = np.int32(_FAR)
@@ -173,7 +173,7 @@ def _supply(pixel: int, neighbour: Array, residual: Array, parent: Array, surplu
     return np.int32(min(least, surplus[pixel]))
 
 
-@njit(cache=True)
+@compiled()
 def _demand(pixel: int, neighbour: Array, residual: Array, parent: Array, surplus: Array) -> np.int32:
     """What can flow from a pixel of the sink's tree to the sink."""
     least = np.int32(_FAR)
@@ -183,7 +183,7 @@ def _demand(pixel: int, neighbour: Array, residual: Array, parent: Array, surplu
     return np.int32(min(least, -surplus[pixel]))
 
 
-@njit(cache=True)
+@compiled()
 def _distance(start: int, neighbour: Array, parent: Array, stamp: Array, distance: Array, time: int) -> int:
     """Distance of a pixel to its terminal, stamped on the way there; far if the way leads to an orphan."""
     pixel, steps = start, 0

@@ -8,8 +8,8 @@ wanted is found by halving, for counting fills the registers and sorting does no
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["nearest", "neighbour_pairs"]
@@ -39,7 +39,7 @@ def neighbour_pairs(positions: Array, wanted: int, radius: float) -> tuple[Array
     return (keys // len(positions)).astype(np.int32), (keys % len(positions)).astype(np.int32)
 
 
-@njit(cache=True)
+@compiled()
 def nearest(positions: Array, wanted: int, radius: float) -> Array:
     """The nearest points of each, without itself.
 
@@ -90,14 +90,14 @@ def nearest(positions: Array, wanted: int, radius: float) -> Array:
     return found
 
 
-@njit(cache=True)
+@compiled()
 def _measure(xs: Array, ys: Array, x: np.float32, y: np.float32, squared: Array) -> None:
     for k in range(xs.size):
         across, down = xs[k] - x, ys[k] - y
         squared[k] = across * across + down * down
 
 
-@njit(cache=True)
+@compiled()
 def _count_within(squared: Array, limit: np.float32) -> np.int32:
     count = np.int32(0)
     for k in range(squared.size):
@@ -105,7 +105,7 @@ def _count_within(squared: Array, limit: np.float32) -> np.int32:
     return count
 
 
-@njit(cache=True)
+@compiled()
 def _limit(squared: Array, wanted: int, most: np.float32, whole: bool) -> np.float32:
     """A squared distance within which so many points lie, no more if possible; else the least with all.
 
@@ -134,7 +134,7 @@ def _limit(squared: Array, wanted: int, most: np.float32, whole: bool) -> np.flo
             most, more = middle, within
 
 
-@njit(cache=True)
+@compiled()
 def _take(squared: Array, point: Array, limit: np.float32, itself: int, room: Array, found: Array) -> None:
     """The points nearer than the limit; of those just there the first, as far as there is room."""
     taken = 0
@@ -155,7 +155,7 @@ def _take(squared: Array, point: Array, limit: np.float32, itself: int, room: Ar
         taken += 1
 
 
-@njit(cache=True)
+@compiled()
 def _cells(positions: Array) -> tuple[float, Array, Array, Array, Array]:
     """Side of a cell, column and row of each point, and the points cell by cell: where each starts, which."""
     count = positions.shape[0]
@@ -179,7 +179,7 @@ def _cells(positions: Array) -> tuple[float, Array, Array, Array, Array]:
     return cell, column, row, start, members
 
 
-@njit(cache=True)
+@compiled()
 def _pair_keys(nearest_of: Array) -> Array:
     """first · n + second of each pair, once."""
     count, wanted = nearest_of.shape

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotrf
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.graph_coarsening import coarsen
 from mlbs_actors.messages import Array
 
@@ -85,7 +85,7 @@ def holds_together(affinity: Array, threshold: float) -> bool:
     return not failed
 
 
-@njit(cache=True)
+@compiled()
 def _shifted_laplacian(affinity: Array, threshold: float) -> Array:
     """The normalised Laplacian with its smallest eigenvalue moved from 0 to 2, less threshold · I."""
     count = len(affinity)
@@ -147,7 +147,7 @@ def best_cut(affinity: Array, sizes: Array, min_side: int) -> TwoWayCut:
     return best
 
 
-@njit(cache=True)
+@compiled()
 def _severed(affinity: Array, order: Array) -> Array:
     """Sum of the edges that a cut after each position of the order severs."""
     across = np.zeros(order.size)
@@ -211,7 +211,7 @@ def recursive_cut(
     return labels
 
 
-@njit(cache=True)
+@compiled()
 def _kept_edges(
     pointers: Array, neighbours: Array, weights: Array, nodes: Array, apart: Array
 ) -> tuple[Array, Array, Array]:
@@ -232,7 +232,7 @@ def _kept_edges(
     return kept_pointers, kept_neighbours[:kept], kept_weights[:kept]
 
 
-@njit(cache=True)
+@compiled()
 def _components(pointers: Array, neighbours: Array) -> Array:
     """Number of the connected part of each node of a symmetric graph, by their first nodes, (n,) int64."""
     count = pointers.size - 1

@@ -13,9 +13,9 @@ from __future__ import annotations
 from math import ceil, floor
 
 import numpy as np
-from numba import njit
 
 from mlbs_actors.cells import aligned, in_cells
+from mlbs_actors.compilation import compiled
 from mlbs_actors.config import length_scale
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region, Segmentation
 from mlbs_actors.region_groups import around, common, slices_in
@@ -78,12 +78,12 @@ def median_motion(motions: Array) -> tuple[float, float]:
     return float(x), float(y)
 
 
-@njit(cache=True)
+@compiled()
 def _median_motion(motions: Array) -> tuple[float, float]:
     return np.median(motions[:, 0]), np.median(motions[:, 1])
 
 
-@njit(cache=True)
+@compiled()
 def _bounds(positions: Array) -> tuple[float, float, float, float]:
     """Least x and y, largest x and y."""
     x, y = positions[:, 0], positions[:, 1]

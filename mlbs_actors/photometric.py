@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["FramePart", "photometric_advantage"]
@@ -91,7 +91,7 @@ def photometric_advantage(
     return advantage
 
 
-@njit(cache=True, error_model="numpy")  # where the camera's horizon lies in the frame, a depth can be 0
+@compiled()  # where the camera's horizon lies in the frame, a depth can be 0
 def _find_sources(
     motion: Array, camera: Array, x0: int, y0: int, last_x0: int, last_y0: int, last: Array, sources: Array,
     known: Array,
@@ -115,12 +115,12 @@ def _find_sources(
             )
 
 
-@njit(cache=True)
+@compiled()
 def _median(values: Array) -> float:
     return float(np.median(values))
 
 
-@njit(cache=True)
+@compiled()
 def _compare(
     own_error: Array, camera_error: Array, noise: np.float32, own: Array, known: Array,
     largest: np.float32, advantage: Array,

@@ -14,8 +14,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["RegionGroup", "around", "common", "group_regions", "slices_in"]
@@ -66,7 +66,7 @@ def group_regions(regions: Sequence[Region], shape: tuple[int, int]) -> list[Reg
     ]
 
 
-@njit(cache=True)
+@compiled()
 def _merged(corners: Array) -> Array:
     """Merge boxes (n, 4: left, top, right, bottom) until none overlap: the first of each one's group, whose
     corners become those of the whole group."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.config import LayersConfig, length_scale
 from mlbs_actors.messages import Array
 
@@ -39,7 +39,7 @@ class Sighting:
     signatures: Array
 
 
-@njit(cache=True)
+@compiled()
 def colours_at(frame: Array, positions: Array) -> Array:
     """Colours of the pixels nearest to some positions, (n, 3) uint8."""
     colours = np.empty((positions.shape[0], 3), np.uint8)
@@ -50,7 +50,7 @@ def colours_at(frame: Array, positions: Array) -> Array:
     return colours
 
 
-@njit(cache=True)
+@compiled()
 def colour_signatures(rows: Array, colours: Array, count: int) -> Array:
     """Normalised colour histograms of some groups of pixels.
 

@@ -7,9 +7,9 @@ points.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.polynomial import Chebyshev, Polynomial
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["row_log"]
@@ -21,7 +21,7 @@ _C0, _C1, _C2, _C3, _C4, _C5 = (
 _LOG_2 = np.float32(np.log(2.0))
 
 
-@njit(cache=True)
+@compiled()
 def row_log(values: Array, logs: Array) -> None:
     """Logarithms within 3e-5 of exact.
 

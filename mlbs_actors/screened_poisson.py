@@ -16,9 +16,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from mlbs_actors.banded_factors import factorised, solved
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["Solution", "solve"]
@@ -44,7 +44,7 @@ class Solution(NamedTuple):
     iterations: int
 
 
-@njit(cache=True)
+@compiled()
 def solve(
     screening: Array, rhs: Array, edge: float, start: Array, tolerance: float, max_iterations: int
 ) -> Solution:
@@ -93,7 +93,7 @@ def solve(
     return Solution(value[:, 1:-1, 1:-1].copy(), residual, iterations)
 
 
-@njit(cache=True)
+@compiled()
 def _residual(screening: Array, rhs: Array, edge: float, value: Array) -> float:
     """|b − A d| for d with a border of zeros, (k, rows + 2, columns + 2)."""
     rows, columns = screening.shape
@@ -117,7 +117,7 @@ def _residual(screening: Array, rhs: Array, edge: float, value: Array) -> float:
 # horizontal). A sweep writes into a second array: in place it could not run in vector registers.
 
 
-@njit(cache=True)
+@compiled()
 def _pyramid(rows: int, columns: int, edge: float) -> tuple[Array, Array]:
     count, longer = 1, max(rows, columns)
     while longer > 1:
@@ -134,13 +134,13 @@ def _pyramid(rows: int, columns: int, edge: float) -> tuple[Array, Array]:
     return levels, edges
 
 
-@njit(cache=True)
+@compiled()
 def _level(buffer: Array, levels: Array, level: int) -> Array:
     start, rows, columns = levels[level, 0], levels[level, 1], levels[level, 2]
     return buffer[start : start + (rows + 2) * (columns + 2)].reshape(rows + 2, columns + 2)
 
 
-@njit(cache=True)
+@compiled()
 def _sweep(
     value: Array,
     rhs: Array,
@@ -166,7 +166,7 @@ def _sweep(
             result[u] = own[u] + i[u] * misfit
 
 
-@njit(cache=True)
+@compiled()
 def _v_cycle(
     value: Array, half: Array, rhs: Array, diagonal: Array, inverse: Array, levels: Array, edges: Array
 ) -> None:
@@ -206,7 +206,7 @@ def _v_cycle(
         _sweep(y, b, d, _level(inverse[0], levels, level), vertical, horizontal, x)
 
 
-@njit(cache=True)
+@compiled()
 def _set_operators(screening: Array, diagonal: Array, inverse: Array, levels: Array, edges: Array) -> None:
     """Diagonal of every level's operator, and its reciprocal on either colour."""
     summed = np.zeros_like(diagonal)
@@ -230,7 +230,7 @@ def _set_operators(screening: Array, diagonal: Array, inverse: Array, levels: Ar
                     coarse[(v + 1) // 2, (u + 1) // 2] += s[v, u]
 
 
-@njit(cache=True)
+@compiled()
 def _product(a: Array, b: Array, sums: Array) -> float:
     """Scalar product of two fields; summed by columns, which can run in vector registers."""
     sums[:] = 0.0
@@ -244,7 +244,7 @@ def _product(a: Array, b: Array, sums: Array) -> float:
     return total
 
 
-@njit(cache=True)
+@compiled()
 def _conjugate_gradients(
     screening: Array, rhs: Array, edge: float, target: float, limit: int, value: Array
 ) -> int:
@@ -295,7 +295,7 @@ def _conjugate_gradients(
     return longest
 
 
-@njit(cache=True)
+@compiled()
 def _apply(own: Array, edge: float, x: Array, product: Array) -> None:
     """Set product = A x; ``own`` is A's diagonal."""
     inner = x.shape[1] - 2

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
-from numba import njit
 
 from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells
 from mlbs_actors.cleaning import clean_labels
+from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.contrast import COST_QUANTUM, contrast_weights
 from mlbs_actors.errors import FrameError
@@ -207,7 +207,7 @@ def _places(posteriors: list[LayerPosterior], box: Region) -> Array:
     return np.asarray(np.array(places, np.int64) - np.array([box.y, box.y, box.x, box.x]))
 
 
-@njit(cache=True)
+@compiled()
 def _data_costs(cost: Array, places: Array) -> Array:
     """Costs (K, rows, columns) int32, ``COST_QUANTUM`` a pixel; only where a layer can own a cell."""
     costs = np.empty(cost.shape, np.int32)
@@ -238,7 +238,7 @@ def _track_pulls(
     return pulls[:inside]
 
 
-@njit(cache=True)
+@compiled()
 def _pull(
     positions: Array, label: int, pull: int, left: int, top: int, width: int, height: int,
     shape: tuple[int, int], pulls: Array, count: int,
@@ -261,7 +261,7 @@ def _discount_shadows(
         _discount(own[place], costs[0][place], shadow[place], np.float32(strength / COST_QUANTUM))
 
 
-@njit(cache=True)
+@compiled()
 def _discount(own: Array, background: Array, shadow: Array, strength: np.float32) -> None:
     for y in range(own.shape[0]):
         for x in range(own.shape[1]):
@@ -295,7 +295,7 @@ def _summaries(
     return rows
 
 
-@njit(cache=True)
+@compiled()
 def _tally(
     labels: Array, position: Array, cost: Array, normaliser: Array, side: int, count: int
 ) -> tuple[Array, Array, Array]:

@@ -7,9 +7,9 @@ The matrix is that of :mod:`mlbs_actors.screened_poisson`.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from mlbs_actors.banded_factors import factorised
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["inverse_diagonal"]
@@ -38,7 +38,7 @@ def inverse_diagonal(screening: Array, edge: float) -> Array:
     return np.asarray(_inverse_diagonal(np.ascontiguousarray(screening), edge))
 
 
-@njit(cache=True)
+@compiled()
 def _inverse_diagonal(screening: Array, edge: float) -> Array:
     rows, columns = screening.shape
     size, width = rows * columns, columns

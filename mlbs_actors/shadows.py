@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
 from mlbs_actors.cells import spread_over_cells
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 from mlbs_actors.region_groups import common, slices_in
 from mlbs_actors.trajectory_distance import trajectory_distance
@@ -146,7 +146,7 @@ def shadow_likelihood(dark: Darkening) -> Array:
     return _likelihood(dark.mean, dark.spread, dark.brightness, dark.variance)
 
 
-@njit(cache=True)
+@compiled()
 def _likelihood(mean: Array, spread: Array, brightness: Array, variance: Array) -> Array:
     likelihood = np.empty(mean.shape, np.float32)
     for y in range(mean.shape[0]):
@@ -224,7 +224,7 @@ def _unlit_objects(labels: Array, unlit: Array) -> list[tuple[int, Region]]:
     ]
 
 
-@njit(cache=True)
+@compiled()
 def _bounds(labels: Array, unlit: Array, count: int) -> Array:
     """Of every label but 0: least and largest x and y, and whether it has an unlit pixel, (count, 5)."""
     bounds = np.zeros((count, 5), np.int64)
@@ -259,7 +259,7 @@ def _grown(box: Region, reach: int, shape: tuple[int, ...]) -> Region:
     return common(grown, Region(0, 0, shape[1], shape[0]))
 
 
-@njit(cache=True)
+@compiled()
 def _height_above_ground(labels: Array, left: int, top: int, width: int, height: int) -> Array:
     """How many px down to the first that is no object's, (h, w) int32; over H if the frame ends first."""
     above = np.empty((height, width), np.int32)
@@ -274,7 +274,7 @@ def _height_above_ground(labels: Array, left: int, top: int, width: int, height:
     return above
 
 
-@njit(cache=True)
+@compiled()
 def _wide(mask: Array, least: float) -> Array:
     """What of a mask lies in horizontal runs of at least so many px, rounded down to an odd number."""
     wide = np.zeros(mask.shape, np.bool_)
@@ -289,7 +289,7 @@ def _wide(mask: Array, least: float) -> Array:
     return wide
 
 
-@njit(cache=True)
+@compiled()
 def _and_under(strip: Array, body: Array) -> Array:
     """The strip and what of the body is under it, down to the ground: the shadow's lighter rim."""
     result = strip.copy()
@@ -313,7 +313,7 @@ def _spread_into_objects(colour: Array, free: Array) -> Array:
     return ground
 
 
-@njit(cache=True)
+@compiled()
 def _moments(colour: Array, free: Array, log_of: Array) -> Array:
     """Sums of log colour, its square and 1 over the free pixels of 2×2: (⌈h/2⌉, ⌈w/2⌉, 7) float32."""
     height, width = free.shape
@@ -330,7 +330,7 @@ def _moments(colour: Array, free: Array, log_of: Array) -> Array:
     return moments
 
 
-@njit(cache=True)
+@compiled()
 def _take_where_found(moments: Array, ground: Array) -> None:
     """Put mean log colour and variance into ``ground`` where there is enough of it within the reach."""
     height, width, _ = ground.shape
@@ -346,7 +346,7 @@ def _take_where_found(moments: Array, ground: Array) -> None:
                 ground[y, x, 3] = variance
 
 
-@njit(cache=True)
+@compiled()
 def _compared(
     smooth: Array, ground: Array, top: int, left: int, frame_shape: tuple[int, int], log_of: Array
 ) -> tuple[Array, Array, Array, Array]:
@@ -381,7 +381,7 @@ def _compared(
     return mean, spread, brightness, variance
 
 
-@njit(cache=True)
+@compiled()
 def _between(pixel: int, ratio: float, count: int) -> tuple[int, int, float]:
     """The two pixels of a shrunk row of ``count`` next to a pixel of the row, and the share of the second."""
     place = min(max((pixel + 0.5) * ratio - 0.5, 0.0), count - 1.0)

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.config import TrajectoriesConfig, length_scale
 from mlbs_actors.flow import DenseFlow, sample_flow
 from mlbs_actors.messages import Array
@@ -122,7 +122,7 @@ def advance_trajectories(state: TrajectoryState, flow: DenseFlow, shape: tuple[i
     )
 
 
-@njit(cache=True)
+@compiled()
 def _moved(
     positions: Array, motion: Array, step: tuple[float, float], grid: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[Array, Array, Array, Array]:
@@ -146,7 +146,7 @@ def selected(state: TrajectoryState, positions: Array) -> TrajectoryState:
     return TrajectoryState(ids, places, motions, state.residuals, rows, ages, evidence, state.next_id)
 
 
-@njit(cache=True)
+@compiled()
 def _at(
     chosen: Array, ids: Array, positions: Array, motions: Array, rows: Array, ages: Array, evidence: Array
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
@@ -231,7 +231,7 @@ def _seeded(
     )
 
 
-@njit(cache=True)
+@compiled()
 def _uncovered(positions: Array, shape: tuple[int, int], step: tuple[float, float], radius: float) -> Array:
     """Pixels of the shrunk frame at least so many of its px from every point's, (h, w) bool."""
     height, width = shape
@@ -250,7 +250,7 @@ def _uncovered(positions: Array, shape: tuple[int, int], step: tuple[float, floa
     return free
 
 
-@njit(cache=True)
+@compiled()
 def _grid_seeds(
     structure: Array,
     mean: float,
@@ -302,7 +302,7 @@ def evenly_spread(positions: Array, spacing: float) -> Array:
     return np.asarray(_first_of_each(positions, np.float32(spacing)))
 
 
-@njit(cache=True)
+@compiled()
 def _first_of_each(positions: Array, spacing: np.float32) -> Array:
     """Positions in the array of the first point of each square."""
     column, row = np.empty(len(positions), np.int64), np.empty(len(positions), np.int64)
@@ -338,7 +338,7 @@ def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -
     return replace(state, residuals=residuals, rows=np.arange(len(state)), evidence=evidence)
 
 
-@njit(cache=True)
+@compiled()
 def _remembered(residuals: Array, rows: Array, ages: Array, motions: Array, predicted: Array) -> Array:
     """The newest residuals, 0 of those without a motion, and those before, one frame older."""
     moved = np.empty((rows.size, *residuals.shape[1:]), np.float32)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, LayerEvidence, Region
 
 __all__ = ["closed_distance", "trajectory_distance"]
@@ -38,7 +38,7 @@ def trajectory_distance(layers: Sequence[LayerEvidence], cells: Region, side: in
     return np.asarray(np.float32(side) * cv2.distanceTransform(free, cv2.DIST_L2, 5))
 
 
-@njit(cache=True)
+@compiled()
 def _mark(positions: Array, side: int, left: int, top: int, free: Array) -> None:
     """Set the cells to 0 in which some positions lie."""
     height, width = free.shape

@@ -23,8 +23,8 @@ of every frame, which restores its edges.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["MAX_MISS_PX", "nearest_sources", "warp_map"]
@@ -70,7 +70,7 @@ def nearest_sources(
     return source, new_residual
 
 
-@njit(cache=True)
+@compiled()
 def _find_sources(
     residual: Array, motion: Array, shift_x: int, shift_y: int, source: Array, new_residual: Array
 ) -> None:
@@ -124,12 +124,12 @@ def _find_sources(
             rests[2 * x], rests[2 * x + 1] = miss_x, miss_y
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _is_inside(column: np.int32, row: np.int32, width: np.int32, height: np.int32) -> bool:
     return bool((column >= 0) & (column < width) & (row >= 0) & (row < height))
 
 
-@njit(cache=True)
+@compiled()
 def _gather(stored: Array, places: Array, rest: Array) -> None:
     """Stored residuals (x and y in turn) at some places, into (2, n)."""
     for i in range(places.size):
@@ -138,7 +138,7 @@ def _gather(stored: Array, places: Array, rest: Array) -> None:
         rest[1, i] = stored[place * np.uint64(2) + np.uint64(1)]
 
 
-@njit(cache=True)
+@compiled()
 def _best_around(
     stored: Array, height: int, width: int, row: int, column: int, part_x: np.float32, part_y: np.float32
 ) -> tuple[int, np.float32, np.float32]:
@@ -194,7 +194,7 @@ def warp_map(
     return value, share
 
 
-@njit(cache=True)
+@compiled()
 def _warp_bilinear(
     values: Array, motion: Array, shift_x: int, shift_y: int, needed: Array, value: Array, share: Array
 ) -> None:
