@@ -59,7 +59,7 @@ class FlowConfig(_Section):
     first_search_iterations: int = Field(
         16, ge=1, description="The same in the frames that are held until the first clustering."
     )
-    first_refinement_iterations: int = Field(5, ge=0, description="The same there.")
+    first_refinement_iterations: int = Field(3, ge=0, description="The same there.")
     first_patch_stride_px: int = Field(3, ge=1, le=8, description="The same there.")
 
 

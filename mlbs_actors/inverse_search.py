@@ -2,10 +2,10 @@
 
 On every level patches on a grid start from the flow that is known so far or from that of a neighbour,
 whichever explains the image better, and descend from there. Each pixel then takes the mean motion of the
-patches over it, those that explain it well counting most, and OpenCV's variational refinement
-smooths the result.
+patches over it, those that explain it well counting most, and a variational refinement
+(:mod:`mlbs_actors.variational_refinement`) smooths the result.
 
-OpenCV has it whole, too. Here it takes two thirds of the time: a frame's levels are made once for
+OpenCV has it whole, too. Here it takes half of the time: a frame's levels are made once for
 both directions, and the kernels fill the registers. A part of a level is searched in sight of what lies
 around it, which makes better flow than a frame cut to the part.
 """
@@ -19,6 +19,7 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
+from mlbs_actors.variational_refinement import refine_flow
 
 __all__ = [
     "PATCH",
@@ -36,9 +37,7 @@ PATCH = 8
 MARGIN = 16
 #: Grey levels are counted in sixteenths: sums of squares over a patch still fit into 32 bits.
 SHADES = 16
-#: Weights of the variational refinement.
-SMOOTHNESS, COLOUR, GRADIENT = 20.0, 5.0, 10.0
-#: Sweeps of its solver: more make no flow that is told apart better.
+#: Sweeps of the variational refinement's solver: more make no flow that is told apart better.
 SWEEPS = 3
 
 
@@ -137,15 +136,8 @@ def improve_flow(
     )  # fmt: skip
     window = np.zeros((3, part.height, part.width), np.float32)
     _densify(source.shades, target.around, motions, across, down, part.x, part.y, window)
-    if effort.refinements:
-        refinement = cv2.VariationalRefinement.create()
-        refinement.setAlpha(SMOOTHNESS)
-        refinement.setDelta(COLOUR)
-        refinement.setGamma(GRADIENT)
-        refinement.setFixedPointIterations(effort.refinements)
-        refinement.setSorIterations(SWEEPS)
-        before, after = (np.ascontiguousarray(one.gray[part.slices]) for one in (source, target))
-        refinement.calcUV(before, after, window[0], window[1])
+    for _ in range(effort.refinements):
+        refine_flow(source.shades, target.around, part.x, part.y, window, MARGIN, SHADES, SWEEPS)
     for known, found in zip(flow, window, strict=False):  # the last of the window is the sum of weights
         known[part.slices] = found
 

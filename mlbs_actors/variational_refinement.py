@@ -1,0 +1,320 @@
+"""Smooths a flow and fits it to the images: a variational method (Brox et al., ECCV 2004).
+
+Each pixel's motion is to keep its grey level and the slopes of that, and to be its neighbours' motion, each
+with a robust penalty √(e² + ε²). The penalties' weights are those of the flow as it is. What is left is a
+linear system for its change, solved by some sweeps of red–black successive over-relaxation.
+
+OpenCV's ``VariationalRefinement`` does the same, to a millionth of a pixel: some twenty maps, one after the
+other. Here a row is done as soon as those are that it depends on, the solver's sweeps a row behind each
+other, and what is in between stays in the processor's caches. Other than there, the target is read beyond a
+part's sides, and warped anew for each step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mlbs_actors.compilation import compiled
+from mlbs_actors.messages import Array
+
+__all__ = ["refine_flow"]
+
+#: Weights of the three penalties.
+SMOOTHNESS, COLOUR, GRADIENT = np.float32(20.0), np.float32(5.0), np.float32(10.0)
+#: Over-relaxation.
+RELAXATION = np.float32(1.6)
+
+_ZETA2, _EPSILON2 = np.float32(0.1**2), np.float32(0.001**2)
+_HALF, _ONE = np.float32(0.5), np.float32(1)
+
+# Kinds of rows, of which the last 16 are kept; each has a pixel more at both ends.
+_ROWS = 16
+_U, _V = 0, 1  # flow as it was
+_DU, _DV = 2, 3  # its change
+_MEAN, _DIFFERENCE = 4, 5  # of the source and the warped target
+_X, _Y, _XT, _YT = 6, 7, 8, 9  # derivatives of these
+_A11, _A12, _A22, _B1, _B2 = 10, 11, 12, 13, 14  # the pixel's own part of the system
+_RIGHT, _BELOW = 15, 16  # what binds it to its neighbours
+_SPARE = 17  # for a row's own use: nothing is kept there
+_ODD, _EVEN = 7, 8  # … but for these two, which say what pixels are odd and even ones
+_KINDS = 18
+
+
+@compiled()
+def refine_flow(
+    source: Array, target: Array, left: int, top: int, flow: Array, margin: int, shades: int, sweeps: int
+) -> None:
+    """Refine the flow in a part of a frame, in place.
+
+    Parameters
+    ----------
+    source : (h, w) int32
+        Grey levels × ``shades``.
+    target : (h + 2 margin, w + 2 margin) float32
+        The same, continued past its sides.
+    left, top : int
+        Where the part begins in ``source``, px.
+    flow : (2 or more, height, width) float32
+        x and y of the motion from ``source`` to ``target``, px; 2 pixels a side at least.
+    margin, shades : int
+    sweeps : int
+        Of the solver, at most 5.
+    """
+    height, width, last = flow.shape[1], flow.shape[2], flow.shape[1] - 1
+    rows, places = np.zeros(_KINDS * _ROWS * (width + 2), np.float32), np.empty(width, np.int32)
+    odd, even = _row(_SPARE, _ODD, width), _row(_SPARE, _EVEN, width)
+    for x in range(width):
+        rows[(odd if x & 1 else even) + np.uint64(x + 1)] = 1
+    half_sweeps = 2 * sweeps
+    for newest in range(height + 2 + half_sweeps):
+        if newest < height:
+            _read_flow(rows, newest, width, flow)
+            _warp(rows, newest, width, source, target, left, top, margin, np.float32(1.0 / shades), places)
+        y = newest - 1
+        if 0 <= y < height:
+            _derive(rows, y, width, last, _MEAN, _X, _Y)
+            _derive(rows, y, width, last, _DIFFERENCE, _XT, _YT)
+        y = newest - 2
+        if 0 <= y < height:
+            _fit(rows, y, width, last)
+            _bind(rows, y, width, last)
+        for half_sweep in range(half_sweeps):
+            y = newest - 3 - half_sweep
+            if 0 <= y < height:
+                _relax(rows, y, width, odd if (y + half_sweep) & 1 else even)
+        y = newest - 2 - half_sweeps
+        if 0 <= y < height:
+            _write_flow(rows, y, width, flow)
+
+
+# A row's loops write one row each, and read no more than eight: what LLVM checks for overlap before it uses
+# vector registers. Rows are places in one array, because slices of their own take longer than a short row.
+
+
+@compiled(inline="always")
+def _row(kind: int, y: int, width: int) -> np.uint64:
+    """Where a row begins."""
+    return np.uint64((kind * _ROWS + (y & (_ROWS - 1))) * (width + 2))
+
+
+@compiled(inline="always")
+def _squared(value: np.float32) -> np.float32:
+    return value * value
+
+
+@compiled(inline="always")
+def _continue(rows: Array, row: np.uint64, width: int) -> None:
+    """Repeat a row's first and last pixel."""
+    rows[row] = rows[row + np.uint64(1)]
+    rows[row + np.uint64(width + 1)] = rows[row + np.uint64(width)]
+
+
+@compiled()
+def _read_flow(rows: Array, y: int, width: int, flow: Array) -> None:
+    for part in range(2):
+        known, change = _row(_U + part, y, width), _row(_DU + part, y, width)
+        for x in range(width):
+            rows[known + np.uint64(x + 1)] = flow[part, y, x]
+        for x in range(width + 2):
+            rows[change + np.uint64(x)] = 0
+        _continue(rows, known, width)
+
+
+@compiled()
+def _write_flow(rows: Array, y: int, width: int, flow: Array) -> None:
+    for part in range(2):
+        known, change = _row(_U + part, y, width), _row(_DU + part, y, width)
+        for x in range(width):
+            at = np.uint64(x + 1)
+            flow[part, y, x] = rows[known + at] + rows[change + at]
+
+
+@compiled()
+def _warp(
+    rows: Array, y: int, width: int, source: Array, target: Array, left: int, top: int, margin: int,
+    unit: np.float32, places: Array,
+) -> None:  # fmt: skip
+    """Mean and difference of the source and of what the flow leads to in the target, grey levels."""
+    one, zero = np.uint64(1), np.float32(0)
+    u, v = _row(_U, y, width) + one, _row(_V, y, width) + one
+    mean, difference = _row(_MEAN, y, width) + one, _row(_DIFFERENCE, y, width) + one
+    across, down = _row(_SPARE, 0, width), _row(_SPARE, 1, width)
+    right, bottom = np.float32(target.shape[1] - 2), np.float32(target.shape[0] - 2)
+    first_x, there_y, stride = np.int32(left + margin), np.float32(y + top + margin), target.shape[1]
+    for x in range(width):
+        at = np.uint64(x)
+        there = min(max(np.float32(np.int32(x) + first_x) + rows[u + at], zero), right)
+        places[at] = np.int32(there)
+        rows[across + at] = there - np.float32(np.int32(there))
+    for x in range(width):
+        at = np.uint64(x)
+        there = min(max(there_y + rows[v + at], zero), bottom)
+        places[at] += np.int32(np.int32(there) * np.int32(stride))
+        rows[down + at] = there - np.float32(np.int32(there))
+    shown = target.reshape(-1)
+    for x in range(width):  # the only one that reads here and there
+        at = np.uint64(x)
+        place, share = np.uint64(np.uint32(places[at])), rows[across + at]
+        upper = shown[place] + share * (shown[place + one] - shown[place])
+        place += np.uint64(stride)
+        lower = shown[place] + share * (shown[place + one] - shown[place])
+        rows[difference + at] = upper + rows[down + at] * (lower - upper)
+    own, first = source.reshape(-1), np.uint64((y + top) * source.shape[1] + left)
+    for x in range(width):
+        at = np.uint64(x)
+        rows[mean + at] = _HALF * unit * (np.float32(own[first + at]) + rows[difference + at])
+    for x in range(width):
+        at = np.uint64(x)
+        rows[difference + at] = unit * (rows[difference + at] - np.float32(own[first + at]))
+    _continue(rows, mean - one, width)
+    _continue(rows, difference - one, width)
+
+
+@compiled()
+def _derive(rows: Array, y: int, width: int, last: int, of: int, along_x: int, along_y: int) -> None:
+    """Differences of the pixels on both sides, once for the frame's mean and once for its difference."""
+    one, here = np.uint64(1), _row(of, y, width)
+    above, below = _row(of, max(y - 1, 0), width), _row(of, min(y + 1, last), width)
+    x_slope, y_slope = _row(along_x, y, width), _row(along_y, y, width)
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        rows[x_slope + at] = rows[here + at + one] - rows[here + at - one]
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        rows[y_slope + at] = rows[below + at] - rows[above + at]
+    _continue(rows, x_slope, width)
+    _continue(rows, y_slope, width)
+
+
+@compiled()
+def _fit(rows: Array, y: int, width: int, last: int) -> None:
+    """The system's part for grey levels and slopes that are to stay."""
+    one, above, below = np.uint64(1), max(y - 1, 0), min(y + 1, last)
+    along_x, along_y, along_t = _row(_X, y, width), _row(_Y, y, width), _row(_DIFFERENCE, y, width)
+    x_above, x_below = _row(_X, above, width), _row(_X, below, width)
+    y_above, y_below = _row(_Y, above, width), _row(_Y, below, width)
+    along_xt, along_yt = _row(_XT, y, width), _row(_YT, y, width)
+    along_xx, along_xy, along_yy = _row(_SPARE, 0, width), _row(_SPARE, 1, width), _row(_SPARE, 2, width)
+    colour, weight = _row(_SPARE, 3, width), _row(_SPARE, 4, width)
+    x_weight, y_weight = _row(_SPARE, 5, width), _row(_SPARE, 6, width)
+    a11, a12, a22 = _row(_A11, y, width), _row(_A12, y, width), _row(_A22, y, width)
+    b1, b2 = _row(_B1, y, width), _row(_B2, y, width)
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        rows[along_xx + at] = rows[along_x + at + one] - rows[along_x + at - one]
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        rows[along_xy + at] = rows[x_below + at] - rows[x_above + at]
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        rows[along_yy + at] = rows[y_below + at] - rows[y_above + at]
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        norm = _squared(rows[along_x + at]) + _squared(rows[along_y + at]) + _ZETA2
+        rows[colour + at] = _HALF * COLOUR / (np.sqrt(_squared(rows[along_t + at]) / norm + _EPSILON2) * norm)
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        rows[x_weight + at] = _ONE / (_squared(rows[along_xx + at]) + _squared(rows[along_xy + at]) + _ZETA2)
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        rows[y_weight + at] = _ONE / (_squared(rows[along_yy + at]) + _squared(rows[along_xy + at]) + _ZETA2)
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        error = (
+            _squared(rows[along_xt + at]) * rows[x_weight + at]
+            + _squared(rows[along_yt + at]) * rows[y_weight + at]
+        )
+        rows[weight + at] = _HALF * GRADIENT / np.sqrt(error + _EPSILON2)
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        rows[x_weight + at] *= rows[weight + at]
+        rows[y_weight + at] *= rows[weight + at]
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        slopes = rows[x_weight + at] * _squared(rows[along_xx + at]) + rows[y_weight + at] * _squared(
+            rows[along_xy + at]
+        )
+        rows[a11 + at] = rows[colour + at] * _squared(rows[along_x + at]) + slopes + _ZETA2
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        slopes = rows[x_weight + at] * _squared(rows[along_xy + at]) + rows[y_weight + at] * _squared(
+            rows[along_yy + at]
+        )
+        rows[a22 + at] = rows[colour + at] * _squared(rows[along_y + at]) + slopes + _ZETA2
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        slopes = rows[x_weight + at] * rows[along_xx + at] + rows[y_weight + at] * rows[along_yy + at]
+        own = rows[colour + at] * rows[along_x + at] * rows[along_y + at]
+        rows[a12 + at] = own + slopes * rows[along_xy + at]
+    for x in range(1, width + 1):  # from here on the weights stand for what they weigh
+        at = np.uint64(x)
+        rows[colour + at] *= rows[along_t + at]
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        rows[x_weight + at] *= rows[along_xt + at]
+        rows[y_weight + at] *= rows[along_yt + at]
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        slopes = rows[x_weight + at] * rows[along_xx + at] + rows[y_weight + at] * rows[along_xy + at]
+        rows[b1 + at] = -(rows[colour + at] * rows[along_x + at] + slopes)
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        slopes = rows[x_weight + at] * rows[along_xy + at] + rows[y_weight + at] * rows[along_yy + at]
+        rows[b2 + at] = -(rows[colour + at] * rows[along_y + at] + slopes)
+
+
+@compiled()
+def _bind(rows: Array, y: int, width: int, last: int) -> None:
+    """The system's part for smoothness; the diagonal is turned over, for it is divided by only."""
+    one, following = np.uint64(1), min(y + 1, last)
+    right, below, above = _row(_RIGHT, y, width), _row(_BELOW, y, width), _row(_BELOW, y - 1, width)
+    u, v = _row(_U, y, width), _row(_V, y, width)
+    u_below, v_below = _row(_U, following, width), _row(_V, following, width)
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        across = _squared(rows[u + at + one] - rows[u + at]) + _squared(rows[v + at + one] - rows[v + at])
+        down = _squared(rows[u_below + at] - rows[u + at]) + _squared(rows[v_below + at] - rows[v + at])
+        rows[right + at] = _HALF * SMOOTHNESS / np.sqrt(across + down + _EPSILON2)
+    share = np.float32(y < last)
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        rows[below + at] = share * rows[right + at]
+    rows[right + np.uint64(width)] = 0
+    bonds = _row(_SPARE, 0, width)
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        beside = rows[right + at] + rows[right + at - one]
+        rows[bonds + at] = beside + rows[below + at] + rows[above + at]
+    for flow, side, diagonal in ((_U, _B1, _A11), (_V, _B2, _A22)):
+        here, b, a = _row(flow, y, width), _row(side, y, width), _row(diagonal, y, width)
+        over, under = _row(flow, y - 1, width), _row(flow, following, width)
+        for x in range(1, width + 1):
+            at = np.uint64(x)
+            after, before = rows[here + at + one] - rows[here + at], rows[here + at] - rows[here + at - one]
+            beside = rows[right + at] * after - rows[right + at - one] * before
+            after, before = rows[under + at] - rows[here + at], rows[here + at] - rows[over + at]
+            rows[b + at] += beside + rows[below + at] * after - rows[above + at] * before
+        for x in range(1, width + 1):
+            at = np.uint64(x)
+            rows[a + at] = RELAXATION / (rows[a + at] + rows[bonds + at])
+
+
+@compiled()
+def _relax(rows: Array, y: int, width: int, chosen: np.uint64) -> None:
+    """Half a sweep: the pixels of one colour, from their neighbours, which are of the other one."""
+    one, pull, mixed = np.uint64(1), _row(_SPARE, 0, width), _row(_A12, y, width)
+    right, below, above = _row(_RIGHT, y, width), _row(_BELOW, y, width), _row(_BELOW, y - 1, width)
+    for of, another, side, diagonal in ((_DU, _DV, _B1, _A11), (_DV, _DU, _B2, _A22)):
+        own, other = _row(of, y, width), _row(another, y, width)
+        b, a = _row(side, y, width), _row(diagonal, y, width)
+        over, under = _row(of, y - 1, width), _row(of, y + 1, width)
+        for x in range(1, width + 1):
+            at = np.uint64(x)
+            beside = rows[right + at] * rows[own + at + one] + rows[right + at - one] * rows[own + at - one]
+            rows[pull + at] = (
+                beside + rows[below + at] * rows[under + at] + rows[above + at] * rows[over + at]
+            )
+        for x in range(1, width + 1):
+            at = np.uint64(x)
+            drawn = rows[pull + at] + rows[b + at] - rows[mixed + at] * rows[other + at]
+            rows[own + at] += rows[chosen + at] * (rows[a + at] * drawn - RELAXATION * rows[own + at])
