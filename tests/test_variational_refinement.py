@@ -16,9 +16,9 @@ def textures(shape: tuple[int, int], seed: int) -> tuple[Array, Array]:
     """A frame and the next one, (h, w) uint8: smooth noise, moved by (1.4, −0.7) px."""
     rng = np.random.default_rng(seed)
     noise = cv2.GaussianBlur(rng.normal(size=(shape[0] + 20, shape[1] + 20)), (0, 0), 2.0)
-    noise = np.uint8(np.clip(128 + 250 * noise, 0, 255))
-    moved = cv2.warpAffine(noise, np.float64([[1, 0, 1.4], [0, 1, -0.7]]), noise.shape[::-1])
-    return noise[10:-10, 10:-10].copy(), moved[10:-10, 10:-10].copy()
+    first = np.clip(128 + 250 * noise, 0, 255).astype(np.uint8)
+    second = cv2.warpAffine(first, np.array([[1, 0, 1.4], [0, 1, -0.7]]), first.shape[::-1])
+    return first[10:-10, 10:-10].copy(), np.asarray(second)[10:-10, 10:-10].copy()
 
 
 def refined(source: Array, target: Array, part: Region, flow: Array, sweeps: int, steps: int = 1) -> Array:
@@ -48,7 +48,7 @@ def refined_by_loops(source: Array, target: Array, part: Region, flow: Array, sw
 
     def by_x(image: Array) -> Array:
         padded = np.pad(image, 1, mode="edge")
-        return padded[1:-1, 2:] - padded[1:-1, :-2]
+        return np.asarray(padded[1:-1, 2:] - padded[1:-1, :-2])
 
     def by_y(image: Array) -> Array:
         return by_x(image.T).T
@@ -64,8 +64,8 @@ def refined_by_loops(source: Array, target: Array, part: Region, flow: Array, sw
     b1 = -colour * ix * it - slopes * (ixx * ixt / norm_x + ixy * iyt / norm_y)
     b2 = -colour * iy * it - slopes * (ixy * ixt / norm_x + iyy * iyt / norm_y)
     height, width = u.shape
-    steps = [np.diff(part, axis=axis, append=part[:, -1:] if axis else part[-1:]) ** 2
-             for part in (u, v) for axis in (0, 1)]  # fmt: skip
+    steps = [np.diff(known, axis=axis, append=known[:, -1:] if axis else known[-1:]) ** 2
+             for known in (u, v) for axis in (0, 1)]  # fmt: skip
     bond = 10.0 / np.sqrt(sum(steps) + 1e-6)
     change = np.zeros((2, height, width))
     for half in range(2 * sweeps):
@@ -81,13 +81,13 @@ def refined_by_loops(source: Array, target: Array, part: Region, flow: Array, sw
                     )
                     if 0 <= n < height and 0 <= m < width
                 ]  # fmt: skip
-                for part, (a, b) in enumerate(((a11, b1), (a22, b2))):
-                    known = (u, v)[part]
-                    pull = b[j, i] - a12[j, i] * change[1 - part, j, i]
+                for one, (a, b) in enumerate(((a11, b1), (a22, b2))):
+                    known = (u, v)[one]
+                    pull = b[j, i] - a12[j, i] * change[1 - one, j, i]
                     for weight, n, m in bonds:
-                        pull += weight * (change[part, n, m] + known[n, m] - known[j, i])
+                        pull += weight * (change[one, n, m] + known[n, m] - known[j, i])
                     exact = pull / (a[j, i] + sum(weight for weight, _, _ in bonds))
-                    change[part, j, i] += OMEGA * (exact - change[part, j, i])
+                    change[one, j, i] += OMEGA * (exact - change[one, j, i])
     return np.stack([u, v]) + change
 
 
@@ -118,7 +118,7 @@ def test_a_step_in_a_whole_frame_is_opencv_s() -> None:
 
 def test_steps_bring_a_rough_flow_nearer_to_the_motion() -> None:
     source, target = textures((60, 90), 5)
-    motion = np.float32([1.4, -0.7])[:, None, None]
+    motion = np.array([1.4, -0.7], np.float32)[:, None, None]
     rough = motion + np.random.default_rng(7).normal(0, 0.3, (2, 60, 90)).astype(np.float32)
     errors = [
         np.abs(refined(source, target, Region(0, 0, 90, 60), rough, 3, steps) - motion)[:, 5:-5, 5:-5].mean()
@@ -130,7 +130,8 @@ def test_steps_bring_a_rough_flow_nearer_to_the_motion() -> None:
 
 def test_flow_that_leads_out_of_the_frame_and_flat_frames_stay_finite() -> None:
     flat = np.full((20, 30), 90, np.uint8)
-    far = np.full((2, 20, 30), 1e6, np.float32) * np.float32([1, -1])[:, None, None]
+    far = np.full((2, 20, 30), 1e6, np.float32)
+    far[1] *= -1
     for source, target in ((flat, flat), textures((20, 30), 6)):
         assert np.isfinite(refined(source, target, Region(0, 0, 30, 20), far, 3)).all()
     still = refined(flat, flat, Region(0, 0, 30, 20), np.zeros_like(far), 3)
