@@ -35,27 +35,26 @@ def draw_labels(image: Array, labels: Array) -> Array:
     (H, W, 3) uint8
     """
     drawn = image.copy()
-    free = (labels == BACKGROUND).view(np.uint8)
     line = max(1, round(min(image.shape[:2]) * _LINE_PX))
     around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * line + 1, 2 * line + 1))
     texts = []
-    x, y, width, height = cv2.boundingRect((labels != BACKGROUND).view(np.uint8))
-    objects = labels[y : y + height, x : x + width]
+    # Some pixels more on each side for the dark rim.
+    all_objects = _box((labels != BACKGROUND).view(np.uint8), line)
+    objects, canvases = labels[all_objects], drawn[all_objects]
     for layer in np.flatnonzero(np.bincount(objects.ravel())).tolist():
         if layer == BACKGROUND:
             continue
-        mask = (labels == layer).view(np.uint8)
-        x, y, width, height = cv2.boundingRect(mask)
-        # Some pixels more on each side for the dark rim.
-        left, top = max(x - line, 0), max(y - line, 0)
-        box = slice(top, y + height + line), slice(left, x + width + line)
+        mask = (objects == layer).view(np.uint8)
+        box = _box(mask, line)
         # OpenCV's masked copies take a tenth of the time of assignments by a mask.
-        mask, canvas = mask[box], drawn[box]
-        colour = np.full_like(canvas, layer_colour(layer))
+        mask, canvas = mask[box], canvases[box]
+        colour = cv2.merge([np.full(mask.shape, channel, np.uint8) for channel in layer_colour(layer)])
         cv2.copyTo(cv2.addWeighted(canvas, 1 - _OPACITY, colour, _OPACITY, 0), mask, canvas)
         cv2.copyTo(colour, cv2.absdiff(mask, cv2.erode(mask, around)), canvas)
-        cv2.copyTo(np.zeros_like(canvas), cv2.bitwise_and(cv2.dilate(mask, around), free[box]), canvas)
+        free = (objects[box] == BACKGROUND).view(np.uint8)
+        cv2.copyTo(np.zeros_like(canvas), cv2.bitwise_and(cv2.dilate(mask, around), free), canvas)
         x, y = _inner_point(mask)
+        left, top = (all_objects[axis].start + box[axis].start for axis in (1, 0))
         texts.append((str(layer), (left + x, top + y)))
     for text, place in texts:
         _write(drawn, text, place)
@@ -65,6 +64,13 @@ def draw_labels(image: Array, labels: Array) -> Array:
 def draw_caption(image: Array, text: str) -> None:
     """Write a line into the picture's upper left corner, in place."""
     _write(image, text, (0, 0))
+
+
+def _box(mask: Array, margin: int) -> tuple[slice, slice]:
+    """The smallest box that holds all of a mask's pixels, and some more on each side."""
+    x, y, width, height = cv2.boundingRect(mask)
+    left, top = max(x - margin, 0), max(y - margin, 0)
+    return slice(top, y + height + margin), slice(left, x + width + margin)
 
 
 def _inner_point(mask: Array) -> tuple[int, int]:
