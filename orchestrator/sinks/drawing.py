@@ -41,7 +41,7 @@ def draw_labels(image: Array, labels: Array) -> Array:
     # Some pixels more on each side for the dark rim.
     all_objects = _box((labels != BACKGROUND).view(np.uint8), line)
     objects, canvases = labels[all_objects], drawn[all_objects]
-    for layer in np.flatnonzero(np.bincount(objects.ravel())).tolist():
+    for layer in _ids(objects):
         if layer == BACKGROUND:
             continue
         mask = (objects == layer).view(np.uint8)
@@ -64,6 +64,13 @@ def draw_labels(image: Array, labels: Array) -> Array:
 def draw_caption(image: Array, text: str) -> None:
     """Write a line into the picture's upper left corner, in place."""
     _write(image, text, (0, 0))
+
+
+def _ids(labels: Array) -> list[int]:
+    """Which ids there are: each begins somewhere in a row."""
+    begins = labels[:, 1:] != labels[:, :-1]
+    ids: list[int] = np.unique(np.concatenate([labels[:, 0], labels[:, 1:][begins]])).tolist()
+    return ids
 
 
 def _box(mask: Array, margin: int) -> tuple[slice, slice]:
