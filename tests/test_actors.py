@@ -416,10 +416,24 @@ def test_a_lost_process_fails_its_stream_alone_and_what_was_labelled_before_stay
     assert node.census().busy == 0
 
 
+def test_processes_for_the_next_stream_are_started_one_after_the_other(node: Node, parts: FakeParts) -> None:
+    seen = set()
+
+    def both_there() -> bool:
+        node.prepare()
+        seen.add(len(parts.processes()))
+        return len(parts.processes()) == 2
+
+    wait_until(both_there, 60.0)
+    assert seen == {0, 1, 2}
+    node.prepare()
+    assert len(parts.processes()) == 2
+
+
 def test_a_stream_whose_segmenter_dies_before_it_begins_says_so(
     node: Node, parts: FakeParts, tmp_path: Path
 ) -> None:
-    node.prepare()
+    node.prepare(at_once=True)
     wait_until(lambda: len(parts.processes()) == 2, 60.0)
     segmenters = [
         pid for pid in parts.processes() if b"SegmenterActor" in Path(f"/proc/{pid}/cmdline").read_bytes()

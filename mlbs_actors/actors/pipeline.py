@@ -54,9 +54,25 @@ _STOP_SECONDS = 10.0
 _ANSWER_SECONDS = 10.0
 
 
+#: What a stream begins with, as processes that may be started before it is known.
+_STANDBY = (CoordinatorActor, SegmenterActor)
+
+
 def sinks_of(cores: int) -> int:
     """How many sinks a node has; a stream's record is written by one of them."""
     return max(1, cores // _CORES_A_SINK)
+
+
+class _Standby:
+    """A process that waits for a stream."""
+
+    def __init__(self, handle: Handle) -> None:
+        self.handle = handle
+        self._ready: Reference = handle.__ray_ready__.remote()
+
+    def is_ready(self) -> bool:
+        """Whether it has started, or never will."""
+        return bool(ray.wait([self._ready], timeout=0)[0])
 
 
 class Node:
@@ -87,7 +103,7 @@ class Node:
         self._sinks = [spawn(SinkActor, node=self._node) for _ in range(sinks_of(_cores(self._node)))]
         self._turns = Turns(max(_LEAST_TURNS, _cores(self._node) // _CORES_A_TURN))
         self._runs = count(1)
-        self._standby: list[Handle] = []
+        self._standby: list[_Standby] = []
         self._preparing = Lock()
         self._repairing = Lock()
         self._closed = False
@@ -98,9 +114,9 @@ class Node:
         if reader is None:
             kind = ReaderActor if spec.replayable else LiveReaderActor
             reader = spawn(kind, spec.open_reader, node=self._node)
-        self.prepare()
+        self.prepare(at_once=True)
         with self._preparing:
-            standby, self._standby = self._standby, []
+            standby, self._standby = [process.handle for process in self._standby], []
         run = next(self._runs)
         return StreamActors(
             spec,
@@ -114,14 +130,17 @@ class Node:
             under_way=self.prepare,
         )
 
-    def prepare(self) -> None:
-        """Have the processes ready in which the next stream starts, or goes on that lost one of its own."""
+    def prepare(self, *, at_once: bool = False) -> None:
+        """Have the processes ready in which the next stream starts, or goes on that lost one of its own.
+
+        Called again and again, one after the other: the frames of others have to wait for each.
+        """
         with self._preparing:
-            if not self._standby and not self._closed:
-                self._standby = [
-                    spawn_standby(kind, self._parts.warm_stream, node=self._node)
-                    for kind in (CoordinatorActor, SegmenterActor)
-                ]
+            for kind in _STANDBY[len(self._standby) :]:
+                last = None if at_once or not self._standby else self._standby[-1]
+                if self._closed or (last is not None and not last.is_ready()):
+                    return
+                self._standby.append(_Standby(spawn_standby(kind, self._parts.warm_stream, node=self._node)))
 
     def repair(self) -> None:
         """Replace the pool and the sinks if they are lost; their streams must be started again."""
@@ -147,7 +166,7 @@ class Node:
             self._closed = True
         with suppress(RayError, GetTimeoutError):
             ray.get(self._pool.close.remote(), timeout=_STOP_SECONDS)
-        end([self._pool, *self._sinks, *self._standby])
+        end([self._pool, *self._sinks, *(process.handle for process in self._standby)])
 
     def _new_pool(self) -> Handle:
         return spawn(PoolActor, self._parts, self._policy, node=self._node)
