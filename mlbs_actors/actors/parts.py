@@ -27,6 +27,7 @@ from mlbs_actors.messages import (
     LayerEvidence,
     LayerKind,
     LayerPosterior,
+    Region,
     Segmentation,
 )
 
@@ -148,15 +149,19 @@ class EngineParts:
             self._run_two_layers()
 
     def warm_stream(self) -> None:
-        """Label a small scene with an object, so that the kernels of all parts are compiled or loaded.
+        """Label a small scene with objects, so that the kernels of all parts are compiled or loaded.
 
         Else those that only objects need are loaded at a stream's first birth: a quarter of a second.
         """
         import mlbs_actors.coordinator
         import mlbs_actors.segmenter  # noqa: F401  (need no turn)
+        from mlbs_actors.cleaning import clean_labels
 
         with _turn():
             self._label_small_scene()
+            labels = np.zeros((8, 8), np.uint16)
+            labels[1:5, 1:5] = labels[6, 6] = 1  # a speck: the scene has none
+            clean_labels(labels, Region(0, 0, 8, 8), speck_px=2, hole_px=2)
 
     def _run_two_layers(self) -> None:
         config = Config()
@@ -245,15 +250,16 @@ def _turn() -> Iterator[None]:
 
 
 def _small_scene(frames: int = 7) -> Iterator[Array]:
-    """A square that moves before a ground that moves otherwise, (120, 160, 3) uint8."""
+    """Two squares that move before a ground that moves otherwise, and meet, (160, 320, 3) uint8."""
     random = np.random.default_rng(0)
-    ground, square = (
+    ground, first, second = (
         cv2.GaussianBlur(random.integers(0, 256, shape, dtype=np.uint8), (0, 0), 1.5)
-        for shape in ((120, 200, 3), (40, 40, 3))
+        for shape in ((160, 340, 3), (70, 70, 3), (70, 70, 3))
     )
     for t in range(frames):
-        frame = ground[:, 2 * t : 2 * t + 160].copy()
-        frame[40:80, 40 + 5 * t : 80 + 5 * t] = square
+        frame = ground[:, 2 * t : 2 * t + 320].copy()
+        frame[20:90, 20 + 5 * t : 90 + 5 * t] = first
+        frame[70:140, 150 - 4 * t : 220 - 4 * t] = second
         yield _read_only(frame)
 
 

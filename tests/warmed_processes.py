@@ -1,8 +1,14 @@
-"""Run by a test in a process of its own: which kernels a warmed layer process still compiles."""
+"""Run by a test in a process of its own: which kernels are still compiled or loaded after a warming.
+
+The argument says what is warmed, and what is looked at then: "layer", or "stream", which is a coordinator
+and a segmenter.
+"""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 
 from numba.core.dispatcher import Dispatcher
@@ -22,32 +28,44 @@ def compiled() -> set[tuple[str, str]]:
     return {(str(kernel), str(signature)) for kernel in kernels for signature in kernel.signatures}
 
 
-def main() -> None:
+def main(warmed: str) -> None:
     parts, config = EngineParts(), Config()
-    parts.warm_layer()
+    if warmed == "layer":
+        parts.warm_layer()
+        assert "scipy.linalg" not in sys.modules, "it takes a fifth of a process's start, and 12 MB"
+    else:
+        parts.warm_stream()
     assert compiled(), "nothing was warmed"
-    assert "scipy.linalg" not in sys.modules, "it takes a fifth of a process's start, and 12 MB"
+    later: dict[str, set[tuple[str, str]]] = {"layer": set(), "stream": set()}
+
+    @contextmanager
+    def noted(one: str) -> Iterator[None]:
+        before = compiled()
+        yield
+        later[one] |= compiled() - before
+
     coordinator, segmenter = parts.coordinator(config), parts.segmenter(config)
     layers: dict[int, LayerPart] = {}
     previous: Segmentation | None = None
     results: dict[int, Segmentation] = {}
-    later: set[tuple[str, str]] = set()
-    video = scene("demo", frames=8, seed=1, width=320, height=240)
+    video = scene("demo", frames=12, seed=1, width=640, height=480)
     for t in range(len(video)):
         wanted = coordinator.feedback_index(t)
         feedback = None if wanted is None else partial(results.__getitem__, wanted)
-        for evidence in coordinator.step(t, video.frame(t), feedback):
+        with noted("stream"):
+            evidences = [*coordinator.step(t, _arrived(video.frame(t)), feedback)]
+        for evidence in map(_arrived, evidences):
             frame = _arrived(video.frame(evidence.frame_index))
             posteriors = []
             for own in evidence.layers:
                 layer = layers.setdefault(own.layer, parts.layer(config, own.layer, own.kind))
-                before = compiled()
-                posteriors.append(layer.step(_arrived(own), _arrived(evidence), frame, _arrived(previous)))
-                later |= compiled() - before
-            previous = segmenter.step(evidence, frame, posteriors)
-            results[evidence.frame_index] = previous
-    assert len(layers) > 1, "a scene without an object proves little"
-    print("compiled later:", later)
+                with noted("layer"):
+                    posteriors.append(layer.step(own, evidence, frame, previous))
+            with noted("stream"):
+                labelled = segmenter.step(evidence, frame, [*map(_arrived, posteriors)])
+            previous = results[evidence.frame_index] = _arrived(labelled)
+    assert len(layers) > 3, "a scene with one object proves little"
+    print("later:", later[warmed])
 
 
-main()
+main(sys.argv[1])
