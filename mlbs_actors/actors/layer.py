@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -58,11 +59,17 @@ class LayerActor:
 
     Calls carry the number of the start of a stream that they belong to: those of a stream that has lost its
     coordinator may still come when the process is another stream's layer, and do nothing then.
+
+    Parameters
+    ----------
+    parts : PartFactory
+    awaited : bool
+        Whether somebody waits for the process.
     """
 
-    def __init__(self, parts: PartFactory) -> None:
+    def __init__(self, parts: PartFactory, awaited: bool) -> None:
         limit_process()
-        with stepping_back():
+        with nullcontext() if awaited else stepping_back():
             parts.warm_layer()
         settle_memory()
         self._parts = parts

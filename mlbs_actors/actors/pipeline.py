@@ -114,14 +114,11 @@ class Node:
         if reader is None:
             kind = ReaderActor if spec.replayable else LiveReaderActor
             reader = spawn(kind, spec.open_reader, node=self._node)
-        self.prepare(at_once=True)
-        with self._preparing:
-            standby, self._standby = [process.handle for process in self._standby], []
         run = next(self._runs)
         return StreamActors(
             spec,
             self._parts,
-            standby,
+            self._take_standby(),
             run=run,
             reader=reader,
             pool=self._pool,
@@ -130,17 +127,41 @@ class Node:
             under_way=self.prepare,
         )
 
-    def prepare(self, *, at_once: bool = False) -> None:
+    def prepare(self) -> bool:
         """Have the processes ready in which the next stream starts, or goes on that lost one of its own.
 
-        Called again and again, one after the other: the frames of others have to wait for each.
+        They are started one after the other, as this is called again and again, and take the time that the
+        streams leave.
+
+        Returns
+        -------
+        bool
+            Whether all are ready.
         """
         with self._preparing:
-            for kind in _STANDBY[len(self._standby) :]:
-                last = None if at_once or not self._standby else self._standby[-1]
-                if self._closed or (last is not None and not last.is_ready()):
-                    return
-                self._standby.append(_Standby(spawn_standby(kind, self._parts.warm_stream, node=self._node)))
+            if self._closed or not all(process.is_ready() for process in self._standby):
+                return False
+            if len(self._standby) == len(_STANDBY):
+                return True
+            self._standby.append(self._start_standby(awaited=False))
+            return False
+
+    def _take_standby(self) -> list[Handle]:
+        """The processes that a stream begins in: those that are ready, and new ones."""
+        with self._preparing:
+            ready = [process for process in self._standby if process.is_ready()]
+            late = [process.handle for process in self._standby if not process.is_ready()]
+            self._standby = ready
+            while len(self._standby) < len(_STANDBY):
+                self._standby.append(self._start_standby(awaited=True))
+            taken, self._standby = [process.handle for process in self._standby], []
+        for handle in late:
+            ray.kill(handle)
+        return taken
+
+    def _start_standby(self, *, awaited: bool) -> _Standby:
+        kind = _STANDBY[len(self._standby)]
+        return _Standby(spawn_standby(kind, self._parts.warm_stream, awaited=awaited, node=self._node))
 
     def repair(self) -> None:
         """Replace the pool and the sinks if they are lost; their streams must be started again."""
@@ -222,7 +243,7 @@ class StreamActors:
         pool: Handle,
         sink: Handle,
         turns: Turns,
-        under_way: Callable[[], None],
+        under_way: Callable[[], object],
     ) -> None:
         self._name = spec.name
         self._live = not spec.replayable

@@ -79,6 +79,12 @@ class _Idle:
     handle: Handle
     ready: asyncio.Future[None]
     since: float
+    awaited: bool = True
+
+    @property
+    def soon(self) -> bool:
+        """Whether it is worth waiting for: on a busy machine the others take longer than a new one."""
+        return self.awaited or self.ready.done()
 
     def preference(self) -> tuple[bool, float]:
         """Ready ones first, the last used of them, so that the others grow old; else the first started."""
@@ -135,10 +141,11 @@ class PoolActor:
         """
         layer = own.layer
         while run in self._busy:
-            waiting = max(self._idle, key=_Idle.preference, default=None)
+            soon = [process for process in self._idle if process.soon]
+            waiting = max(soon, key=_Idle.preference, default=None)
             if waiting is not None:
                 self._idle.remove(waiting)
-            process = waiting or self._start()
+            process = waiting or self._start(awaited=True)
             self._busy[run][identity(process.handle)] = process.handle
             try:
                 await asyncio.wait_for(asyncio.shield(process.ready), self._policy.start_seconds)
@@ -206,21 +213,21 @@ class PoolActor:
         self._idle.append(_Idle(handle, ready, time.monotonic()))
         asyncio.get_running_loop().call_later(self._policy.idle_seconds, self._shrink)
 
-    def _start(self) -> _Idle:
-        handle = spawn(LayerActor, self._parts, node=self._node)
+    def _start(self, *, awaited: bool) -> _Idle:
+        handle = spawn(LayerActor, self._parts, awaited, node=self._node)
         ready = asyncio.ensure_future(_answered(handle.__ray_ready__.remote()))
-        return _Idle(handle, ready, time.monotonic())
+        return _Idle(handle, ready, time.monotonic(), awaited)
 
     def _refill(self) -> None:
         while len(self._idle) < self._policy.spare:
-            self._idle.append(self._start())
+            self._idle.append(self._start(awaited=True))
 
     def _top_up(self) -> None:
         """Start a process if too few are idle and none is starting, and look again after a while."""
         if self._closed or len(self._idle) >= min(self._policy.least, self._policy.spare):
             return
         if all(process.ready.done() for process in self._idle):
-            self._idle.append(self._start())
+            self._idle.append(self._start(awaited=False))
         asyncio.get_running_loop().call_later(self._policy.refill_seconds, self._top_up)
 
     def _shrink(self) -> None:

@@ -1,10 +1,12 @@
-"""Processes that are being made ready give way to those that work on frames.
+"""Processes that are made ready beforehand take only what those that work on frames leave.
 
-To import and load all that a layer needs takes half a second of CPU time. On a machine that has no core to
-spare, frames would wait for it, and most of all at a birth, when the pool replaces the process that it lent.
+To import and load all that a layer needs takes a second of CPU time. On a machine that has no core to spare,
+frames would wait for it: dozens of times each, because every process on a frame's way would find the core
+taken for a few milliseconds. A process that somebody waits for does not step back: on a busy machine it
+could take a minute.
 
-A process may always lower its priority, but raise it again only as root or within ``RLIMIT_NICE``; where it
-may not, it does not step back.
+A thread may always become one that runs when no other wants to, but leave that again only as root or within
+``RLIMIT_NICE``; where it may not, it does not step back.
 """
 
 from __future__ import annotations
@@ -16,34 +18,37 @@ from threading import Thread
 
 __all__ = ["stepping_back"]
 
-#: By how much the priority is lowered. A process that works gets three times the share of one that gives way,
-#: which still comes to its end on a machine that is always busy.
-_NICE = 5
-
 
 @contextmanager
 def stepping_back() -> Iterator[None]:
-    """Run the calling thread at a lower priority until the end of the ``with`` block, if it may come back."""
+    """Run the calling thread only when no other wants to run, until the end of the ``with`` block.
+
+    Where it could not come back from that, it runs as before.
+    """
     if not _may_come_back():
         yield
         return
-    before = os.getpriority(os.PRIO_PROCESS, 0)
-    os.setpriority(os.PRIO_PROCESS, 0, before + _NICE)
+    before = os.sched_getscheduler(0)
+    _schedule(os.SCHED_IDLE)
     try:
         yield
     finally:
-        os.setpriority(os.PRIO_PROCESS, 0, before)
+        _schedule(before)
+
+
+def _schedule(policy: int) -> None:
+    os.sched_setscheduler(0, policy, os.sched_param(0))
 
 
 def _may_come_back() -> bool:
-    """Try it in a thread that ends at once: on Linux priorities belong to threads."""
+    """Try it in a thread that ends at once: on Linux threads have policies of their own."""
     came_back = []
 
     def there_and_back() -> None:
-        before = os.getpriority(os.PRIO_PROCESS, 0)
-        os.setpriority(os.PRIO_PROCESS, 0, before + 1)
+        before = os.sched_getscheduler(0)
+        _schedule(os.SCHED_IDLE)
         try:
-            os.setpriority(os.PRIO_PROCESS, 0, before)
+            _schedule(before)
         except PermissionError:
             return
         came_back.append(True)

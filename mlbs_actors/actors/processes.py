@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from contextlib import nullcontext
 from typing import Any, TypeAlias
 
 import ray
@@ -62,7 +63,7 @@ def spawn(kind: type, *arguments: object, node: str) -> Handle:
     return actor.options(scheduling_strategy=_there_or_nowhere(node)).remote(*arguments)
 
 
-def spawn_standby(kind: type, warm: Callable[[], object], *, node: str) -> Handle:
+def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node: str) -> Handle:
     """Start an actor's process before it is known what the actor is to do; returns at once.
 
     Parameters
@@ -71,6 +72,8 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, node: str) -> Handl
         As for :func:`spawn`.
     warm : callable
         Picklable; called in the process, to import what the actor will need.
+    awaited : bool
+        Whether somebody waits for the process; else it takes only the time that others leave.
     node : str
 
     Returns
@@ -81,7 +84,7 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, node: str) -> Handl
     """
 
     def wait(self: object) -> None:
-        with stepping_back():
+        with nullcontext() if awaited else stepping_back():
             warm()
 
     def become(self: object, *arguments: object, **after: object) -> None:
