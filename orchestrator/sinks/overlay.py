@@ -116,7 +116,7 @@ class OverlayVideo:
             # One thread: the cores belong to the segmentation.
             self._stream.codec_context.thread_count = 1
             # A fixed quantiser: to choose one for each frame takes a sixth of the encoder's time.
-            self._stream.options = {"preset": "ultrafast", "qp": "28", "g": str(_KEY_FRAMES)}
+            self._stream.options = {"preset": "ultrafast", "qp": "26", "g": str(_KEY_FRAMES)}
         return self._container, self._stream
 
     def _give_up(self, error: Exception) -> None:
