@@ -68,11 +68,11 @@ class _Standby:
 
     def __init__(self, handle: Handle) -> None:
         self.handle = handle
-        self._ready: Reference = handle.__ray_ready__.remote()
+        self._ready: Future[object] = handle.__ray_ready__.remote().future()
 
     def is_ready(self) -> bool:
         """Whether it has started, or never will."""
-        return bool(ray.wait([self._ready], timeout=0)[0])
+        return self._ready.done()
 
 
 class Node:
