@@ -59,6 +59,12 @@ __all__ = ["CoordinatorActor", "StreamLinks"]
 
 _log = logging.getLogger(__name__)
 
+#: After this long a burst takes no more frames, s: the driver asks who has come to an end, and who hangs.
+_BURST_SECONDS = 1.5
+
+#: Frames after which the sink is asked what it has kept, at the latest.
+_COLLECT_FRAMES = 8
+
 #: Frames that are passed over in one burst on the way back to a snapshot.
 _SKIPPED_FRAMES = 64
 
@@ -128,7 +134,9 @@ class CoordinatorActor:
         self._writer = StateWriter()
 
     def advance(self, frames: int) -> StreamProgress:
-        """Take up to ``frames`` more frames of the source; the label maps may follow a few frames later.
+        """Take up to ``frames`` more frames of the source, fewer if they are slow.
+
+        The label maps may follow a few frames later.
 
         Raises
         ------
@@ -172,7 +180,10 @@ class CoordinatorActor:
         if self._to_skip:
             self._skip()
             return self._progress(done=False)
+        deadline = time.monotonic() + _BURST_SECONDS
         for _ in range(frames):
+            if time.monotonic() > deadline:
+                break
             delivered = self._next_frame()
             if delivered is None:
                 return self._finish()
@@ -191,9 +202,15 @@ class CoordinatorActor:
                 self._track(frame.image)
             if self._progressed >= self._next_snapshot:
                 self._save()
+            if self._counts.total() % _COLLECT_FRAMES == 0:
+                self._collect()
+        self._collect()
+        return self._progress(done=False)
+
+    def _collect(self) -> None:
+        """See what the sink has kept by now: the source need not give that again."""
         self._record.collect()
         self._source.forget(self._record.kept)
-        return self._progress(done=False)
 
     def _begin(self) -> None:
         """Go back to the snapshot that the record names, if it names one."""

@@ -239,8 +239,12 @@ def _hidden(module: str) -> Iterator[None]:
 
 @contextmanager
 def _turn() -> Iterator[None]:
-    """Wait for the other processes of this user; without their order nothing is lost but time."""
-    lock = FileLock(Path(tempfile.gettempdir()) / f"mlbs-actors-kernels-{os.getuid()}.lock")
+    """Wait for the other processes of this user; without their order nothing is lost but time.
+
+    Those that step back take turns among themselves: who is waited for must not wait for them.
+    """
+    rank = "-idle" if os.sched_getscheduler(0) == os.SCHED_IDLE else ""
+    lock = FileLock(Path(tempfile.gettempdir()) / f"mlbs-actors-kernels-{os.getuid()}{rank}.lock")
     with suppress(OSError, Timeout):
         lock.acquire(timeout=TURN_SECONDS)
     try:

@@ -45,11 +45,11 @@ def _may_come_back() -> bool:
     came_back = []
 
     def there_and_back() -> None:
-        before = os.sched_getscheduler(0)
-        _schedule(os.SCHED_IDLE)
         try:
+            before = os.sched_getscheduler(0)
+            _schedule(os.SCHED_IDLE)
             _schedule(before)
-        except PermissionError:
+        except OSError:
             return
         came_back.append(True)
 

@@ -73,7 +73,7 @@ def encode_label_image(labels: Array) -> bytes:
     if labels.max(initial=0) <= LARGEST_INDEXED_LABEL:
         height, width = labels.shape
         # Not copied again, as `frombytes` would.
-        image = Image.frombuffer("P", (width, height), labels.astype(np.uint8), "raw", "P", 0, 1)
+        image = Image.frombuffer("P", (width, height), labels.astype(np.uint8, order="C"), "raw", "P", 0, 1)
         image.putpalette(_PALETTE_BYTES)
     else:
         image = Image.fromarray(labels.astype(np.uint16))
