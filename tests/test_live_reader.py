@@ -236,6 +236,21 @@ def test_a_live_stream_without_its_last_snapshot_keeps_what_was_committed_and_is
     assert recorded_frames(tmp_path / "door") == 64
 
 
+def test_a_live_stream_keeps_no_snapshot_whose_rows_are_still_on_their_way(tmp_path: Path) -> None:
+    record = live_record(tmp_path / "door")
+    give(record, 0, 30)
+    assert record.opening.snapshots is not None
+    folder = record.opening.snapshots / "00000032"
+    folder.mkdir(parents=True)
+    capture(SourcePosition(32)).write(folder / "one")
+    snapshot = Snapshot(folder, 32, 32, ("one",))
+    assert not record.keep(snapshot)
+    assert recorded_frames(tmp_path / "door") == 0
+    give(record, 30, 33)
+    assert record.keep(snapshot)
+    assert recorded_frames(tmp_path / "door") == 32
+
+
 def test_of_snapshots_after_the_same_row_the_last_one_is_gone_back_to(tmp_path: Path) -> None:
     for generation, read in ((9, 43), (10, 44)):
         found = SnapshotFolder(tmp_path, generation, 40)
@@ -395,16 +410,16 @@ def test_a_live_stream_that_loses_its_reader_goes_on_after_a_gap_with_all_it_was
 @pytest.mark.long
 @pytest.mark.ray
 @pytest.mark.usefixtures("ray_session")
-@pytest.mark.parametrize("role", ["_pool", "_sink"])
+@pytest.mark.parametrize("lost", ["pool", "sink"])
 def test_a_live_stream_whose_pool_or_sink_is_lost_loses_no_frame(
-    parts: FakeParts, tmp_path: Path, role: str
+    parts: FakeParts, tmp_path: Path, lost: str
 ) -> None:
     camera = OnceOnly(tmp_path / "camera", shots(60), slow_seconds=0.02)
     with started(parts) as node:
 
         def kill() -> None:
             wait_until(lambda: recorded_frames(tmp_path / "door") >= 16, 60)
-            ray.kill(getattr(node, role))
+            ray.kill(node._pool if lost == "pool" else node._sinks[0])
 
         killer = threading.Thread(target=kill)
         killer.start()

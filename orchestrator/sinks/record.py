@@ -155,7 +155,12 @@ class StreamRecord:
         return self._committed
 
     def keep(self, snapshot: Snapshot) -> bool:
-        """Note a snapshot that may be gone back to; False if its files are not all there yet."""
+        """Note a snapshot that may be gone back to; False if its files are not all there yet.
+
+        What comes only once is committed with its snapshot: so for that its rows must be there, too.
+        """
+        if not self._replayable and self._log.rows + len(self._rows) < snapshot.rows:
+            return False
         try:
             kept = self._snapshots.keep(snapshot)
             if kept and not self._replayable:
