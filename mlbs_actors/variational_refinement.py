@@ -171,17 +171,20 @@ def _warp(
 
 
 @compiled()
+def _subtract(rows: Array, later: np.uint64, earlier: np.uint64, difference: np.uint64, width: int) -> None:
+    for x in range(1, width + 1):
+        at = np.uint64(x)
+        rows[difference + at] = rows[later + at] - rows[earlier + at]
+
+
+@compiled()
 def _derive(rows: Array, y: int, width: int, last: int, of: int, along_x: int, along_y: int) -> None:
     """Differences of the pixels on both sides, once for the frame's mean and once for its difference."""
     one, here = np.uint64(1), _row(of, y, width)
     above, below = _row(of, max(y - 1, 0), width), _row(of, min(y + 1, last), width)
     x_slope, y_slope = _row(along_x, y, width), _row(along_y, y, width)
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        rows[x_slope + at] = rows[here + at + one] - rows[here + at - one]
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        rows[y_slope + at] = rows[below + at] - rows[above + at]
+    _subtract(rows, here + one, here - one, x_slope, width)
+    _subtract(rows, below, above, y_slope, width)
     _continue(rows, x_slope, width)
     _continue(rows, y_slope, width)
 
@@ -199,25 +202,18 @@ def _fit(rows: Array, y: int, width: int, last: int) -> None:
     x_weight, y_weight = _row(_SPARE, 5, width), _row(_SPARE, 6, width)
     a11, a12, a22 = _row(_A11, y, width), _row(_A12, y, width), _row(_A22, y, width)
     b1, b2 = _row(_B1, y, width), _row(_B2, y, width)
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        rows[along_xx + at] = rows[along_x + at + one] - rows[along_x + at - one]
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        rows[along_xy + at] = rows[x_below + at] - rows[x_above + at]
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        rows[along_yy + at] = rows[y_below + at] - rows[y_above + at]
+    _subtract(rows, along_x + one, along_x - one, along_xx, width)
+    _subtract(rows, x_below, x_above, along_xy, width)
+    _subtract(rows, y_below, y_above, along_yy, width)
     for x in range(1, width + 1):
         at = np.uint64(x)
         norm = _squared(rows[along_x + at]) + _squared(rows[along_y + at]) + _ZETA2
         rows[colour + at] = _HALF * COLOUR / (np.sqrt(_squared(rows[along_t + at]) / norm + _EPSILON2) * norm)
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        rows[x_weight + at] = _ONE / (_squared(rows[along_xx + at]) + _squared(rows[along_xy + at]) + _ZETA2)
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        rows[y_weight + at] = _ONE / (_squared(rows[along_yy + at]) + _squared(rows[along_xy + at]) + _ZETA2)
+    for slope, norm_inverse in ((along_xx, x_weight), (along_yy, y_weight)):
+        for x in range(1, width + 1):
+            at = np.uint64(x)
+            norm = _squared(rows[slope + at]) + _squared(rows[along_xy + at]) + _ZETA2
+            rows[norm_inverse + at] = _ONE / norm
     for x in range(1, width + 1):
         at = np.uint64(x)
         error = (
@@ -229,18 +225,12 @@ def _fit(rows: Array, y: int, width: int, last: int) -> None:
         at = np.uint64(x)
         rows[x_weight + at] *= rows[weight + at]
         rows[y_weight + at] *= rows[weight + at]
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        slopes = rows[x_weight + at] * _squared(rows[along_xx + at]) + rows[y_weight + at] * _squared(
-            rows[along_xy + at]
-        )
-        rows[a11 + at] = rows[colour + at] * _squared(rows[along_x + at]) + slopes + _ZETA2
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        slopes = rows[x_weight + at] * _squared(rows[along_xy + at]) + rows[y_weight + at] * _squared(
-            rows[along_yy + at]
-        )
-        rows[a22 + at] = rows[colour + at] * _squared(rows[along_y + at]) + slopes + _ZETA2
+    for along, by_x, by_y, a in ((along_x, along_xx, along_xy, a11), (along_y, along_xy, along_yy, a22)):
+        for x in range(1, width + 1):
+            at = np.uint64(x)
+            slopes = rows[x_weight + at] * _squared(rows[by_x + at])
+            slopes += rows[y_weight + at] * _squared(rows[by_y + at])
+            rows[a + at] = rows[colour + at] * _squared(rows[along + at]) + slopes + _ZETA2
     for x in range(1, width + 1):
         at = np.uint64(x)
         slopes = rows[x_weight + at] * rows[along_xx + at] + rows[y_weight + at] * rows[along_yy + at]
@@ -253,14 +243,11 @@ def _fit(rows: Array, y: int, width: int, last: int) -> None:
         at = np.uint64(x)
         rows[x_weight + at] *= rows[along_xt + at]
         rows[y_weight + at] *= rows[along_yt + at]
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        slopes = rows[x_weight + at] * rows[along_xx + at] + rows[y_weight + at] * rows[along_xy + at]
-        rows[b1 + at] = -(rows[colour + at] * rows[along_x + at] + slopes)
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        slopes = rows[x_weight + at] * rows[along_xy + at] + rows[y_weight + at] * rows[along_yy + at]
-        rows[b2 + at] = -(rows[colour + at] * rows[along_y + at] + slopes)
+    for along, by_x, by_y, b in ((along_x, along_xx, along_xy, b1), (along_y, along_xy, along_yy, b2)):
+        for x in range(1, width + 1):
+            at = np.uint64(x)
+            slopes = rows[x_weight + at] * rows[by_x + at] + rows[y_weight + at] * rows[by_y + at]
+            rows[b + at] = -(rows[colour + at] * rows[along + at] + slopes)
 
 
 @compiled()

@@ -181,9 +181,11 @@ class CoordinatorActor:
             self._skip()
             return self._progress(done=False)
         deadline = time.monotonic() + _BURST_SECONDS
-        for _ in range(frames):
+        for taken in range(frames):
             if time.monotonic() > deadline:
                 break
+            if taken and taken % _COLLECT_FRAMES == 0:
+                self._collect()
             delivered = self._next_frame()
             if delivered is None:
                 return self._finish()
@@ -202,8 +204,6 @@ class CoordinatorActor:
                 self._track(frame.image)
             if self._progressed >= self._next_snapshot:
                 self._save()
-            if self._counts.total() % _COLLECT_FRAMES == 0:
-                self._collect()
         self._collect()
         return self._progress(done=False)
 

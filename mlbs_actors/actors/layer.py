@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -69,7 +68,7 @@ class LayerActor:
 
     def __init__(self, parts: PartFactory, awaited: bool) -> None:
         limit_process()
-        with nullcontext() if awaited else stepping_back():
+        with stepping_back(awaited=awaited):
             parts.warm_layer()
         settle_memory()
         self._parts = parts

@@ -20,12 +20,12 @@ __all__ = ["stepping_back"]
 
 
 @contextmanager
-def stepping_back() -> Iterator[None]:
+def stepping_back(*, awaited: bool) -> Iterator[None]:
     """Run the calling thread only when no other wants to run, until the end of the ``with`` block.
 
-    Where it could not come back from that, it runs as before.
+    Where somebody waits for its process, or where it could not come back from that, it runs as before.
     """
-    if not _may_come_back():
+    if awaited or not _may_come_back():
         yield
         return
     before = os.sched_getscheduler(0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from contextlib import nullcontext
 from typing import Any, TypeAlias
 
 import ray
@@ -84,7 +83,7 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node
     """
 
     def wait(self: object) -> None:
-        with nullcontext() if awaited else stepping_back():
+        with stepping_back(awaited=awaited):
             warm()
 
     def become(self: object, *arguments: object, **after: object) -> None:
