@@ -310,6 +310,7 @@ class FakeReader:
     raises_at: int = -1
     dies_at: int = -1
     enlarged: int = 1
+    slow_seconds: float = 0.0
     problem: str | None = None
     index: int = 0
 
@@ -317,6 +318,7 @@ class FakeReader:
         return self
 
     def read(self) -> SourceFrame | None:
+        time.sleep(self.slow_seconds)
         if self.index == self.raises_at:
             raise SourceError("The source is not to be had.")
         if self.index == self.dies_at:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Future
+from typing import ClassVar
 
 import pytest
 
@@ -22,7 +24,7 @@ class Calls:
 
 
 def test_so_many_are_under_way_and_the_others_follow_in_their_order() -> None:
-    turns, calls = Turns(2), Calls()
+    turns, calls = Turns(2, 60.0), Calls()
     answers = {name: turns.take(lambda name=name: calls.begin(name)) for name in "abcd"}  # type: ignore[misc]
     assert calls.begun == ["a", "b"]
     calls.futures["b"].set_result("B")
@@ -38,7 +40,7 @@ def test_so_many_are_under_way_and_the_others_follow_in_their_order() -> None:
 
 
 def test_one_that_fails_gives_its_turn_to_the_next() -> None:
-    turns, calls = Turns(1), Calls()
+    turns, calls = Turns(1, 60.0), Calls()
 
     def fails() -> Future[str]:
         raise KeyError("no such stream")
@@ -53,3 +55,38 @@ def test_one_that_fails_gives_its_turn_to_the_next() -> None:
     assert calls.begun == ["a", "c"]
     calls.futures["c"].set_result("C")
     assert third.result(timeout=0) == "C"
+
+
+class Patience:
+    """A timer that goes off when it is told to."""
+
+    started: ClassVar[list[Patience]] = []
+
+    def __init__(self, seconds: float, go_off: Callable[[], None]) -> None:
+        self.seconds, self.go_off = seconds, go_off
+        self.cancelled = self.daemon = False
+
+    def start(self) -> None:
+        self.started.append(self)
+
+    def cancel(self) -> None:
+        self.cancelled = True
+
+
+def test_one_that_lasts_too_long_keeps_nobody_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mlbs_actors.actors.turns.Timer", Patience)
+    monkeypatch.setattr(Patience, "started", [])
+    turns, calls = Turns(1, 3.0), Calls()
+    answers = [turns.take(lambda name=name: calls.begin(name)) for name in "abc"]  # type: ignore[misc]
+    late, prompt = Patience.started[0], answers[1]
+    assert late.seconds == 3.0
+    late.go_off()
+    assert calls.begun == ["a", "b"]
+    # Its turn is another's by now, and not given on again.
+    calls.futures["a"].set_result("A")
+    assert answers[0].result(timeout=0) == "A"
+    assert calls.begun == ["a", "b"]
+    calls.futures["b"].set_result("B")
+    assert prompt.result(timeout=0) == "B"
+    assert Patience.started[1].cancelled
+    assert calls.begun == ["a", "b", "c"]

@@ -62,6 +62,9 @@ _log = logging.getLogger(__name__)
 #: After this long a burst takes no more frames, s: the driver asks who has come to an end, and who hangs.
 _BURST_SECONDS = 1.5
 
+#: A burst ends where its source keeps it waiting for longer, s: another stream has its next frame at hand.
+_SOURCE_SECONDS = 0.05
+
 #: Frames after which the sink is asked what it has kept, at the latest.
 _COLLECT_FRAMES = 8
 
@@ -134,7 +137,7 @@ class CoordinatorActor:
         self._writer = StateWriter()
 
     def advance(self, frames: int) -> StreamProgress:
-        """Take up to ``frames`` more frames of the source, fewer if they are slow.
+        """Take up to ``frames`` more frames of the source, fewer if they or their source are slow.
 
         The label maps may follow a few frames later.
 
@@ -183,6 +186,8 @@ class CoordinatorActor:
         deadline = time.monotonic() + _BURST_SECONDS
         for taken in range(frames):
             if time.monotonic() > deadline:
+                break
+            if taken and not self._source.keeps_up(_SOURCE_SECONDS):
                 break
             if taken and taken % _COLLECT_FRAMES == 0:
                 self._collect()

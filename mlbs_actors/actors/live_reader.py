@@ -203,6 +203,10 @@ class LiveReadAhead(ReadAhead):
         """Ask for what was given before, and for nothing new."""
         self._fresh = False
 
+    def keeps_up(self, seconds: float) -> bool:
+        """See :meth:`ReadAhead.keeps_up`; a camera is waited for, since nobody waits for its stream."""
+        return True
+
     def forget(self, rows: int) -> None:
         """See :meth:`LiveReaderActor.forget`."""
         if rows > self._forgotten:

@@ -35,10 +35,11 @@ __all__ = ["Node", "StreamActors", "sinks_of"]
 #: a sink alone would hold up a node of more than about eight.
 _CORES_A_SINK = 4
 
-#: Cores that a stream of a file keeps busy by itself: so many streams work on a burst at once, but at least
-#: two, one of which may have to wait for its file.
+#: Cores that a stream of a file keeps busy by itself: so many streams work on a burst at once.
 _CORES_A_TURN = 2
-_LEAST_TURNS = 2
+
+#: A burst that takes longer keeps no other stream waiting, s: twice as long as one may take frames.
+_TURN_SECONDS = 3.0
 
 #: Frames of a burst at most: of a camera, or of a stream that has just begun, and of a file. Files take turns
 #: of a burst: with 8 frames eight of them spent 6 % more on what the others had pushed out of the caches.
@@ -105,7 +106,7 @@ class Node:
         self._policy = policy or PoolPolicy()
         self._pool = self._new_pool()
         self._sinks = [spawn(SinkActor, node=self._node) for _ in range(sinks_of(_cores(self._node)))]
-        self._turns = Turns(max(_LEAST_TURNS, _cores(self._node) // _CORES_A_TURN))
+        self._turns = Turns(max(1, _cores(self._node) // _CORES_A_TURN), _TURN_SECONDS)
         self._runs = count(1)
         self._standby: list[_Standby] = []
         self._preparing = Lock()

@@ -165,6 +165,12 @@ class ReadAhead:
             self._left += 1
         return None, said
 
+    def keeps_up(self, seconds: float) -> bool:
+        """Whether :meth:`next` would wait no longer than that, s."""
+        self._ask(_FRAMES_AHEAD + 1)
+        assert self._channel is not None  # begun
+        return not self._asked or self._channel.has_note(seconds)
+
     def problem(self) -> str | None:
         """Return :attr:`FrameReader.problem`, after :meth:`stop`; raises RayError if the process died."""
         problem: str | None = ray.get(self._reader.problem.remote())

@@ -2,6 +2,9 @@
 
 Processes of many streams that take turns every few milliseconds find each other's data in the caches: with
 eight streams on two cores a frame took a quarter more CPU time. So streams take turns of a whole burst.
+
+A turn that lasts is another matter: what hangs there, or waits for its disk, must not keep the others from
+their work. After a while they go on beside it.
 """
 
 from __future__ import annotations
@@ -9,7 +12,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from threading import Lock
+from functools import partial
+from threading import Lock, Timer
 from typing import Any, TypeVar
 
 __all__ = ["Turns"]
@@ -24,31 +28,35 @@ class Turns:
     ----------
     most : int
         Calls under way at once.
+    patience : float
+        A call that takes longer does not count any more, s.
     """
 
-    def __init__(self, most: int) -> None:
+    def __init__(self, most: int, patience: float) -> None:
         self._free = most
+        self._patience = patience
         self._waiting: deque[Callable[[], None]] = deque()
         self._lock = Lock()
 
     def take(self, begin: Callable[[], Future[Answer]]) -> Future[Answer]:
         """Have ``begin`` called as soon as it is its turn; return what its future will have.
 
-        The turn is over when that future is done.
+        The turn is over when that future is done, or after ``patience``.
         """
         answer: Future[Answer] = Future()
 
         def start() -> None:
+            turn = _Turn(self._pass_on, self._patience)
             try:
                 begun = begin()
             except Exception as error:
-                self._pass_on()
+                turn.end()
                 answer.set_exception(error)
             else:
-                begun.add_done_callback(end)
+                begun.add_done_callback(partial(end, turn))
 
-        def end(begun: Future[Any]) -> None:
-            self._pass_on()
+        def end(turn: _Turn, begun: Future[Any]) -> None:
+            turn.end()
             error = begun.exception()
             if error is None:
                 answer.set_result(begun.result())
@@ -70,3 +78,23 @@ class Turns:
                 return
             following = self._waiting.popleft()
         following()
+
+
+class _Turn:
+    """A turn that has begun. It is passed on once: at its end, or when it has lasted too long."""
+
+    def __init__(self, pass_on: Callable[[], None], patience: float) -> None:
+        self._pass_on = pass_on
+        self._over = False
+        self._lock = Lock()
+        self._timer = Timer(patience, self.end)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def end(self) -> None:
+        self._timer.cancel()
+        with self._lock:
+            if self._over:
+                return
+            self._over = True
+        self._pass_on()
