@@ -119,7 +119,7 @@ class CoordinatorActor:
         )
         self._layers = LiveLayers(links.pool, run, spec.config)
         self._labelling = Labelling(links.segmenter)
-        self._record = Record(links.sink, run, spec.open_sink, self._slots)
+        self._record = Record(links.sink, run, spec, self._slots)
         # Not yet labelled, in source order; a picture with where the others find it.
         self._waiting: deque[tuple[Shared[SourceFrame] | None, SourceFrame]] = deque()
         # The newest that came back, by the engine's frame index.

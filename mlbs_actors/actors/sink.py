@@ -13,7 +13,14 @@ from ray.exceptions import RayError
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.processes import Handle, Reference
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotPool
-from mlbs_actors.actors.stream_protocol import GapStatus, Opening, Snapshot, SourceFrame, StreamSink
+from mlbs_actors.actors.stream_protocol import (
+    GapStatus,
+    Opening,
+    Snapshot,
+    SourceFrame,
+    StreamSink,
+    StreamSpec,
+)
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import LayerAppearance, Segmentation
@@ -23,10 +30,11 @@ from mlbs_actors.process_memory import settle_memory
 __all__ = ["GapRow", "LabelRow", "Record", "SinkActor"]
 
 #: Rows that may be under way to the sink; the stream waits at more. Each holds a frame and a label map.
-_PENDING_ROWS = 8
+_PENDING_ROWS = 14
 
-#: Rows that go to the sink in one call: one for each would take as long as half of the writing.
-_BATCH_ROWS = 4
+#: Rows of a file, and of a camera, that go to the sink in one call: one for each would take half as long as
+#: the writing. But somebody may be looking at what a camera sees.
+_FILE_ROWS, _CAMERA_ROWS = 8, 4
 
 #: Newest rows in the sink whose messages others may still read.
 _READ_ROWS = 2
@@ -136,8 +144,7 @@ class Record:
         The node's :class:`SinkActor`.
     run : int
         The stream's number.
-    open_sink : callable
-        :attr:`StreamSpec.open_sink`.
+    spec : StreamSpec
     slots : SlotPool
         Of the stream.
 
@@ -151,11 +158,12 @@ class Record:
         Rows before the newest snapshot that is kept.
     """
 
-    def __init__(self, sink: Handle, run: int, open_sink: Callable[[], StreamSink], slots: SlotPool) -> None:
+    def __init__(self, sink: Handle, run: int, spec: StreamSpec, slots: SlotPool) -> None:
         self._slots = slots
         self._sink = sink
         self._run = run
-        self._opened: Reference = sink.open.remote(run, open_sink)
+        self._opened: Reference = sink.open.remote(run, spec.open_sink)
+        self._batch_rows = _FILE_ROWS if spec.replayable else _CAMERA_ROWS
         # In the order of the record: rows to come, rows that are there, and batches under way to the sink.
         self._expected: deque[GapRow | _Expected] = deque()
         self._batch = _Batch()
@@ -261,7 +269,7 @@ class Record:
 
     def _hand_over(self, row: LabelRow | GapRow) -> None:
         self._batch.rows.append(row)
-        if len(self._batch.rows) == _BATCH_ROWS:
+        if len(self._batch.rows) == self._batch_rows:
             self._send()
         while self._pending and self._under_way > _PENDING_ROWS:
             self._take_answer()
