@@ -29,7 +29,7 @@ __all__ = ["TwoWayCut", "best_cut", "holds_together", "ncut_value", "recursive_c
 #: Affinity below which an edge counts as absent.
 NO_EDGE = 1e-6
 #: A part of more nodes is made smaller, to about one and a half times as many.
-EXACT_NODES = 90
+EXACT_NODES = 64
 #: Eigenvectors tried for each cut.
 EIGENVECTORS = 3
 
@@ -191,24 +191,39 @@ def recursive_cut(
         return labels
     present = _kept_edges(affinity.indptr, affinity.indices, affinity.data, eligible, apart)
     part = _components(*present[:2])
-    waiting = np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
+    parts = np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
+    # Each with its small graph, where that is known.
+    waiting: list[tuple[Array, tuple[Array, Array] | None]] = [(nodes, None) for nodes in parts]
     alike = np.zeros(len(eligible), np.int64)
     clusters = []
     while waiting:
-        nodes = waiting.pop()
+        nodes, small = waiting.pop()
         if len(nodes) < min_side:
             continue
-        group, joined = coarsen(*_kept_edges(*present, nodes, alike), max(len(nodes) // EXACT_NODES, 1))
+        if small is None:
+            small = coarsen(*_kept_edges(*present, nodes, alike), max(len(nodes) // EXACT_NODES, 1))
+        group, joined = small
         if not holds_together(joined, threshold):
             cut = best_cut(joined, np.bincount(group), min_side)
             if cut.value < threshold:
-                waiting += [nodes[cut.side[group]], nodes[~cut.side[group]]]
+                for side in (cut.side, ~cut.side):
+                    inside = side[group]
+                    # What is left of a part keeps its small graph; a piece of it gets a finer one.
+                    most_of_it = 2 * np.count_nonzero(inside) > len(nodes)
+                    waiting.append(
+                        (nodes[inside], _within(side, group[inside], joined) if most_of_it else None)
+                    )
                 continue
         clusters.append(eligible[nodes])
     clusters.sort(key=lambda nodes: (-len(nodes), int(nodes[0])))
     for label, nodes in enumerate(clusters):
         labels[nodes] = label
     return labels
+
+
+def _within(side: Array, group: Array, joined: Array) -> tuple[Array, Array]:
+    """The small graph of one side of a cut: groups anew from 0 on, and the affinities between them."""
+    return (np.cumsum(side) - 1)[group], joined[np.ix_(side, side)]
 
 
 @compiled()
