@@ -192,8 +192,8 @@ def recursive_cut(
     present = _kept_edges(affinity.indptr, affinity.indices, affinity.data, eligible, apart)
     part = _components(*present[:2])
     parts = np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
-    # Each with its small graph, where that is known.
-    waiting: list[tuple[Array, tuple[Array, Array] | None]] = [(nodes, None) for nodes in parts]
+    # Each with its small graph, where that is known, and with how many nodes that was made for.
+    waiting: list[tuple[Array, tuple[Array, Array, int] | None]] = [(nodes, None) for nodes in parts]
     alike = np.zeros(len(eligible), np.int64)
     clusters = []
     while waiting:
@@ -201,18 +201,19 @@ def recursive_cut(
         if len(nodes) < min_side:
             continue
         if small is None:
-            small = coarsen(*_kept_edges(*present, nodes, alike), max(len(nodes) // EXACT_NODES, 1))
-        group, joined = small
+            most = max(len(nodes) // EXACT_NODES, 1)
+            small = (*coarsen(*_kept_edges(*present, nodes, alike), most), len(nodes))
+        group, joined, made_for = small
         if not holds_together(joined, threshold):
             cut = best_cut(joined, np.bincount(group), min_side)
             if cut.value < threshold:
                 for side in (cut.side, ~cut.side):
                     inside = side[group]
-                    # What is left of a part keeps its small graph; a piece of it gets a finer one.
-                    most_of_it = 2 * np.count_nonzero(inside) > len(nodes)
-                    waiting.append(
-                        (nodes[inside], _within(side, group[inside], joined) if most_of_it else None)
-                    )
+                    # What is left of a part keeps its small graph; half of it or less gets a finer one.
+                    kept = None
+                    if 2 * np.count_nonzero(inside) > made_for:
+                        kept = (*_within(side, group[inside], joined), made_for)
+                    waiting.append((nodes[inside], kept))
                 continue
         clusters.append(eligible[nodes])
     clusters.sort(key=lambda nodes: (-len(nodes), int(nodes[0])))

@@ -30,6 +30,7 @@ _OBJECT_STORE_BYTES = 2 * 2**30
 
 _CONNECT_SECONDS = 10.0
 
+#: For what Ray is not to do again, s.
 _NEVER_SECONDS = "1e9"
 
 #: How long processes of Ray may write on after its end, s.
@@ -65,7 +66,8 @@ def ray_settings(address: str | None) -> Iterator[Path]:
         raise RuntimeError("Ray is imported already and would ignore the settings; call ray_settings before.")
     _remove_abandoned()
     scratch, own = _new_scratch()
-    settings: dict[str, str | None] = {"RAY_ADDRESS": None}
+    # Nor may a call that comes late, after the end of the run, start a session of another kind.
+    settings: dict[str, str | None] = {"RAY_ADDRESS": None, "RAY_ENABLE_AUTO_CONNECT": "0"}
     if address is None:
         token = scratch / "token"
         token.touch(mode=0o600)

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from mlbs_actors import normalized_cut
+from mlbs_actors.graph_coarsening import coarsen
 from mlbs_actors.messages import Array
 from mlbs_actors.normalized_cut import (
     EXACT_NODES,
@@ -181,7 +182,7 @@ def test_the_smallest_clusters_can_be_cut_into_single_nodes(nodes: int) -> None:
     assert cut.value == pytest.approx(exhaustive_ncut(affinity, 1))
 
 
-@pytest.mark.parametrize("sizes", [[40], [30, 20], [50, 40, 30, 25], [90, 80, 70]])
+@pytest.mark.parametrize("sizes", [[40], [30, 20], [50, 40, 30, 25], [90, 80, 70], [400, 120, 60]])
 @pytest.mark.parametrize("between", [0.0, 1e-5])
 def test_blocks_are_told_apart_and_numbered_by_falling_size(sizes: list[int], between: float) -> None:
     affinity, block = block_graph(sizes, between)
@@ -210,6 +211,19 @@ def test_every_cluster_that_is_left_cannot_be_split_below_the_threshold() -> Non
         nodes = np.flatnonzero(labels == label)
         assert len(nodes) >= 6
         assert single_nodes_cut(affinity[np.ix_(nodes, nodes)], 6).value >= 0.08
+
+
+def test_the_small_graph_of_what_is_left_sums_the_affinities_of_its_nodes() -> None:
+    affinity = neighbour_graph(np.random.default_rng(3).uniform(0, 12, (300, 2)), 1.2)
+    graph = sp.csr_array(affinity)
+    group, joined = coarsen(graph.indptr, graph.indices, graph.data, 4)
+    side = np.random.default_rng(4).random(len(joined)) < 0.7
+    inside = side[group]
+    left, small = normalized_cut._within(side, group[inside], joined)
+    part = affinity[np.ix_(inside, inside)]
+    assert set(left.tolist()) == set(range(np.count_nonzero(side)))
+    for one, other in product(range(len(small)), repeat=2):
+        assert small[one, other] == pytest.approx(part[np.ix_(left == one, left == other)].sum())
 
 
 def test_parts_that_are_too_small_get_no_cluster() -> None:

@@ -80,6 +80,7 @@ def test_one_that_lasts_too_long_keeps_nobody_waiting(monkeypatch: pytest.Monkey
     answers = [turns.take(lambda name=name: calls.begin(name)) for name in "abc"]  # type: ignore[misc]
     late, prompt = Patience.started[0], answers[1]
     assert late.seconds == 3.0
+    assert late.daemon
     late.go_off()
     assert calls.begun == ["a", "b"]
     # Its turn is another's by now, and not given on again.

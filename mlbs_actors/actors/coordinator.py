@@ -63,7 +63,7 @@ _log = logging.getLogger(__name__)
 _BURST_SECONDS = 1.5
 
 #: A burst ends where its source keeps it waiting for longer, s: another stream has its next frame at hand.
-_SOURCE_SECONDS = 0.05
+_SOURCE_SECONDS = 0.01
 
 #: Frames after which the sink is asked what it has kept, at the latest.
 _COLLECT_FRAMES = 8
@@ -132,6 +132,7 @@ class CoordinatorActor:
         self._stages = _StageTimes()
         self._ended: StreamProgress | MlbsError | None = None
         self._begun = self._interrupted = False
+        self._kept_waiting = False
         self._to_skip = 0
         self._saved = 0  # rows of the source before the newest snapshot
         self._writer = StateWriter()
@@ -183,11 +184,14 @@ class CoordinatorActor:
         if self._to_skip:
             self._skip()
             return self._progress(done=False)
+        self._kept_waiting = False
         deadline = time.monotonic() + _BURST_SECONDS
         for taken in range(frames):
             if time.monotonic() > deadline:
                 break
-            if taken and not self._source.keeps_up(_SOURCE_SECONDS):
+            # Not while a stream begins: its first burst may take long.
+            if taken and self._segmentations and not self._source.keeps_up(_SOURCE_SECONDS):
+                self._kept_waiting = True
                 break
             if taken and taken % _COLLECT_FRAMES == 0:
                 self._collect()
@@ -428,6 +432,7 @@ class CoordinatorActor:
             stage_ms=self._stages.take_means(),
             silence=self._silence,
             length=min(lengths, default=None),
+            kept_waiting=self._kept_waiting,
         )
 
     @property

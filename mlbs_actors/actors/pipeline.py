@@ -38,7 +38,7 @@ _CORES_A_SINK = 4
 #: Cores that a stream of a file keeps busy by itself: so many streams work on a burst at once.
 _CORES_A_TURN = 2
 
-#: A burst that takes longer keeps no other stream waiting, s: twice as long as one may take frames.
+#: A burst that takes longer keeps no other stream waiting, s: twice as long as one takes new frames.
 _TURN_SECONDS = 3.0
 
 #: Frames of a burst at most: of a camera, or of a stream that has just begun, and of a file. Files take turns
@@ -272,6 +272,7 @@ class StreamActors:
         self._turns = turns
         self._under_way = under_way
         self._bursts = 0
+        self._kept_waiting = False
         self.living_reader: Handle | None = None
         self._stopped = False
         self._final: StreamProgress | None = None
@@ -284,8 +285,8 @@ class StreamActors:
         Future of StreamProgress
             Carries an MlbsError if the stream failed (see :class:`RunningStream`).
         """
-        # A camera's stream waits for its pictures, and one that starts for its processes.
-        at_once = self._live or self._bursts == 0
+        # A camera's stream waits for its pictures, one that starts for its processes, another for its file.
+        at_once = self._live or self._bursts == 0 or self._kept_waiting
         progress = self._ask_for_burst() if at_once else self._turns.take(self._ask_for_burst)
         self._bursts += 1
         if self._bursts > _BURSTS_ALONE:  # while the stream works: starting processes takes some time here
@@ -338,7 +339,9 @@ class StreamActors:
         def pass_on(answered: Future[StreamProgress]) -> None:
             error = answered.exception()
             if error is None:
-                explained.set_result(answered.result())
+                progress = answered.result()
+                self._kept_waiting = progress.kept_waiting
+                explained.set_result(progress)
             else:
                 explained.set_exception(explain(self._failure_at_start() or error, self._name, self._roles))
 

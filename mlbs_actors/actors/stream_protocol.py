@@ -306,6 +306,8 @@ class StreamProgress:
         What ended the burst early.
     length : int, optional
         What ``read`` will be at the end, as far as the source or :attr:`StreamSpec.max_frames` says.
+    kept_waiting : bool
+        The burst ended before its time because the source had no frame at hand.
     """
 
     read: int
@@ -319,6 +321,7 @@ class StreamProgress:
     gaps: int = 0
     silence: SourceSilence | None = None
     length: int | None = None
+    kept_waiting: bool = False
 
 
 class RunningStream(Protocol):

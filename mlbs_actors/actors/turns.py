@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from functools import partial
 from threading import Lock, Timer
 from typing import Any, TypeVar
@@ -22,7 +23,7 @@ Answer = TypeVar("Answer")
 
 
 class Turns:
-    """Lets a number of calls be under way; the others wait, in the order in which they came.
+    """Lets a number of calls be under way, and those that last; the others wait, in their order.
 
     Parameters
     ----------
@@ -50,18 +51,19 @@ class Turns:
             try:
                 begun = begin()
             except Exception as error:
-                turn.end()
                 answer.set_exception(error)
+                turn.end()
             else:
                 begun.add_done_callback(partial(end, turn))
 
         def end(turn: _Turn, begun: Future[Any]) -> None:
-            turn.end()
+            # First the answer: it must not be lost where the next call cannot begin.
             error = begun.exception()
             if error is None:
                 answer.set_result(begun.result())
             else:
                 answer.set_exception(error)
+            turn.end()
 
         with self._lock:
             if self._free == 0:
@@ -89,7 +91,8 @@ class _Turn:
         self._lock = Lock()
         self._timer = Timer(patience, self.end)
         self._timer.daemon = True
-        self._timer.start()
+        with suppress(RuntimeError):  # no thread is to be had: better a turn without an end than none
+            self._timer.start()
 
     def end(self) -> None:
         self._timer.cancel()

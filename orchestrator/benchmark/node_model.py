@@ -22,7 +22,7 @@ from mlbs_actors.messages import Array
 __all__ = ["NodeRun", "StageCosts", "most_cameras", "simulate"]
 
 #: As in the actors: pictures that a reader keeps ahead, and rows on their way to the sink.
-_PICTURES, _ROWS = 2, 8
+_PICTURES, _ROWS = 2, 14
 
 #: What a camera may lose at most where it is said to be served.
 MOST_DROPPED = 0.01
