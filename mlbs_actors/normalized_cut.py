@@ -192,8 +192,7 @@ def recursive_cut(
     present = _kept_edges(affinity.indptr, affinity.indices, affinity.data, eligible, apart)
     part = _components(*present[:2])
     parts = np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
-    # Each with its small graph, where that is known, and with how many nodes that was made for.
-    waiting: list[tuple[Array, tuple[Array, Array, int] | None]] = [(nodes, None) for nodes in parts]
+    waiting: list[tuple[Array, _SmallGraph | None]] = [(nodes, None) for nodes in parts]
     alike = np.zeros(len(eligible), np.int64)
     clusters = []
     while waiting:
@@ -202,24 +201,34 @@ def recursive_cut(
             continue
         if small is None:
             most = max(len(nodes) // EXACT_NODES, 1)
-            small = (*coarsen(*_kept_edges(*present, nodes, alike), most), len(nodes))
-        group, joined, made_for = small
-        if not holds_together(joined, threshold):
-            cut = best_cut(joined, np.bincount(group), min_side)
+            small = _SmallGraph(*coarsen(*_kept_edges(*present, nodes, alike), most), len(nodes))
+        if not holds_together(small.joined, threshold):
+            cut = best_cut(small.joined, np.bincount(small.group), min_side)
             if cut.value < threshold:
-                for side in (cut.side, ~cut.side):
-                    inside = side[group]
-                    # What is left of a part keeps its small graph; half of it or less gets a finer one.
-                    kept = None
-                    if 2 * np.count_nonzero(inside) > made_for:
-                        kept = (*_within(side, group[inside], joined), made_for)
-                    waiting.append((nodes[inside], kept))
+                waiting += [_one_side(nodes, small, side) for side in (cut.side, ~cut.side)]
                 continue
         clusters.append(eligible[nodes])
     clusters.sort(key=lambda nodes: (-len(nodes), int(nodes[0])))
     for label, nodes in enumerate(clusters):
         labels[nodes] = label
     return labels
+
+
+@dataclass(frozen=True, slots=True)
+class _SmallGraph:
+    """What :func:`coarsen` gives for a part, and how many nodes the part had."""
+
+    group: Array
+    joined: Array
+    made_for: int
+
+
+def _one_side(nodes: Array, small: _SmallGraph, side: Array) -> tuple[Array, _SmallGraph | None]:
+    """A side of a cut part: what is left of it keeps its small graph, half or less gets a finer one."""
+    inside = side[small.group]
+    if 2 * np.count_nonzero(inside) <= small.made_for:
+        return nodes[inside], None
+    return nodes[inside], _SmallGraph(*_within(side, small.group[inside], small.joined), small.made_for)
 
 
 def _within(side: Array, group: Array, joined: Array) -> tuple[Array, Array]:

@@ -132,7 +132,6 @@ class CoordinatorActor:
         self._stages = _StageTimes()
         self._ended: StreamProgress | MlbsError | None = None
         self._begun = self._interrupted = False
-        self._kept_waiting = False
         self._to_skip = 0
         self._saved = 0  # rows of the source before the newest snapshot
         self._writer = StateWriter()
@@ -184,14 +183,14 @@ class CoordinatorActor:
         if self._to_skip:
             self._skip()
             return self._progress(done=False)
-        self._kept_waiting = False
+        kept_waiting = False
         deadline = time.monotonic() + _BURST_SECONDS
         for taken in range(frames):
             if time.monotonic() > deadline:
                 break
             # Not while a stream begins: its first burst may take long.
             if taken and self._segmentations and not self._source.keeps_up(_SOURCE_SECONDS):
-                self._kept_waiting = True
+                kept_waiting = True
                 break
             if taken and taken % _COLLECT_FRAMES == 0:
                 self._collect()
@@ -214,7 +213,7 @@ class CoordinatorActor:
             if self._progressed >= self._next_snapshot:
                 self._save()
         self._collect()
-        return self._progress(done=False)
+        return self._progress(done=False, kept_waiting=kept_waiting)
 
     def _collect(self) -> None:
         """See what the sink has kept by now: the source need not give that again."""
@@ -418,7 +417,7 @@ class CoordinatorActor:
             "is kept. If that happens again and again, run all of Ray as one user."
         )
 
-    def _progress(self, *, done: bool) -> StreamProgress:
+    def _progress(self, *, done: bool, kept_waiting: bool = False) -> StreamProgress:
         lengths = [length for length in (self._length, self._spec.max_frames) if length is not None]
         return StreamProgress(
             read=self._read,
@@ -432,7 +431,7 @@ class CoordinatorActor:
             stage_ms=self._stages.take_means(),
             silence=self._silence,
             length=min(lengths, default=None),
-            kept_waiting=self._kept_waiting,
+            kept_waiting=kept_waiting,
         )
 
     @property
