@@ -109,15 +109,17 @@ def run_length_code(labels: Array, layer: int, region: Region) -> str:
         Holds all the layer's pixels; only there they are looked for.
     """
     height, width = labels.shape
-    # A row of zeros below each column ends its last run.
-    columns = np.zeros((region.width, region.height + 1), np.int8)
-    columns[:, :-1] = (labels[region.slices] == layer).T
-    column, row = np.divmod(np.flatnonzero(np.diff(columns.ravel(), prepend=0)), region.height + 1)
+    # A row of zeros below each column ends its last run; another zero before them all begins the first.
+    inside = np.zeros(region.width * (region.height + 1) + 1, np.bool_)
+    columns = inside[1:].reshape(region.width, region.height + 1)
+    np.equal(labels[region.slices].T, layer, out=columns[:, :-1])
+    column, row = np.divmod((inside[1:] != inside[:-1]).nonzero()[0], region.height + 1)
     bounds = (region.x + column) * height + region.y + row
     # A run that reaches the frame's bottom may go on at the top of the next column.
-    joined = np.flatnonzero(bounds[1:-1:2] == bounds[2::2])
-    bounds = np.delete(bounds, np.concatenate([2 * joined + 1, 2 * joined + 2]))
-    counts = np.diff(bounds, prepend=0, append=height * width)
+    counted = np.ones(len(bounds) + 2, np.bool_)
+    counted[2:-2:2] = counted[3:-2:2] = bounds[1:-1:2] != bounds[2::2]
+    bounds = np.concatenate([[0], bounds, [height * width]])[counted]
+    counts = bounds[1:] - bounds[:-1]
     if counts[-1] == 0:
         counts = counts[:-1]  # the last run is the layer's own
     plain = {"size": [height, width], "counts": counts.tolist()}
