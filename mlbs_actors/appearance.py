@@ -39,6 +39,8 @@ __all__ = [
 
 #: Unit of ``AppearanceModel.spread``, grey levels.
 SPREAD_STEP = 1.0 / 8.0
+#: Words of a stack of 16 samples: a loop whose length is known takes half of the time.
+_USUAL_WORDS = 6
 #: How far the running median moves a frame, in units of ``SPREAD_STEP``.
 _SPREAD_RATE = 4
 
@@ -137,14 +139,20 @@ def _take_over(
     source: Array, stacks: Array, count: Array, newest: Array, spread: Array,
     new_stacks: Array, new_count: Array, new_newest: Array, new_spread: Array,
 ) -> None:  # fmt: skip
+    words, old, new = stacks.shape[1], stacks.reshape(-1), new_stacks.reshape(-1)
     for pixel in range(source.size):
         place = source[pixel]
         if place < 0:
             new_stacks[pixel] = 0
             new_count[pixel], new_newest[pixel], new_spread[pixel] = 0, 0, 0
             continue
-        for word in range(stacks.shape[1]):
-            new_stacks[pixel, word] = stacks[place, word]
+        if words == _USUAL_WORDS:
+            first, new_first = np.uint64(place * _USUAL_WORDS), np.uint64(pixel * _USUAL_WORDS)
+            for word in range(_USUAL_WORDS):
+                new[new_first + np.uint64(word)] = old[first + np.uint64(word)]
+        else:
+            for word in range(words):
+                new_stacks[pixel, word] = stacks[place, word]
         new_count[pixel], new_newest[pixel], new_spread[pixel] = count[place], newest[place], spread[place]
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from mlbs_actors.actors import Cluster, Node
 from mlbs_actors.actors.stream_protocol import FrameReader, StreamSpec
 from mlbs_actors.config import Config
-from mlbs_actors.errors import SinkError
+from mlbs_actors.errors import ConfigError, SinkError
 from mlbs_actors.wording import count_of
 from orchestrator.admission import available_memory, cores, places, places_here, warn_of_cameras
 from orchestrator.command_line import Arguments
@@ -90,6 +90,12 @@ def run(
         if arguments.resume:
             begun = folder.refuse_other(job.description)
             hold.enter_context(folder.held())
+            changed = {key: job.description[key] for key in ("sources", "hashes")}
+            if changed != {key: begun.get(key) for key in changed}:
+                try:
+                    folder.redescribe(begun | changed)
+                except OSError as error:
+                    raise ConfigError(f"Cannot write to {folder.path}: {error.strerror}.") from None
             earlier = _not_to_be_resumed(folder, job.specs)
             _say(_words_on_resuming(begun, job.description, len(earlier)))
             ended |= earlier

@@ -22,6 +22,7 @@ from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
 from orchestrator.durable_files import replace_file
+from orchestrator.sinks.record import recorded_frames
 from orchestrator.stream_list import ListedStream
 from orchestrator.stream_state import ENDED, StreamState
 
@@ -81,6 +82,9 @@ class RunFolder:
     def refuse_other(self, description: dict[str, Any]) -> dict[str, Any]:
         """Check that the run in this folder is the one described; return its own description.
 
+        A stream of which nothing is recorded may have another source now, or be new or gone: a line that
+        named no video is corrected so.
+
         Raises
         ------
         ConfigError
@@ -96,8 +100,12 @@ class RunFolder:
             raise ConfigError(
                 f"{self.path / 'run.json'} cannot be read; begin anew in another folder with --output."
             ) from None
+        sources: dict[str, str] = begun.get("sources", {})
+        recorded = {name: sources[name] for name in sources if recorded_frames(self.stream(name))}
         for key, meaning in _SAME.items():
-            if begun.get(key) != description[key]:
+            if begun.get(key) != description[key] and not (
+                key == "sources" and recorded.items() <= description[key].items()
+            ):
                 raise ConfigError(
                     f"The run in {self.path} had other {meaning}; give the same ones as then (see its "
                     "run.json), or another folder with --output."

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,6 +16,7 @@ from mlbs_actors.errors import ConfigError
 from orchestrator import durable_files
 from orchestrator.durable_files import append_line, replace_file
 from orchestrator.run_folder import RunFolder, StatusFile, describe_run
+from orchestrator.sinks.commit_log import CommitLog
 from orchestrator.sources.address import parse_address
 from orchestrator.stream_list import ListedStream
 from orchestrator.stream_state import StreamState
@@ -192,12 +194,40 @@ def test_lines_are_appended_whole_and_in_order(tmp_path: Path) -> None:
 # Going on
 
 
+def record_frame(folder: Path) -> None:
+    folder.mkdir()
+    log = CommitLog(folder)
+    with log.turn():
+        log.add(0, None, provisional=False)
+
+
+def test_lines_of_the_list_may_change_whose_streams_have_no_frame_yet(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path)
+
+    def described(**sources: str) -> dict[str, Any]:
+        streams = [listed(name, source) for name, source in sources.items()]
+        return describe_run(streams, Config(), frozenset({"masks"}), None)
+
+    folder.claim(described(yard="yard.mp4", door="dor.mp4"))
+    record_frame(tmp_path / "yard")
+    for allowed in (
+        described(yard="yard.mp4", door="door.mp4"),
+        described(gate="gate.mp4", yard="yard.mp4"),
+        described(yard="yard.mp4"),
+    ):
+        assert folder.refuse_other(allowed)["sources"]["door"].endswith("dor.mp4")
+    for refused in (described(yard="other.mp4", door="dor.mp4"), described(door="dor.mp4")):
+        with pytest.raises(ConfigError, match="had other streams"):
+            folder.refuse_other(refused)
+
+
 def test_a_run_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
     plain = describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), None)
     with pytest.raises(ConfigError, match="holds no run to resume"):
         folder.refuse_other(plain)
     folder.claim(plain)
+    record_frame(tmp_path / "yard")
     assert folder.refuse_other(plain | {"started": "later"})["started"] == plain["started"]
     other_config = Config.model_validate({"layers": {"lookahead": 1}})
     for description, words in (

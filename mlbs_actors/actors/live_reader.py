@@ -18,7 +18,7 @@ from ray.exceptions import GetTimeoutError
 
 from mlbs_actors.actors.channels import ChannelOffer, OfferedChannel
 from mlbs_actors.actors.processes import Handle
-from mlbs_actors.actors.reader import Answer, ReadAhead, ReadNext, answer
+from mlbs_actors.actors.reader import LEAST_ASKED, Answer, ReadAhead, ReadNext, answer
 from mlbs_actors.actors.shared_memory import SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourcePosition, SourceSilence
 from mlbs_actors.determinism import limit_process
@@ -187,6 +187,8 @@ class LiveReadAhead(ReadAhead):
     max_frames, slots, memory
         As for :class:`ReadAhead`.
     """
+
+    _most_asked = LEAST_ASKED  # what a camera shows is not to grow old
 
     def __init__(self, reader: Handle, max_frames: int | None, slots: SlotPool, memory: SharedMemory) -> None:
         super().__init__(reader, max_frames, slots, memory)

@@ -18,14 +18,14 @@ from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourceS
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.pickling import pickled_by_values
 
-__all__ = ["Answer", "ReadAhead", "ReadNext", "ReaderActor", "Skip", "answer"]
+__all__ = ["LEAST_ASKED", "Answer", "ReadAhead", "ReadNext", "ReaderActor", "Skip", "answer"]
 
 #: What a reader says when it is asked for its next row: where a picture is, what has none, or the end.
 Answer: TypeAlias = "Shared[SourceFrame] | SourceFrame | SourceSilence | None"
 
-#: Frames that are decoded beside the work on the one before them. Two, so that a slow one (a key
-#: frame) is made up for; each is held in memory.
-_FRAMES_AHEAD = 2
+#: Frames that are asked for at least, so that a slow one (a key frame) is made up for, and at most: they are
+#: asked for several at once, since a decoder finds its last frames in the caches as long as it goes on.
+LEAST_ASKED, _MOST_ASKED = 3, 6
 
 
 @pickled_by_values
@@ -122,6 +122,8 @@ class ReadAhead:
         The coordinator's.
     """
 
+    _most_asked = _MOST_ASKED
+
     def __init__(self, reader: Handle, max_frames: int | None, slots: SlotPool, memory: SharedMemory) -> None:
         self._reader = reader
         self._left = max_frames
@@ -148,7 +150,7 @@ class ReadAhead:
         RayError
             If the reader raised, or its process died.
         """
-        self._ask(_FRAMES_AHEAD + 1)
+        self._ask()
         if not self._asked:
             self.stop()
             return None
@@ -167,7 +169,7 @@ class ReadAhead:
 
     def keeps_up(self, seconds: float) -> bool:
         """Whether :meth:`next` would wait no longer than that, s."""
-        self._ask(_FRAMES_AHEAD + 1)
+        self._ask()
         assert self._channel is not None  # begun
         return not self._asked or self._channel.has_note(seconds)
 
@@ -207,8 +209,10 @@ class ReadAhead:
         if self._left is not None:
             self._left -= frames
 
-    def _ask(self, wanted: int) -> None:
-        while len(self._asked) < wanted and self._left != 0:
+    def _ask(self) -> None:
+        if len(self._asked) >= LEAST_ASKED:
+            return
+        while len(self._asked) < self._most_asked and self._left != 0:
             slot = self._slots.take("frame")
             self._send(self._request(slot))
             self._asked.append(slot)
