@@ -14,6 +14,7 @@ import scipy.sparse as sp
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import AffinityConfig, length_scale
+from mlbs_actors.label_classes import median_length
 from mlbs_actors.messages import Array
 from mlbs_actors.nearest_neighbours import neighbour_pairs
 from mlbs_actors.trajectories import TrajectoryState
@@ -57,11 +58,8 @@ def displacement_spread(state: TrajectoryState, config: AffinityConfig, scale: f
     What makes the background's own motions differ, parallax and blur, grows with the camera's motion.
     """
     floor = config.motion_floor_px * scale
-    known = state.ages >= 1
-    if not known.any():
-        return floor
-    speed = float(np.median(np.hypot(state.motions[known, 0], state.motions[known, 1])))
-    return max(2.0 * config.motion_relative * speed, floor)
+    # In this order, for the median of none is NaN.
+    return max(floor, 2.0 * config.motion_relative * median_length(state.motions, state.ages >= 1))
 
 
 @compiled()
