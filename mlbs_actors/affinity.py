@@ -65,22 +65,22 @@ def displacement_spread(state: TrajectoryState, config: AffinityConfig, scale: f
 @compiled()
 def _symmetric(first: Array, second: Array, values: Array, size: int) -> tuple[Array, Array, Array]:
     """Row pointers, columns and values of the symmetric matrix of some sorted pairs."""
-    pointers = np.zeros(size + 1, np.int32)
+    pointers, before = np.zeros(size + 1, np.int32), np.zeros(size, np.int32)
     for edge in range(first.size):
-        pointers[first[edge] + 1] += 1
-        pointers[second[edge] + 1] += 1
+        pointers[np.uint32(first[edge]) + 1] += 1
+        before[np.uint32(second[edge])] += 1
     for row in range(size):
-        pointers[row + 1] += pointers[row]
-    place = pointers[:-1].copy()
+        pointers[row + 1] += pointers[row] + before[row]
+    # Columns left of the diagonal come first; on either side they come in ascending order.
+    left = pointers[:-1].copy()
+    right = left + before
     columns, filled = np.empty(2 * first.size, np.int32), np.empty(2 * first.size)
-    for edge in range(first.size):  # columns left of the diagonal, in ascending order
-        at = place[second[edge]]
-        columns[at], filled[at] = first[edge], values[edge]
-        place[second[edge]] += 1
-    for edge in range(first.size):  # and right of it
-        at = place[first[edge]]
-        columns[at], filled[at] = second[edge], values[edge]
-        place[first[edge]] += 1
+    for edge in range(first.size):
+        one, other = np.uint32(first[edge]), np.uint32(second[edge])
+        columns[right[one]], filled[right[one]] = other, values[edge]
+        columns[left[other]], filled[left[other]] = one, values[edge]
+        right[one] += 1
+        left[other] += 1
     return pointers, columns, filled
 
 

@@ -154,7 +154,7 @@ def _contract(level: _Level, parent: Array, left: int) -> _Level:
             if node < 0:
                 continue
             for e in range(pointers[node], pointers[node + 1]):
-                other = parent[neighbours[e]]
+                other = np.uint32(parent[np.uint32(neighbours[e])])
                 affinity[other] += weights[e]
                 tied[other] += edges[e]
                 new_neighbours[used] = other
