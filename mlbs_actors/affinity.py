@@ -14,6 +14,7 @@ import scipy.sparse as sp
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import AffinityConfig, length_scale
+from mlbs_actors.label_classes import median_length
 from mlbs_actors.messages import Array
 from mlbs_actors.nearest_neighbours import neighbour_pairs
 from mlbs_actors.trajectories import TrajectoryState
@@ -57,45 +58,45 @@ def displacement_spread(state: TrajectoryState, config: AffinityConfig, scale: f
     What makes the background's own motions differ, parallax and blur, grows with the camera's motion.
     """
     floor = config.motion_floor_px * scale
-    known = state.ages >= 1
-    if not known.any():
-        return floor
-    speed = float(np.median(np.hypot(state.motions[known, 0], state.motions[known, 1])))
-    return max(2.0 * config.motion_relative * speed, floor)
+    # In this order, for the median of none is NaN.
+    return max(floor, 2.0 * config.motion_relative * median_length(state.motions, state.ages >= 1))
 
 
 @compiled()
 def _symmetric(first: Array, second: Array, values: Array, size: int) -> tuple[Array, Array, Array]:
     """Row pointers, columns and values of the symmetric matrix of some sorted pairs."""
-    pointers = np.zeros(size + 1, np.int32)
+    pointers, before = np.zeros(size + 1, np.int32), np.zeros(size, np.int32)
     for edge in range(first.size):
-        pointers[first[edge] + 1] += 1
-        pointers[second[edge] + 1] += 1
+        pointers[np.uint32(first[edge]) + 1] += 1
+        before[np.uint32(second[edge])] += 1
     for row in range(size):
-        pointers[row + 1] += pointers[row]
-    place = pointers[:-1].copy()
+        pointers[row + 1] += pointers[row] + before[row]
+    # Columns left of the diagonal come first; on either side they come in ascending order.
+    left = pointers[:-1].copy()
+    right = left + before
     columns, filled = np.empty(2 * first.size, np.int32), np.empty(2 * first.size)
-    for edge in range(first.size):  # columns left of the diagonal, in ascending order
-        at = place[second[edge]]
-        columns[at], filled[at] = first[edge], values[edge]
-        place[second[edge]] += 1
-    for edge in range(first.size):  # and right of it
-        at = place[first[edge]]
-        columns[at], filled[at] = second[edge], values[edge]
-        place[first[edge]] += 1
+    for edge in range(first.size):
+        one, other = np.uint32(first[edge]), np.uint32(second[edge])
+        columns[right[one]], filled[right[one]] = other, values[edge]
+        columns[left[other]], filled[left[other]] = one, values[edge]
+        right[one] += 1
+        left[other] += 1
     return pointers, columns, filled
 
 
 @compiled()
-def _max_motion_distance(
+def _distances(
     first: Array,
     second: Array,
+    positions: Array,
     residuals: Array,
     ages: Array,
     units: Array,
+    squared_radius: np.float32,
     relative: float,
     forgetting: float,
-) -> Array:
+) -> tuple[Array, Array]:
+    """D_M and −D_M − |Δp|²/radius² of every edge."""
     count, memory = residuals.shape[:2]
     # Two-frame displacements, their lengths, and how far back they are forgotten.
     x, y = np.zeros((count, memory), np.float32), np.zeros((count, memory), np.float32)
@@ -110,8 +111,7 @@ def _max_motion_distance(
         noise[age] = units[age] ** 2
         kept[age] = (1.0 - forgetting) ** age
     half, two = np.float32(0.5 * relative), np.float32(2)
-    distances = np.zeros(first.size, np.float32)
-    ratio = np.empty(memory, np.float32)
+    distances, exponents = np.empty(first.size, np.float32), np.empty(first.size, np.float32)
     for edge in range(first.size):
         i, j = first[edge], second[edge]
         common = min(ages[i], ages[j])
@@ -121,30 +121,20 @@ def _max_motion_distance(
             lengths = np.hypot(residuals[i, 0, 0], residuals[i, 0, 1])
             lengths += np.hypot(residuals[j, 0, 0], residuals[j, 0, 1])
             spread = two * half * lengths
-            distances[edge] = (dx * dx + dy * dy) / (noise[0] + spread * spread)
-            continue
-        for age in range(common - 1):
-            dx, dy = x[i, age] - x[j, age], y[i, age] - y[j, age]
-            spread = half * (speed[i, age] + speed[j, age])
-            ratio[age] = kept[age] * (dx * dx + dy * dy) / (noise[age] + spread * spread)
-        largest = np.float32(0)
-        for age in range(common - 1):
-            largest = max(largest, ratio[age])
-        distances[edge] = largest
-    return distances
-
-
-@compiled()
-def _exponents(
-    first: Array, second: Array, positions: Array, motion: Array, squared_radius: np.float32
-) -> Array:
-    """−D_M − |Δp|²/radius² of every edge."""
-    exponents = np.empty(first.size, np.float32)
-    for edge in range(first.size):
-        across = positions[first[edge], 0] - positions[second[edge], 0]
-        down = positions[first[edge], 1] - positions[second[edge], 1]
-        exponents[edge] = -motion[edge] - (across * across + down * down) / squared_radius
-    return exponents
+            distance = (dx * dx + dy * dy) / (noise[0] + spread * spread)
+        else:
+            # Numbers that are not negative are in the order of their bits, whose maximum registers can take.
+            largest = np.int32(0)
+            for age in range(common - 1):
+                dx, dy = x[i, age] - x[j, age], y[i, age] - y[j, age]
+                spread = half * (speed[i, age] + speed[j, age])
+                ratio = np.float32(kept[age] * (dx * dx + dy * dy) / (noise[age] + spread * spread))
+                largest = max(largest, np.int32(ratio.view(np.int32)))
+            distance = np.int32(largest).view(np.float32)
+        across, down = positions[i, 0] - positions[j, 0], positions[i, 1] - positions[j, 1]
+        distances[edge] = distance
+        exponents[edge] = -distance - (across * across + down * down) / squared_radius
+    return distances, exponents
 
 
 def trajectory_graph(
@@ -172,8 +162,16 @@ def trajectory_graph(
         return TrajectoryGraph(none, none, np.zeros(0, np.float32), np.zeros(0, np.float32), n)
     first, second = neighbour_pairs(state.positions, min(config.neighbours, n - 1), radius)
     units = config.motion_factor * np.asarray(spreads, np.float64)
-    motion = _max_motion_distance(
-        first, second, state.residuals, state.ages, units, config.object_relative, config.forgetting
+    motion, exponents = _distances(
+        first,
+        second,
+        state.positions,
+        state.residuals,
+        state.ages,
+        units,
+        np.float32(radius * radius),
+        config.object_relative,
+        config.forgetting,
     )
-    affinity = np.exp(_exponents(first, second, state.positions, motion, np.float32(radius * radius)))
+    affinity = np.exp(exponents, out=exponents)
     return TrajectoryGraph(first, second, motion, affinity, n)

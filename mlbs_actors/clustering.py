@@ -25,13 +25,20 @@ import scipy.sparse as sp
 from mlbs_actors.affinity import TrajectoryGraph
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import AffinityConfig, LayersConfig
+from mlbs_actors.label_classes import (
+    UNLABELLED,
+    class_medians,
+    distinct_labels,
+    label_classes,
+    likeliest,
+    median_length,
+)
 from mlbs_actors.label_propagation import propagate_absorbing, propagate_soft
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.normalized_cut import recursive_cut
 from mlbs_actors.trajectories import TrajectoryState, evenly_spread
 
 __all__ = [
-    "UNLABELLED",
     "background_first",
     "bled_trajectories",
     "border_motion",
@@ -43,8 +50,6 @@ __all__ = [
     "split_origins",
 ]
 
-#: Label of a trajectory that belongs to no layer.
-UNLABELLED = -1
 #: Fewer edges across a border say nothing of it.
 LEAST_BORDER = 5
 #: Frames over which a trajectory's speed against the camera is averaged.
@@ -75,12 +80,8 @@ def _decided(
     walk: Callable[[sp.csr_array, Array, int], Array], affinity: sp.csr_array, labels: Array
 ) -> Array:
     """The label to which most walks from each trajectory lead, −1 where none does."""
-    known = np.unique(labels[labels != UNLABELLED])
-    if len(known) == 0:
-        return labels.copy()
-    classes = np.where(labels == UNLABELLED, UNLABELLED, np.searchsorted(known, labels))
-    share = walk(affinity, classes, len(known))
-    return np.where(share.max(axis=1) > 0, known[np.argmax(share, axis=1)], UNLABELLED)
+    known, classes = label_classes(labels, labels == UNLABELLED)
+    return np.asarray(likeliest(walk(affinity, classes, len(known)), known))
 
 
 def bled_trajectories(trajectories: TrajectoryState, config: LayersConfig, scale: float) -> Array:
@@ -127,33 +128,55 @@ def split_labels(
     -------
     (n,) int64
     """
-    result = labels.copy()
-    adrift = np.zeros(len(labels), bool)
-    known, classes = np.unique(labels, return_inverse=True)
-    clusters = recursive_cut(
-        affinity, config.cut_threshold, config.cut_side_tracks, np.where(bled, UNLABELLED, classes)
-    )
-    for label in known:
-        nodes = np.flatnonzero((labels == label) & ~bled)
-        parts = clusters[nodes]
-        numbers = np.unique(parts[parts >= 0])  # by falling size
-        if len(numbers) == 0:
-            continue  # too small to be split
-        result[nodes[parts < 0]] = UNLABELLED
-        own_bled = (labels == label) & bled
-        if own_bled.any():
-            adrift[nodes[parts < 0]] = True
-        if len(numbers) > 1:
-            adrift |= own_bled
-            result[own_bled] = UNLABELLED
-        for number in numbers[1:] if label != UNLABELLED else numbers:
-            result[nodes[parts == number]] = next_label
-            next_label += 1
+    known, classes = label_classes(labels, bled)
+    clusters = recursive_cut(affinity, config.cut_threshold, config.cut_side_tracks, classes)
+    result, adrift = _named(labels, bled, known, classes, clusters, next_label)
     if adrift.any():
-        result[adrift] = UNLABELLED
         # All others hold still: the walk is asked only where those adrift go.
         result[adrift] = _decided(propagate_absorbing, affinity, result)[adrift]
     return result
+
+
+@compiled()
+def _named(
+    labels: Array, bled: Array, known: Array, classes: Array, clusters: Array, next_label: int
+) -> tuple[Array, Array]:
+    """Labels of the clusters that each label has fallen into, and which trajectories are adrift.
+
+    Labels that are too small to be cut stay as they are.
+    """
+    owner = np.full(clusters.size, -1)
+    own, has_bled = classes.copy(), np.zeros(known.size, np.bool_)
+    count = 0
+    for i in range(labels.size):
+        if bled[i]:
+            place = np.searchsorted(known, labels[i])
+            if place < known.size and known[place] == labels[i]:
+                own[i], has_bled[place] = place, True
+        elif clusters[i] >= 0:
+            owner[clusters[i]] = classes[i]
+            count = max(count, clusters[i] + 1)
+    names, parts = np.empty(count, np.int64), np.zeros(known.size, np.int64)
+    for one in range(known.size):
+        for cluster in range(count):  # by falling size
+            if owner[cluster] == one:
+                if parts[one] == 0 and known[one] != UNLABELLED:
+                    names[cluster] = known[one]
+                else:
+                    names[cluster] = next_label
+                    next_label += 1
+                parts[one] += 1
+    result, adrift = labels.copy(), np.zeros(labels.size, np.bool_)
+    for i in range(labels.size):
+        if own[i] < 0 or parts[own[i]] == 0:
+            continue
+        if clusters[i] >= 0:
+            result[i] = names[clusters[i]]
+        elif not bled[i]:
+            result[i], adrift[i] = UNLABELLED, has_bled[own[i]]
+        elif parts[own[i]] > 1:
+            result[i], adrift[i] = UNLABELLED, True
+    return result, adrift
 
 
 def split_origins(before: Array, labels: Array) -> dict[int, int]:
@@ -170,10 +193,10 @@ def split_origins(before: Array, labels: Array) -> dict[int, int]:
         New label → the label that most of its trajectories had; none for those that had none.
     """
     origins = {}
-    for label in np.setdiff1d(labels, before):
+    for label in sorted(distinct_labels(labels) - distinct_labels(before)):
         previous, counts = np.unique(before[labels == label], return_counts=True)
-        if label != UNLABELLED and previous[np.argmax(counts)] != UNLABELLED:
-            origins[int(label)] = int(previous[np.argmax(counts)])
+        if previous[np.argmax(counts)] != UNLABELLED:
+            origins[label] = int(previous[np.argmax(counts)])
     return origins
 
 
@@ -194,10 +217,7 @@ def border_motion(
     dict
         (lower label, higher label) → (that quantile of D_M over the edges between them, number of edges).
     """
-    one, other = labels[graph.first], labels[graph.second]
-    across = (one != other) & (one != UNLABELLED) & (other != UNLABELLED)
-    low, high = np.minimum(one, other)[across], np.maximum(one, other)[across]
-    distance = graph.motion_distance[across]
+    low, high, distance = _across_borders(graph.first, graph.second, graph.motion_distance, labels)
     if len(low) == 0:
         return {}
     order = np.lexsort((distance, high, low))
@@ -208,6 +228,21 @@ def border_motion(
         position = min(int(quantile * (end - start)), end - start - 1)
         borders[int(low[start]), int(high[start])] = (float(distance[start + position]), int(end - start))
     return borders
+
+
+@compiled()
+def _across_borders(
+    first: Array, second: Array, distance: Array, labels: Array
+) -> tuple[Array, Array, Array]:
+    """Lower and higher label and motion distance of the edges between labels."""
+    low, high = np.empty(first.size, labels.dtype), np.empty(first.size, labels.dtype)
+    across, found = np.empty(first.size, distance.dtype), 0
+    for edge in range(first.size):
+        one, other = labels[first[edge]], labels[second[edge]]
+        if one != other and one != UNLABELLED and other != UNLABELLED:
+            low[found], high[found], across[found] = min(one, other), max(one, other), distance[edge]
+            found += 1
+    return low[:found], high[:found], across[:found]
 
 
 def label_speeds(trajectories: TrajectoryState, labels: Array) -> dict[int, float]:
@@ -223,12 +258,9 @@ def label_speeds(trajectories: TrajectoryState, labels: Array) -> dict[int, floa
     dict of int to float
         Label → median over its trajectories of their mean residual motion of up to three frames, px/frame.
     """
-    speed = _residual_speed(trajectories)
-    return {
-        int(label): float(np.median(speed[labels == label]))
-        for label in np.unique(labels)
-        if label != UNLABELLED
-    }
+    known, classes = label_classes(labels, labels == UNLABELLED)
+    medians = class_medians(_residual_speed(trajectories), classes, len(known))
+    return dict(zip(known.tolist(), medians.tolist(), strict=True))
 
 
 def least_object_speed(
@@ -246,9 +278,9 @@ def least_object_speed(
     """
     least = config.camera_px * scale
     if background.any():
-        camera = np.hypot(*trajectories.motions[background].T.astype(np.float64))
-        own = _residual_speed(trajectories)[background]
-        least = max(least, config.camera_relative * float(np.median(camera)), 4.0 * float(np.median(own)))
+        camera = median_length(trajectories.motions.astype(np.float64), background)
+        own = np.median(_residual_speed(trajectories)[background])
+        least = max(least, config.camera_relative * camera, 4.0 * float(own))
     return least
 
 

@@ -20,7 +20,6 @@ import numpy as np
 
 from mlbs_actors.affinity import TrajectoryGraph, displacement_spread, trajectory_graph
 from mlbs_actors.clustering import (
-    UNLABELLED,
     background_first,
     bled_trajectories,
     label_speeds,
@@ -35,6 +34,7 @@ from mlbs_actors.errors import FrameError
 from mlbs_actors.flow import dense_flow, flow_gray
 from mlbs_actors.flow_focus import focus_boxes, focus_cells
 from mlbs_actors.held_frames import HeldFrame, by_layer, first_frame, held_frame, relabelled
+from mlbs_actors.label_classes import UNLABELLED, distinct_labels
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.messages import (
     BACKGROUND,
@@ -293,8 +293,8 @@ class Coordinator:
             ages = registry.ages(frame_index)
             split = labels
             labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)
-            gone = np.setdiff1d(split, labels)
-            registry.forget({int(label): int(labels[split == label][0]) for label in gone})
+            gone = set(speeds) - distinct_labels(labels)
+            registry.forget({label: int(labels[split == label][0]) for label in gone})
             # What the first clustering finds has been there since the first frame.
             labels = registry.admit(labels, frame_index if state.clustered else state.epoch, origins)
         published = _published(feedback)

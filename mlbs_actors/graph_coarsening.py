@@ -9,6 +9,8 @@ hide the borders that are looked for.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from mlbs_actors.compilation import compiled
@@ -23,6 +25,33 @@ CLOSENESS = (0.7, 0.5, 0.3)
 WORTHWHILE = 0.95
 
 
+class _Level(NamedTuple):
+    """A graph on its way to the small one, as compressed rows.
+
+    Attributes
+    ----------
+    pointers, neighbours, weights : (n + 1,) int32, (e,) int32, (e,) float64
+        Sums of the affinities between nodes.
+    edges, means : (e,) int32, (e,) float64
+        How many edges each stands for, and their mean affinity.
+    closest, volume : (n,) float64
+        The largest mean of each node, and the sum of its affinities to others.
+    sizes, within : (n,) int32, (n,) float64
+        How many nodes each stands for, and the sum of the affinities within.
+    """
+
+    pointers: Array
+    neighbours: Array
+    weights: Array
+    edges: Array
+    means: Array
+    closest: Array
+    volume: Array
+    sizes: Array
+    within: Array
+
+
+@compiled()
 def coarsen(pointers: Array, neighbours: Array, weights: Array, most: int) -> tuple[Array, Array]:
     """Join nodes as long as some belong together.
 
@@ -40,44 +69,43 @@ def coarsen(pointers: Array, neighbours: Array, weights: Array, most: int) -> tu
     joined : (m, m) float64
         Sums of the affinities between the groups; on the diagonal within them, every edge twice.
     """
-    count = len(pointers) - 1
-    group = np.arange(count, dtype=np.int32)
+    count = pointers.size - 1
+    group = np.arange(count).astype(np.int32)
     sizes, within = np.ones(count, np.int32), np.zeros(count)
-    edges = np.ones(len(weights), np.int32)
+    closest, volume = np.zeros(count), np.zeros(count)
+    for node in range(count):
+        for e in range(pointers[node], pointers[node + 1]):
+            closest[node] = max(closest[node], weights[e])
+            volume[node] += weights[e]
+    single = np.ones(weights.size, np.int32)
+    level = _Level(pointers, neighbours, weights, single, weights, closest, volume, sizes, within)
     for closeness in CLOSENESS:
         while most > 1:
-            parent, left = _match(pointers, neighbours, weights, edges, sizes, most, closeness)
-            if left > WORTHWHILE * len(sizes):
+            parent, left = _match(level, most, closeness)
+            if left > WORTHWHILE * level.sizes.size:
                 break
-            pointers, neighbours, weights, edges, sizes, within = _contract(
-                pointers, neighbours, weights, edges, sizes, within, parent, left
-            )
-            group = parent[group]
-    return group, _dense(pointers, neighbours, weights, within)
+            level = _contract(level, parent, left)
+            for node in range(count):
+                group[node] = parent[group[node]]
+    return group, _dense(level)
 
 
 @compiled()
-def _dense(pointers: Array, neighbours: Array, weights: Array, within: Array) -> Array:
-    matrix = np.zeros((within.size, within.size))
-    for node in range(within.size):
-        matrix[node, node] = within[node]
-        for e in range(pointers[node], pointers[node + 1]):
-            matrix[node, neighbours[e]] = weights[e]
+def _dense(level: _Level) -> Array:
+    matrix = np.zeros((level.sizes.size, level.sizes.size))
+    for node in range(level.sizes.size):
+        matrix[node, node] = level.within[node]
+        for e in range(level.pointers[node], level.pointers[node + 1]):
+            matrix[node, level.neighbours[e]] = level.weights[e]
     return matrix
 
 
 @compiled()
-def _match(
-    pointers: Array, neighbours: Array, weights: Array, edges: Array, sizes: Array, most: int,
-    closeness: float,
-) -> tuple[Array, int]:  # fmt: skip
-    """Node of the next graph for each node, and their number; ``edges`` says how many an edge stands for."""
+def _match(level: _Level, most: int, closeness: float) -> tuple[Array, int]:
+    """Node of the next graph for each node, and their number."""
+    pointers, neighbours, weights, sizes = level.pointers, level.neighbours, level.weights, level.sizes
+    means, closest, volume = level.means, level.closest, level.volume
     count = sizes.size
-    closest, volume = np.zeros(count), np.zeros(count)
-    for node in range(count):
-        for e in range(pointers[node], pointers[node + 1]):
-            closest[node] = max(closest[node], weights[e] / edges[e])
-            volume[node] += weights[e]
     parent = np.full(count, -1, np.int32)
     left = 0
     for node in range(count):
@@ -86,11 +114,10 @@ def _match(
         best, partner = 0.0, -1
         for e in range(pointers[node], pointers[node + 1]):
             other = neighbours[e]
-            mean = weights[e] / edges[e]
             if (
                 parent[other] < 0
                 and sizes[node] + sizes[other] <= most
-                and mean >= closeness * max(closest[node], closest[other])
+                and means[e] >= closeness * max(closest[node], closest[other])
             ):
                 share = weights[e] / volume[node] + weights[e] / volume[other]
                 if share > best:
@@ -103,39 +130,47 @@ def _match(
 
 
 @compiled()
-def _contract(
-    pointers: Array, neighbours: Array, weights: Array, edges: Array, sizes: Array, within: Array,
-    parent: Array, left: int,
-) -> tuple[Array, Array, Array, Array, Array, Array]:  # fmt: skip
-    """The next graph: parallel edges summed, those inside a node added to ``within``."""
+def _contract(level: _Level, parent: Array, left: int) -> _Level:
+    """The next graph: parallel edges summed, those inside a node added to what is within."""
+    pointers, neighbours, weights, edges = level.pointers, level.neighbours, level.weights, level.edges
     members = np.full((left, 2), -1, np.int32)
     new_sizes, new_within = np.zeros(left, np.int32), np.zeros(left)
-    for node in range(sizes.size):
+    for node in range(parent.size):
         joined = parent[node]
         members[joined, 1 if members[joined, 0] >= 0 else 0] = node
-        new_sizes[joined] += sizes[node]
-        new_within[joined] += within[node]
-    new_pointers = np.zeros(left + 1, pointers.dtype)
-    new_neighbours = np.empty(neighbours.size, neighbours.dtype)
-    new_weights, new_edges = np.empty(neighbours.size), np.empty(neighbours.size, np.int32)
-    place = np.full(left, -1, np.int64)
+        new_sizes[joined] += level.sizes[node]
+        new_within[joined] += level.within[node]
+    new_pointers = np.zeros(left + 1, np.int32)
+    new_neighbours, new_edges = np.empty(neighbours.size, np.int32), np.empty(neighbours.size, np.int32)
+    new_weights, means = np.empty(neighbours.size), np.empty(neighbours.size)
+    closest, volume = np.zeros(left), np.zeros(left)
+    # Affinity and edges from the node at hand to each other one, and for which those have been found.
+    affinity, tied, found_for = np.zeros(left), np.zeros(left, np.int32), np.full(left, -1, np.int32)
     used = 0
     for joined in range(left):
-        start = used
+        start, found_for[joined], affinity[joined] = used, joined, new_within[joined]
         for member in range(2):
             node = members[joined, member]
             if node < 0:
                 continue
             for e in range(pointers[node], pointers[node + 1]):
-                other = parent[neighbours[e]]
-                if other == joined:
-                    new_within[joined] += weights[e]
-                elif place[other] >= start:
-                    new_weights[place[other]] += weights[e]
-                    new_edges[place[other]] += edges[e]
-                else:
-                    place[other] = used
-                    new_neighbours[used], new_weights[used], new_edges[used] = other, weights[e], edges[e]
-                    used += 1
-        new_pointers[joined + 1] = used
-    return new_pointers, new_neighbours[:used], new_weights[:used], new_edges[:used], new_sizes, new_within
+                other = np.uint32(parent[np.uint32(neighbours[e])])
+                affinity[other] += weights[e]
+                tied[other] += edges[e]
+                new_neighbours[used] = other
+                used += found_for[other] != joined
+                found_for[other] = joined
+        new_within[joined], affinity[joined], tied[joined] = affinity[joined], 0.0, 0
+        nearest = total = 0.0
+        for e in range(start, used):
+            other = new_neighbours[e]
+            new_weights[e], new_edges[e] = affinity[other], tied[other]
+            means[e] = affinity[other] / tied[other]
+            nearest = max(nearest, means[e])
+            total += affinity[other]
+            affinity[other], tied[other] = 0.0, 0
+        closest[joined], volume[joined], new_pointers[joined + 1] = nearest, total, used
+    return _Level(
+        new_pointers, new_neighbours[:used], new_weights[:used], new_edges[:used], means[:used],
+        closest, volume, new_sizes, new_within,
+    )  # fmt: skip

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 from mlbs_actors.camera import CameraEvidence, camera_evidence
-from mlbs_actors.clustering import UNLABELLED
 from mlbs_actors.compilation import compiled
 from mlbs_actors.flow import DenseFlow, sample_flow
+from mlbs_actors.label_classes import UNLABELLED
 from mlbs_actors.messages import UNEXPLAINED_STEP, Array
 from mlbs_actors.trajectories import EVIDENCE_BOUNDS, TrajectoryState
 

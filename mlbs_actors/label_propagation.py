@@ -77,8 +77,8 @@ def _walk(
         come[node] = (1.0 - restart) / degree if degree > 0 else 0.0
     radius, share = 1.0 - restart, np.zeros((count, classes))
     before, now, start = np.zeros(count), np.zeros(count), np.zeros(count)
-    reached, is_reached = np.empty(count, np.int64), np.zeros(count, np.bool_)
-    border = np.empty(count, np.int64)  # nodes with a neighbour that is not reached
+    reached, is_reached = np.empty(count, np.uint32), np.zeros(count, np.bool_)
+    border = np.empty(count, np.uint32)  # nodes with a neighbour that is not reached
     for one in range(classes):
         found = 0
         for node in range(count):
@@ -110,7 +110,7 @@ def _walk(
             for place in range(found):
                 node, total = reached[place], 0.0
                 for e in range(pointers[node], pointers[node + 1]):
-                    total += weights[e] * now[neighbours[e]]
+                    total += weights[e] * now[np.uint32(neighbours[e])]
                 # What was there two steps before makes room for what comes next.
                 before[node] += weight * (come[node] * total + start[node] - before[node])
             before, now = now, before

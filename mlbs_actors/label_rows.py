@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mlbs_actors.clustering import UNLABELLED
 from mlbs_actors.compilation import compiled
+from mlbs_actors.label_classes import UNLABELLED
 from mlbs_actors.messages import BACKGROUND, Array
 
 __all__ = ["layers_of", "sightings"]

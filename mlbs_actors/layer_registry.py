@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mlbs_actors.clustering import UNLABELLED
 from mlbs_actors.config import LayersConfig
+from mlbs_actors.label_classes import UNLABELLED, distinct_labels
 from mlbs_actors.label_rows import layers_of, sightings
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.reidentification import SIGNATURE_BINS, Sighting, best_sleeper, colour_signatures
@@ -126,12 +126,10 @@ class LayerRegistry:
             Speed of an object, px/frame.
         """
         state = self.state
-        moving = [label for label, speed in speeds.items() if speed >= least]
-        self.state = replace(
-            state,
-            judged=state.judged + np.isin(state.labels, list(speeds)),
-            moving=state.moving + np.isin(state.labels, moving),
-        )
+        labels = state.labels.tolist()
+        judged = np.array([label in speeds for label in labels], bool)
+        moving = np.array([speeds.get(label, -np.inf) >= least for label in labels], bool)
+        self.state = replace(state, judged=state.judged + judged, moving=state.moving + moving)
 
     def ages(self, frame_index: int) -> dict[int, int]:
         """Frames since birth of every label, the background being older than all.
@@ -171,6 +169,8 @@ class LayerRegistry:
         merged : mapping of int to int
             Label → the one that it was merged into; its parts now belong to that.
         """
+        if not merged:
+            return
         origins = [self._object(merged.get(int(one), int(one))) for one in self.state.origins]
         self.state = replace(self.state, origins=np.array(origins, np.int64))
         self._select(~np.isin(self.state.labels, list(merged)))
@@ -191,30 +191,25 @@ class LayerRegistry:
         (n,) int64
         """
         known = set(self.state.labels.tolist()) | {BACKGROUND, UNLABELLED}
-        for label in np.unique(labels):
-            if int(label) not in known:
-                candidate = self.state.next_candidate
-                labels = np.where(labels == label, candidate, labels)
-                state = self.state
-                self.state = replace(
-                    state,
-                    labels=np.concatenate([[candidate], state.labels]),
-                    born=np.concatenate([[frame_index], state.born]),
-                    origins=np.concatenate(
-                        [[self._object(origins.get(int(label), UNLABELLED))], state.origins]
-                    ),
-                    judged=np.concatenate([[0], state.judged]),
-                    moving=np.concatenate([[0], state.moving]),
-                    seen=np.concatenate([[frame_index], state.seen]),
-                    tracked=np.concatenate([[frame_index], state.tracked]),
-                    centroids=np.concatenate([np.zeros((1, 2)), state.centroids]),
-                    velocities=np.concatenate([np.zeros((1, 2)), state.velocities]),
-                    signatures=np.concatenate(
-                        [np.zeros((1, SIGNATURE_BINS**3), np.float32), state.signatures]
-                    ),
-                    pooled=np.concatenate([[False], state.pooled]),
-                    next_candidate=candidate - 1,
-                )
+        for label in sorted(distinct_labels(labels) - known):
+            candidate = self.state.next_candidate
+            labels = np.where(labels == label, candidate, labels)
+            state = self.state
+            self.state = replace(
+                state,
+                labels=np.concatenate([[candidate], state.labels]),
+                born=np.concatenate([[frame_index], state.born]),
+                origins=np.concatenate([[self._object(origins.get(label, UNLABELLED))], state.origins]),
+                judged=np.concatenate([[0], state.judged]),
+                moving=np.concatenate([[0], state.moving]),
+                seen=np.concatenate([[frame_index], state.seen]),
+                tracked=np.concatenate([[frame_index], state.tracked]),
+                centroids=np.concatenate([np.zeros((1, 2)), state.centroids]),
+                velocities=np.concatenate([np.zeros((1, 2)), state.velocities]),
+                signatures=np.concatenate([np.zeros((1, SIGNATURE_BINS**3), np.float32), state.signatures]),
+                pooled=np.concatenate([[False], state.pooled]),
+                next_candidate=candidate - 1,
+            )
         return labels
 
     def _object(self, label: int) -> int:
@@ -263,13 +258,15 @@ class LayerRegistry:
         state.signatures[enough] = np.where(old.any(axis=1, keepdims=True), 0.9 * old + 0.1 * fresh, fresh)
         coasting: Array = ~enough & (state.labels > 0) & (state.seen == frame_index - 1)
         coasting &= frame_index - state.tracked <= self.config.coast_frames
-        coasting[coasting] = np.isin(self.layers_of(state.labels[coasting]), list(published))
+        if coasting.any():
+            coasting[coasting] = np.isin(self.layers_of(state.labels[coasting]), list(published))
         state.seen[coasting] = frame_index
         awake: Array = np.append(enough | coasting, True)  # the last for those of no known label
         labels = np.where(awake[rows], labels, UNLABELLED)
         asleep = frame_index - state.seen
         keep = np.where(state.labels > 0, asleep <= self.config.dormant_frames, asleep == 0)
-        self._select(keep)
+        if not keep.all():
+            self._select(keep)
         if not self.state.pooled.any():
             self.state = replace(
                 self.state, other=-1

@@ -18,6 +18,7 @@ __all__ = ["nearest", "neighbour_pairs"]
 CELL_POINTS = 3.0
 
 
+@compiled()
 def neighbour_pairs(positions: Array, wanted: int, radius: float) -> tuple[Array, Array]:
     """Pairs of points of which one is among the nearest of the other.
 
@@ -35,8 +36,7 @@ def neighbour_pairs(positions: Array, wanted: int, radius: float) -> tuple[Array
     first, second : (m,) int32
         Each pair once, first < second, sorted by both.
     """
-    keys = np.sort(_pair_keys(nearest(positions, wanted, radius)))
-    return (keys // len(positions)).astype(np.int32), (keys % len(positions)).astype(np.int32)
+    return _sorted_pairs(nearest(positions, wanted, radius))
 
 
 @compiled()
@@ -61,40 +61,41 @@ def nearest(positions: Array, wanted: int, radius: float) -> Array:
     cell, column, row, start, members = _cells(positions)
     columns, rows = column.max() + 1, row.max() + 1
     most = max(rows, columns)
-    # Cell by cell, so that a row of cells is one run.
+    # Cell by cell, so that a row of cells is one run, and what lies around a cell is gathered once.
     xs, ys = positions[members, 0].copy(), positions[members, 1].copy()
-    squared = np.empty(count, np.float32)
-    point, room = np.empty(count, np.int32), np.empty(count + 1, np.int32)
-    for i in range(count):
-        ring, limit = 0, np.float32(-1)
-        while limit < 0:
+    near_x, near_y = np.empty(count, np.float32), np.empty(count, np.float32)
+    point, squared = np.empty(count, np.int32), np.empty(count, np.float32)
+    room = np.empty(count + 1, np.int32)
+    here, ring, near, reach, whole = -1, 0, 0, radius, False
+    for i in members:
+        if row[i] * columns + column[i] != here:
+            here, ring, near = row[i] * columns + column[i], 0, 0
+        while True:
+            if near > 0:
+                x, y = positions[i, 0], positions[i, 1]
+                for k in range(near):
+                    across, down = near_x[k] - x, near_y[k] - y
+                    squared[k] = across * across + down * down
+                # One more than wanted, for the point itself is among them.
+                limit = _limit(squared[:near], wanted + 1, np.float32(reach * reach), whole)
+                if limit >= 0:
+                    break
             ring += 1
             left, right = max(column[i] - ring, 0), min(column[i] + ring, columns - 1)
             top, bottom = max(row[i] - ring, 0), min(row[i] + ring, rows - 1)
             whole = ring >= most or ring * cell >= radius
             reach = radius if whole else ring * cell  # points outside these cells are farther
-            near = 0
+            around = near = 0
             for r in range(top, bottom + 1):
-                near += start[r * columns + right + 1] - start[r * columns + left]
-            if not whole and near < 2 * wanted:
+                around += start[r * columns + right + 1] - start[r * columns + left]
+            if not whole and around < 2 * wanted:
                 continue
-            near = 0
             for r in range(top, bottom + 1):
-                first, last = start[r * columns + left], start[r * columns + right + 1]
-                _measure(xs[first:last], ys[first:last], positions[i, 0], positions[i, 1], squared[near:])
-                point[near : near + last - first] = members[first:last]
-                near += last - first
-            # One more than wanted, for the point itself is among them.
-            limit = _limit(squared[:near], wanted + 1, np.float32(reach * reach), whole)
+                for k in range(start[r * columns + left], start[r * columns + right + 1]):
+                    near_x[near], near_y[near], point[near] = xs[k], ys[k], members[k]
+                    near += 1
         _take(squared[:near], point[:near], limit, i, room, found[i])
     return found
-
-
-@compiled()
-def _measure(xs: Array, ys: Array, x: np.float32, y: np.float32, squared: Array) -> None:
-    for k in range(xs.size):
-        across, down = xs[k] - x, ys[k] - y
-        squared[k] = across * across + down * down
 
 
 @compiled()
@@ -180,20 +181,39 @@ def _cells(positions: Array) -> tuple[float, Array, Array, Array, Array]:
 
 
 @compiled()
-def _pair_keys(nearest_of: Array) -> Array:
-    """first · n + second of each pair, once."""
-    count, wanted = nearest_of.shape
-    keys = np.empty(nearest_of.size, np.int64)
-    found = 0
+def _sorted_pairs(nearest_of: Array) -> tuple[Array, Array]:
+    """Each pair once, the lower index first, sorted by both: counted off by the higher, then by the lower."""
+    count = nearest_of.shape[0]
+    higher_start, lower_start = np.zeros(count + 1, np.int32), np.zeros(count + 1, np.int32)
     for i in range(count):
         for j in nearest_of[i]:
             if j < 0:
                 break
-            told = False  # by j, if that comes first
-            if j < i:
-                for place in range(wanted):
-                    told |= nearest_of[j, place] == i
-            if not told:
-                keys[found] = min(i, j) * count + max(i, j)
-                found += 1
-    return keys[:found]
+            higher_start[max(i, j) + 1] += 1
+            lower_start[min(i, j) + 1] += 1
+    for i in range(count):
+        higher_start[i + 1] += higher_start[i]
+        lower_start[i + 1] += lower_start[i]
+    told = higher_start[-1]
+    place, lower = higher_start[:-1].copy(), np.empty(told, np.int32)
+    for i in range(count):
+        for j in nearest_of[i]:
+            if j < 0:
+                break
+            lower[place[max(i, j)]] = min(i, j)
+            place[max(i, j)] += 1
+    place, higher = lower_start[:-1].copy(), np.empty(told, np.int32)
+    for i in range(count):
+        for k in range(higher_start[i], higher_start[i + 1]):
+            higher[place[lower[k]]] = i
+            place[lower[k]] += 1
+    # A pair that both tell of comes twice, one after the other.
+    first, second = np.empty(told, np.int32), np.empty(told, np.int32)
+    found = 0
+    for i in range(count):
+        last = -1
+        for k in range(lower_start[i], lower_start[i + 1]):
+            first[found], second[found] = i, higher[k]
+            found += higher[k] != last
+            last = higher[k]
+    return first[:found].copy(), second[:found].copy()

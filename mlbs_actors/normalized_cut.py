@@ -17,8 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg import eigh
-from scipy.linalg.lapack import dpotrf
+from scipy.linalg.lapack import dpotrf, ssyevr, ssyevr_lwork
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.graph_coarsening import coarsen
@@ -119,32 +118,59 @@ def best_cut(affinity: Array, sizes: Array, min_side: int) -> TwoWayCut:
     TwoWayCut
     """
     n = len(affinity)
-    best = TwoWayCut(float("inf"), np.zeros(n, bool))
     if n < 2 or sizes.sum() < 2 * min_side:
-        return best
-    degree = np.maximum(affinity.sum(axis=1), 1e-12)
-    scale = 1.0 / np.sqrt(degree)
+        return TwoWayCut(float("inf"), np.zeros(n, bool))
+    normalised, degree = _normalised(affinity)
     # The largest eigenvalue of D^-½ A D^-½ has the trivial eigenvector.
     wanted = min(EIGENVECTORS, n - 1)
-    # Only the order of a vector's entries counts, so single precision does.
-    normalised = (affinity * np.outer(scale, scale)).astype(np.float32)
-    _, vectors = eigh(
-        normalised, subset_by_index=[n - 1 - wanted, n - 2], overwrite_a=True, check_finite=False
-    )
-    for vector in vectors.T[::-1]:
-        order = np.argsort(scale * vector, kind="stable")
+    work, whole_work, _ = ssyevr_lwork(n, lower=True)
+    _, vectors, *_ = ssyevr(
+        normalised.T, range="I", il=n - wanted, iu=n - 1, lower=True, lwork=int(work), liwork=whole_work,
+        overwrite_a=True,
+    )  # fmt: skip
+    return TwoWayCut(*_best_threshold(affinity, degree, sizes, vectors.T, min_side))
+
+
+@compiled()
+def _normalised(affinity: Array) -> tuple[Array, Array]:
+    """The transpose of D^-½ A D^-½, as LAPACK wants it, and the diagonal of D.
+
+    Only the order of an eigenvector's entries counts, so single precision does.
+    """
+    count = len(affinity)
+    degree, scale = np.empty(count), np.empty(count)
+    for node in range(count):
+        degree[node] = max(affinity[node].sum(), 1e-12)
+        scale[node] = 1.0 / np.sqrt(degree[node])
+    normalised = np.empty((count, count), np.float32)
+    for one in range(count):
+        for other in range(count):
+            normalised[one, other] = affinity[other, one] * (scale[other] * scale[one])
+    return normalised, degree
+
+
+@compiled()
+def _best_threshold(
+    affinity: Array, degree: Array, sizes: Array, vectors: Array, min_side: int
+) -> tuple[float, Array]:
+    """The least N-cut, and its side, of those that part the nodes somewhere along a vector, (k, n)."""
+    best, side = np.inf, np.zeros(degree.size, np.bool_)
+    volume, trajectories = degree.sum(), sizes.sum()
+    for which in range(len(vectors) - 1, -1, -1):
+        order = np.argsort(1.0 / np.sqrt(degree) * vectors[which], kind="mergesort")
         severed = _severed(affinity, order)
-        inside, trajectories = np.cumsum(degree[order]), np.cumsum(sizes[order])
-        tried = np.flatnonzero((trajectories >= min_side) & (trajectories <= trajectories[-1] - min_side))
-        if len(tried) == 0:
-            continue
-        cuts = severed[tried] / inside[tried] + severed[tried] / (inside[-1] - inside[tried])
-        chosen = int(np.argmin(cuts))
-        if cuts[chosen] < best.value:
-            side = np.zeros(n, bool)
-            side[order[: tried[chosen] + 1]] = True
-            best = TwoWayCut(float(cuts[chosen]), side)
-    return best
+        inside, within, last = 0.0, 0, -1
+        for position in range(order.size):
+            inside += degree[order[position]]
+            within += sizes[order[position]]
+            if min_side <= within <= trajectories - min_side:
+                cut = severed[position] / inside + severed[position] / (volume - inside)
+                if cut < best:
+                    best, last = cut, position
+        if last >= 0:
+            side[:] = False
+            side[order[: last + 1]] = True
+    return best, side
 
 
 @compiled()
@@ -183,17 +209,16 @@ def recursive_cut(
     (n,) int64
         Cluster of every node, 0 … C−1 by falling size; −1 for nodes in parts smaller than ``min_side``.
     """
-    n = affinity.shape[0]
-    labels = np.full(n, -1, np.int64)
-    apart = np.zeros(n, np.int64) if apart is None else apart
-    eligible = np.flatnonzero(apart >= 0)
-    if len(eligible) == 0:
-        return labels
-    present = _kept_edges(affinity.indptr, affinity.indices, affinity.data, eligible, apart)
-    part = _components(*present[:2])
-    parts = np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
-    waiting: list[tuple[Array, _SmallGraph | None]] = [(nodes, None) for nodes in parts]
-    alike = np.zeros(len(eligible), np.int64)
+    pointers, neighbours, weights = affinity.indptr, affinity.indices, affinity.data
+    labels = np.full(affinity.shape[0], -1, np.int64)
+    apart = np.zeros(len(labels), np.int64) if apart is None else apart
+    ordered, starts = _parts(pointers, neighbours, weights, apart)
+    ends = starts[1:].tolist()
+    waiting: list[tuple[Array, _SmallGraph | None]] = [
+        (ordered[start:end], None)
+        for start, end in zip(starts.tolist(), ends, strict=False)
+        if end - start >= min_side
+    ]
     clusters = []
     while waiting:
         nodes, small = waiting.pop()
@@ -201,13 +226,14 @@ def recursive_cut(
             continue
         if small is None:
             most = max(len(nodes) // EXACT_NODES, 1)
-            small = _SmallGraph(*coarsen(*_kept_edges(*present, nodes, alike), most), len(nodes))
+            edges = _kept_edges(pointers, neighbours, weights, nodes)
+            small = _SmallGraph(*coarsen(*edges, most), len(nodes))
         if not holds_together(small.joined, threshold):
             cut = best_cut(small.joined, np.bincount(small.group), min_side)
             if cut.value < threshold:
                 waiting += [_one_side(nodes, small, side) for side in (cut.side, ~cut.side)]
                 continue
-        clusters.append(eligible[nodes])
+        clusters.append(nodes)
     clusters.sort(key=lambda nodes: (-len(nodes), int(nodes[0])))
     for label, nodes in enumerate(clusters):
         labels[nodes] = label
@@ -238,43 +264,61 @@ def _within(side: Array, group: Array, joined: Array) -> tuple[Array, Array]:
 
 @compiled()
 def _kept_edges(
-    pointers: Array, neighbours: Array, weights: Array, nodes: Array, apart: Array
+    pointers: Array, neighbours: Array, weights: Array, nodes: Array
 ) -> tuple[Array, Array, Array]:
     """Row pointers, columns and values of the edges that count between some of the nodes, which ascend."""
-    position = np.full(apart.size, -1, neighbours.dtype)
-    position[nodes] = np.arange(nodes.size)
-    kept_pointers = np.zeros(nodes.size + 1, pointers.dtype)
-    kept_neighbours, kept_weights = np.empty_like(neighbours), np.empty_like(weights)
+    position = np.full(pointers.size - 1, -1, np.int32)
+    most = 0
+    for i in range(nodes.size):
+        position[nodes[i]] = i
+        most += pointers[nodes[i] + 1] - pointers[nodes[i]]
+    kept_pointers = np.zeros(nodes.size + 1, np.int32)
+    kept_neighbours, kept_weights = np.empty(most, np.int32), np.empty(most)
     kept = 0
     for i in range(nodes.size):
-        node = nodes[i]
-        for e in range(pointers[node], pointers[node + 1]):
-            other = neighbours[e]
-            if weights[e] >= NO_EDGE and position[other] >= 0 and apart[node] == apart[other]:
-                kept_neighbours[kept], kept_weights[kept] = position[other], weights[e]
+        for e in range(pointers[nodes[i]], pointers[nodes[i] + 1]):
+            other = position[neighbours[e]]
+            if weights[e] >= NO_EDGE and other >= 0:
+                kept_neighbours[kept], kept_weights[kept] = other, weights[e]
                 kept += 1
         kept_pointers[i + 1] = kept
     return kept_pointers, kept_neighbours[:kept], kept_weights[:kept]
 
 
 @compiled()
-def _components(pointers: Array, neighbours: Array) -> Array:
-    """Number of the connected part of each node of a symmetric graph, by their first nodes, (n,) int64."""
-    count = pointers.size - 1
-    part = np.full(count, -1, np.int64)
-    waiting = np.empty(count, np.int64)
+def _parts(pointers: Array, neighbours: Array, weights: Array, apart: Array) -> tuple[Array, Array]:
+    """Connected parts of a symmetric graph, by their first nodes; see :func:`recursive_cut` for ``apart``.
+
+    Returns
+    -------
+    ordered : (m,) int32
+        The nodes part by part, ascending in each.
+    starts : (p + 1,) int32
+        Where each part starts in them.
+    """
+    count = apart.size
+    part, waiting = np.full(count, -1, np.int32), np.empty(count, np.int32)
+    starts = np.zeros(count + 1, np.int32)
     parts = 0
     for first in range(count):
-        if part[first] >= 0:
+        if part[first] >= 0 or apart[first] < 0:
             continue
         part[first], waiting[0], left = parts, first, 1
         while left > 0:
             left -= 1
             node = waiting[left]
+            starts[parts + 1] += 1
             for e in range(pointers[node], pointers[node + 1]):
                 other = neighbours[e]
-                if part[other] < 0:
+                if part[other] < 0 and weights[e] >= NO_EDGE and apart[node] == apart[other]:
                     part[other], waiting[left] = parts, other
                     left += 1
         parts += 1
-    return part
+    for one in range(parts):
+        starts[one + 1] += starts[one]
+    ordered, place = np.empty(starts[parts], np.int32), starts[:parts].copy()
+    for node in range(count):
+        if part[node] >= 0:
+            ordered[place[part[node]]] = node
+            place[part[node]] += 1
+    return ordered, starts[: parts + 1]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from mlbs_actors import clustering
 from mlbs_actors.affinity import TrajectoryGraph
 from mlbs_actors.clustering import (
     LEAST_BORDER,
-    UNLABELLED,
     bled_trajectories,
     border_motion,
     label_speeds,
@@ -22,6 +22,7 @@ from mlbs_actors.clustering import (
     split_origins,
 )
 from mlbs_actors.config import AffinityConfig, LayersConfig, TrajectoriesConfig
+from mlbs_actors.label_classes import UNLABELLED, label_classes
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.trajectories import TrajectoryState, empty_trajectories
 
@@ -144,6 +145,45 @@ def test_trajectories_that_have_bled_tie_nothing_together() -> None:
 
 def test_trajectories_that_have_bled_keep_the_label_of_what_holds_together() -> None:
     assert not split(blocks(12, 3), np.zeros(15, np.int64), bled=np.arange(15) >= 12).any()
+
+
+def named_by_masks(labels: Array, bled: Array, clusters: Array, next_label: int) -> tuple[Array, Array]:
+    """What becomes of each label, label by label and cluster by cluster."""
+    result, adrift = labels.copy(), np.zeros(len(labels), bool)
+    for label in np.unique(labels):
+        nodes = np.flatnonzero((labels == label) & ~bled)
+        parts = clusters[nodes]
+        numbers = np.unique(parts[parts >= 0])
+        if len(numbers) == 0:
+            continue
+        result[nodes[parts < 0]] = UNLABELLED
+        own_bled = (labels == label) & bled
+        if own_bled.any():
+            adrift[nodes[parts < 0]] = True
+        if len(numbers) > 1:
+            adrift |= own_bled
+            result[own_bled] = UNLABELLED
+        for number in numbers[1:] if label != UNLABELLED else numbers:
+            result[nodes[parts == number]] = next_label
+            next_label += 1
+    return result, adrift
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_clusters_are_named_as_label_by_label(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    labels, bled = rng.choice([-4, UNLABELLED, 0, 1, 6], 200), rng.random(200) < 0.1 * (seed % 3)
+    bled |= labels == rng.choice([0, 1, 77])  # all of a label may have bled
+    known, classes = label_classes(labels, bled)
+    found = rng.integers(-1, 3, 200)  # three clusters at most of each label
+    numbers = rng.permutation(3 * len(known))
+    clusters = np.where((found < 0) | bled, -1, numbers[3 * classes + np.maximum(found, 0)])
+    clusters[classes == seed % 4] = -1  # and one that is too small to be cut
+    clusters = np.unique(np.r_[-1, clusters], return_inverse=True)[1][1:] - 1
+    result, adrift = clustering._named(labels, bled, known, classes, clusters, 50)
+    expected, expected_adrift = named_by_masks(labels, bled, clusters, 50)
+    np.testing.assert_array_equal(result, expected)
+    np.testing.assert_array_equal(adrift, expected_adrift)
 
 
 def test_what_hangs_on_a_cluster_by_bled_trajectories_alone_keeps_its_label() -> None:

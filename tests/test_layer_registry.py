@@ -9,8 +9,8 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from mlbs_actors.clustering import UNLABELLED
 from mlbs_actors.config import LayersConfig
+from mlbs_actors.label_classes import UNLABELLED
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.messages import BACKGROUND, Array
 

@@ -1,0 +1,86 @@
+"""Labels of trajectories as classes 0 … k−1, and what is asked of all of them at once (§4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mlbs_actors.compilation import compiled
+from mlbs_actors.messages import Array
+
+__all__ = ["UNLABELLED", "class_medians", "distinct_labels", "label_classes", "likeliest", "median_length"]
+
+#: Label of a trajectory that belongs to no layer.
+UNLABELLED = -1
+
+
+@compiled()
+def label_classes(labels: Array, left_out: Array) -> tuple[Array, Array]:
+    """Number the labels that there are.
+
+    Parameters
+    ----------
+    labels : (n,) int64
+        Few of them differ.
+    left_out : (n,) bool
+        Which do not count.
+
+    Returns
+    -------
+    known : (k,) int64
+        The labels, ascending.
+    classes : (n,) int64
+        Where each one's label stands among them, −1 for those left out.
+    """
+    known, count = np.empty(labels.size, np.int64), 0
+    for i in range(labels.size):
+        if left_out[i] or (i > 0 and labels[i] == labels[i - 1] and not left_out[i - 1]):
+            continue
+        place = np.searchsorted(known[:count], labels[i])
+        if place == count or known[place] != labels[i]:
+            for later in range(count, place, -1):
+                known[later] = known[later - 1]
+            known[place] = labels[i]
+            count += 1
+    known = known[:count].copy()
+    classes = np.full(labels.size, -1, np.int64)
+    for i in range(labels.size):
+        if not left_out[i]:
+            classes[i] = np.searchsorted(known, labels[i])
+    return known, classes
+
+
+def distinct_labels(labels: Array) -> set[int]:
+    """Which labels trajectories (n,) have, but for −1."""
+    return set(label_classes(labels, labels == UNLABELLED)[0].tolist())
+
+
+@compiled()
+def likeliest(share: Array, known: Array) -> Array:
+    """Label of the largest share of each row (n, k), the first of equal ones; −1 where all are 0."""
+    labels = np.full(len(share), UNLABELLED, np.int64)
+    for i in range(len(share)):
+        largest = 0.0
+        for one in range(known.size):
+            if share[i, one] > largest:
+                largest, labels[i] = share[i, one], known[one]
+    return labels
+
+
+@compiled()
+def class_medians(values: Array, classes: Array, count: int) -> Array:
+    """Median of each class's values (n,), (count,) float64; every class has some."""
+    medians = np.empty(count)
+    for one in range(count):
+        medians[one] = np.median(values[classes == one])
+    return medians
+
+
+@compiled()
+def median_length(vectors: Array, chosen: Array) -> float:
+    """Median length of some of the vectors (n, 2); NaN if there are none."""
+    lengths, found = np.empty(chosen.size, vectors.dtype), 0
+    for i in range(chosen.size):
+        if chosen[i]:
+            lengths[found] = np.hypot(vectors[i, 0], vectors[i, 1])
+            found += 1
+    return float(np.median(lengths[:found])) if found else np.nan
