@@ -1,7 +1,6 @@
 """Specks and pinholes of a label map (§7; the authors' program cleans the map it learns from).
 
-A component is found by its runs, stretches of one label in a row: there are few of them, and one pass over
-the pixels gives those of all labels.
+Components are found by their runs (:mod:`mlbs_actors.label_runs`).
 
 Differs from the authors' program, which publishes the raw map and learns from the cleaned one: here they
 are the same map. A component smaller than the limit goes to the neighbour with the longest common border;
@@ -13,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.label_runs import label_runs
 from mlbs_actors.messages import BACKGROUND, Array, Region
 
 __all__ = ["clean_labels"]
@@ -38,7 +38,7 @@ def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) ->
         A new array.
     """
     cleaned = labels[box.slices].copy()
-    rows, starts, ends, of_run = _components(cleaned)
+    rows, starts, ends, of_run = label_runs(cleaned, diagonal=False)
     # The background goes on where it meets a side that is not the frame's.
     beyond = (
         box.x > 0,
@@ -57,48 +57,6 @@ def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) ->
         own = np.flatnonzero(of_run == component)
         _give_away(cleaned, rows[own], starts[own], ends[own])
     return cleaned
-
-
-@compiled()
-def _components(labels: Array) -> tuple[Array, Array, Array, Array]:
-    """Row, first column, column past the last and component of every run, in raster order; components of
-    4-neighbours, in the order of their first runs."""
-    height, width = labels.shape
-    count = 0
-    for y in range(height):
-        count += 1
-        for x in range(1, width):
-            count += labels[y, x] != labels[y, x - 1]
-    rows, starts, ends = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
-    parent = np.empty(count, np.int64)
-    run, above, above_end = 0, 0, 0
-    for y in range(height):
-        row_begin, x = run, 0
-        while x < width:
-            label, start = labels[y, x], x
-            while x < width and labels[y, x] == label:
-                x += 1
-            rows[run], starts[run], ends[run], parent[run] = y, start, x, run
-            while above < above_end and ends[above] <= start:
-                above += 1
-            other = above
-            while other < above_end and starts[other] < x:
-                if labels[y - 1, starts[other]] == label:
-                    one, two = _root(parent, other), _root(parent, run)
-                    parent[max(one, two)] = min(one, two)
-                other += 1
-            run += 1
-        above, above_end = row_begin, run
-    component = np.empty(count, np.int64)
-    found = 0
-    for run in range(count):
-        root = _root(parent, run)
-        if root == run:
-            component[run] = found
-            found += 1
-        else:
-            component[run] = component[root]
-    return rows, starts, ends, component
 
 
 @compiled()
@@ -125,14 +83,6 @@ def _measured(
         if goes_on[one] and label_of[one] == BACKGROUND:
             areas[one] += area_beyond
     return label_of, areas
-
-
-@compiled()
-def _root(parent: Array, run: int) -> int:
-    while parent[run] != run:
-        parent[run] = parent[parent[run]]
-        run = parent[run]
-    return run
 
 
 @compiled()

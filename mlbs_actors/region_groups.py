@@ -18,7 +18,7 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["RegionGroup", "around", "common", "group_regions", "slices_in"]
+__all__ = ["RegionGroup", "around", "common", "group_regions", "grown", "slices_in"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,3 +109,9 @@ def around(regions: Iterable[Region], margin: int = 0) -> Region:
     left, top, right, bottom = zip(*boxes, strict=True)
     x, y = min(left) - margin, min(top) - margin
     return Region(x, y, max(right) + margin - x, max(bottom) + margin - y)
+
+
+def grown(box: Region, reach: int, shape: tuple[int, ...]) -> Region:
+    """The box and what a filter of this reach needs around it."""
+    larger = Region(box.x - reach, box.y - reach, box.width + 2 * reach, box.height + 2 * reach)
+    return common(larger, Region(0, 0, shape[1], shape[0]))

@@ -21,6 +21,7 @@ from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells
 from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
+from mlbs_actors.contact_shadow import contact_shadow
 from mlbs_actors.contrast import COST_QUANTUM, contrast_weights
 from mlbs_actors.errors import FrameError
 from mlbs_actors.fusion import FusedCosts, fused_costs
@@ -38,7 +39,7 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 from mlbs_actors.region_groups import common, group_regions, slices_in
-from mlbs_actors.shadows import Darkening, contact_shadow, darkening, ground_colour, shadow_likelihood
+from mlbs_actors.shadows import Darkening, darkening, ground_colour, shadow_likelihood
 
 __all__ = ["Segmenter", "SegmenterState"]
 
