@@ -18,8 +18,8 @@ from mlbs_actors.messages import BACKGROUND, Array, Region
 __all__ = ["clean_labels"]
 
 
-def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) -> Array:
-    """Remove small components of every label in a box.
+def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) -> None:
+    """Remove small components of every label in a box, in place.
 
     Parameters
     ----------
@@ -31,32 +31,31 @@ def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) ->
         Components of a label > 0 below this area are removed, except each label's largest, px².
     hole_px : float
         Components of the background below this area are filled, px².
-
-    Returns
-    -------
-    (box.height, box.width) unsigned integer
-        A new array.
     """
-    cleaned = labels[box.slices].copy()
-    rows, starts, ends, of_run = label_runs(cleaned, diagonal=False)
+    _clean(labels, box.x, box.y, box.width, box.height, speck_px, hole_px)
+
+
+@compiled()
+def _clean(
+    labels: Array, left: int, top: int, width: int, height: int, speck_px: float, hole_px: float
+) -> None:
+    bottom, right = top + height, left + width
+    cleaned = labels[top:bottom, left:right]
+    rows, starts, ends, of_run = label_runs(cleaned, False)
     # The background goes on where it meets a side that is not the frame's.
-    beyond = (
-        box.x > 0,
-        box.y > 0,
-        box.x + box.width < labels.shape[1],
-        box.y + box.height < labels.shape[0],
-    )
-    label_of, areas = _measured(cleaned, rows, starts, ends, of_run, beyond, labels.size - box.area)
-    small = areas < np.where(label_of == BACKGROUND, hole_px, speck_px)
-    if not small.any():
-        return cleaned
+    beyond = (left > 0, top > 0, right < labels.shape[1], bottom < labels.shape[0])
+    label_of, areas = _measured(cleaned, rows, starts, ends, of_run, beyond, labels.size - cleaned.size)
+    largest = np.full(label_of.max() + 1, -1)
+    for one in range(areas.size):
+        if largest[label_of[one]] < 0 or areas[one] > areas[largest[label_of[one]]]:
+            largest[label_of[one]] = one
     # Specks first: they must not become holes of what is filled.
-    by_area = np.lexsort((-areas, label_of))
-    small[by_area[np.unique(label_of[by_area], return_index=True)[1]]] = False
-    for component in sorted(np.flatnonzero(small), key=lambda one: (-label_of[one], one)):
-        own = np.flatnonzero(of_run == component)
-        _give_away(cleaned, rows[own], starts[own], ends[own])
-    return cleaned
+    for label in range(largest.size - 1, -1, -1):
+        limit = hole_px if label == BACKGROUND else speck_px
+        for one in range(areas.size):
+            if label_of[one] == label and one != largest[label] and areas[one] < limit:
+                own = np.flatnonzero(of_run == one)
+                _give_away(cleaned, rows[own], starts[own], ends[own])
 
 
 @compiled()
@@ -66,7 +65,7 @@ def _measured(
 ) -> tuple[Array, Array]:  # fmt: skip
     """Label and area of each component; ``beyond`` says where more follows: left, top, right, bottom."""
     height, width = labels.shape
-    count = of_run.max() + 1 if of_run.size else 0
+    count = of_run.max() + 1
     label_of, areas = np.zeros(count, np.int64), np.zeros(count, np.int64)
     goes_on = np.zeros(count, np.bool_)
     for run in range(rows.size):

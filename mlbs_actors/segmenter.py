@@ -172,7 +172,7 @@ class Segmenter:
         labels = result.labels[box.slices]
         labels[...] = np.array([one.layer for one in posteriors], np.uint16)[positions]
         speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
-        labels[...] = clean_labels(result.labels, box, speck_px=speck_px, hole_px=hole_px)
+        clean_labels(result.labels, box, speck_px=speck_px, hole_px=hole_px)
         if dark is not None and config.contact_shadow > 0:
             labels[contact_shadow(labels, image, dark, side, scale, config.contact_shadow)] = BACKGROUND
         result.normaliser[cells.slices], result.fallback[cells.slices] = fused.normaliser, fused.fallback
