@@ -170,13 +170,14 @@ class Segmenter:
         positions = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, places))
         solved = perf_counter()
         labels = result.labels[box.slices]
-        labels[...] = np.array([one.layer for one in posteriors], np.uint16)[positions]
+        ids = np.array([one.layer for one in posteriors], np.uint16)
+        _put_ids(ids, positions, labels)
         speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
         clean_labels(result.labels, box, speck_px=speck_px, hole_px=hole_px)
         if dark is not None and config.contact_shadow > 0:
             labels[contact_shadow(labels, image, dark, side, scale, config.contact_shadow)] = BACKGROUND
         result.normaliser[cells.slices], result.fallback[cells.slices] = fused.normaliser, fused.fallback
-        summaries = _summaries(labels, fused, posteriors, box)
+        summaries = _summaries(labels, ids, fused, posteriors, box)
         done = perf_counter()
         for stage, duration in (
             ("fusion", ready - start),
@@ -270,13 +271,17 @@ def _discount(own: Array, background: Array, shadow: Array, strength: np.float32
             own[y, x] += np.int32(np.rint(shadow[y, x] * (lead + strength)))
 
 
+@compiled()
+def _put_ids(ids: Array, positions: Array, labels: Array) -> None:
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            labels[y, x] = ids[positions[y, x]]
+
+
 def _summaries(
-    labels: Array, fused: FusedCosts, posteriors: list[LayerPosterior], box: Region
+    labels: Array, ids: Array, fused: FusedCosts, posteriors: list[LayerPosterior], box: Region
 ) -> list[LayerSummary]:
-    side = posteriors[0].cell
-    position = np.zeros(posteriors[-1].layer + 1, np.intp)
-    position[[one.layer for one in posteriors]] = np.arange(len(posteriors))
-    bounds, sums, likelihood = _tally(labels, position, fused.cost, fused.normaliser, side, len(posteriors))
+    bounds, sums, likelihood = _tally(labels, ids, fused.cost, fused.normaliser, posteriors[0].cell)
     rows = []
     for own, one in enumerate(posteriors):
         (left, top, right, bottom), (area, x, y) = bounds[own].tolist(), sums[own].tolist()
@@ -298,27 +303,36 @@ def _summaries(
 
 @compiled()
 def _tally(
-    labels: Array, position: Array, cost: Array, normaliser: Array, side: int, count: int
+    labels: Array, ids: Array, cost: Array, normaliser: Array, side: int
 ) -> tuple[Array, Array, Array]:
-    """Of every label but 0: least and largest x and y, number of pixels and sums of x and y, and the sum of
-    its posteriors."""
-    bounds, sums = np.empty((count, 4), np.int64), np.zeros((count, 3), np.int64)
+    """Of every id but that of the background: least and largest x and y, number of pixels and sums of x and
+    y, and the sum of its posteriors."""
+    bounds, sums = np.empty((ids.size, 4), np.int64), np.zeros((ids.size, 3), np.int64)
     bounds[:, :2], bounds[:, 2:] = 2**31, -1
-    likelihood = np.zeros(count, np.float64)
+    likelihood = np.zeros(ids.size, np.float64)
     certain = np.exp(np.arange(256) * -COST_STEP)
+    position = np.zeros(ids.max() + 1, np.int64)
+    for own in range(ids.size):
+        position[ids[own]] = own
     for y in range(labels.shape[0]):
-        for x in range(labels.shape[1]):
-            if labels[y, x] == BACKGROUND:
+        row, floor, x = labels[y], normaliser[y // side], 0
+        while x < row.size:
+            label, start = row[x], x
+            while x < row.size and row[x] == label:
+                x += 1
+            if label == BACKGROUND:
                 continue
-            own = position[labels[y, x]]
-            bounds[own, 0], bounds[own, 1] = min(bounds[own, 0], x), min(bounds[own, 1], y)
-            bounds[own, 2], bounds[own, 3] = max(bounds[own, 2], x), max(bounds[own, 3], y)
-            sums[own, 0] += 1
-            sums[own, 1] += x
-            sums[own, 2] += y
-            v, u = y // side, x // side
-            above = np.int64(cost[own, v, u]) - np.int64(normaliser[v, u])
-            likelihood[own] += certain[max(above, 0)]
+            own, length = position[label], x - start
+            bounds[own, 0], bounds[own, 1] = min(bounds[own, 0], start), min(bounds[own, 1], y)
+            bounds[own, 2], bounds[own, 3] = max(bounds[own, 2], x - 1), y
+            sums[own, 0] += length
+            sums[own, 1] += (start + x - 1) * length // 2
+            sums[own, 2] += y * length
+            costs = cost[own, y // side]
+            for cell in range(start // side, (x - 1) // side + 1):
+                posterior = certain[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
+                for _ in range(max(start, cell * side), min(x, (cell + 1) * side)):
+                    likelihood[own] += posterior
     return bounds, sums, likelihood
 
 
