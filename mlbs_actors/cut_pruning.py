@@ -34,7 +34,6 @@ from mlbs_actors.label_cost_energy import (
     NEIGHBOUR_OFFSETS,
     UNDECIDED,
     LabelCostEnergy,
-    Offers,
     UndecidedEnergy,
     neighbour_and_weight,
     undecided_energy,
@@ -50,7 +49,7 @@ class Pruning:
 
     Attributes
     ----------
-    labels : (H, W) intp
+    labels : (H, W) int16
         Label position of the decided pixels, ``UNDECIDED`` elsewhere.
     rest : UndecidedEnergy
     """
@@ -74,7 +73,10 @@ def prune(whole: LabelCostEnergy) -> Pruning:
     return Pruning(labels, undecided_energy(whole, labels, certain))
 
 
-def reachable(rest: UndecidedEnergy, chosen: Array) -> Offers:
+@compiled()
+def reachable(
+    first: Array, pixel: Array, cost: Array, weight: Array, label_costs: Array, chosen: Array
+) -> tuple[Array, Array, Array]:
     """The offers that can ever be taken in best expansions and removals, from a labelling on.
 
     A pixel never takes a label that costs more than its own by more than all its neighbours and all label
@@ -82,23 +84,21 @@ def reachable(rest: UndecidedEnergy, chosen: Array) -> Offers:
 
     Parameters
     ----------
-    rest : UndecidedEnergy
+    first, pixel, cost
+        Of the :class:`~mlbs_actors.label_cost_energy.Offers` of all pixels.
+    weight : (n, 8) int32
+    label_costs : (K,) int64
+        As of :class:`~mlbs_actors.label_cost_energy.UndecidedEnergy`.
     chosen : (n,) int32
         What each pixel pays for the label that it starts with.
 
     Returns
     -------
-    Offers
+    first, pixel, cost
+        Of the offers that are left.
     """
-    offers = rest.offers
-    within = _reach(
-        offers.pixel,
-        offers.cost,
-        rest.weight,
-        np.int64(rest.label_costs.sum()),
-        chosen,
-    )
-    return Offers(*_only_within(offers.first, offers.pixel, offers.cost, within))
+    within = _reach(pixel, cost, weight, label_costs.sum(), chosen)
+    return _only_within(first, pixel, cost, within)
 
 
 @compiled()
@@ -168,7 +168,7 @@ def _decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> 
         for x in range(width):
             evidence[best[y, x]] += max(second[y, x] - least[y, x] - open_weight[y, x], 0)
 
-    labels = np.full((height, width), UNDECIDED, np.intp)
+    labels = np.full((height, width), UNDECIDED, np.int16)
     certain = np.zeros(label_count, np.bool_)
     queue = np.empty(height * width, np.int32)
     while True:

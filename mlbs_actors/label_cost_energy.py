@@ -20,6 +20,8 @@ __all__ = [
     "LabelCostEnergy",
     "Offers",
     "UndecidedEnergy",
+    "cost_of_labels",
+    "energy_of_labels",
     "neighbour_and_weight",
     "undecided_energy",
 ]
@@ -106,7 +108,7 @@ class Offers:
 
     def chosen(self, labels: Array) -> Array:
         """What each pixel pays for its label, (n,) int32, of labels (n,) intp that they can have."""
-        return np.asarray(_chosen(self.first, self.pixel, self.cost, labels))
+        return np.asarray(cost_of_labels(self.first, self.pixel, self.cost, labels))
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,11 +146,10 @@ class UndecidedEnergy:
         in_use: Array = self.elsewhere | (np.bincount(labels, minlength=self.elsewhere.size) > 0)
         return in_use
 
-    def energy(self, labels: Array, chosen: Array | None = None) -> int:
-        """Energy of a labelling (n,) intp of the undecided pixels, and of what they pay for it if known."""
-        chosen = self.offers.chosen(labels) if chosen is None else chosen
-        pixel_terms = _energy(chosen, self.neighbour, self.weight, labels)
-        return int(pixel_terms) + int(self.label_costs[self.used(labels)].sum())
+    def energy(self, labels: Array) -> int:
+        """Energy of a labelling (n,) intp of the undecided pixels."""
+        chosen = self.offers.chosen(labels)
+        return int(energy_of_labels(chosen, self.neighbour, self.weight, self.label_costs, labels))
 
 
 def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) -> UndecidedEnergy:
@@ -157,7 +158,7 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     Parameters
     ----------
     whole : LabelCostEnergy
-    labels : (H, W) intp
+    labels : (H, W) int16
         ``UNDECIDED`` where it is open.
     elsewhere : (K,) bool
         Labels that the others hold.
@@ -166,28 +167,17 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     -------
     UndecidedEnergy
     """
-    pixels, position = _numbered(labels)
-    neighbour, weight = _around(whole.weights, position, pixels)
-    offers = _offers(
+    pixels, row, offers, neighbour, weight, label_costs = _left_open(
         whole.unary,
         whole.side,
         whole.extras,
         whole.boxes(),
         whole.weights,
+        whole.label_costs,
         labels,
-        pixels,
-        neighbour,
-        position,
-    )
-    return UndecidedEnergy(
-        pixels,
-        pixels // labels.shape[1],
-        Offers(*offers),
-        neighbour,
-        weight,
-        np.where(elsewhere, 0, whole.label_costs),
         elsewhere,
     )
+    return UndecidedEnergy(pixels, row, Offers(*offers), neighbour, weight, label_costs, elsewhere)
 
 
 @compiled()
@@ -197,6 +187,19 @@ def neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, in
     if k < 4:
         return v, u, y, x, k
     return v, u, v, u, k - 4
+
+
+@compiled()
+def _left_open(
+    unary: Array, side: int, extras: Array, places: Array, weights: Array, label_costs: Array, labels: Array,
+    elsewhere: Array,
+) -> tuple[Array, Array, tuple[Array, Array, Array], Array, Array, Array]:  # fmt: skip
+    """The fields of `UndecidedEnergy` but the last."""
+    pixels, position = _numbered(labels)
+    neighbour, weight = _around(weights, position, pixels)
+    offers = _offers(unary, side, extras, places, weights, labels, pixels, neighbour, position)
+    left_costs = np.where(elsewhere, 0, label_costs)
+    return pixels, pixels // labels.shape[1], offers, neighbour, weight, left_costs
 
 
 @compiled()
@@ -280,7 +283,8 @@ def _saved_by(label: int, labels: Array, weights: Array, y: int, x: int) -> int:
 
 
 @compiled()
-def _chosen(first: Array, pixel: Array, cost: Array, labels: Array) -> Array:
+def cost_of_labels(first: Array, pixel: Array, cost: Array, labels: Array) -> Array:
+    """:meth:`Offers.chosen` from the fields of `Offers`."""
     chosen = np.empty(labels.size, np.int32)
     for label in range(first.size - 1):
         for entry in range(first[label], first[label + 1]):
@@ -339,13 +343,20 @@ def _image_energy(unary: Array, weights: Array, labels: Array) -> np.int64:
 
 
 @compiled()
-def _energy(chosen: Array, neighbour: Array, weight: Array, labels: Array) -> np.int64:
-    """Unary and pair terms; the first four neighbours name each pair once."""
+def energy_of_labels(
+    chosen: Array, neighbour: Array, weight: Array, label_costs: Array, labels: Array
+) -> np.int64:
+    """:meth:`UndecidedEnergy.energy` from what the pixels pay for their labels, (n,) int32."""
     total = np.int64(0)
+    used = np.zeros(label_costs.size, np.bool_)
     for p in range(labels.size):
         total += chosen[p]
-        for k in range(4):
+        used[labels[p]] = True
+        for k in range(4):  # they name each pair once
             q = neighbour[p, k]
             if q >= 0 and labels[q] != labels[p]:
                 total += weight[p, k]
+    for label in range(used.size):
+        if used[label]:
+            total += label_costs[label]
     return total

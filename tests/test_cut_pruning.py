@@ -169,7 +169,10 @@ def test_no_best_expansion_ever_gives_a_pixel_a_label_out_of_its_reach() -> None
         rest = prune(whole).rest
         count = rest.pixels.size
         labels = np.random.default_rng(seed).integers(0, 3, count)
-        offers = reachable(rest, rest.offers.chosen(labels))
+        given, chosen = rest.offers, rest.offers.chosen(labels)
+        offers = Offers(
+            *reachable(given.first, given.pixel, given.cost, rest.weight, rest.label_costs, chosen)
+        )
         within = [offers.pixel[offers.first[label] : offers.first[label + 1]] for label in range(3)]
         out_of_reach += sum(count - len(own) for own in within)
         for alpha in (0, 1, 2, 0, 1):
