@@ -85,22 +85,26 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
 def _opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
     """The labels of the blocks' pixels, open beside the outlines; and which labels are elsewhere."""
     rows, columns = blocks.shape
-    opened = np.zeros((height, width), np.bool_)
+    labels, elsewhere = np.empty((height, width), np.int16), np.zeros(label_count, np.bool_)
+    for y in range(height):
+        own, above = labels[y], blocks[y // 2]
+        for u in range(width // 2):
+            own[2 * u] = own[2 * u + 1] = above[u]
+        own[width - 1] = above[columns - 1]
     for v in range(rows):
         for u in range(columns):
             y, x = 2 * v, 2 * u
             if u + 1 < columns and blocks[v, u] != blocks[v, u + 1]:
-                opened[max(y - 1, 0) : y + 3, x + 1 : x + 3] = True
+                labels[max(y - 1, 0) : y + 3, x + 1 : x + 3] = UNDECIDED
             if v + 1 < rows and blocks[v, u] != blocks[v + 1, u]:
-                opened[y + 1 : y + 3, max(x - 1, 0) : x + 3] = True
-    labels, elsewhere = np.empty((height, width), np.int16), np.zeros(label_count, np.bool_)
+                labels[y + 1 : y + 3, max(x - 1, 0) : x + 3] = UNDECIDED
     for y in range(height):
-        own, is_open, above = labels[y], opened[y], blocks[y // 2]
+        own, last = labels[y], np.int16(UNDECIDED)
         for x in range(width):
-            own[x] = UNDECIDED if is_open[x] else above[x // 2]
-        for x in range(width):
-            if not is_open[x]:
-                elsewhere[own[x]] = True
+            if own[x] != last:
+                last = own[x]
+                if last != UNDECIDED:
+                    elsewhere[last] = True
     return labels, elsewhere
 
 

@@ -196,7 +196,7 @@ def _left_open(
 ) -> tuple[Array, Array, tuple[Array, Array, Array], Array, Array, Array]:  # fmt: skip
     """The fields of `UndecidedEnergy` but the last."""
     pixels, position = _numbered(labels)
-    neighbour, weight = _around(weights, position, pixels)
+    neighbour, weight = _around(weights, labels, position, pixels)
     offers = _offers(unary, side, extras, places, weights, labels, pixels, neighbour, position)
     left_costs = np.where(elsewhere, 0, label_costs)
     return pixels, pixels // labels.shape[1], offers, neighbour, weight, left_costs
@@ -264,8 +264,9 @@ def _offers(
                 count += 1
         first[label + 1] = count
     for extra in range(extras.shape[0]):
-        i = position[extras[extra, 1], extras[extra, 2]]
-        if i >= 0:
+        y, x = extras[extra, 1], extras[extra, 2]
+        if labels[y, x] == UNDECIDED:
+            i = position[y, x]
             begin, end = first[extras[extra, 0]], first[extras[extra, 0] + 1]
             cost[begin + np.searchsorted(pixel[begin:end], i)] += extras[extra, 3]
     return first, pixel[:count].copy(), cost[:count].copy()
@@ -295,22 +296,21 @@ def cost_of_labels(first: Array, pixel: Array, cost: Array, labels: Array) -> Ar
 
 @compiled()
 def _numbered(labels: Array) -> tuple[Array, Array]:
-    """Flat indices of the undecided pixels, ascending, and the position of each pixel among them, −1 if it is
-    decided."""
+    """Flat indices of the undecided pixels, ascending, and (H, W) int32 the position of each of them among
+    these; those of the others are never set."""
     height, width = labels.shape
     pixels, position = np.empty(labels.size, np.intp), np.empty((height, width), np.int32)
     count = 0
     for y in range(height):
         for x in range(width):
-            undecided = labels[y, x] == UNDECIDED
-            pixels[count] = y * width + x  # kept if it counts: a branch would be mispredicted
-            position[y, x] = count if undecided else -1
-            count += undecided
+            if labels[y, x] == UNDECIDED:
+                pixels[count], position[y, x] = y * width + x, count
+                count += 1
     return pixels[:count].copy(), position
 
 
 @compiled()
-def _around(weights: Array, position: Array, pixels: Array) -> tuple[Array, Array]:
+def _around(weights: Array, labels: Array, position: Array, pixels: Array) -> tuple[Array, Array]:
     """Neighbours (n, 8) of the undecided pixels among themselves, and the weights to them."""
     width = position.shape[1]
     neighbour, weight = np.full((pixels.size, 8), -1, np.int32), np.zeros((pixels.size, 8), np.int32)
@@ -319,8 +319,9 @@ def _around(weights: Array, position: Array, pixels: Array) -> tuple[Array, Arra
         for k in range(4):
             w = weights[y, x, k]
             if w > 0:
-                j = position[y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]]
-                if j >= 0:
+                v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
+                if labels[v, u] == UNDECIDED:
+                    j = position[v, u]
                     neighbour[i, k], weight[i, k] = j, w
                     neighbour[j, k + 4], weight[j, k + 4] = i, w
     return neighbour, weight
