@@ -78,7 +78,7 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
     """
     labels, elsewhere = _opened(blocks, whole.label_costs.size, *whole.weights.shape[:2])
     rest = undecided_energy(whole, labels, elsewhere)
-    return Band(labels, rest, _of_blocks(blocks, rest.pixels, labels.shape[1]))
+    return Band(labels, rest, _of_blocks(blocks, rest.pixels, rest.row, labels.shape[1]))
 
 
 @compiled()
@@ -109,11 +109,11 @@ def _opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[A
 
 
 @compiled()
-def _of_blocks(blocks: Array, pixels: Array, width: int) -> Array:
+def _of_blocks(blocks: Array, pixels: Array, row: Array, width: int) -> Array:
     """Labels (n,) intp of the blocks that some pixels of an image lie in."""
     labels = np.empty(pixels.size, np.intp)
     for i in range(pixels.size):
-        labels[i] = blocks[pixels[i] // width // 2, pixels[i] % width // 2]
+        labels[i] = blocks[row[i] // 2, (pixels[i] - row[i] * width) // 2]
     return labels
 
 

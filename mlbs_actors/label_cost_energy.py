@@ -195,11 +195,13 @@ def _left_open(
     elsewhere: Array,
 ) -> tuple[Array, Array, tuple[Array, Array, Array], Array, Array, Array]:  # fmt: skip
     """The fields of `UndecidedEnergy` but the last."""
-    pixels, position = _numbered(labels)
-    neighbour, weight = _around(weights, labels, position, pixels)
-    offers = _offers(unary, side, extras, places, weights, labels, pixels, neighbour, position)
-    left_costs = np.where(elsewhere, 0, label_costs)
-    return pixels, pixels // labels.shape[1], offers, neighbour, weight, left_costs
+    pixels, begins, position = _numbered(labels)
+    neighbour, weight = _around(weights, labels, position, pixels, begins)
+    offers = _offers(unary, side, extras, places, weights, labels, pixels, begins, neighbour, position)
+    row = np.empty(pixels.size, np.intp)
+    for y in range(labels.shape[0]):
+        row[begins[y] : begins[y + 1]] = y
+    return pixels, row, offers, neighbour, weight, np.where(elsewhere, 0, label_costs)
 
 
 @compiled()
@@ -216,36 +218,37 @@ def _spread(unary: Array, side: int, places: Array, spread: Array) -> None:
 @compiled()
 def _offers(
     unary: Array, side: int, extras: Array, places: Array, weights: Array, labels: Array, pixels: Array,
-    neighbour: Array, position: Array,
+    begins: Array, neighbour: Array, position: Array,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """The fields of `Offers`; the last three as of :func:`_numbered` and :func:`_around`."""
+    """The fields of `Offers`; the last four as of :func:`_numbered` and :func:`_around`."""
     height, width = labels.shape
-    rows = np.searchsorted(pixels, np.arange(height + 1) * width)  # the first undecided pixel of each row
+    cell_of = np.arange(width) // side
     columns, cells = np.empty(pixels.size, np.int32), np.empty(pixels.size, np.int32)
     # Up to a constant, agreeing with a neighbour of known label saves the weight. Hardly ever are there two.
     known, saved = np.full(pixels.size, UNDECIDED, np.intp), np.zeros(pixels.size, np.int32)
     several = np.zeros(pixels.size, np.bool_)
-    for i in range(pixels.size):
-        y, x = pixels[i] // width, pixels[i] % width
-        columns[i], cells[i] = x, x // side
-        for k in range(8):
-            if neighbour[i, k] >= 0:
-                continue
-            v, u, row, column, direction = neighbour_and_weight(y, x, k)
-            if 0 <= v < height and 0 <= u < width and labels[v, u] != UNDECIDED:
-                if known[i] == UNDECIDED:
-                    known[i] = labels[v, u]
-                if labels[v, u] == known[i]:
-                    saved[i] += weights[row, column, direction]
-                else:
-                    several[i] = True
+    for y in range(height):
+        for i in range(begins[y], begins[y + 1]):
+            x = pixels[i] - y * width
+            columns[i], cells[i] = x, cell_of[x]
+            for k in range(8):
+                if neighbour[i, k] >= 0:
+                    continue
+                v, u, row, column, direction = neighbour_and_weight(y, x, k)
+                if 0 <= v < height and 0 <= u < width and labels[v, u] != UNDECIDED:
+                    if known[i] == UNDECIDED:
+                        known[i] = labels[v, u]
+                    if labels[v, u] == known[i]:
+                        saved[i] += weights[row, column, direction]
+                    else:
+                        several[i] = True
     first = np.zeros(unary.shape[0] + 1, np.int64)
     pixel, cost = np.empty(4 * pixels.size, np.int32), np.empty(4 * pixels.size, np.int32)
     count = 0
     for label in range(unary.shape[0]):
         top, bottom, left, right = places[label] * side
         for y in range(top, min(bottom, height)):
-            begin, end = rows[y], rows[y + 1]
+            begin, end = begins[y], begins[y + 1]
             if left > 0:
                 begin += np.searchsorted(columns[begin:end], left)
             if right < width:
@@ -295,35 +298,40 @@ def cost_of_labels(first: Array, pixel: Array, cost: Array, labels: Array) -> Ar
 
 
 @compiled()
-def _numbered(labels: Array) -> tuple[Array, Array]:
-    """Flat indices of the undecided pixels, ascending, and (H, W) int32 the position of each of them among
-    these; those of the others are never set."""
+def _numbered(labels: Array) -> tuple[Array, Array, Array]:
+    """Flat indices of the undecided pixels, ascending; how many of them come before each row, (H + 1,); and
+    the position of each among them, (H, W) int32, those of the others are never set."""
     height, width = labels.shape
     pixels, position = np.empty(labels.size, np.intp), np.empty((height, width), np.int32)
-    count = 0
+    begins, count = np.empty(height + 1, np.intp), 0
     for y in range(height):
+        begins[y] = count
         for x in range(width):
             if labels[y, x] == UNDECIDED:
                 pixels[count], position[y, x] = y * width + x, count
                 count += 1
-    return pixels[:count].copy(), position
+    begins[height] = count
+    return pixels[:count].copy(), begins, position
 
 
 @compiled()
-def _around(weights: Array, labels: Array, position: Array, pixels: Array) -> tuple[Array, Array]:
+def _around(
+    weights: Array, labels: Array, position: Array, pixels: Array, begins: Array
+) -> tuple[Array, Array]:
     """Neighbours (n, 8) of the undecided pixels among themselves, and the weights to them."""
-    width = position.shape[1]
+    height, width = labels.shape
     neighbour, weight = np.full((pixels.size, 8), -1, np.int32), np.zeros((pixels.size, 8), np.int32)
-    for i in range(pixels.size):
-        y, x = pixels[i] // width, pixels[i] % width
-        for k in range(4):
-            w = weights[y, x, k]
-            if w > 0:
-                v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
-                if labels[v, u] == UNDECIDED:
-                    j = position[v, u]
-                    neighbour[i, k], weight[i, k] = j, w
-                    neighbour[j, k + 4], weight[j, k + 4] = i, w
+    for y in range(height):
+        for i in range(begins[y], begins[y + 1]):
+            x = pixels[i] - y * width
+            for k in range(4):
+                w = weights[y, x, k]
+                if w > 0:
+                    v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
+                    if labels[v, u] == UNDECIDED:
+                        j = position[v, u]
+                        neighbour[i, k], weight[i, k] = j, w
+                        neighbour[j, k + 4], weight[j, k + 4] = i, w
     return neighbour, weight
 
 

@@ -214,7 +214,7 @@ def _compared(
     third, here = np.float32(1.0 / 3.0), np.empty(4, np.float32)
     for y in range(height):
         above, below, down = _between(y + top, ground.shape[0] / frame_shape[0], ground.shape[0])
-        for column in range(columns):
+        for column in range(before[0], after[width - 1] + 1):
             for c in range(4):
                 step = ground[below, column, c] - ground[above, column, c]
                 row[column, c] = ground[above, column, c] + down * step
