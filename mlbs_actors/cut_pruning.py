@@ -40,7 +40,7 @@ from mlbs_actors.label_cost_energy import (
 )
 from mlbs_actors.messages import Array
 
-__all__ = ["Pruning", "movable", "prune", "reachable"]
+__all__ = ["Pruning", "movable", "prune"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,68 +71,6 @@ def prune(whole: LabelCostEnergy) -> Pruning:
     """
     labels, certain = _decide(whole.unary, whole.boxes(), whole.weights, whole.label_costs)
     return Pruning(labels, undecided_energy(whole, labels, certain))
-
-
-@compiled()
-def reachable(
-    first: Array, pixel: Array, cost: Array, weight: Array, label_costs: Array, chosen: Array
-) -> tuple[Array, Array, Array]:
-    """The offers that can ever be taken in best expansions and removals, from a labelling on.
-
-    A pixel never takes a label that costs more than its own by more than all its neighbours and all label
-    costs can pay back; what it can take from the start, and so on, is all that it can ever have.
-
-    Parameters
-    ----------
-    first, pixel, cost
-        Of the :class:`~mlbs_actors.label_cost_energy.Offers` of all pixels.
-    weight : (n, 8) int32
-    label_costs : (K,) int64
-        As of :class:`~mlbs_actors.label_cost_energy.UndecidedEnergy`.
-    chosen : (n,) int32
-        What each pixel pays for the label that it starts with.
-
-    Returns
-    -------
-    first, pixel, cost
-        Of the offers that are left.
-    """
-    within = _reach(pixel, cost, weight, label_costs.sum(), chosen)
-    return _only_within(first, pixel, cost, within)
-
-
-@compiled()
-def _reach(pixel: Array, cost: Array, weight: Array, label_cost: np.int64, chosen: Array) -> Array:
-    """Cost up to which each pixel can ever come to have a label."""
-    payable, within = np.empty(chosen.size, np.int64), np.empty(chosen.size, np.int64)
-    for p in range(chosen.size):
-        payable[p] = label_cost
-        for k in range(8):
-            payable[p] += weight[p, k]
-        within[p] = chosen[p] + payable[p]
-    changed = True
-    while changed:
-        changed = False
-        for entry in range(pixel.size):
-            p = pixel[entry]
-            if cost[entry] <= within[p] and cost[entry] + payable[p] > within[p]:
-                within[p] = cost[entry] + payable[p]
-                changed = True
-    return within
-
-
-@compiled()
-def _only_within(first: Array, pixel: Array, cost: Array, within: Array) -> tuple[Array, Array, Array]:
-    kept_first = np.zeros_like(first)
-    kept_pixel, kept_cost = np.empty_like(pixel), np.empty_like(cost)
-    count = 0
-    for label in range(first.size - 1):
-        for entry in range(first[label], first[label + 1]):
-            if cost[entry] <= within[pixel[entry]]:
-                kept_pixel[count], kept_cost[count] = pixel[entry], cost[entry]
-                count += 1
-        kept_first[label + 1] = count
-    return kept_first, kept_pixel[:count].copy(), kept_cost[:count].copy()
 
 
 @compiled()
@@ -231,7 +169,7 @@ def movable(
     Parameters
     ----------
     candidates, costs : (c,) int32
-        Alpha's offers that can ever be taken (:func:`reachable`).
+        Alpha's entries of the :class:`~mlbs_actors.label_cost_energy.Offers`.
     chosen : (n,) int32
         What each pixel pays for the label that it has.
     neighbour, weight : (n, 8) int32
