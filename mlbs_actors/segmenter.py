@@ -38,7 +38,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
-from mlbs_actors.region_groups import common, group_regions, slices_in
+from mlbs_actors.region_groups import group_regions
 from mlbs_actors.shadows import Darkening, darkening, ground_colour, shadow_likelihood
 
 __all__ = ["Segmenter", "SegmenterState"]
@@ -156,10 +156,10 @@ class Segmenter:
         box = in_pixels(cells, side, result.labels.shape)
         weight, half = self.config.posterior.appearance, self.config.appearance.half_confidence_samples
         fused = fused_costs(posteriors, cells, weight, half)
-        places = _places(posteriors, cells)
-        costs = _data_costs(fused.cost, places)
+        costs = _data_costs(fused.cost, fused.places)
         if dark is not None and config.shadow > 0:
-            _discount_shadows(costs, posteriors, cells, shadow_likelihood(dark), config.shadow)
+            strength = np.float32(config.shadow / COST_QUANTUM)
+            _discount_shadows(costs, fused.places, shadow_likelihood(dark), strength)
         frame_shape = (frame.shape[0], frame.shape[1])
         pulls = _track_pulls([evidence for _, evidence in members], box, frame_shape, config.track_cost)
         image = np.ascontiguousarray(frame[box.slices])
@@ -167,7 +167,7 @@ class Segmenter:
         label_costs = np.full(len(members), round(config.label_cost * scale**2 / COST_QUANTUM), np.int64)
         label_costs[0] = 0  # the background is always there
         weights = contrast_weights(image, config.contrast_strength, config.contrast_scale)
-        positions = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, places))
+        positions = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, fused.places))
         solved = perf_counter()
         labels = result.labels[box.slices]
         ids = np.array([one.layer for one in posteriors], np.uint16)
@@ -200,13 +200,6 @@ class _Maps:
     def of_background(cls, shape: tuple[int, int], grid: tuple[int, int]) -> _Maps:
         """What holds where no object has a say, of so many pixels and cells."""
         return cls(np.zeros(shape, np.uint16), np.full(grid, 255, np.uint8), np.zeros(grid, np.int8))
-
-
-def _places(posteriors: list[LayerPosterior], box: Region) -> Array:
-    """The box of cells that each layer can own inside another one, as a graph cut wants it, (K, 4) int64."""
-    own = [common(in_cells(one.region, one.cell), box) for one in posteriors]
-    places = [(one.y, one.y + one.height, one.x, one.x + one.width) for one in own]
-    return np.asarray(np.array(places, np.int64) - np.array([box.y, box.y, box.x, box.x]))
 
 
 @compiled()
@@ -254,21 +247,17 @@ def _pull(
     return count
 
 
-def _discount_shadows(
-    costs: Array, posteriors: list[LayerPosterior], box: Region, shadow: Array, strength: float
-) -> None:
-    """Take away, as far as a cell is a shadow, what an object has over the background, and a little more."""
-    for own, one in zip(costs[1:], posteriors[1:], strict=True):
-        place = slices_in(in_cells(one.region, one.cell), box)
-        _discount(own[place], costs[0][place], shadow[place], np.float32(strength / COST_QUANTUM))
-
-
 @compiled()
-def _discount(own: Array, background: Array, shadow: Array, strength: np.float32) -> None:
-    for y in range(own.shape[0]):
-        for x in range(own.shape[1]):
-            lead = np.float32(max(background[y, x] - own[y, x], 0))
-            own[y, x] += np.int32(np.rint(shadow[y, x] * (lead + strength)))
+def _discount_shadows(costs: Array, places: Array, shadow: Array, strength: np.float32) -> None:
+    """Take away, as far as a cell is a shadow, what an object has over the background, and a little more."""
+    background = costs[0]
+    for label in range(1, costs.shape[0]):
+        own = costs[label]
+        top, bottom, left, right = places[label]
+        for y in range(top, bottom):
+            for x in range(left, right):
+                lead = np.float32(max(background[y, x] - own[y, x], 0))
+                own[y, x] += np.int32(np.rint(shadow[y, x] * (lead + strength)))
 
 
 @compiled()
