@@ -52,10 +52,15 @@ def group_regions(regions: Sequence[Region], shape: tuple[int, int]) -> list[Reg
     list of RegionGroup
         In the order of their first members.
     """
-    frame = Region(0, 0, shape[1], shape[0])
     members = [position for position, region in enumerate(regions) if region.area]
-    boxes = [common(around([regions[position]], 1), frame) for position in members]
-    corners = np.array([(one.x, one.y, one.x + one.width, one.y + one.height) for one in boxes], np.int64)
+    boxes = [(one.x, one.y, one.x + one.width, one.y + one.height) for one in regions if one.area]
+    corners = np.array(
+        [
+            (max(left - 1, 0), max(top - 1, 0), min(right + 1, shape[1]), min(bottom + 1, shape[0]))
+            for left, top, right, bottom in boxes
+        ],
+        np.int64,
+    )
     groups: dict[int, list[int]] = {}
     for position, group in zip(members, _merged(corners.reshape(-1, 4)).tolist(), strict=True):
         groups.setdefault(group, []).append(position)
