@@ -1,7 +1,6 @@
 """Specks and pinholes of a label map (§7; the authors' program cleans the map it learns from).
 
-A component is found by its runs, stretches of one label in a row: there are few of them, and one pass over
-the pixels gives those of all labels.
+Components are found by their runs (:mod:`mlbs_actors.label_runs`).
 
 Differs from the authors' program, which publishes the raw map and learns from the cleaned one: here they
 are the same map. A component smaller than the limit goes to the neighbour with the longest common border;
@@ -13,13 +12,14 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.label_runs import label_runs
 from mlbs_actors.messages import BACKGROUND, Array, Region
 
 __all__ = ["clean_labels"]
 
 
-def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) -> Array:
-    """Remove small components of every label in a box.
+def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) -> None:
+    """Remove small components of every label in a box, in place.
 
     Parameters
     ----------
@@ -31,74 +31,31 @@ def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) ->
         Components of a label > 0 below this area are removed, except each label's largest, px².
     hole_px : float
         Components of the background below this area are filled, px².
-
-    Returns
-    -------
-    (box.height, box.width) unsigned integer
-        A new array.
     """
-    cleaned = labels[box.slices].copy()
-    rows, starts, ends, of_run = _components(cleaned)
-    # The background goes on where it meets a side that is not the frame's.
-    beyond = (
-        box.x > 0,
-        box.y > 0,
-        box.x + box.width < labels.shape[1],
-        box.y + box.height < labels.shape[0],
-    )
-    label_of, areas = _measured(cleaned, rows, starts, ends, of_run, beyond, labels.size - box.area)
-    small = areas < np.where(label_of == BACKGROUND, hole_px, speck_px)
-    if not small.any():
-        return cleaned
-    # Specks first: they must not become holes of what is filled.
-    by_area = np.lexsort((-areas, label_of))
-    small[by_area[np.unique(label_of[by_area], return_index=True)[1]]] = False
-    for component in sorted(np.flatnonzero(small), key=lambda one: (-label_of[one], one)):
-        own = np.flatnonzero(of_run == component)
-        _give_away(cleaned, rows[own], starts[own], ends[own])
-    return cleaned
+    _clean(labels, box.x, box.y, box.width, box.height, speck_px, hole_px)
 
 
 @compiled()
-def _components(labels: Array) -> tuple[Array, Array, Array, Array]:
-    """Row, first column, column past the last and component of every run, in raster order; components of
-    4-neighbours, in the order of their first runs."""
-    height, width = labels.shape
-    count = 0
-    for y in range(height):
-        count += 1
-        for x in range(1, width):
-            count += labels[y, x] != labels[y, x - 1]
-    rows, starts, ends = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
-    parent = np.empty(count, np.int64)
-    run, above, above_end = 0, 0, 0
-    for y in range(height):
-        row_begin, x = run, 0
-        while x < width:
-            label, start = labels[y, x], x
-            while x < width and labels[y, x] == label:
-                x += 1
-            rows[run], starts[run], ends[run], parent[run] = y, start, x, run
-            while above < above_end and ends[above] <= start:
-                above += 1
-            other = above
-            while other < above_end and starts[other] < x:
-                if labels[y - 1, starts[other]] == label:
-                    one, two = _root(parent, other), _root(parent, run)
-                    parent[max(one, two)] = min(one, two)
-                other += 1
-            run += 1
-        above, above_end = row_begin, run
-    component = np.empty(count, np.int64)
-    found = 0
-    for run in range(count):
-        root = _root(parent, run)
-        if root == run:
-            component[run] = found
-            found += 1
-        else:
-            component[run] = component[root]
-    return rows, starts, ends, component
+def _clean(
+    labels: Array, left: int, top: int, width: int, height: int, speck_px: float, hole_px: float
+) -> None:
+    bottom, right = top + height, left + width
+    cleaned = labels[top:bottom, left:right]
+    rows, starts, ends, of_run = label_runs(cleaned, False)
+    # The background goes on where it meets a side that is not the frame's.
+    beyond = (left > 0, top > 0, right < labels.shape[1], bottom < labels.shape[0])
+    label_of, areas = _measured(cleaned, rows, starts, ends, of_run, beyond, labels.size - cleaned.size)
+    largest = np.full(label_of.max() + 1, -1)
+    for one in range(areas.size):
+        if largest[label_of[one]] < 0 or areas[one] > areas[largest[label_of[one]]]:
+            largest[label_of[one]] = one
+    # Specks first: they must not become holes of what is filled.
+    for label in range(largest.size - 1, -1, -1):
+        limit = hole_px if label == BACKGROUND else speck_px
+        for one in range(areas.size):
+            if label_of[one] == label and one != largest[label] and areas[one] < limit:
+                own = np.flatnonzero(of_run == one)
+                _give_away(cleaned, rows[own], starts[own], ends[own])
 
 
 @compiled()
@@ -108,7 +65,7 @@ def _measured(
 ) -> tuple[Array, Array]:  # fmt: skip
     """Label and area of each component; ``beyond`` says where more follows: left, top, right, bottom."""
     height, width = labels.shape
-    count = of_run.max() + 1 if of_run.size else 0
+    count = of_run.max() + 1
     label_of, areas = np.zeros(count, np.int64), np.zeros(count, np.int64)
     goes_on = np.zeros(count, np.bool_)
     for run in range(rows.size):
@@ -125,14 +82,6 @@ def _measured(
         if goes_on[one] and label_of[one] == BACKGROUND:
             areas[one] += area_beyond
     return label_of, areas
-
-
-@compiled()
-def _root(parent: Array, run: int) -> int:
-    while parent[run] != run:
-        parent[run] = parent[parent[run]]
-        run = parent[run]
-    return run
 
 
 @compiled()

@@ -31,7 +31,7 @@ class Band:
 
     Attributes
     ----------
-    labels : (H, W) intp
+    labels : (H, W) int16
         Of the pixels, ``UNDECIDED`` where they are open.
     rest : UndecidedEnergy
         Of those.
@@ -59,10 +59,8 @@ def halved(whole: LabelCostEnergy) -> LabelCostEnergy:
     """
     if whole.side != 2:
         whole = whole.of_pixels()
-    height, width = whole.weights.shape[:2]
-    places = _halved_places(whole.boxes(), whole.side, height, width)
-    unary = _halved_unary(whole.unary, whole.side, whole.extras, places, height, width)
-    return LabelCostEnergy(unary, _halved_weights(whole.weights), whole.label_costs, places=places)
+    unary, weights, places = _halved(whole.unary, whole.side, whole.extras, whole.boxes(), whole.weights)
+    return LabelCostEnergy(unary, weights, whole.label_costs, places=places)
 
 
 def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
@@ -72,7 +70,7 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
     ----------
     whole : LabelCostEnergy
         Of (H, W) pixels.
-    blocks : (⌈H/2⌉, ⌈W/2⌉) intp
+    blocks : (⌈H/2⌉, ⌈W/2⌉) int16
 
     Returns
     -------
@@ -80,40 +78,59 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
     """
     labels, elsewhere = _opened(blocks, whole.label_costs.size, *whole.weights.shape[:2])
     rest = undecided_energy(whole, labels, elsewhere)
-    return Band(labels, rest, blocks[rest.row // 2, rest.pixels % labels.shape[1] // 2])
+    return Band(labels, rest, _of_blocks(blocks, rest.pixels, rest.row, labels.shape[1]))
 
 
 @compiled()
 def _opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
     """The labels of the blocks' pixels, open beside the outlines; and which labels are elsewhere."""
     rows, columns = blocks.shape
-    opened = np.zeros((height, width), np.bool_)
+    labels, elsewhere = np.empty((height, width), np.int16), np.zeros(label_count, np.bool_)
+    for y in range(height):
+        own, above = labels[y], blocks[y // 2]
+        for u in range(width // 2):
+            own[2 * u] = own[2 * u + 1] = above[u]
+        own[width - 1] = above[columns - 1]
     for v in range(rows):
         for u in range(columns):
             y, x = 2 * v, 2 * u
             if u + 1 < columns and blocks[v, u] != blocks[v, u + 1]:
-                opened[max(y - 1, 0) : y + 3, x + 1 : x + 3] = True
+                labels[max(y - 1, 0) : y + 3, x + 1 : x + 3] = UNDECIDED
             if v + 1 < rows and blocks[v, u] != blocks[v + 1, u]:
-                opened[y + 1 : y + 3, max(x - 1, 0) : x + 3] = True
-    labels, elsewhere = np.empty((height, width), np.intp), np.zeros(label_count, np.bool_)
+                labels[y + 1 : y + 3, max(x - 1, 0) : x + 3] = UNDECIDED
     for y in range(height):
-        own, is_open, above = labels[y], opened[y], blocks[y // 2]
+        own, last = labels[y], np.int16(UNDECIDED)
         for x in range(width):
-            own[x] = UNDECIDED if is_open[x] else above[x // 2]
-        for x in range(width):
-            if not is_open[x]:
-                elsewhere[own[x]] = True
+            if own[x] != last:
+                last = own[x]
+                if last != UNDECIDED:
+                    elsewhere[last] = True
     return labels, elsewhere
 
 
-def _halved_places(places: Array, side: int, height: int, width: int) -> Array:
-    """The boxes of blocks that lie in boxes of cells with all their pixels."""
-    ends = np.array([height, height, width, width])
-    pixels = np.minimum(places * side, ends)
-    # A box that ends with the image holds its last block, whole or not.
-    whole_blocks = np.where(pixels == ends, (pixels + 1) // 2, pixels // 2)
-    begins = (pixels + 1) // 2
-    return np.stack([begins[:, 0], whole_blocks[:, 1], begins[:, 2], whole_blocks[:, 3]], axis=1)
+@compiled()
+def _of_blocks(blocks: Array, pixels: Array, row: Array, width: int) -> Array:
+    """Labels (n,) intp of the blocks that some pixels of an image lie in."""
+    labels = np.empty(pixels.size, np.intp)
+    for i in range(pixels.size):
+        labels[i] = blocks[row[i] // 2, (pixels[i] - row[i] * width) // 2]
+    return labels
+
+
+@compiled()
+def _halved(
+    unary: Array, side: int, extras: Array, places: Array, weights: Array
+) -> tuple[Array, Array, Array]:
+    height, width = weights.shape[:2]
+    boxes = np.empty_like(places)
+    for label in range(len(places)):
+        for edge in range(4):
+            most = height if edge < 2 else width
+            pixels = min(places[label, edge] * side, most)
+            # Blocks that lie in it with all their pixels; one that ends with the image holds its last block.
+            begins = edge % 2 == 0
+            boxes[label, edge] = (pixels + 1) // 2 if begins or pixels == most else pixels // 2
+    return _halved_unary(unary, side, extras, boxes, height, width), _halved_weights(weights), boxes
 
 
 @compiled()

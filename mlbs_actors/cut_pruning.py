@@ -34,14 +34,13 @@ from mlbs_actors.label_cost_energy import (
     NEIGHBOUR_OFFSETS,
     UNDECIDED,
     LabelCostEnergy,
-    Offers,
     UndecidedEnergy,
     neighbour_and_weight,
     undecided_energy,
 )
 from mlbs_actors.messages import Array
 
-__all__ = ["Pruning", "movable", "prune", "reachable"]
+__all__ = ["Pruning", "movable", "prune"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +49,7 @@ class Pruning:
 
     Attributes
     ----------
-    labels : (H, W) intp
+    labels : (H, W) int16
         Label position of the decided pixels, ``UNDECIDED`` elsewhere.
     rest : UndecidedEnergy
     """
@@ -72,67 +71,6 @@ def prune(whole: LabelCostEnergy) -> Pruning:
     """
     labels, certain = _decide(whole.unary, whole.boxes(), whole.weights, whole.label_costs)
     return Pruning(labels, undecided_energy(whole, labels, certain))
-
-
-def reachable(rest: UndecidedEnergy, chosen: Array) -> Offers:
-    """The offers that can ever be taken in best expansions and removals, from a labelling on.
-
-    A pixel never takes a label that costs more than its own by more than all its neighbours and all label
-    costs can pay back; what it can take from the start, and so on, is all that it can ever have.
-
-    Parameters
-    ----------
-    rest : UndecidedEnergy
-    chosen : (n,) int32
-        What each pixel pays for the label that it starts with.
-
-    Returns
-    -------
-    Offers
-    """
-    offers = rest.offers
-    within = _reach(
-        offers.pixel,
-        offers.cost,
-        rest.weight,
-        np.int64(rest.label_costs.sum()),
-        chosen,
-    )
-    return Offers(*_only_within(offers.first, offers.pixel, offers.cost, within))
-
-
-@compiled()
-def _reach(pixel: Array, cost: Array, weight: Array, label_cost: np.int64, chosen: Array) -> Array:
-    """Cost up to which each pixel can ever come to have a label."""
-    payable, within = np.empty(chosen.size, np.int64), np.empty(chosen.size, np.int64)
-    for p in range(chosen.size):
-        payable[p] = label_cost
-        for k in range(8):
-            payable[p] += weight[p, k]
-        within[p] = chosen[p] + payable[p]
-    changed = True
-    while changed:
-        changed = False
-        for entry in range(pixel.size):
-            p = pixel[entry]
-            if cost[entry] <= within[p] and cost[entry] + payable[p] > within[p]:
-                within[p] = cost[entry] + payable[p]
-                changed = True
-    return within
-
-
-@compiled()
-def _only_within(first: Array, pixel: Array, cost: Array, within: Array) -> tuple[Array, Array, Array]:
-    kept_first = np.zeros_like(first)
-    kept_pixel, kept_cost = np.empty_like(pixel), np.empty_like(cost)
-    count = 0
-    for label in range(first.size - 1):
-        for entry in range(first[label], first[label + 1]):
-            if cost[entry] <= within[pixel[entry]]:
-                kept_pixel[count], kept_cost[count] = pixel[entry], cost[entry]
-                count += 1
-        kept_first[label + 1] = count
-    return kept_first, kept_pixel[:count].copy(), kept_cost[:count].copy()
 
 
 @compiled()
@@ -168,7 +106,7 @@ def _decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> 
         for x in range(width):
             evidence[best[y, x]] += max(second[y, x] - least[y, x] - open_weight[y, x], 0)
 
-    labels = np.full((height, width), UNDECIDED, np.intp)
+    labels = np.full((height, width), UNDECIDED, np.int16)
     certain = np.zeros(label_count, np.bool_)
     queue = np.empty(height * width, np.int32)
     while True:
@@ -231,7 +169,7 @@ def movable(
     Parameters
     ----------
     candidates, costs : (c,) int32
-        Alpha's offers that can ever be taken (:func:`reachable`).
+        Alpha's entries of the :class:`~mlbs_actors.label_cost_energy.Offers`.
     chosen : (n,) int32
         What each pixel pays for the label that it has.
     neighbour, weight : (n, 8) int32

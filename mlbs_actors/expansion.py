@@ -183,13 +183,14 @@ def _move_graph(
     for i in range(nodes.size):
         local[nodes[i]] = i
     surplus = np.empty(nodes.size, np.int32)
-    near, capacity = np.full((nodes.size, 8), -1, np.int32), np.zeros((nodes.size, 8), np.int32)
+    near, capacity = np.empty((nodes.size, 8), np.int32), np.empty((nodes.size, 8), np.int32)
     unmoved = np.int64(0)
     for i in range(nodes.size):
         p = nodes[i]
         stay, move = np.int64(0), price[i]
         for k in range(8):
             q = neighbour[p, k]
+            near[i, k], capacity[i, k] = -1, 0
             if q < 0:
                 continue
             w = weight[p, k]

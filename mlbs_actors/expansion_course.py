@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.cut_pruning import movable, reachable
+from mlbs_actors.cut_pruning import movable
 from mlbs_actors.expansion import free_expansion, freeing_expansion, paid_expansion, paid_for
-from mlbs_actors.label_cost_energy import Offers, UndecidedEnergy
+from mlbs_actors.label_cost_energy import UndecidedEnergy, cost_of_labels, energy_of_labels
 from mlbs_actors.messages import Array
 
 __all__ = ["Course"]
@@ -39,8 +39,6 @@ class Course:
         Label before that step; −1 at the start.
     expanded_at : (K,) int64
         Step after which each label was last expanded; −1 if never.
-    offers : Offers
-        What each label can ever take (:func:`~mlbs_actors.cut_pruning.reachable`).
     """
 
     labels: Array
@@ -51,22 +49,23 @@ class Course:
     news_at: Array
     came_from: Array
     expanded_at: Array
-    offers: Offers
 
     @classmethod
     def starting(cls, rest: UndecidedEnergy, labels: Array) -> Course:
         """Before the first expansion of labels (n,) intp."""
-        count, chosen = labels.size, rest.offers.chosen(labels)
+        offers = rest.offers
+        chosen, energy, changed_at, news_at, came_from, expanded_at = _started(
+            offers.first, offers.pixel, offers.cost, rest.neighbour, rest.weight, rest.label_costs, labels
+        )
         return cls(
             labels=labels,
             chosen=chosen,
-            energy=rest.energy(labels, chosen),
+            energy=energy,
             step=0,
-            changed_at=np.zeros(count, np.int32),
-            news_at=np.zeros(count, np.int32),
-            came_from=np.full(count, -1),
-            expanded_at=np.full(rest.label_costs.size, -1),
-            offers=reachable(rest, chosen),
+            changed_at=changed_at,
+            news_at=news_at,
+            came_from=came_from,
+            expanded_at=expanded_at,
         )
 
     def expand(self, rest: UndecidedEnergy, alphas: Array) -> None:
@@ -76,9 +75,9 @@ class Course:
             turn, self.step, self.energy, nodes, price, paid = _expand_in_turn(
                 alphas,
                 turn,
-                self.offers.first,
-                self.offers.pixel,
-                self.offers.cost,
+                rest.offers.first,
+                rest.offers.pixel,
+                rest.offers.cost,
                 rest.neighbour,
                 rest.weight,
                 rest.label_costs,
@@ -113,6 +112,19 @@ class Course:
                 )
             self.expanded_at[alpha] = self.step
             turn += 1
+
+
+@compiled()
+def _started(
+    first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array, label_costs: Array,
+    labels: Array,
+) -> tuple[Array, int, Array, Array, Array, Array]:  # fmt: skip
+    """The fields of `Course` but the labels, which are given, and the step."""
+    chosen = cost_of_labels(first, pixel, cost, labels)
+    energy = int(energy_of_labels(chosen, neighbour, weight, label_costs, labels))
+    changed_at, news_at = np.zeros(labels.size, np.int32), np.zeros(labels.size, np.int32)
+    came_from, expanded_at = np.full(labels.size, -1), np.full(label_costs.size, -1)
+    return chosen, energy, changed_at, news_at, came_from, expanded_at
 
 
 @compiled()

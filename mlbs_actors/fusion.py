@@ -21,11 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mlbs_actors.cells import in_cells
 from mlbs_actors.compilation import compiled
 from mlbs_actors.kde import AppearanceParameters, confidence
 from mlbs_actors.messages import COST_STEP, Array, LayerPosterior, Region
-from mlbs_actors.region_groups import common
 from mlbs_actors.row_log import row_log
 
 __all__ = ["RATIO_STEP", "FusedCosts", "fused_costs", "quantised_ratio", "with_appearance"]
@@ -96,11 +94,15 @@ class FusedCosts:
         −log Σ_k exp(−cost_k) over the layers that have a say there, units of ``COST_STEP``.
     fallback : (h, w) int8
         log f, units of ``RATIO_STEP``.
+    places : (K, 4) int64
+        What every layer's region has in common with the box: first row, row past the last, first column,
+        column past the last.
     """
 
     cost: Array
     normaliser: Array
     fallback: Array
+    places: Array
 
 
 def fused_costs(
@@ -123,36 +125,33 @@ def fused_costs(
     """
     shape = (box.height, box.width)
     trust, strength = _trust(half_confidence), np.float32(weight / COST_STEP)
-    parts = [_corners(one, box) for one in posteriors]
+    corners = [(box.y - one.region.y // one.cell, box.x - one.region.x // one.cell) for one in posteriors]
+    ratios = [one.log_ratio.view(np.uint8) for one in posteriors]
+    places = np.empty((len(posteriors), 4), np.int64)
     known, matched = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    for corners, one in zip(parts, posteriors, strict=True):
-        _add_known(known, matched, *corners, one.log_ratio.view(np.uint8), one.samples, trust, _EXP)
+    for place, corner, ratio, one in zip(places, corners, ratios, posteriors, strict=True):
+        _add_known(known, matched, place, *corner, ratio, one.samples, trust, _EXP)
     fallback = _fallback(known, matched)
-    cost = np.empty((len(parts), *shape), np.uint8)
+    fallback_bits = fallback.view(np.uint8)
+    cost = np.empty((len(posteriors), *shape), np.uint8)
     total = np.zeros(shape, np.float32)
-    for corners, own, one in zip(parts, cost, posteriors, strict=True):
-        own[...] = one.outside_cost
+    for own, place, corner, ratio, one in zip(cost, places, corners, ratios, posteriors, strict=True):
         _fuse(
             own,
             total,
-            *corners,
+            place,
+            *corner,
+            one.outside_cost,
             one.cost,
-            one.log_ratio.view(np.uint8),
+            ratio,
             one.samples,
-            fallback.view(np.uint8),
+            fallback_bits,
             trust,
             _EXP,
             strength,
             LIKELIHOOD,
         )
-    return FusedCosts(cost, _normaliser(total), fallback)
-
-
-def _corners(one: LayerPosterior, box: Region) -> tuple[int, int, int, int, int, int]:
-    """What a layer's region has in common with a box: row and column in the box, in the region, and size."""
-    cells = in_cells(one.region, one.cell)
-    both = common(cells, box)
-    return both.y - box.y, both.x - box.x, both.y - cells.y, both.x - cells.x, both.height, both.width
+    return FusedCosts(cost, _normaliser(total), fallback, places)
 
 
 @functools.lru_cache(maxsize=16)
@@ -165,15 +164,19 @@ def _trust(half_confidence: float) -> Array:
 
 @compiled()
 def _add_known(
-    known: Array, matched: Array, top: int, left: int, own_top: int, own_left: int, height: int, width: int,
-    log_ratio: Array, samples: Array, trust: Array, ratio_of: Array,
+    known: Array, matched: Array, place: Array, down: int, right: int, log_ratio: Array, samples: Array,
+    trust: Array, ratio_of: Array,
 ) -> None:  # fmt: skip
-    """Add κ and κ r of one layer; log r comes by its bits as an unsigned byte."""
-    for y in range(height):
-        for x in range(width):
-            own = trust[samples[own_top + y, own_left + x]]
-            known[top + y, left + x] += own
-            matched[top + y, left + x] += own * ratio_of[log_ratio[own_top + y, own_left + x]]
+    """Say what a layer's region has in common with the box, whose corner lies so many cells down and right of
+    its own, and add κ and κ r there; log r comes by its bits as an unsigned byte."""
+    place[0], place[2] = max(-down, 0), max(-right, 0)
+    place[1] = max(min(samples.shape[0] - down, known.shape[0]), place[0])
+    place[3] = max(min(samples.shape[1] - right, known.shape[1]), place[2])
+    for y in range(place[0], place[1]):
+        for x in range(place[2], place[3]):
+            own = trust[samples[y + down, x + right]]
+            known[y, x] += own
+            matched[y, x] += own * ratio_of[log_ratio[y + down, x + right]]
 
 
 @compiled()
@@ -218,13 +221,15 @@ def _add_appearance(
 
 @compiled()
 def _fuse(
-    fused: Array, total: Array, top: int, left: int, own_top: int, own_left: int, height: int, width: int,
-    cost: Array, log_ratio: Array, samples: Array, fallback: Array, trust: Array, ratio_of: Array,
-    strength: np.float32, likelihood: Array,
+    fused: Array, total: Array, place: Array, down: int, right: int, outside_cost: int, cost: Array,
+    log_ratio: Array, samples: Array, fallback: Array, trust: Array, ratio_of: Array, strength: np.float32,
+    likelihood: Array,
 ) -> None:  # fmt: skip
     """Put one layer's whole cost into its place, and add its likelihood to the sum of all."""
-    rows, columns = slice(top, top + height), slice(left, left + width)
-    own_rows, own_columns = slice(own_top, own_top + height), slice(own_left, own_left + width)
+    fused[:] = outside_cost
+    rows, columns = slice(place[0], place[1]), slice(place[2], place[3])
+    own_rows = slice(place[0] + down, place[1] + down)
+    own_columns = slice(place[2] + right, place[3] + right)
     part, sums = fused[rows, columns], total[rows, columns]
     _add_appearance(
         cost[own_rows, own_columns],
@@ -236,8 +241,8 @@ def _fuse(
         strength,
         part,
     )
-    for y in range(height):
-        for x in range(width):
+    for y in range(part.shape[0]):
+        for x in range(part.shape[1]):
             sums[y, x] += likelihood[part[y, x]]
 
 

@@ -54,7 +54,7 @@ class CutResult:
 
     Attributes
     ----------
-    labels : (H, W) intp
+    labels : (H, W) int16
         Label positions.
     energy : int
         E(labels), units of ``COST_QUANTUM``.
@@ -110,7 +110,7 @@ def minimise(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> CutResult:
 
 
 def lowest_labels(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> Array:
-    """The labels alone of :func:`minimise`, (H, W) intp, from costs that are known to fit.
+    """The labels alone of :func:`minimise`, (H, W) int16, from costs that are known to fit.
 
     To look at all costs, and to tell the energies, takes time.
     """

@@ -20,6 +20,8 @@ __all__ = [
     "LabelCostEnergy",
     "Offers",
     "UndecidedEnergy",
+    "cost_of_labels",
+    "energy_of_labels",
     "neighbour_and_weight",
     "undecided_energy",
 ]
@@ -106,7 +108,7 @@ class Offers:
 
     def chosen(self, labels: Array) -> Array:
         """What each pixel pays for its label, (n,) int32, of labels (n,) intp that they can have."""
-        return np.asarray(_chosen(self.first, self.pixel, self.cost, labels))
+        return np.asarray(cost_of_labels(self.first, self.pixel, self.cost, labels))
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,11 +146,10 @@ class UndecidedEnergy:
         in_use: Array = self.elsewhere | (np.bincount(labels, minlength=self.elsewhere.size) > 0)
         return in_use
 
-    def energy(self, labels: Array, chosen: Array | None = None) -> int:
-        """Energy of a labelling (n,) intp of the undecided pixels, and of what they pay for it if known."""
-        chosen = self.offers.chosen(labels) if chosen is None else chosen
-        pixel_terms = _energy(chosen, self.neighbour, self.weight, labels)
-        return int(pixel_terms) + int(self.label_costs[self.used(labels)].sum())
+    def energy(self, labels: Array) -> int:
+        """Energy of a labelling (n,) intp of the undecided pixels."""
+        chosen = self.offers.chosen(labels)
+        return int(energy_of_labels(chosen, self.neighbour, self.weight, self.label_costs, labels))
 
 
 def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) -> UndecidedEnergy:
@@ -157,7 +158,7 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     Parameters
     ----------
     whole : LabelCostEnergy
-    labels : (H, W) intp
+    labels : (H, W) int16
         ``UNDECIDED`` where it is open.
     elsewhere : (K,) bool
         Labels that the others hold.
@@ -166,28 +167,17 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     -------
     UndecidedEnergy
     """
-    pixels, position = _numbered(labels)
-    neighbour, weight = _around(whole.weights, position, pixels)
-    offers = _offers(
+    pixels, row, offers, neighbour, weight, label_costs = _left_open(
         whole.unary,
         whole.side,
         whole.extras,
         whole.boxes(),
         whole.weights,
+        whole.label_costs,
         labels,
-        pixels,
-        neighbour,
-        position,
-    )
-    return UndecidedEnergy(
-        pixels,
-        pixels // labels.shape[1],
-        Offers(*offers),
-        neighbour,
-        weight,
-        np.where(elsewhere, 0, whole.label_costs),
         elsewhere,
     )
+    return UndecidedEnergy(pixels, row, Offers(*offers), neighbour, weight, label_costs, elsewhere)
 
 
 @compiled()
@@ -197,6 +187,21 @@ def neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, in
     if k < 4:
         return v, u, y, x, k
     return v, u, v, u, k - 4
+
+
+@compiled()
+def _left_open(
+    unary: Array, side: int, extras: Array, places: Array, weights: Array, label_costs: Array, labels: Array,
+    elsewhere: Array,
+) -> tuple[Array, Array, tuple[Array, Array, Array], Array, Array, Array]:  # fmt: skip
+    """The fields of `UndecidedEnergy` but the last."""
+    pixels, begins, position = _numbered(labels)
+    neighbour, weight = _around(weights, labels, position, pixels, begins)
+    offers = _offers(unary, side, extras, places, weights, labels, pixels, begins, neighbour, position)
+    row = np.empty(pixels.size, np.intp)
+    for y in range(labels.shape[0]):
+        row[begins[y] : begins[y + 1]] = y
+    return pixels, row, offers, neighbour, weight, np.where(elsewhere, 0, label_costs)
 
 
 @compiled()
@@ -213,36 +218,37 @@ def _spread(unary: Array, side: int, places: Array, spread: Array) -> None:
 @compiled()
 def _offers(
     unary: Array, side: int, extras: Array, places: Array, weights: Array, labels: Array, pixels: Array,
-    neighbour: Array, position: Array,
+    begins: Array, neighbour: Array, position: Array,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """The fields of `Offers`; the last three as of :func:`_numbered` and :func:`_around`."""
+    """The fields of `Offers`; the last four as of :func:`_numbered` and :func:`_around`."""
     height, width = labels.shape
-    rows = np.searchsorted(pixels, np.arange(height + 1) * width)  # the first undecided pixel of each row
+    cell_of = np.arange(width) // side
     columns, cells = np.empty(pixels.size, np.int32), np.empty(pixels.size, np.int32)
     # Up to a constant, agreeing with a neighbour of known label saves the weight. Hardly ever are there two.
     known, saved = np.full(pixels.size, UNDECIDED, np.intp), np.zeros(pixels.size, np.int32)
     several = np.zeros(pixels.size, np.bool_)
-    for i in range(pixels.size):
-        y, x = pixels[i] // width, pixels[i] % width
-        columns[i], cells[i] = x, x // side
-        for k in range(8):
-            if neighbour[i, k] >= 0:
-                continue
-            v, u, row, column, direction = neighbour_and_weight(y, x, k)
-            if 0 <= v < height and 0 <= u < width and labels[v, u] != UNDECIDED:
-                if known[i] == UNDECIDED:
-                    known[i] = labels[v, u]
-                if labels[v, u] == known[i]:
-                    saved[i] += weights[row, column, direction]
-                else:
-                    several[i] = True
+    for y in range(height):
+        for i in range(begins[y], begins[y + 1]):
+            x = pixels[i] - y * width
+            columns[i], cells[i] = x, cell_of[x]
+            for k in range(8):
+                if neighbour[i, k] >= 0:
+                    continue
+                v, u, row, column, direction = neighbour_and_weight(y, x, k)
+                if 0 <= v < height and 0 <= u < width and labels[v, u] != UNDECIDED:
+                    if known[i] == UNDECIDED:
+                        known[i] = labels[v, u]
+                    if labels[v, u] == known[i]:
+                        saved[i] += weights[row, column, direction]
+                    else:
+                        several[i] = True
     first = np.zeros(unary.shape[0] + 1, np.int64)
     pixel, cost = np.empty(4 * pixels.size, np.int32), np.empty(4 * pixels.size, np.int32)
     count = 0
     for label in range(unary.shape[0]):
         top, bottom, left, right = places[label] * side
         for y in range(top, min(bottom, height)):
-            begin, end = rows[y], rows[y + 1]
+            begin, end = begins[y], begins[y + 1]
             if left > 0:
                 begin += np.searchsorted(columns[begin:end], left)
             if right < width:
@@ -261,8 +267,9 @@ def _offers(
                 count += 1
         first[label + 1] = count
     for extra in range(extras.shape[0]):
-        i = position[extras[extra, 1], extras[extra, 2]]
-        if i >= 0:
+        y, x = extras[extra, 1], extras[extra, 2]
+        if labels[y, x] == UNDECIDED:
+            i = position[y, x]
             begin, end = first[extras[extra, 0]], first[extras[extra, 0] + 1]
             cost[begin + np.searchsorted(pixel[begin:end], i)] += extras[extra, 3]
     return first, pixel[:count].copy(), cost[:count].copy()
@@ -280,7 +287,8 @@ def _saved_by(label: int, labels: Array, weights: Array, y: int, x: int) -> int:
 
 
 @compiled()
-def _chosen(first: Array, pixel: Array, cost: Array, labels: Array) -> Array:
+def cost_of_labels(first: Array, pixel: Array, cost: Array, labels: Array) -> Array:
+    """:meth:`Offers.chosen` from the fields of `Offers`."""
     chosen = np.empty(labels.size, np.int32)
     for label in range(first.size - 1):
         for entry in range(first[label], first[label + 1]):
@@ -290,35 +298,40 @@ def _chosen(first: Array, pixel: Array, cost: Array, labels: Array) -> Array:
 
 
 @compiled()
-def _numbered(labels: Array) -> tuple[Array, Array]:
-    """Flat indices of the undecided pixels, ascending, and the position of each pixel among them, −1 if it is
-    decided."""
+def _numbered(labels: Array) -> tuple[Array, Array, Array]:
+    """Flat indices of the undecided pixels, ascending; how many of them come before each row, (H + 1,); and
+    the position of each among them, (H, W) int32, those of the others are never set."""
     height, width = labels.shape
     pixels, position = np.empty(labels.size, np.intp), np.empty((height, width), np.int32)
-    count = 0
+    begins, count = np.empty(height + 1, np.intp), 0
     for y in range(height):
+        begins[y] = count
         for x in range(width):
-            undecided = labels[y, x] == UNDECIDED
-            pixels[count] = y * width + x  # kept if it counts: a branch would be mispredicted
-            position[y, x] = count if undecided else -1
-            count += undecided
-    return pixels[:count].copy(), position
+            if labels[y, x] == UNDECIDED:
+                pixels[count], position[y, x] = y * width + x, count
+                count += 1
+    begins[height] = count
+    return pixels[:count].copy(), begins, position
 
 
 @compiled()
-def _around(weights: Array, position: Array, pixels: Array) -> tuple[Array, Array]:
+def _around(
+    weights: Array, labels: Array, position: Array, pixels: Array, begins: Array
+) -> tuple[Array, Array]:
     """Neighbours (n, 8) of the undecided pixels among themselves, and the weights to them."""
-    width = position.shape[1]
+    height, width = labels.shape
     neighbour, weight = np.full((pixels.size, 8), -1, np.int32), np.zeros((pixels.size, 8), np.int32)
-    for i in range(pixels.size):
-        y, x = pixels[i] // width, pixels[i] % width
-        for k in range(4):
-            w = weights[y, x, k]
-            if w > 0:
-                j = position[y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]]
-                if j >= 0:
-                    neighbour[i, k], weight[i, k] = j, w
-                    neighbour[j, k + 4], weight[j, k + 4] = i, w
+    for y in range(height):
+        for i in range(begins[y], begins[y + 1]):
+            x = pixels[i] - y * width
+            for k in range(4):
+                w = weights[y, x, k]
+                if w > 0:
+                    v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
+                    if labels[v, u] == UNDECIDED:
+                        j = position[v, u]
+                        neighbour[i, k], weight[i, k] = j, w
+                        neighbour[j, k + 4], weight[j, k + 4] = i, w
     return neighbour, weight
 
 
@@ -339,13 +352,20 @@ def _image_energy(unary: Array, weights: Array, labels: Array) -> np.int64:
 
 
 @compiled()
-def _energy(chosen: Array, neighbour: Array, weight: Array, labels: Array) -> np.int64:
-    """Unary and pair terms; the first four neighbours name each pair once."""
+def energy_of_labels(
+    chosen: Array, neighbour: Array, weight: Array, label_costs: Array, labels: Array
+) -> np.int64:
+    """:meth:`UndecidedEnergy.energy` from what the pixels pay for their labels, (n,) int32."""
     total = np.int64(0)
+    used = np.zeros(label_costs.size, np.bool_)
     for p in range(labels.size):
         total += chosen[p]
-        for k in range(4):
+        used[labels[p]] = True
+        for k in range(4):  # they name each pair once
             q = neighbour[p, k]
             if q >= 0 and labels[q] != labels[p]:
                 total += weight[p, k]
+    for label in range(used.size):
+        if used[label]:
+            total += label_costs[label]
     return total

@@ -6,7 +6,8 @@ so that paths are short and parents are found fast. What lies on the sink's side
 
 Differs from the authors' program: no edge is stored. Pixels have eight neighbours, and the edge to the k-th
 is the opposite of that neighbour's edge to its own (k + 4 mod 8)-th. The few bytes a pixel matter: most of
-the time that a general graph takes goes into getting and filling its memory.
+the time that a general graph takes goes into getting and filling its memory. Along a path every index waits
+for the one before, and a signed one also for the look whether it counts from the end: theirs are unsigned.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ __all__ = ["min_cut"]
 #: What a pixel's parent can be besides one of its neighbours: nothing (it is free), the terminal, or lost.
 _NONE, _TERMINAL, _LOST = -1, -2, -3
 _FAR = 2**30
+#: An edge's number but for this bit is that of the way back.
+_OPPOSITE = np.uint64(4)
 
 
 @compiled()
@@ -45,8 +48,11 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
     """
     count = surplus.size
     flow = np.int64(0)
-    from_sink = surplus < 0  # tree of a pixel that has a parent
-    parent = np.where(surplus != 0, _TERMINAL, _NONE).astype(np.int8)
+    from_sink = np.empty(count, np.bool_)  # tree of a pixel that has a parent
+    parent = np.empty(count, np.int8)
+    for pixel in range(count):
+        from_sink[pixel] = surplus[pixel] < 0
+        parent[pixel] = _TERMINAL if surplus[pixel] != 0 else _NONE
     distance, stamp = np.ones(count, np.int32), np.zeros(count, np.int32)
     time = 0
     active, waiting = np.empty(count + 1, np.int32), np.zeros(count, np.bool_)
@@ -67,7 +73,9 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
     while True:
         if current < 0 or parent[current] == _NONE:
             if begin == end:
-                return flow, from_sink & (parent != _NONE)
+                for pixel in range(count):
+                    from_sink[pixel] &= parent[pixel] != _NONE
+                return flow, from_sink
             current = active[begin]
             begin = begin + 1 if begin < count else 0
             waiting[current] = False
@@ -101,34 +109,34 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
             continue
 
         # Saturate the path; pixels beyond a full edge lose their parent.
-        tail, bridge = (neighbour[current, meeting], meeting ^ 4) if backward else (current, meeting)
-        top = neighbour[tail, bridge]
-        amount = min(residual[tail, bridge], _supply(tail, neighbour, residual, parent, surplus))
-        amount = min(amount, _demand(top, neighbour, residual, parent, surplus))
+        edge, back = np.uint64(meeting), np.uint64(meeting ^ 4)
+        source_end, sink_end = np.uint64(current), np.uint64(neighbour[current, edge])
+        if backward:
+            source_end, sink_end, edge, back = sink_end, source_end, back, edge
+        amount = min(residual[source_end, edge], _supply(source_end, neighbour, residual, parent, surplus))
+        amount = min(amount, _demand(sink_end, neighbour, residual, parent, surplus))
         flow += amount
-        residual[tail, bridge] -= amount
-        residual[top, bridge ^ 4] += amount
+        residual[source_end, edge] -= amount
+        residual[sink_end, back] += amount
         lost_begin, lost_end = 0, 0
         for to_sink in range(2):
-            pixel = top if to_sink else tail
-            while True:
-                up = parent[pixel]
-                if up == _TERMINAL:
-                    surplus[pixel] += amount if to_sink else -amount
-                    full = surplus[pixel] == 0
-                    above = pixel
-                else:
-                    above = neighbour[pixel, up]
-                    residual[pixel, up] += -amount if to_sink else amount
-                    residual[above, up ^ 4] += amount if to_sink else -amount
-                    full = (residual[pixel, up] if to_sink else residual[above, up ^ 4]) == 0
-                if full:
-                    parent[pixel] = _LOST
-                    orphans[lost_end] = pixel
+            place = sink_end if to_sink else source_end
+            down, up = (amount, -amount) if to_sink else (-amount, amount)
+            while parent[place] != _TERMINAL:
+                edge = np.uint64(parent[place])
+                above, back = np.uint64(neighbour[place, edge]), edge ^ _OPPOSITE
+                residual[place, edge] += up
+                residual[above, back] += down
+                if (residual[place, edge] if to_sink else residual[above, back]) == 0:
+                    parent[place] = _LOST
+                    orphans[lost_end] = place
                     lost_end += 1
-                if up == _TERMINAL:
-                    break
-                pixel = above
+                place = above
+            surplus[place] += down
+            if surplus[place] == 0:
+                parent[place] = _LOST
+                orphans[lost_end] = place
+                lost_end += 1
 
         # Each orphan takes the parent nearest to the terminal, or becomes free and orphans its children.
         while lost_begin != lost_end:
@@ -141,7 +149,7 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
                 if other < 0 or parent[other] == _NONE or from_sink[other] != backward:
                     continue
                 if (residual[pixel, k] if backward else residual[other, k ^ 4]) > 0:
-                    far = _distance(other, neighbour, parent, stamp, distance, time)
+                    far = _distance(np.uint64(other), neighbour, parent, stamp, distance, time)
                     if far < least:
                         nearest, least = k, far
             parent[pixel] = nearest
@@ -163,28 +171,31 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
 
 
 @compiled()
-def _supply(pixel: int, neighbour: Array, residual: Array, parent: Array, surplus: Array) -> np.int32:
+def _supply(pixel: np.uint64, neighbour: Array, residual: Array, parent: Array, surplus: Array) -> np.int32:
     """What can flow from the source to a pixel of its tree."""
     least = np.int32(_FAR)
     while parent[pixel] != _TERMINAL:
-        above = neighbour[pixel, parent[pixel]]
-        least = min(least, residual[above, parent[pixel] ^ 4])
-        pixel = above
+        edge = np.uint64(parent[pixel])
+        pixel = np.uint64(neighbour[pixel, edge])
+        least = min(least, residual[pixel, edge ^ _OPPOSITE])
     return np.int32(min(least, surplus[pixel]))
 
 
 @compiled()
-def _demand(pixel: int, neighbour: Array, residual: Array, parent: Array, surplus: Array) -> np.int32:
+def _demand(pixel: np.uint64, neighbour: Array, residual: Array, parent: Array, surplus: Array) -> np.int32:
     """What can flow from a pixel of the sink's tree to the sink."""
     least = np.int32(_FAR)
     while parent[pixel] != _TERMINAL:
-        least = min(least, residual[pixel, parent[pixel]])
-        pixel = neighbour[pixel, parent[pixel]]
+        edge = np.uint64(parent[pixel])
+        least = min(least, residual[pixel, edge])
+        pixel = np.uint64(neighbour[pixel, edge])
     return np.int32(min(least, -surplus[pixel]))
 
 
 @compiled()
-def _distance(start: int, neighbour: Array, parent: Array, stamp: Array, distance: Array, time: int) -> int:
+def _distance(
+    start: np.uint64, neighbour: Array, parent: Array, stamp: Array, distance: Array, time: int
+) -> int:
     """Distance of a pixel to its terminal, stamped on the way there; far if the way leads to an orphan."""
     pixel, steps = start, 0
     while stamp[pixel] != time:
@@ -193,12 +204,12 @@ def _distance(start: int, neighbour: Array, parent: Array, stamp: Array, distanc
             break
         if parent[pixel] == _LOST:
             return _FAR
-        pixel = neighbour[pixel, parent[pixel]]
+        pixel = np.uint64(neighbour[pixel, np.uint64(parent[pixel])])
         steps += 1
     total = steps + int(distance[pixel])
     pixel, left = start, total
     while stamp[pixel] != time:
         stamp[pixel], distance[pixel] = time, left
         left -= 1
-        pixel = neighbour[pixel, parent[pixel]]
+        pixel = np.uint64(neighbour[pixel, np.uint64(parent[pixel])])
     return total

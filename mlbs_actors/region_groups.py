@@ -18,7 +18,7 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["RegionGroup", "around", "common", "group_regions", "slices_in"]
+__all__ = ["RegionGroup", "around", "common", "group_regions", "grown", "slices_in"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +52,15 @@ def group_regions(regions: Sequence[Region], shape: tuple[int, int]) -> list[Reg
     list of RegionGroup
         In the order of their first members.
     """
-    frame = Region(0, 0, shape[1], shape[0])
     members = [position for position, region in enumerate(regions) if region.area]
-    boxes = [common(around([regions[position]], 1), frame) for position in members]
-    corners = np.array([(one.x, one.y, one.x + one.width, one.y + one.height) for one in boxes], np.int64)
+    boxes = [(one.x, one.y, one.x + one.width, one.y + one.height) for one in regions if one.area]
+    corners = np.array(
+        [
+            (max(left - 1, 0), max(top - 1, 0), min(right + 1, shape[1]), min(bottom + 1, shape[0]))
+            for left, top, right, bottom in boxes
+        ],
+        np.int64,
+    )
     groups: dict[int, list[int]] = {}
     for position, group in zip(members, _merged(corners.reshape(-1, 4)).tolist(), strict=True):
         groups.setdefault(group, []).append(position)
@@ -109,3 +114,9 @@ def around(regions: Iterable[Region], margin: int = 0) -> Region:
     left, top, right, bottom = zip(*boxes, strict=True)
     x, y = min(left) - margin, min(top) - margin
     return Region(x, y, max(right) + margin - x, max(bottom) + margin - y)
+
+
+def grown(box: Region, reach: int, shape: tuple[int, ...]) -> Region:
+    """The box and what a filter of this reach needs around it."""
+    larger = Region(box.x - reach, box.y - reach, box.width + 2 * reach, box.height + 2 * reach)
+    return common(larger, Region(0, 0, shape[1], shape[0]))

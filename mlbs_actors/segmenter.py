@@ -21,6 +21,7 @@ from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells
 from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
+from mlbs_actors.contact_shadow import contact_shadow
 from mlbs_actors.contrast import COST_QUANTUM, contrast_weights
 from mlbs_actors.errors import FrameError
 from mlbs_actors.fusion import FusedCosts, fused_costs
@@ -37,8 +38,8 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
-from mlbs_actors.region_groups import common, group_regions, slices_in
-from mlbs_actors.shadows import Darkening, contact_shadow, darkening, ground_colour, shadow_likelihood
+from mlbs_actors.region_groups import group_regions
+from mlbs_actors.shadows import Darkening, darkening, ground_colour, shadow_likelihood
 
 __all__ = ["Segmenter", "SegmenterState"]
 
@@ -155,10 +156,10 @@ class Segmenter:
         box = in_pixels(cells, side, result.labels.shape)
         weight, half = self.config.posterior.appearance, self.config.appearance.half_confidence_samples
         fused = fused_costs(posteriors, cells, weight, half)
-        places = _places(posteriors, cells)
-        costs = _data_costs(fused.cost, places)
+        costs = _data_costs(fused.cost, fused.places)
         if dark is not None and config.shadow > 0:
-            _discount_shadows(costs, posteriors, cells, shadow_likelihood(dark), config.shadow)
+            strength = np.float32(config.shadow / COST_QUANTUM)
+            _discount_shadows(costs, fused.places, shadow_likelihood(dark), strength)
         frame_shape = (frame.shape[0], frame.shape[1])
         pulls = _track_pulls([evidence for _, evidence in members], box, frame_shape, config.track_cost)
         image = np.ascontiguousarray(frame[box.slices])
@@ -166,16 +167,17 @@ class Segmenter:
         label_costs = np.full(len(members), round(config.label_cost * scale**2 / COST_QUANTUM), np.int64)
         label_costs[0] = 0  # the background is always there
         weights = contrast_weights(image, config.contrast_strength, config.contrast_scale)
-        positions = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, places))
+        positions = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, fused.places))
         solved = perf_counter()
         labels = result.labels[box.slices]
-        labels[...] = np.array([one.layer for one in posteriors], np.uint16)[positions]
+        ids = np.array([one.layer for one in posteriors], np.uint16)
+        _put_ids(ids, positions, labels)
         speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
-        labels[...] = clean_labels(result.labels, box, speck_px=speck_px, hole_px=hole_px)
+        clean_labels(result.labels, box, speck_px=speck_px, hole_px=hole_px)
         if dark is not None and config.contact_shadow > 0:
             labels[contact_shadow(labels, image, dark, side, scale, config.contact_shadow)] = BACKGROUND
         result.normaliser[cells.slices], result.fallback[cells.slices] = fused.normaliser, fused.fallback
-        summaries = _summaries(labels, fused, posteriors, box)
+        summaries = _summaries(labels, ids, fused, posteriors, box)
         done = perf_counter()
         for stage, duration in (
             ("fusion", ready - start),
@@ -198,13 +200,6 @@ class _Maps:
     def of_background(cls, shape: tuple[int, int], grid: tuple[int, int]) -> _Maps:
         """What holds where no object has a say, of so many pixels and cells."""
         return cls(np.zeros(shape, np.uint16), np.full(grid, 255, np.uint8), np.zeros(grid, np.int8))
-
-
-def _places(posteriors: list[LayerPosterior], box: Region) -> Array:
-    """The box of cells that each layer can own inside another one, as a graph cut wants it, (K, 4) int64."""
-    own = [common(in_cells(one.region, one.cell), box) for one in posteriors]
-    places = [(one.y, one.y + one.height, one.x, one.x + one.width) for one in own]
-    return np.asarray(np.array(places, np.int64) - np.array([box.y, box.y, box.x, box.x]))
 
 
 @compiled()
@@ -252,30 +247,30 @@ def _pull(
     return count
 
 
-def _discount_shadows(
-    costs: Array, posteriors: list[LayerPosterior], box: Region, shadow: Array, strength: float
-) -> None:
+@compiled()
+def _discount_shadows(costs: Array, places: Array, shadow: Array, strength: np.float32) -> None:
     """Take away, as far as a cell is a shadow, what an object has over the background, and a little more."""
-    for own, one in zip(costs[1:], posteriors[1:], strict=True):
-        place = slices_in(in_cells(one.region, one.cell), box)
-        _discount(own[place], costs[0][place], shadow[place], np.float32(strength / COST_QUANTUM))
+    background = costs[0]
+    for label in range(1, costs.shape[0]):
+        own = costs[label]
+        top, bottom, left, right = places[label]
+        for y in range(top, bottom):
+            for x in range(left, right):
+                lead = np.float32(max(background[y, x] - own[y, x], 0))
+                own[y, x] += np.int32(np.rint(shadow[y, x] * (lead + strength)))
 
 
 @compiled()
-def _discount(own: Array, background: Array, shadow: Array, strength: np.float32) -> None:
-    for y in range(own.shape[0]):
-        for x in range(own.shape[1]):
-            lead = np.float32(max(background[y, x] - own[y, x], 0))
-            own[y, x] += np.int32(np.rint(shadow[y, x] * (lead + strength)))
+def _put_ids(ids: Array, positions: Array, labels: Array) -> None:
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            labels[y, x] = ids[positions[y, x]]
 
 
 def _summaries(
-    labels: Array, fused: FusedCosts, posteriors: list[LayerPosterior], box: Region
+    labels: Array, ids: Array, fused: FusedCosts, posteriors: list[LayerPosterior], box: Region
 ) -> list[LayerSummary]:
-    side = posteriors[0].cell
-    position = np.zeros(posteriors[-1].layer + 1, np.intp)
-    position[[one.layer for one in posteriors]] = np.arange(len(posteriors))
-    bounds, sums, likelihood = _tally(labels, position, fused.cost, fused.normaliser, side, len(posteriors))
+    bounds, sums, likelihood = _tally(labels, ids, fused.cost, fused.normaliser, posteriors[0].cell)
     rows = []
     for own, one in enumerate(posteriors):
         (left, top, right, bottom), (area, x, y) = bounds[own].tolist(), sums[own].tolist()
@@ -297,27 +292,36 @@ def _summaries(
 
 @compiled()
 def _tally(
-    labels: Array, position: Array, cost: Array, normaliser: Array, side: int, count: int
+    labels: Array, ids: Array, cost: Array, normaliser: Array, side: int
 ) -> tuple[Array, Array, Array]:
-    """Of every label but 0: least and largest x and y, number of pixels and sums of x and y, and the sum of
-    its posteriors."""
-    bounds, sums = np.empty((count, 4), np.int64), np.zeros((count, 3), np.int64)
+    """Of every id but that of the background: least and largest x and y, number of pixels and sums of x and
+    y, and the sum of its posteriors."""
+    bounds, sums = np.empty((ids.size, 4), np.int64), np.zeros((ids.size, 3), np.int64)
     bounds[:, :2], bounds[:, 2:] = 2**31, -1
-    likelihood = np.zeros(count, np.float64)
+    likelihood = np.zeros(ids.size, np.float64)
     certain = np.exp(np.arange(256) * -COST_STEP)
+    position = np.zeros(ids.max() + 1, np.int64)
+    for own in range(ids.size):
+        position[ids[own]] = own
     for y in range(labels.shape[0]):
-        for x in range(labels.shape[1]):
-            if labels[y, x] == BACKGROUND:
+        row, floor, x = labels[y], normaliser[y // side], 0
+        while x < row.size:
+            label, start = row[x], x
+            while x < row.size and row[x] == label:
+                x += 1
+            if label == BACKGROUND:
                 continue
-            own = position[labels[y, x]]
-            bounds[own, 0], bounds[own, 1] = min(bounds[own, 0], x), min(bounds[own, 1], y)
-            bounds[own, 2], bounds[own, 3] = max(bounds[own, 2], x), max(bounds[own, 3], y)
-            sums[own, 0] += 1
-            sums[own, 1] += x
-            sums[own, 2] += y
-            v, u = y // side, x // side
-            above = np.int64(cost[own, v, u]) - np.int64(normaliser[v, u])
-            likelihood[own] += certain[max(above, 0)]
+            own, length = position[label], x - start
+            bounds[own, 0], bounds[own, 1] = min(bounds[own, 0], start), min(bounds[own, 1], y)
+            bounds[own, 2], bounds[own, 3] = max(bounds[own, 2], x - 1), y
+            sums[own, 0] += length
+            sums[own, 1] += (start + x - 1) * length // 2
+            sums[own, 2] += y * length
+            costs = cost[own, y // side]
+            for cell in range(start // side, (x - 1) // side + 1):
+                posterior = certain[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
+                for _ in range(max(start, cell * side), min(x, (cell + 1) * side)):
+                    likelihood[own] += posterior
     return bounds, sums, likelihood
 
 

@@ -3,10 +3,7 @@
 Not in the paper. A shadow is ground with less light: its colour is the ground's, darker by a like factor in
 all channels. The ground's colour is taken from what lies around the objects in the same frame, so that it
 needs no memory: near a moving object the ground has often never been seen without its shadow.
-
-Where no light reaches, as between the wheels of a car, nothing is left of the ground's colour, and black
-tyres and bumpers look alike. There the place decides (:func:`contact_shadow`): a flat smooth dark strip at an
-object's foot that rests on the ground.
+Where no light reaches nothing is left of it: there the place decides (:mod:`mlbs_actors.contact_shadow`).
 """
 
 from __future__ import annotations
@@ -16,13 +13,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from mlbs_actors.cells import spread_over_cells
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
-from mlbs_actors.region_groups import common, slices_in
+from mlbs_actors.region_groups import grown, slices_in
 from mlbs_actors.trajectory_distance import trajectory_distance
 
-__all__ = ["Darkening", "contact_shadow", "darkening", "ground_colour", "shadow_likelihood"]
+__all__ = ["CHANNEL_NOISE", "CHANNEL_SPREAD", "Darkening", "darkening", "ground_colour", "shadow_likelihood"]
 
 #: The ground's colour is found on the frame shrunk by this.
 SHRINK = 4
@@ -45,12 +41,6 @@ CHANNEL_SPREAD, CHANNEL_NOISE = 0.25, 6.0
 GROUND_VARIANCE = 0.04
 #: What stands for it where there is no ground within any reach.
 NO_GROUND = 1e3
-#: Log darkening of a contact shadow, and its steepest mean gradient over 5×5 px, grey levels/px of 640×480.
-CONTACT_DARK, CONTACT_SMOOTH = -0.7, 6.0
-#: It is at least this wide, in heights of its object, and so near above the ground, px of 640×480.
-CONTACT_WIDTH, CONTACT_GAP_PX = 0.3, 6.0
-#: Its edges, which are neither smooth nor flat, reach so far, px of a 640×480 frame.
-CONTACT_EDGE_PX = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +116,7 @@ def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darken
     -------
     Darkening
     """
-    around = _grown(box, BLUR_REACH, picture.shape)
+    around = grown(box, BLUR_REACH, picture.shape)
     smooth = cv2.GaussianBlur(picture[around.slices], (0, 0), blur)[slices_in(box, around)]
     return Darkening(*_compared(np.ascontiguousarray(smooth), ground, box.y, box.x, picture.shape[:2], _LOG))
 
@@ -158,145 +148,6 @@ def _likelihood(mean: Array, spread: Array, brightness: Array, variance: Array) 
             value *= min(max(2.0 - variance[y, x] / GROUND_VARIANCE, 0.0), 1.0)
             likelihood[y, x] = value
     return likelihood
-
-
-def contact_shadow(
-    labels: Array, frame: Array, dark: Darkening, side: int, scale: float, rise: float
-) -> Array:
-    """The dark strip between an object's foot and the ground, as far as the label map gives it to the object.
-
-    Parameters
-    ----------
-    labels : (h, w) unsigned integer
-        A frame's label map without pinholes, 0 = background, or one of its boxes with only background along
-        the sides that are not the frame's border.
-    frame : (h, w, 3) uint8
-        The same box of the frame.
-    dark : Darkening
-        Of its pixels, or of the box's cells of ``side`` px.
-    side : int
-    scale : float
-        :func:`~mlbs_actors.config.length_scale` of the frame.
-    rise : float
-        How high it may reach, as a share of the height of its piece of the object.
-
-    Returns
-    -------
-    (h, w) bool
-    """
-    found = np.zeros(labels.shape, bool)
-    unlit = spread_over_cells(_unlit(dark), side, labels.shape)
-    edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
-    for label, part in _unlit_objects(labels, unlit):
-        own = (labels[part.slices] == label).view(np.uint8)
-        _, pieces, boxes, _ = cv2.connectedComponentsWithStats(own)
-        for piece, (x, y, width, height, _) in enumerate(boxes[1:].tolist(), start=1):
-            # Feet of one object stand at different heights of the picture.
-            feet = Region(x, y + height // 2, width, height - height // 2)
-            body = pieces[feet.slices] == piece
-            box = Region(feet.x + part.x, feet.y + part.y, feet.width, feet.height)
-            dark_body = body & unlit[box.slices]
-            if not dark_body.any():
-                continue
-            above = _height_above_ground(labels, box.x, box.y, box.width, box.height)
-            foot = dark_body & (above <= rise * height)
-            if not foot.any():
-                continue
-            flat = _wide(foot & (_steepness(frame, box) < CONTACT_SMOOTH / scale), CONTACT_WIDTH * height)
-            if not flat.any():
-                continue
-            _, strips = cv2.connectedComponents(flat.view(np.uint8))
-            resting = np.unique(strips[flat & (above <= CONTACT_GAP_PX * scale)])
-            core = np.isin(strips, resting[resting > 0])
-            strip = cv2.dilate(core.view(np.uint8), disc).astype(bool) & foot
-            found[box.slices] |= _and_under(strip, body)
-    return found
-
-
-def _unlit_objects(labels: Array, unlit: Array) -> list[tuple[int, Region]]:
-    """The objects that have a pixel without light, in ascending order, and their boxes."""
-    bounds = _bounds(labels, unlit, int(labels.max()) + 1)
-    return [
-        (label, Region(left, top, right - left + 1, bottom - top + 1))
-        for label, (left, top, right, bottom, dark) in enumerate(bounds.tolist())
-        if dark
-    ]
-
-
-@compiled()
-def _bounds(labels: Array, unlit: Array, count: int) -> Array:
-    """Of every label but 0: least and largest x and y, and whether it has an unlit pixel, (count, 5)."""
-    bounds = np.zeros((count, 5), np.int64)
-    bounds[:, :2] = 2**31
-    for y in range(labels.shape[0]):
-        for x in range(labels.shape[1]):
-            label = np.int64(labels[y, x])
-            if label != BACKGROUND:
-                bounds[label, 0], bounds[label, 1] = min(bounds[label, 0], x), min(bounds[label, 1], y)
-                bounds[label, 2], bounds[label, 3] = max(bounds[label, 2], x), y
-                bounds[label, 4] |= unlit[y, x]
-    return bounds
-
-
-def _unlit(dark: Darkening) -> Array:
-    """What is much darker than the ground, and alike in all channels."""
-    tolerance = CHANNEL_SPREAD + CHANNEL_NOISE / dark.brightness
-    return np.asarray((dark.mean < CONTACT_DARK) & (dark.spread < tolerance))
-
-
-def _steepness(frame: Array, box: Region) -> Array:
-    """Mean gradient over 5×5 px in a box, grey levels/px."""
-    around = _grown(box, 3, frame.shape)
-    gray = cv2.cvtColor(frame[around.slices], cv2.COLOR_BGR2GRAY).astype(np.float32)
-    slopes = (cv2.Sobel(gray, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
-    return np.asarray(cv2.blur(np.hypot(*slopes), (5, 5))[slices_in(box, around)])
-
-
-def _grown(box: Region, reach: int, shape: tuple[int, ...]) -> Region:
-    """The box and what a filter of this reach needs around it."""
-    grown = Region(box.x - reach, box.y - reach, box.width + 2 * reach, box.height + 2 * reach)
-    return common(grown, Region(0, 0, shape[1], shape[0]))
-
-
-@compiled()
-def _height_above_ground(labels: Array, left: int, top: int, width: int, height: int) -> Array:
-    """How many px down to the first that is no object's, (h, w) int32; over H if the frame ends first."""
-    above = np.empty((height, width), np.int32)
-    bottom = top + height
-    run = np.empty(width, np.int32)
-    for x in range(width):
-        run[x] = len(labels) if bottom == len(labels) or labels[bottom, left + x] > BACKGROUND else 0
-    for y in range(height - 1, -1, -1):
-        for x in range(width):
-            run[x] = run[x] + 1 if labels[top + y, left + x] > BACKGROUND else 0
-            above[y, x] = run[x]
-    return above
-
-
-@compiled()
-def _wide(mask: Array, least: float) -> Array:
-    """What of a mask lies in horizontal runs of at least so many px, rounded down to an odd number."""
-    wide = np.zeros(mask.shape, np.bool_)
-    length = 2 * max(1, int(least / 2)) + 1
-    for y in range(mask.shape[0]):
-        start = 0
-        for x in range(mask.shape[1] + 1):
-            if x == mask.shape[1] or not mask[y, x]:
-                if x - start >= length:
-                    wide[y, start:x] = True
-                start = x + 1
-    return wide
-
-
-@compiled()
-def _and_under(strip: Array, body: Array) -> Array:
-    """The strip and what of the body is under it, down to the ground: the shadow's lighter rim."""
-    result = strip.copy()
-    for y in range(1, strip.shape[0]):
-        for x in range(strip.shape[1]):
-            result[y, x] |= result[y - 1, x] & body[y, x]
-    return result
 
 
 def _spread_into_objects(colour: Array, free: Array) -> Array:
@@ -363,7 +214,7 @@ def _compared(
     third, here = np.float32(1.0 / 3.0), np.empty(4, np.float32)
     for y in range(height):
         above, below, down = _between(y + top, ground.shape[0] / frame_shape[0], ground.shape[0])
-        for column in range(columns):
+        for column in range(before[0], after[width - 1] + 1):
             for c in range(4):
                 step = ground[below, column, c] - ground[above, column, c]
                 row[column, c] = ground[above, column, c] + down * step

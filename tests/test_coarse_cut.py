@@ -87,7 +87,7 @@ def test_what_no_pixel_may_have_no_block_may_have() -> None:
 
 def test_only_pixels_near_an_outline_are_open_and_the_rest_is_folded_into_their_costs() -> None:
     problem = moving_scene(0)
-    blocks = np.zeros((40, 48), np.intp)
+    blocks = np.zeros((40, 48), np.int16)
     blocks[10:25, 15:35] = 2
     labels: Array = unhalved(blocks, (80, 96))
     band = band_around_outlines(problem, blocks)

@@ -24,7 +24,7 @@ def random_energy(seed: int) -> LabelCostEnergy:
 @pytest.mark.parametrize("seed", range(60))
 def test_an_expansion_frees_labels_where_that_is_best(seed: int, paid: tuple[int, ...]) -> None:
     whole = random_energy(seed)
-    rest = undecided_energy(whole, np.full((HEIGHT, WIDTH), UNDECIDED, np.intp), np.zeros(LABELS, bool))
+    rest = undecided_energy(whole, np.full((HEIGHT, WIDTH), UNDECIDED, np.int16), np.zeros(LABELS, bool))
     rng = np.random.default_rng(1000 + seed)
     labels: Array = rng.integers(0, LABELS, HEIGHT * WIDTH)
     alpha = 0

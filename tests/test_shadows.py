@@ -6,13 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from mlbs_actors.cells import mean_of_cells
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region
 from mlbs_actors.shadows import (
-    CONTACT_DARK,
-    CONTACT_WIDTH,
     Darkening,
-    contact_shadow,
     darkening,
     ground_colour,
     shadow_likelihood,
@@ -145,102 +141,6 @@ def test_a_frame_without_any_ground_has_no_shadow() -> None:
     assert not shadow_likelihood(darkened(picture(0.5), evidence(1, everywhere))).any()
 
 
-# The dark strip between an object and the ground
-
-#: Below the red car, nearly black; with it the object is 50 px high.
-STRIP = np.s_[120:130, 126:174]
-RISE = 0.25
-#: Nearer than this to an outline no place is smooth.
-EDGE = 3
-
-
-def strip_found(image: Array, found: Array) -> Array:
-    return contact_shadow(found, image, darkened(image, evidence(), found), 1, SCALE, RISE)
-
-
-def with_strip(strip: tuple[slice, slice] = STRIP, grey: int = 9) -> tuple[Array, Array]:
-    """A picture, and a label map that gives the car a strip under it too."""
-    image = picture(1.0)
-    image[strip] = grey
-    found = np.zeros(SHAPE, np.uint16)
-    found[CAR] = found[strip] = 1
-    return image, found
-
-
-def test_a_dark_strip_under_an_object_is_not_the_object() -> None:
-    strip = strip_found(*with_strip())
-    assert strip.dtype == bool
-    assert strip[STRIP].mean() > 0.85
-    strip[STRIP] = False
-    assert not strip.any()
-
-
-def test_it_rises_no_higher_than_it_may() -> None:
-    strip = strip_found(*with_strip(np.s_[90:130, 126:174]))
-    assert strip[120:130, 130:170].all()
-    assert not strip[: 130 - int(RISE * 50) - 1].any()
-
-
-def test_a_dark_strip_above_a_bright_one_is_a_bumper() -> None:
-    image, found = with_strip(np.s_[112:120, 122:178])
-    found[120:126, 122:178], image[120:126, 122:178] = 1, 125
-    assert not strip_found(image, found).any()
-
-
-@pytest.mark.parametrize("left", [120, 143, 160])
-def test_what_is_narrow_is_a_tyre(left: int) -> None:
-    width = int(CONTACT_WIDTH * 50) - 1 + 2 * EDGE
-    assert not strip_found(*with_strip(np.s_[112:130, left : left + width - 2 * EDGE])).any()
-    assert strip_found(*with_strip(np.s_[112:130, 130 : 130 + width + 4])).any()
-
-
-@pytest.mark.parametrize("grey", [75, 140])
-def test_a_strip_that_is_not_dark_is_the_object(grey: int) -> None:
-    assert not strip_found(*with_strip(grey=grey)).any()
-
-
-def test_a_dark_strip_with_texture_is_the_object() -> None:
-    image, found = with_strip()
-    checks = np.indices(SHAPE).sum(axis=0)[STRIP] // 2 % 2
-    image[STRIP] = np.where(checks[..., None], 1, 40)
-    assert not strip_found(image, found).any()
-
-
-def test_a_dark_strip_of_another_hue_is_the_object() -> None:
-    image, found = with_strip()
-    image[STRIP] = (6, 6, 100)
-    assert not strip_found(image, found).any()
-
-
-def test_the_lighter_rim_under_the_strip_goes_with_it() -> None:
-    rim = np.s_[129:130, 130:170]
-    image, found = with_strip()
-    image[rim] = 100
-    image, found = (one.repeat(2, axis=0).repeat(2, axis=1) for one in (image, found))
-    dark = darkened(image, evidence(), found, 2 * SCALE)
-    assert dark.mean[258:260, 264:336].min() > CONTACT_DARK
-    assert contact_shadow(found, image, dark, 1, 2 * SCALE, RISE)[258:260, 264:336].all()
-
-
-def test_nothing_is_taken_beyond_the_ground() -> None:
-    image, found = with_strip()
-    found[140:160, 130:170] = 1  # another piece of the same object, with ground between
-    assert not strip_found(image, found)[140:].any()
-
-
-@pytest.mark.parametrize("below", ["another object", "the frame's border"])
-def test_what_does_not_stand_on_the_ground_has_no_contact_shadow(below: str) -> None:
-    image, found = with_strip()
-    assert strip_found(image, found).any()
-    if below == "another object":
-        found[130:160, 120:180] = 2
-        assert not strip_found(image, found)[STRIP].any()
-    else:
-        dark = darkened(image, evidence(), found)
-        cut = Darkening(dark.mean[:130], dark.spread[:130], dark.brightness[:130], dark.variance[:130])
-        assert not contact_shadow(found[:130], image[:130], cut, 1, SCALE, RISE).any()
-
-
 def test_the_ground_of_a_mirrored_frame_is_mirrored() -> None:
     image, found = picture(0.5, road() * np.linspace(0.5, 1.5, SHAPE[1])[:, None]), labels()
     one = darkened(image, evidence(BACKGROUND), found)
@@ -274,27 +174,3 @@ def test_darkening_is_the_log_of_the_colour_over_that_of_the_enlarged_ground() -
     np.testing.assert_allclose(dark.spread, np.ptp(channels, axis=2), atol=1e-5)
     np.testing.assert_allclose(dark.brightness, smooth.mean(axis=2), rtol=1e-6)
     np.testing.assert_allclose(dark.variance, enlarged[..., 3], rtol=1e-5, atol=1e-6)
-
-
-def test_a_contact_shadow_is_found_in_a_box_as_in_the_whole_frame() -> None:
-    image, found = with_strip()
-    ground = ground_colour(image, evidence(), found, SCALE)
-    assert ground is not None
-    box = Region(100, 60, 100, 100)
-    part = np.ascontiguousarray(image[box.slices])
-    strip = contact_shadow(found[box.slices], part, darkening(image, ground, box, 1.0), 1, SCALE, RISE)
-    np.testing.assert_array_equal(strip, strip_found(image, found)[box.slices])
-
-
-def test_a_contact_shadow_is_found_from_the_means_of_cells_too() -> None:
-    image, found = (one.repeat(2, axis=0).repeat(2, axis=1) for one in with_strip())
-    ground = ground_colour(image, evidence(), found, 2 * SCALE)
-    assert ground is not None
-    small = mean_of_cells(image, 2)
-    dark = darkening(small, ground, Region(0, 0, small.shape[1], small.shape[0]), 0.5)
-    strip = contact_shadow(found, image, dark, 2, 2 * SCALE, RISE)
-    assert strip.any()
-    by_pixels = contact_shadow(
-        found, image, darkened(image, evidence(), found, 2 * SCALE), 1, 2 * SCALE, RISE
-    )
-    assert (strip != by_pixels).sum() <= 0.1 * by_pixels.sum()

@@ -27,7 +27,6 @@ from mlbs_actors.messages import (
     LayerEvidence,
     LayerKind,
     LayerPosterior,
-    Region,
     Segmentation,
 )
 
@@ -155,13 +154,9 @@ class EngineParts:
         """
         import mlbs_actors.coordinator
         import mlbs_actors.segmenter  # noqa: F401  (need no turn)
-        from mlbs_actors.cleaning import clean_labels
 
         with _turn():
             self._label_small_scene()
-            labels = np.zeros((8, 8), np.uint16)
-            labels[1:5, 1:5] = labels[6, 6] = 1  # a speck: the scene has none
-            clean_labels(labels, Region(0, 0, 8, 8), speck_px=2, hole_px=2)
 
     def _run_two_layers(self) -> None:
         config = Config()
