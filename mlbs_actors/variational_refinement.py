@@ -48,10 +48,10 @@ def refine_flow(
 
     Parameters
     ----------
-    source : (h, w) int32
-        Grey levels × ``shades``.
+    source : (h, w) uint8
+        Grey levels.
     target : (h + 2 margin, w + 2 margin) float32
-        The same, continued past its sides.
+        Grey levels × ``shades``, continued past its sides.
     left, top : int
         Where the part begins in ``source``, px.
     flow : (2 or more, height, width) float32
@@ -69,7 +69,7 @@ def refine_flow(
     for newest in range(height + 2 + half_sweeps):
         if newest < height:
             _read_flow(rows, newest, width, flow)
-            _warp(rows, newest, width, source, target, left, top, margin, np.float32(1.0 / shades), places)
+            _warp(rows, newest, width, source, target, left, top, margin, np.int32(shades), places)
         y = newest - 1
         if 0 <= y < height:
             _derive(rows, y, width, last, _MEAN, _X, _Y)
@@ -132,7 +132,7 @@ def _write_flow(rows: Array, y: int, width: int, flow: Array) -> None:
 @compiled()
 def _warp(
     rows: Array, y: int, width: int, source: Array, target: Array, left: int, top: int, margin: int,
-    unit: np.float32, places: Array,
+    shades: np.int32, places: Array,
 ) -> None:  # fmt: skip
     """Mean and difference of the source and of what the flow leads to in the target, grey levels."""
     one, zero = np.uint64(1), np.float32(0)
@@ -159,13 +159,17 @@ def _warp(
         place += np.uint64(stride)
         lower = shown[place] + share * (shown[place + one] - shown[place])
         rows[difference + at] = upper + rows[down + at] * (lower - upper)
-    own, first = source.reshape(-1), np.uint64((y + top) * source.shape[1] + left)
+    gray, first = source.reshape(-1), np.uint64((y + top) * source.shape[1] + left)
+    own, unit = _row(_SPARE, 2, width), np.float32(1.0 / shades)
     for x in range(width):
         at = np.uint64(x)
-        rows[mean + at] = _HALF * unit * (np.float32(own[first + at]) + rows[difference + at])
+        rows[own + at] = np.float32(np.int32(gray[first + at]) * shades)
     for x in range(width):
         at = np.uint64(x)
-        rows[difference + at] = unit * (rows[difference + at] - np.float32(own[first + at]))
+        rows[mean + at] = _HALF * unit * (rows[own + at] + rows[difference + at])
+    for x in range(width):
+        at = np.uint64(x)
+        rows[difference + at] = unit * (rows[difference + at] - rows[own + at])
     _continue(rows, mean - one, width)
     _continue(rows, difference - one, width)
 
