@@ -56,12 +56,19 @@ def displacement_spread(state: TrajectoryState, config: AffinityConfig, scale: f
     The MATLAB takes the spread of all displacements, which one fast object inflates until slow ones drown.
     What makes the background's own motions differ, parallax and blur, grows with the camera's motion.
     """
-    floor = config.motion_floor_px * scale
-    known = state.ages >= 1
-    if not known.any():
-        return floor
-    speed = float(np.median(np.hypot(state.motions[known, 0], state.motions[known, 1])))
-    return max(2.0 * config.motion_relative * speed, floor)
+    speed = float(_median_speed(state.motions, state.ages))
+    return max(2.0 * config.motion_relative * speed, config.motion_floor_px * scale)
+
+
+@compiled()
+def _median_speed(motions: Array, ages: Array) -> np.float32:
+    """Median length of the motions that are known, 0 of none."""
+    speeds, count = np.empty(ages.size, np.float32), 0
+    for i in range(ages.size):
+        if ages[i] >= 1:
+            speeds[count] = np.hypot(motions[i, 0], motions[i, 1])
+            count += 1
+    return np.float32(np.median(speeds[:count])) if count else np.float32(0)
 
 
 @compiled()

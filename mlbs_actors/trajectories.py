@@ -372,14 +372,17 @@ def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -
 @compiled()
 def _remembered(residuals: Array, rows: Array, ages: Array, motions: Array, predicted: Array) -> Array:
     """The newest residuals, 0 of those without a motion, and those before, one frame older."""
-    moved = np.empty((rows.size, *residuals.shape[1:]), np.float32)
+    length = 2 * residuals.shape[1]
+    moved, old = np.empty((rows.size, length), np.float32), residuals.reshape(residuals.shape[0], length)
     for trajectory in range(rows.size):
+        one, row = moved[trajectory], rows[trajectory]
         for axis in range(2):
             known = motions[trajectory, axis] - predicted[trajectory, axis]
-            moved[trajectory, 0, axis] = known if ages[trajectory] > 0 else np.float32(0)
-        row = rows[trajectory]
+            one[axis] = known if ages[trajectory] > 0 else np.float32(0)
         if row < 0:
-            moved[trajectory, 1:] = 0
+            one[2:] = 0
         else:
-            moved[trajectory, 1:] = residuals[row, :-1]
-    return moved
+            before = old[row]
+            for place in range(length - 2):
+                one[place + 2] = before[place]
+    return moved.reshape(rows.size, residuals.shape[1], 2)
