@@ -47,13 +47,7 @@ def camera_homography(positions: Array, motions: Array, scale: float) -> Array:
     """
     matrix = None
     if len(positions) >= LEAST_POINTS:
-        found, _ = cv2.findHomography(
-            positions.astype(np.float64),
-            (positions + motions).astype(np.float64),
-            cv2.RANSAC,
-            INLIER_PX * scale,
-        )
-        matrix = found
+        matrix, _ = cv2.findHomography(positions, positions + motions, cv2.RANSAC, INLIER_PX * scale)
     if matrix is None or not np.isfinite(matrix).all() or not 0.5 < np.linalg.det(matrix[:2, :2]) < 2.0:
         matrix = np.eye(3)
         if len(positions):
