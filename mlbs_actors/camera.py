@@ -47,13 +47,7 @@ def camera_homography(positions: Array, motions: Array, scale: float) -> Array:
     """
     matrix = None
     if len(positions) >= LEAST_POINTS:
-        found, _ = cv2.findHomography(
-            positions.astype(np.float64),
-            (positions + motions).astype(np.float64),
-            cv2.RANSAC,
-            INLIER_PX * scale,
-        )
-        matrix = found
+        matrix, _ = cv2.findHomography(positions, positions + motions, cv2.RANSAC, INLIER_PX * scale)
     if matrix is None or not np.isfinite(matrix).all() or not 0.5 < np.linalg.det(matrix[:2, :2]) < 2.0:
         matrix = np.eye(3)
         if len(positions):
@@ -143,25 +137,30 @@ def camera_evidence(
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     by_camera = cv2.warpPerspective(previous, mapping, (width, height), flags=flags)
     sources = _flow_sources(flow, np.float32(step[0]), np.float32(step[1]))
-    by_flow = cv2.remap(previous, *sources, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    # One map of both coordinates, which the stubs do not know.
+    by_flow = cv2.remap(  # type: ignore[call-overload]
+        previous, sources, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     camera_error, flow_error = (
-        cv2.boxFilter(_difference(current, moved, mapping), cv2.CV_32F, (5, 5))
-        for moved in (by_camera, by_flow)
+        cv2.boxFilter(difference, cv2.CV_32F, (5, 5))
+        for difference in _differences(current, by_camera, by_flow, mapping)
     )
     noise = np.float32(np.clip(_median_error(camera_error), LEAST_NOISE, MOST_NOISE))
     return CameraEvidence(*_in_noise(camera_error, flow_error, noise))
 
 
 @compiled()
-def _flow_sources(flow: Array, step_x: np.float32, step_y: np.float32) -> tuple[Array, Array]:
-    """x and y of where each pixel comes from, px of the shrunk frame."""
+def _flow_sources(flow: Array, step_x: np.float32, step_y: np.float32) -> Array:
+    """x and y of where each pixel comes from, (h, w, 2) float32, px of the shrunk frame."""
     height, width = flow.shape[:2]
-    source_x, source_y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    sources, one = np.empty((height, width, 2), np.float32), np.uint64(1)
     for y in range(height):
+        moved, place = flow[y].reshape(-1), sources[y].reshape(-1)  # in vector registers when flat
         for x in range(width):
-            source_x[y, x] = np.float32(x) + flow[y, x, 0] / step_x
-            source_y[y, x] = np.float32(y) + flow[y, x, 1] / step_y
-    return source_x, source_y
+            at = np.uint64(2 * x)
+            place[at] = np.float32(np.int32(x)) + moved[at] / step_x
+            place[at + one] = np.float32(np.int32(y)) + moved[at + one] / step_y
+    return sources
 
 
 @compiled()
@@ -197,10 +196,10 @@ def _in_noise(camera_error: Array, flow_error: Array, noise: np.float32) -> tupl
 
 
 @compiled()
-def _difference(current: Array, moved: Array, mapping: Array) -> Array:
-    """Absolute difference of two grey frames; 0 where the mapping leads out of the frame, (h, w) uint8."""
+def _differences(current: Array, one: Array, other: Array, mapping: Array) -> Array:
+    """Absolute differences of a grey frame to two others, (2, h, w) uint8; 0 where the mapping leads out."""
     height, width = current.shape
-    difference = np.zeros((height, width), np.uint8)
+    differences = np.zeros((2, height, width), np.uint8)
     for y in range(height):
         # Where in the row x, y and the remaining width and height of the source are not negative.
         left, right = 0.0, width - 1.0
@@ -215,7 +214,11 @@ def _difference(current: Array, moved: Array, mapping: Array) -> Array:
                     right = min(right, -value / rise)
                 elif value < 0:
                     right = -1.0
-        for x in range(int(np.ceil(left)), int(np.floor(right)) + 1):
-            one, other = current[y, x], moved[y, x]
-            difference[y, x] = one - other if one > other else other - one
-    return difference
+        inside = slice(int(np.ceil(min(left, float(width)))), max(int(np.floor(right)) + 1, 0))
+        shown, by_one, by_other = current[y, inside], one[y, inside], other[y, inside]
+        to_one, to_other = differences[0, y, inside], differences[1, y, inside]
+        for x in range(shown.size):
+            gray = np.int16(shown[x])
+            to_one[x] = abs(np.int16(gray - np.int16(by_one[x])))
+            to_other[x] = abs(np.int16(gray - np.int16(by_other[x])))
+    return differences

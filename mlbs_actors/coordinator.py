@@ -33,7 +33,7 @@ from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow import dense_flow, flow_gray
 from mlbs_actors.flow_focus import focus_boxes, focus_cells
-from mlbs_actors.held_frames import HeldFrame, by_layer, first_frame, held_frame, relabelled
+from mlbs_actors.held_frames import HeldFrame, by_layer, first_frame, held_frame, owners, relabelled
 from mlbs_actors.label_classes import UNLABELLED, distinct_labels
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.messages import (
@@ -337,17 +337,17 @@ class Coordinator:
         assert state.shape is not None
         registry = LayerRegistry(self.config.layers, state.shape, state.registry)
         owner = registry.layers_of(held.labels)
-        with_tracks = set(owner.tolist()) - {UNLABELLED}
-        live = sorted({BACKGROUND, *with_tracks, *registry.live_layers(held.frame_index)})
-        # Where the camera's motion explains the image as well, a trajectory says nothing for an object: flow
-        # bleeds from an object over the smooth road beside it.
-        telling = held.evidence >= self.config.layers.least_evidence
+        live = sorted({BACKGROUND, *owners(owner).tolist(), *registry.live_layers(held.frame_index)})
         retired = set(state.evaluated) - set(live)
         if held.frame_index == state.epoch:
             # The models of another size; the background's is one of them.
             retired, state.evaluated = set(state.evaluated), {}
-        owner = np.where(telling | (owner == BACKGROUND), owner, UNLABELLED)
-        positions, motions, starts = by_layer(np.array(live), owner, held.positions, held.motions)
+        # Where the camera's motion explains the image as well, a trajectory says nothing for an object: flow
+        # bleeds from an object over the smooth road beside it.
+        least = np.float32(self.config.layers.least_evidence)
+        positions, motions, starts = by_layer(
+            np.array(live), owner, held.evidence, least, held.positions, held.motions
+        )
         layers = []
         for one, start, end in zip(live, starts[:-1].tolist(), starts[1:].tolist(), strict=True):
             kind: LayerKind = (

@@ -233,39 +233,40 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
     reliable = np.zeros((height, width), np.bool_)
     by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
     shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
-    smoothed, sheared = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
-    steepness = np.empty(width, np.float32)
+    smoothed, sheared = np.empty(2 * width, np.float32), np.empty(2 * width, np.float32)
+    slope = np.empty(2 * width, np.float32)
     along, across = np.empty(width, np.float32), np.empty(width, np.float32)
     inside, near = np.empty(width, np.bool_), np.empty(width, np.int32)
-    back = reverse.reshape(-1)
+    back, rows = reverse.reshape(-1), flow.reshape(height, -1)
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
+    one = np.uint64(1)
     for y in range(height):
-        # Loops without a branch run in vector registers.
-        upper, middle, lower = flow[max(y - 1, 0)], flow[y], flow[min(y + 1, height - 1)]
-        steepness[:] = 0
-        for axis in range(2):
-            for x in range(width):
-                smoothed[axis, x], sheared[axis, x] = _across(upper, middle, lower, x, axis)
-            for x in range(1, width - 1):
-                steepness[x] += _slope(
-                    smoothed[axis, x - 1], smoothed[axis, x + 1],
-                    sheared[axis, x - 1], sheared[axis, x], sheared[axis, x + 1], by_x, by_y,
-                )  # fmt: skip
-            for x in (0, width - 1):
-                before, after = max(x - 1, 0), min(x + 1, width - 1)
-                steepness[x] += _slope(
-                    smoothed[axis, before], smoothed[axis, after],
-                    sheared[axis, before], sheared[axis, x], sheared[axis, after], by_x, by_y,
-                )  # fmt: skip
+        # Loops without a branch run in vector registers, over both components side by side.
+        upper, middle, lower = rows[max(y - 1, 0)], rows[y], rows[min(y + 1, height - 1)]
+        for k in range(2 * width):
+            smoothed[k], sheared[k] = _across(upper[k], middle[k], lower[k])
+        for k in range(2, 2 * width - 2):
+            slope[k] = _slope(
+                smoothed[k - 2], smoothed[k + 2], sheared[k - 2], sheared[k], sheared[k + 2], by_x, by_y
+            )
+        for k in (0, 1, 2 * width - 2, 2 * width - 1):
+            before, after = max(k - 2, k & 1), min(k + 2, 2 * width - 2 + (k & 1))
+            slope[k] = _slope(
+                smoothed[before], smoothed[after], sheared[before], sheared[k], sheared[after], by_x, by_y
+            )
         for x in range(width):
+            at = np.uint64(2 * x)
             inside[x], near[x], along[x], across[x] = _there(
-                middle[x, 0], middle[x, 1], x, y, width, height, shrink_x, shrink_y
+                middle[at], middle[at + one], x, y, width, height, shrink_x, shrink_y
             )
         for x in range(width):  # the only one that cannot
             along[x], across[x] = _back(back, near[x], width, along[x], across[x])
+        found = reliable[y]
         for x in range(width):
-            confirmed = _confirmed(middle[x, 0], middle[x, 1], along[x], across[x], steepness[x], limits)
-            reliable[y, x] = confirmed & inside[x]
+            at = np.uint64(2 * x)
+            steepness = slope[at] + slope[at + one]
+            confirmed = _confirmed(middle[at], middle[at + one], along[x], across[x], steepness, limits)
+            found[x] = confirmed & inside[x]
     return reliable
 
 
@@ -286,9 +287,9 @@ def _reliable_at(
         upper, middle, lower = flow[max(y - 1, 0)], flow[y], flow[min(y + 1, height - 1)]
         gradient = np.float32(0)
         for axis in range(2):
-            left, sheared_left = _across(upper, middle, lower, before, axis)
-            _, sheared = _across(upper, middle, lower, x, axis)
-            right, sheared_right = _across(upper, middle, lower, after, axis)
+            left, sheared_left = _across(upper[before, axis], middle[before, axis], lower[before, axis])
+            _, sheared = _across(upper[x, axis], middle[x, axis], lower[x, axis])
+            right, sheared_right = _across(upper[after, axis], middle[after, axis], lower[after, axis])
             gradient += _slope(left, right, sheared_left, sheared, sheared_right, by_x, by_y)
         u, v = flow[y, x, 0], flow[y, x, 1]
         inside, near, along, across = _there(u, v, x, y, width, height, shrink_x, shrink_y)
@@ -298,10 +299,9 @@ def _reliable_at(
 
 
 @compiled(inline="always")
-def _across(upper: Array, middle: Array, lower: Array, x: int, axis: int) -> tuple[np.float32, np.float32]:
+def _across(upper: np.float32, middle: np.float32, lower: np.float32) -> tuple[np.float32, np.float32]:
     """Scharr's smoothing and difference over three rows."""
-    smoothed = np.float32(3) * (upper[x, axis] + lower[x, axis]) + np.float32(10) * middle[x, axis]
-    return smoothed, lower[x, axis] - upper[x, axis]
+    return np.float32(3) * (upper + lower) + np.float32(10) * middle, lower - upper
 
 
 @compiled(inline="always")

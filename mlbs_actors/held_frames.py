@@ -16,10 +16,10 @@ from mlbs_actors.camera import CameraEvidence, camera_evidence
 from mlbs_actors.compilation import compiled
 from mlbs_actors.flow import DenseFlow, sample_flow
 from mlbs_actors.label_classes import UNLABELLED
-from mlbs_actors.messages import UNEXPLAINED_STEP, Array
+from mlbs_actors.messages import BACKGROUND, UNEXPLAINED_STEP, Array
 from mlbs_actors.trajectories import EVIDENCE_BOUNDS, TrajectoryState
 
-__all__ = ["HeldFrame", "by_layer", "first_frame", "held_frame", "relabelled"]
+__all__ = ["HeldFrame", "by_layer", "first_frame", "held_frame", "owners", "relabelled"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,20 +145,41 @@ def relabelled(
 
 
 @compiled()
-def by_layer(live: Array, owner: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
-    """Positions and motions layer by layer, in their order, and where each of the live layers starts (k + 1);
-    those that belong to none are left out."""
-    place, starts = np.searchsorted(live, owner), np.zeros(live.size + 1, np.int64)
+def owners(owner: Array) -> Array:
+    """Which layers there are among some layer ids (n,) int64, but for −1; they are few."""
+    found, count = np.empty(owner.size, np.int64), 0
     for i in range(owner.size):
-        if owner[i] != UNLABELLED:
+        known = owner[i] == UNLABELLED
+        for place in range(count):
+            known |= found[place] == owner[i]
+        if not known:
+            found[count] = owner[i]
+            count += 1
+    return found[:count]
+
+
+@compiled()
+def by_layer(
+    live: Array, owner: Array, evidence: Array, least: np.float32, positions: Array, motions: Array
+) -> tuple[Array, Array, Array]:
+    """Positions and motions layer by layer, in their order, and where each of the live layers starts (k + 1);
+    without those that belong to none, or to an object with less than the least evidence."""
+    place, starts = np.empty(owner.size, np.int64), np.zeros(live.size + 1, np.int64)
+    for i in range(owner.size):
+        place[i] = -1
+        if owner[i] == BACKGROUND or (owner[i] != UNLABELLED and evidence[i] >= least):
+            place[i] = np.searchsorted(live, owner[i])
             starts[place[i] + 1] += 1
     starts = np.cumsum(starts)
-    order, following = np.empty(starts[-1], np.int64), starts.copy()
+    following = starts.copy()
+    there, moved = np.empty((starts[-1], 2), np.float32), np.empty((starts[-1], 2), np.float32)
     for i in range(owner.size):
-        if owner[i] != UNLABELLED:
-            order[following[place[i]]] = i
+        if place[i] >= 0:
+            at = following[place[i]]
+            for axis in range(2):
+                there[at, axis], moved[at, axis] = positions[i, axis], motions[i, axis]
             following[place[i]] += 1
-    return positions[order], motions[order], starts
+    return there, moved, starts
 
 
 def _quantised(unexplained: Array) -> Array:

@@ -67,16 +67,13 @@ class FlowLevel:
     Attributes
     ----------
     gray : (h, w) uint8
-    shades : (h, w) int32
-        The same × ``SHADES``.
     around : (h + 2 MARGIN, w + 2 MARGIN) float32
-        The same, continued past its sides.
+        The same × ``SHADES``, continued past its sides.
     slope_x, slope_y : (h, w) int16
         Sobel gradients.
     """
 
     gray: Array
-    shades: Array
     around: Array
     slope_x: Array
     slope_y: Array
@@ -93,12 +90,21 @@ def flow_levels(gray: Array, count: int) -> list[FlowLevel]:
     for level in range(count + 1):
         if level:
             gray = cv2.resize(gray, (gray.shape[1] // 2, gray.shape[0] // 2), interpolation=cv2.INTER_AREA)
-        shades = gray * np.int32(SHADES)
-        around = cv2.copyMakeBorder(
-            shades.astype(np.float32), MARGIN, MARGIN, MARGIN, MARGIN, cv2.BORDER_REPLICATE
-        )
-        levels.append(FlowLevel(gray, shades, around, *cv2.spatialGradient(gray)))
+        levels.append(FlowLevel(gray, _continued(gray), *cv2.spatialGradient(gray)))
     return levels
+
+
+@compiled()
+def _continued(gray: Array) -> Array:
+    """A frame × ``SHADES`` as float32, its outermost pixels repeated ``MARGIN`` times."""
+    height, width = gray.shape
+    around = np.empty((height + 2 * MARGIN, width + 2 * MARGIN), np.float32)
+    for y in range(around.shape[0]):
+        known, row = gray[min(max(y - MARGIN, 0), height - 1)], around[y]
+        for x in range(width):
+            row[x + MARGIN] = np.int32(known[x]) * np.int32(SHADES)
+        row[:MARGIN], row[width + MARGIN :] = row[MARGIN], row[width + MARGIN - 1]
+    return around
 
 
 def resized_flow(flow: Array, shape: tuple[int, int]) -> Array:
@@ -131,13 +137,13 @@ def improve_flow(
     across = _patch_places(part.x, part.width, effort.stride)
     down = _patch_places(part.y, part.height, effort.stride)
     motions = _search(
-        source.shades, target.around, source.slope_x, source.slope_y, flow, across, down,
+        source.gray, target.around, source.slope_x, source.slope_y, flow, across, down,
         max(1, effort.iterations // 2),
     )  # fmt: skip
     window = np.zeros((3, part.height, part.width), np.float32)
-    _densify(source.shades, target.around, motions, across, down, part.x, part.y, window)
+    _densify(source.gray, target.around, motions, across, down, part.x, part.y, window)
     for _ in range(effort.refinements):
-        refine_flow(source.shades, target.around, part.x, part.y, window, MARGIN, SHADES, SWEEPS)
+        refine_flow(source.gray, target.around, part.x, part.y, window, MARGIN, SHADES, SWEEPS)
     for known, found in zip(flow, window, strict=False):  # the last of the window is the sum of weights
         known[part.slices] = found
 
@@ -150,55 +156,69 @@ def _patch_places(start: int, length: int, stride: int) -> Array:
 
 @compiled()
 def _search(
-    shades: Array, around: Array, slope_x: Array, slope_y: Array, flow: Array, across: Array, down: Array,
+    gray: Array, around: Array, slope_x: Array, slope_y: Array, flow: Array, across: Array, down: Array,
     iterations: int,
 ) -> Array:  # fmt: skip
     """Motion of each patch, (rows, columns, 2), in two passes: from the top left, and back."""
-    rows, columns = down.size, across.size
+    rows, columns, shape = down.size, across.size, gray.shape
+    gray, around, slope_x, slope_y = (
+        gray.reshape(-1),
+        around.reshape(-1),
+        slope_x.reshape(-1),
+        slope_y.reshape(-1),
+    )
     motions = np.empty((rows, columns, 2), np.float32)
-    centre, farthest = PATCH // 2, np.float32(PATCH * PATCH)
+    slopes = np.empty((rows, columns, 5), np.float32)
+    for row in range(rows):
+        for column in range(columns):
+            y, x = down[row], across[column]
+            slopes[row, column] = _slopes(slope_x, slope_y, shape, y, x)
+            for axis in range(2):
+                motions[row, column, axis] = flow[axis, y + PATCH // 2, x + PATCH // 2]
     for turn in range(2):
         step = 1 - 2 * turn
         for place in range(rows * columns):
             row, column = divmod(place if turn == 0 else rows * columns - 1 - place, columns)
             y, x = down[row], across[column]
-            if turn == 0:
-                motions[row, column, 0] = flow[0, y + centre, x + centre]
-                motions[row, column, 1] = flow[1, y + centre, x + centre]
-            u, v = motions[row, column, 0], motions[row, column, 1]
-            least = _mismatch(shades, around, y, x, u, v)
-            for other_row, other_column in ((row, column - step), (row - step, column)):
+            u, v, least = np.float32(0), np.float32(0), np.float32(np.inf)
+            for other_row, other_column in ((row, column), (row, column - step), (row - step, column)):
                 if 0 <= other_row < rows and 0 <= other_column < columns:
                     other_u, other_v = (
                         motions[other_row, other_column, 0],
                         motions[other_row, other_column, 1],
                     )
-                    other = _mismatch(shades, around, y, x, other_u, other_v)
+                    other = _mismatch(gray, around, shape, y, x, other_u, other_v)
                     if other < least:
                         least, u, v = other, other_u, other_v
-            found_u, found_v = _descend(shades, around, slope_x, slope_y, y, x, u, v, iterations)
+            found_u, found_v = _descend(
+                gray, around, slope_x, slope_y, shape, y, x, u, v, slopes[row, column], iterations
+            )
             # What ends far from where it began has lost its way.
-            if (found_u - u) ** 2 + (found_v - v) ** 2 <= farthest:
+            if (found_u - u) ** 2 + (found_v - v) ** 2 <= np.float32(PATCH * PATCH):
                 u, v = found_u, found_v
             motions[row, column, 0], motions[row, column, 1] = u, v
     return motions
 
 
-@compiled()
+# What follows works on flat arrays, where a pixel's place is one sum, and is put where it is called from:
+# calls would move more arguments than a patch has rows.
+
+
+@compiled(inline="always")
 def _descend(
-    shades: Array, around: Array, slope_x: Array, slope_y: Array, y: int, x: int, u: np.float32,
-    v: np.float32, iterations: int,
+    gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
+    u: np.float32, v: np.float32, slopes: Array, iterations: int,
 ) -> tuple[np.float32, np.float32]:  # fmt: skip
     """Inverse-compositional descent of a patch, brightness aside, until the image is explained no better.
 
     Sobel's slopes are eight times the derivatives, so that a step is an eighth of Gauss and Newton's. With
     whole ones more patches lose their way.
     """
-    xx, xy, yy, sum_x, sum_y = _slopes(slope_x, slope_y, y, x)
+    xx, xy, yy, sum_x, sum_y = slopes[0], slopes[1], slopes[2], slopes[3], slopes[4]
     determinant = max(xx * yy - xy * xy, np.float32(1e-3))
     before = np.float32(np.inf)
     for _ in range(iterations):
-        total, squares, along, below = _differences(shades, around, slope_x, slope_y, y, x, u, v)
+        total, squares, along, below = _differences(gray, around, slope_x, slope_y, shape, y, x, u, v)
         mean = np.float32(total) / np.float32(PATCH * PATCH)
         gradient_x = (np.float32(along) - mean * sum_x) / np.float32(SHADES)
         gradient_y = (np.float32(below) - mean * sum_y) / np.float32(SHADES)
@@ -211,17 +231,65 @@ def _descend(
     return u, v
 
 
-@compiled()
+@compiled(inline="always")
+def _source_place(
+    shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
+) -> tuple[np.uint64, np.float32, np.float32, np.float32, np.float32]:
+    """Where a moved patch begins in the continued frame, and the weights of a pixel's four neighbours."""
+    least = np.float32(MARGIN - PATCH + 1)
+    bottom, right = np.float32(shape[0] + MARGIN - 1), np.float32(shape[1] + MARGIN - 1)
+    at_y = min(max(np.float32(y + MARGIN) + v, least), bottom)
+    at_x = min(max(np.float32(x + MARGIN) + u, least), right)
+    top, left = np.int32(at_y), np.int32(at_x)
+    down, across = at_y - np.float32(top), at_x - np.float32(left)
+    up, back = np.float32(1) - down, np.float32(1) - across
+    there = np.uint64(top * (shape[1] + 2 * MARGIN) + left)
+    return there, up * back, up * across, down * back, down * across
+
+
+@compiled(inline="always")
+def _moved(
+    around: Array,
+    there: np.uint64,
+    width: int,
+    row: int,
+    column: int,
+    w00: np.float32,
+    w01: np.float32,
+    w10: np.float32,
+    w11: np.float32,
+) -> np.float32:
+    """What the continued frame shows at a pixel of a moved patch, by :func:`_source_place`."""
+    one, stride = np.uint64(1), np.uint64(width + 2 * MARGIN)
+    upper = there + np.uint64(row) * stride + np.uint64(column)
+    lower = there + np.uint64(row + 1) * stride + np.uint64(column)
+    moved: np.float32 = w00 * around[upper] + w01 * around[upper + one]
+    moved += w10 * around[lower] + w11 * around[lower + one]
+    return moved
+
+
+@compiled(inline="always")
+def _place(width: int, y: int, x: int, row: int, column: int) -> np.uint64:
+    """Place of a patch's pixel in a flat frame."""
+    return (
+        np.uint64(y) * np.uint64(width) + np.uint64(x) + np.uint64(row) * np.uint64(width) + np.uint64(column)
+    )
+
+
+# The loops over a patch go over columns outside: LLVM unrolls the rows, and does all columns at once. Sums
+# are of whole numbers, which may be added in any order.
+
+
+@compiled(inline="always")
 def _slopes(
-    slope_x: Array, slope_y: Array, y: int, x: int
+    slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """Sums over a patch: of the slopes' squares and product, and of the slopes."""
     xx, xy, yy, sum_x, sum_y = np.int32(0), np.int32(0), np.int32(0), np.int32(0), np.int32(0)
-    top, left = np.uintp(y), np.uintp(x)
     for column in range(PATCH):
         for row in range(PATCH):
-            at_y, at_x = top + np.uintp(row), left + np.uintp(column)
-            along, below = np.int32(slope_x[at_y, at_x]), np.int32(slope_y[at_y, at_x])
+            at = _place(shape[1], y, x, row, column)
+            along, below = np.int32(slope_x[at]), np.int32(slope_y[at])
             xx, xy, yy = (
                 np.int32(xx + along * along),
                 np.int32(xy + along * below),
@@ -231,85 +299,47 @@ def _slopes(
     return np.float32(xx), np.float32(xy), np.float32(yy), np.float32(sum_x), np.float32(sum_y)
 
 
-@compiled()
-def _source_place(
-    around: Array, y: int, x: int, u: np.float32, v: np.float32
-) -> tuple[np.uintp, np.uintp, np.float32, np.float32, np.float32, np.float32]:
-    """Where a moved patch begins in the continued frame, and the weights of a pixel's four neighbours."""
-    least = np.float32(MARGIN - PATCH + 1)
-    bottom = np.float32(around.shape[0] - MARGIN - 1)
-    right = np.float32(around.shape[1] - MARGIN - 1)
-    at_y = min(max(np.float32(y + MARGIN) + v, least), bottom)
-    at_x = min(max(np.float32(x + MARGIN) + u, least), right)
-    top, left = np.uintp(at_y), np.uintp(at_x)
-    down, across = at_y - np.float32(top), at_x - np.float32(left)
-    up, back = np.float32(1) - down, np.float32(1) - across
-    return top, left, up * back, up * across, down * back, down * across
-
-
 @compiled(inline="always")
-def _moved(
-    around: Array,
-    there_y: np.uintp,
-    there_x: np.uintp,
-    row: int,
-    column: int,
-    w00: np.float32,
-    w01: np.float32,
-    w10: np.float32,
-    w11: np.float32,
+def _mismatch(
+    gray: Array, around: Array, shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
 ) -> np.float32:
-    """What the continued frame shows at a pixel of a moved patch, by :func:`_source_place`."""
-    upper, lower = there_y + np.uintp(row), there_y + np.uintp(row + 1)
-    near, far = there_x + np.uintp(column), there_x + np.uintp(column + 1)
-    moved: np.float32 = w00 * around[upper, near] + w01 * around[upper, far]
-    moved += w10 * around[lower, near] + w11 * around[lower, far]
-    return moved
-
-
-# The loops over a patch go over columns outside: LLVM unrolls the rows, and does all columns at once. Sums
-# are of whole numbers, which may be added in any order.
-
-
-@compiled()
-def _mismatch(shades: Array, around: Array, y: int, x: int, u: np.float32, v: np.float32) -> np.float32:
     """Sum of squared differences of a patch and its place in the target, but for their mean."""
-    there_y, there_x, w00, w01, w10, w11 = _source_place(around, y, x, u, v)
-    top, left = np.uintp(y), np.uintp(x)
+    there, w00, w01, w10, w11 = _source_place(shape, y, x, u, v)
     total, squares = np.int32(0), np.int32(0)
     for column in range(PATCH):
         for row in range(PATCH):
-            moved = _moved(around, there_y, there_x, row, column, w00, w01, w10, w11)
-            difference = np.int32(moved) - shades[top + np.uintp(row), left + np.uintp(column)]
+            moved = _moved(around, there, shape[1], row, column, w00, w01, w10, w11)
+            shown = np.int32(np.int32(gray[_place(shape[1], y, x, row, column)]) * np.int32(SHADES))
+            difference = np.int32(moved) - shown
             total = np.int32(total + difference)
             squares = np.int32(squares + np.int32(difference * difference))
     mean = np.float32(total) / np.float32(PATCH * PATCH)
     return np.float32(squares) - mean * np.float32(total)
 
 
-@compiled()
+@compiled(inline="always")
 def _differences(
-    shades: Array, around: Array, slope_x: Array, slope_y: Array, y: int, x: int, u: np.float32, v: np.float32
-) -> tuple[np.int32, np.int32, np.int32, np.int32]:
+    gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
+    u: np.float32, v: np.float32,
+) -> tuple[np.int32, np.int32, np.int32, np.int32]:  # fmt: skip
     """Sums of a patch's differences: plain, squared, times its slope along x, and along y."""
-    there_y, there_x, w00, w01, w10, w11 = _source_place(around, y, x, u, v)
-    top, left = np.uintp(y), np.uintp(x)
+    there, w00, w01, w10, w11 = _source_place(shape, y, x, u, v)
     total, squares, along, below = np.int32(0), np.int32(0), np.int32(0), np.int32(0)
     for column in range(PATCH):
         for row in range(PATCH):
-            moved = _moved(around, there_y, there_x, row, column, w00, w01, w10, w11)
-            at_y, at_x = top + np.uintp(row), left + np.uintp(column)
-            difference = np.int32(moved) - shades[at_y, at_x]
+            moved = _moved(around, there, shape[1], row, column, w00, w01, w10, w11)
+            at = _place(shape[1], y, x, row, column)
+            difference = np.int32(moved) - np.int32(np.int32(gray[at]) * np.int32(SHADES))
             total = np.int32(total + difference)
             squares = np.int32(squares + np.int32(difference * difference))
-            along = np.int32(along + np.int32(difference * np.int32(slope_x[at_y, at_x])))
-            below = np.int32(below + np.int32(difference * np.int32(slope_y[at_y, at_x])))
+            along = np.int32(along + np.int32(difference * np.int32(slope_x[at])))
+            below = np.int32(below + np.int32(difference * np.int32(slope_y[at])))
     return total, squares, along, below
 
 
 @compiled()
 def _densify(
-    shades: Array,
+    gray: Array,
     around: Array,
     motions: Array,
     across: Array,
@@ -322,17 +352,18 @@ def _densify(
 
     A patch weighs 1 / its difference there in grey levels, at most 1.
     """
-    one = np.float32(1)
+    one, shape = np.float32(1), gray.shape
+    gray, around = gray.reshape(-1), around.reshape(-1)
     for row in range(down.size):
         for column in range(across.size):
             y, x = down[row], across[column]
             u, v = motions[row, column, 0], motions[row, column, 1]
-            there_y, there_x, w00, w01, w10, w11 = _source_place(around, y, x, u, v)
+            there, w00, w01, w10, w11 = _source_place(shape, y, x, u, v)
             for j in range(PATCH):
                 for i in range(PATCH):
-                    moved = _moved(around, there_y, there_x, j, i, w00, w01, w10, w11)
-                    difference = moved - np.float32(shades[np.uintp(y + j), np.uintp(x + i)])
-                    weight = one / max(one, abs(difference) / np.float32(SHADES))
+                    moved = _moved(around, there, shape[1], j, i, w00, w01, w10, w11)
+                    shown = np.int32(gray[_place(shape[1], y, x, j, i)]) * np.int32(SHADES)
+                    weight = one / max(one, abs(moved - np.float32(shown)) / np.float32(SHADES))
                     at_y, at_x = np.uintp(y + j - top), np.uintp(x + i - left)
                     window[0, at_y, at_x] += weight * u
                     window[1, at_y, at_x] += weight * v

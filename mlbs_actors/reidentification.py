@@ -46,7 +46,8 @@ def colours_at(frame: Array, positions: Array) -> Array:
     for i in range(positions.shape[0]):
         x = min(max(int(np.rint(positions[i, 0])), 0), frame.shape[1] - 1)
         y = min(max(int(np.rint(positions[i, 1])), 0), frame.shape[0] - 1)
-        colours[i] = frame[y, x]
+        for channel in range(3):
+            colours[i, channel] = frame[y, x, channel]
     return colours
 
 

@@ -187,67 +187,79 @@ def seed_trajectories(
     A seed needs a smaller structure-tensor eigenvalue above mean·(0.1 + exp(−0.1 d)), d the distance to the
     border in px.
     """
+    (height, width), scale = shape, length_scale(*shape)
+    step = (width / gray.shape[1], height / gray.shape[0])
     structure = cv2.cornerMinEigenVal(gray, blockSize=5, ksize=3)
-    mean = float(structure.mean())
     wanted = np.ones(gray.shape, bool) if flow is None else flow.backward_reliable
-    state = _seeded(state, structure, mean, flow, shape, config.seed_spacing_px, LEAST_SPACING, wanted)
-    if dense is not None:
-        state = _seeded(
-            state, structure, mean, flow, shape, config.dense_spacing_px, LEAST_DENSE_SPACING, wanted & dense
-        )
-    return state
-
-
-def _seeded(
-    state: TrajectoryState,
-    structure: Array,
-    mean: float,
-    flow: DenseFlow | None,
-    shape: tuple[int, int],
-    spacing_px: float,
-    least: float,
-    wanted: Array,
-) -> TrajectoryState:
-    """Seed one grid; nearer than ``least`` px of the shrunk frame the flow cannot tell two points apart."""
-    height, width = shape
-    step = (width / structure.shape[1], height / structure.shape[0])
-    spacing = max(spacing_px * length_scale(height, width), least * max(step))
-    grid = (max(1, int(height / spacing)), max(1, int(width / spacing)))
-    # A live trajectory covers a disc around it.
-    free = _uncovered(state.positions, structure.shape, step, 0.75 * spacing / (0.5 * (step[0] + step[1])))
-    points = _grid_seeds(structure, mean, wanted, free, shape, step, grid)
-    age, back = 0, np.zeros_like(points)
-    if flow is not None:
-        age, back = 1, sample_flow(flow.backward, points, flow.step)
+    # Nearer than the least spacing the flow cannot tell two points apart.
+    spacings = (
+        max(config.seed_spacing_px * scale, LEAST_SPACING * max(step)),
+        max(config.dense_spacing_px * scale, LEAST_DENSE_SPACING * max(step)),
+    )
+    seeds = _seeds(
+        state.positions, structure, float(structure.mean()), wanted,
+        np.zeros(gray.shape, bool) if dense is None else dense, (height, width), step, spacings,
+    )  # fmt: skip
+    motions = np.zeros_like(seeds) if flow is None else sample_flow(flow.backward, seeds, flow.step)
     return TrajectoryState(
-        np.concatenate([state.ids, state.next_id + np.arange(len(points), dtype=np.int64)]),
-        np.concatenate([state.positions, points]),
-        np.concatenate([state.motions, back]),
+        *_joined(state.ids, state.positions, state.motions, seeds, motions, state.next_id),
         state.residuals,
-        np.concatenate([state.rows, np.full(len(points), -1, np.intp)]),
-        np.concatenate([state.ages, np.full(len(points), age, np.int32)]),
-        np.concatenate([state.evidence, np.zeros(len(points), np.float32)]),
-        state.next_id + len(points),
+        *_begun(state.rows, state.ages, state.evidence, len(seeds), 0 if flow is None else 1),
+        state.next_id + len(seeds),
     )
 
 
 @compiled()
-def _uncovered(positions: Array, shape: tuple[int, int], step: tuple[float, float], radius: float) -> Array:
-    """Pixels of the shrunk frame at least so many of its px from every point's, (h, w) bool."""
-    height, width = shape
-    free = np.ones((height, width), np.bool_)
-    reach = int(np.ceil(radius)) - 1  # a pixel at the very radius is free
-    half_width = np.empty(reach + 1, np.int64)
-    for v in range(reach + 1):
-        half_width[v] = int(np.ceil(np.sqrt(radius * radius - v * v))) - 1
+def _joined(
+    ids: Array, positions: Array, motions: Array, seeds: Array, seed_motions: Array, next_id: int
+) -> tuple[Array, Array, Array]:
+    """Ids, positions and motions of trajectories and of those that begin."""
+    begun = next_id + np.arange(len(seeds))
+    return (
+        np.concatenate((ids, begun)),
+        np.concatenate((positions, seeds)),
+        np.concatenate((motions, seed_motions)),
+    )
+
+
+@compiled()
+def _begun(rows: Array, ages: Array, evidence: Array, count: int, age: int) -> tuple[Array, Array, Array]:
+    """Rows, ages and evidence of trajectories and of as many that begin."""
+    return (
+        np.concatenate((rows, np.full(count, -1, np.intp))),
+        np.concatenate((ages, np.full(count, age, np.int32))),
+        np.concatenate((evidence, np.zeros(count, np.float32))),
+    )
+
+
+@compiled()
+def _seeds(
+    positions: Array,
+    structure: Array,
+    mean: float,
+    wanted: Array,
+    dense: Array,
+    shape: tuple[int, int],
+    step: tuple[float, float],
+    spacings: tuple[float, float],
+) -> Array:
+    """The seeds of the grid and of the dense one, (n, 2) float32."""
+    taken = np.zeros(structure.shape, np.bool_)
+    _take(taken, positions, step)
+    seeds = _grid_seeds(structure, mean, wanted, wanted, taken, shape, step, spacings[0])
+    _take(taken, seeds, step)
+    return np.concatenate(
+        (seeds, _grid_seeds(structure, mean, wanted, dense, taken, shape, step, spacings[1]))
+    )
+
+
+@compiled()
+def _take(taken: Array, positions: Array, step: tuple[float, float]) -> None:
+    """Mark the pixels of the shrunk frame where points are."""
     for point in range(positions.shape[0]):
-        x = min(max(int(positions[point, 0] / step[0]), 0), width - 1)
-        y = min(max(int(positions[point, 1] / step[1]), 0), height - 1)
-        for v in range(max(y - reach, 0), min(y + reach, height - 1) + 1):
-            across = half_width[abs(v - y)]
-            for u in range(max(x - across, 0), min(x + across, width - 1) + 1):
-                free[v, u] = False
-    return free
+        x = min(max(int(positions[point, 0] / step[0]), 0), taken.shape[1] - 1)
+        y = min(max(int(positions[point, 1] / step[1]), 0), taken.shape[0] - 1)
+        taken[y, x] = True
 
 
 @compiled()
@@ -255,14 +267,20 @@ def _grid_seeds(
     structure: Array,
     mean: float,
     wanted: Array,
-    free: Array,
+    besides: Array,
+    taken: Array,
     shape: tuple[int, int],
     step: tuple[float, float],
-    grid: tuple[int, int],
+    spacing: float,
 ) -> Array:
-    """The points of a grid in raster order that are wanted, free and structured, (n, 2) float32."""
+    """The points of a grid in raster order that are wanted, structured and free, (n, 2) float32."""
     height, width = shape
-    rows, columns = grid
+    rows, columns = max(1, int(height / spacing)), max(1, int(width / spacing))
+    # A trajectory covers a disc around it; a pixel at its very radius is free.
+    radius = 0.75 * spacing / (0.5 * (step[0] + step[1]))
+    half_width = np.empty(int(np.ceil(radius)), np.int64)
+    for away in range(half_width.size):
+        half_width[away] = int(np.ceil(np.sqrt(radius * radius - away * away))) - 1
     points = np.empty((rows * columns, 2), np.float32)
     count = 0
     for row in range(rows):
@@ -271,13 +289,26 @@ def _grid_seeds(
         for column in range(columns):
             x = np.float32((column + 0.5) * width / columns)
             u = min(int(x / step[0]), wanted.shape[1] - 1)
-            if not (wanted[v, u] and free[v, u]):
+            if not (wanted[v, u] and besides[v, u]):
                 continue
             border = min(min(x, y), min(width - 1 - x, height - 1 - y))
-            if structure[v, u] > mean * (0.1 + np.exp(-0.1 * border)):
+            structured = structure[v, u] > mean * (0.1 + np.exp(-0.1 * border))
+            if structured and not _covered(taken, v, u, half_width):
                 points[count, 0], points[count, 1] = x, y
                 count += 1
     return points[:count].copy()
+
+
+@compiled()
+def _covered(taken: Array, y: int, x: int, half_width: Array) -> bool:
+    """Whether a point is so near to a pixel, by half the width of the disc's rows."""
+    reach = half_width.size - 1
+    for v in range(max(y - reach, 0), min(y + reach, taken.shape[0] - 1) + 1):
+        across = half_width[abs(v - y)]
+        for u in range(max(x - across, 0), min(x + across, taken.shape[1] - 1) + 1):
+            if taken[v, u]:
+                return True
+    return False
 
 
 def evenly_spread(positions: Array, spacing: float) -> Array:
@@ -341,14 +372,17 @@ def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -
 @compiled()
 def _remembered(residuals: Array, rows: Array, ages: Array, motions: Array, predicted: Array) -> Array:
     """The newest residuals, 0 of those without a motion, and those before, one frame older."""
-    moved = np.empty((rows.size, *residuals.shape[1:]), np.float32)
+    length = 2 * residuals.shape[1]
+    moved, old = np.empty((rows.size, length), np.float32), residuals.reshape(residuals.shape[0], length)
     for trajectory in range(rows.size):
+        one, row = moved[trajectory], rows[trajectory]
         for axis in range(2):
             known = motions[trajectory, axis] - predicted[trajectory, axis]
-            moved[trajectory, 0, axis] = known if ages[trajectory] > 0 else np.float32(0)
-        row = rows[trajectory]
+            one[axis] = known if ages[trajectory] > 0 else np.float32(0)
         if row < 0:
-            moved[trajectory, 1:] = 0
+            one[2:] = 0
         else:
-            moved[trajectory, 1:] = residuals[row, :-1]
-    return moved
+            before = old[row]
+            for place in range(length - 2):
+                one[place + 2] = before[place]
+    return moved.reshape(rows.size, residuals.shape[1], 2)

@@ -30,14 +30,17 @@ _HALF, _ONE = np.float32(0.5), np.float32(1)
 # Kinds of rows, of which the last 16 are kept; each has a pixel more at both ends.
 _ROWS = 16
 _U, _V = 0, 1  # flow as it was
-_DU, _DV = 2, 3  # its change
-_MEAN, _DIFFERENCE = 4, 5  # of the source and the warped target
-_X, _Y, _XT, _YT = 6, 7, 8, 9  # derivatives of these
-_A11, _A12, _A22, _B1, _B2 = 10, 11, 12, 13, 14  # the pixel's own part of the system
-_RIGHT, _BELOW = 15, 16  # what binds it to its neighbours
-_SPARE = 17  # for a row's own use: nothing is kept there
-_ODD, _EVEN = 7, 8  # … but for these two, which say what pixels are odd and even ones
-_KINDS = 18
+_MEAN, _DIFFERENCE = 2, 3  # of the source and the warped target
+_X, _Y, _XT, _YT = 4, 5, 6, 7  # derivatives of these
+_DU, _DV = 8, 9  # change of the flow, parted
+_SPARE = 10  # for a row's own use: nothing is kept there
+_KINDS = 11
+# The system, which is made in spare rows and kept parted, what is read of it together side by side: of every
+# row first every other pixel, then those in between. Half a sweep changes the ones or the others.
+_A11, _A12, _A22, _B1, _B2 = 0, 1, 2, 3, 4  # the pixel's own part
+_RIGHT, _BELOW = 5, 6  # what binds it to its neighbours
+_PARTS = 7
+_FIRST, _ABOVE = 7, 14  # spare rows of the system, and of what binds the pixels above to these
 
 
 @compiled()
@@ -48,10 +51,10 @@ def refine_flow(
 
     Parameters
     ----------
-    source : (h, w) int32
-        Grey levels × ``shades``.
+    source : (h, w) uint8
+        Grey levels.
     target : (h + 2 margin, w + 2 margin) float32
-        The same, continued past its sides.
+        Grey levels × ``shades``, continued past its sides.
     left, top : int
         Where the part begins in ``source``, px.
     flow : (2 or more, height, width) float32
@@ -61,15 +64,13 @@ def refine_flow(
         Of the solver, at most 5.
     """
     height, width, last = flow.shape[1], flow.shape[2], flow.shape[1] - 1
-    rows, places = np.zeros(_KINDS * _ROWS * (width + 2), np.float32), np.empty(width, np.int32)
-    odd, even = _row(_SPARE, _ODD, width), _row(_SPARE, _EVEN, width)
-    for x in range(width):
-        rows[(odd if x & 1 else even) + np.uint64(x + 1)] = 1
+    rows = np.zeros((_KINDS + _PARTS) * _ROWS * 2 * _half(width), np.float32)
+    places = np.empty(width, np.int32)
     half_sweeps = 2 * sweeps
     for newest in range(height + 2 + half_sweeps):
         if newest < height:
             _read_flow(rows, newest, width, flow)
-            _warp(rows, newest, width, source, target, left, top, margin, np.float32(1.0 / shades), places)
+            _warp(rows, newest, width, source, target, left, top, margin, np.int32(shades), places)
         y = newest - 1
         if 0 <= y < height:
             _derive(rows, y, width, last, _MEAN, _X, _Y)
@@ -81,7 +82,7 @@ def refine_flow(
         for half_sweep in range(half_sweeps):
             y = newest - 3 - half_sweep
             if 0 <= y < height:
-                _relax(rows, y, width, odd if (y + half_sweep) & 1 else even)
+                _relax(rows, y, width, (y + half_sweep + 1) & 1)
         y = newest - 2 - half_sweeps
         if 0 <= y < height:
             _write_flow(rows, y, width, flow)
@@ -92,9 +93,15 @@ def refine_flow(
 
 
 @compiled(inline="always")
+def _half(width: int) -> int:
+    """Room for every other pixel of a row."""
+    return (width + 3) // 2
+
+
+@compiled(inline="always")
 def _row(kind: int, y: int, width: int) -> np.uint64:
     """Where a row begins."""
-    return np.uint64((kind * _ROWS + (y & (_ROWS - 1))) * (width + 2))
+    return np.uint64((kind * _ROWS + (y & (_ROWS - 1))) * 2 * _half(width))
 
 
 @compiled(inline="always")
@@ -115,15 +122,20 @@ def _read_flow(rows: Array, y: int, width: int, flow: Array) -> None:
         known, change = _row(_U + part, y, width), _row(_DU + part, y, width)
         for x in range(width):
             rows[known + np.uint64(x + 1)] = flow[part, y, x]
-        for x in range(width + 2):
+        for x in range(2 * _half(width)):
             rows[change + np.uint64(x)] = 0
         _continue(rows, known, width)
 
 
 @compiled()
 def _write_flow(rows: Array, y: int, width: int, flow: Array) -> None:
+    one, change, half = np.uint64(1), _row(_SPARE, 0, width), np.uint64(_half(width))
     for part in range(2):
-        known, change = _row(_U + part, y, width), _row(_DU + part, y, width)
+        known, parted = _row(_U + part, y, width), _row(_DU + part, y, width)
+        for k in range(_half(width)):
+            at = np.uint64(k)
+            rows[change + at + at] = rows[parted + at]
+            rows[change + at + at + one] = rows[parted + half + at]
         for x in range(width):
             at = np.uint64(x + 1)
             flow[part, y, x] = rows[known + at] + rows[change + at]
@@ -132,7 +144,7 @@ def _write_flow(rows: Array, y: int, width: int, flow: Array) -> None:
 @compiled()
 def _warp(
     rows: Array, y: int, width: int, source: Array, target: Array, left: int, top: int, margin: int,
-    unit: np.float32, places: Array,
+    shades: np.int32, places: Array,
 ) -> None:  # fmt: skip
     """Mean and difference of the source and of what the flow leads to in the target, grey levels."""
     one, zero = np.uint64(1), np.float32(0)
@@ -159,13 +171,17 @@ def _warp(
         place += np.uint64(stride)
         lower = shown[place] + share * (shown[place + one] - shown[place])
         rows[difference + at] = upper + rows[down + at] * (lower - upper)
-    own, first = source.reshape(-1), np.uint64((y + top) * source.shape[1] + left)
+    gray, first = source.reshape(-1), np.uint64((y + top) * source.shape[1] + left)
+    own, unit = _row(_SPARE, 2, width), np.float32(1.0 / shades)
     for x in range(width):
         at = np.uint64(x)
-        rows[mean + at] = _HALF * unit * (np.float32(own[first + at]) + rows[difference + at])
+        rows[own + at] = np.float32(np.int32(gray[first + at]) * shades)
     for x in range(width):
         at = np.uint64(x)
-        rows[difference + at] = unit * (rows[difference + at] - np.float32(own[first + at]))
+        rows[mean + at] = _HALF * unit * (rows[own + at] + rows[difference + at])
+    for x in range(width):
+        at = np.uint64(x)
+        rows[difference + at] = unit * (rows[difference + at] - rows[own + at])
     _continue(rows, mean - one, width)
     _continue(rows, difference - one, width)
 
@@ -189,6 +205,18 @@ def _derive(rows: Array, y: int, width: int, last: int, of: int, along_x: int, a
     _continue(rows, y_slope, width)
 
 
+@compiled(inline="always")
+def _made(part: int, width: int) -> np.uint64:
+    """Where a part of a row's system is made."""
+    return _row(_SPARE, _FIRST + part, width)
+
+
+@compiled(inline="always")
+def _kept(part: int, y: int, width: int, side: int) -> np.uint64:
+    """Where it is kept of every other pixel, parted."""
+    return _row(_KINDS, 0, width) + np.uint64((((y & (_ROWS - 1)) * 2 + side) * _PARTS + part) * _half(width))
+
+
 @compiled()
 def _fit(rows: Array, y: int, width: int, last: int) -> None:
     """The system's part for grey levels and slopes that are to stay."""
@@ -200,8 +228,8 @@ def _fit(rows: Array, y: int, width: int, last: int) -> None:
     along_xx, along_xy, along_yy = _row(_SPARE, 0, width), _row(_SPARE, 1, width), _row(_SPARE, 2, width)
     colour, weight = _row(_SPARE, 3, width), _row(_SPARE, 4, width)
     x_weight, y_weight = _row(_SPARE, 5, width), _row(_SPARE, 6, width)
-    a11, a12, a22 = _row(_A11, y, width), _row(_A12, y, width), _row(_A22, y, width)
-    b1, b2 = _row(_B1, y, width), _row(_B2, y, width)
+    a11, a12, a22 = _made(_A11, width), _made(_A12, width), _made(_A22, width)
+    b1, b2 = _made(_B1, width), _made(_B2, width)
     _subtract(rows, along_x + one, along_x - one, along_xx, width)
     _subtract(rows, x_below, x_above, along_xy, width)
     _subtract(rows, y_below, y_above, along_yy, width)
@@ -254,7 +282,9 @@ def _fit(rows: Array, y: int, width: int, last: int) -> None:
 def _bind(rows: Array, y: int, width: int, last: int) -> None:
     """The system's part for smoothness; the diagonal is turned over, for it is divided by only."""
     one, following = np.uint64(1), min(y + 1, last)
-    right, below, above = _row(_RIGHT, y, width), _row(_BELOW, y, width), _row(_BELOW, y - 1, width)
+    right, below, above = _made(_RIGHT, width), _made(_BELOW, width), _row(_SPARE, _ABOVE, width)
+    for x in range(1, width + 1):
+        rows[above + np.uint64(x)] = rows[below + np.uint64(x)]
     u, v = _row(_U, y, width), _row(_V, y, width)
     u_below, v_below = _row(_U, following, width), _row(_V, following, width)
     for x in range(1, width + 1):
@@ -273,7 +303,7 @@ def _bind(rows: Array, y: int, width: int, last: int) -> None:
         beside = rows[right + at] + rows[right + at - one]
         rows[bonds + at] = beside + rows[below + at] + rows[above + at]
     for flow, side, diagonal in ((_U, _B1, _A11), (_V, _B2, _A22)):
-        here, b, a = _row(flow, y, width), _row(side, y, width), _row(diagonal, y, width)
+        here, b, a = _row(flow, y, width), _made(side, width), _made(diagonal, width)
         over, under = _row(flow, y - 1, width), _row(flow, following, width)
         for x in range(1, width + 1):
             at = np.uint64(x)
@@ -284,24 +314,35 @@ def _bind(rows: Array, y: int, width: int, last: int) -> None:
         for x in range(1, width + 1):
             at = np.uint64(x)
             rows[a + at] = RELAXATION / (rows[a + at] + rows[bonds + at])
+    # Last, parted: half a sweep reads one half of it and does half of the work.
+    made, even, odd = _made(0, width), _kept(0, y, width, 0), _kept(0, y, width, 1)
+    for k in range(_PARTS * _half(width)):
+        at = np.uint64(k)
+        rows[even + at], rows[odd + at] = rows[made + at + at], rows[made + at + at + one]
 
 
 @compiled()
-def _relax(rows: Array, y: int, width: int, chosen: np.uint64) -> None:
-    """Half a sweep: the pixels of one colour, from their neighbours, which are of the other one."""
-    one, pull, mixed = np.uint64(1), _row(_SPARE, 0, width), _row(_A12, y, width)
-    right, below, above = _row(_RIGHT, y, width), _row(_BELOW, y, width), _row(_BELOW, y - 1, width)
-    for of, another, side, diagonal in ((_DU, _DV, _B1, _A11), (_DV, _DU, _B2, _A22)):
-        own, other = _row(of, y, width), _row(another, y, width)
-        b, a = _row(side, y, width), _row(diagonal, y, width)
-        over, under = _row(of, y - 1, width), _row(of, y + 1, width)
-        for x in range(1, width + 1):
-            at = np.uint64(x)
-            beside = rows[right + at] * rows[own + at + one] + rows[right + at - one] * rows[own + at - one]
+def _relax(rows: Array, y: int, width: int, side: int) -> None:
+    """Half a sweep: every other pixel of a row, from its neighbours, which are of the other half."""
+    one, pull, half = np.uint64(1), _row(_SPARE, 0, width), np.uint64(_half(width))
+    # A row has a pixel more at both ends, and the first one is of the first half.
+    first, count = np.uint64(1 - side), (width + side) // 2
+    here, beside = first + np.uint64(side) * half, np.uint64(1 - side) * half
+    right, right_before = _kept(_RIGHT, y, width, side) + first, _kept(_RIGHT, y, width, 1 - side)
+    below, above = _kept(_BELOW, y, width, side) + first, _kept(_BELOW, y - 1, width, side) + first
+    mixed = _kept(_A12, y, width, side) + first
+    for of, another, constant, diagonal in ((_DU, _DV, _B1, _A11), (_DV, _DU, _B2, _A22)):
+        own, other = _row(of, y, width) + here, _row(another, y, width) + here
+        b, a = _kept(constant, y, width, side) + first, _kept(diagonal, y, width, side) + first
+        before = _row(of, y, width) + beside
+        over, under = _row(of, y - 1, width) + here, _row(of, y + 1, width) + here
+        for k in range(count):
+            at = np.uint64(k)
+            across = rows[right + at] * rows[before + at + one] + rows[right_before + at] * rows[before + at]
             rows[pull + at] = (
-                beside + rows[below + at] * rows[under + at] + rows[above + at] * rows[over + at]
+                across + rows[below + at] * rows[under + at] + rows[above + at] * rows[over + at]
             )
-        for x in range(1, width + 1):
-            at = np.uint64(x)
+        for k in range(count):
+            at = np.uint64(k)
             drawn = rows[pull + at] + rows[b + at] - rows[mixed + at] * rows[other + at]
-            rows[own + at] += rows[chosen + at] * (rows[a + at] * drawn - RELAXATION * rows[own + at])
+            rows[own + at] += rows[a + at] * drawn - RELAXATION * rows[own + at]

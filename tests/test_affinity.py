@@ -194,5 +194,12 @@ def test_the_spread_grows_with_the_camera_but_not_with_a_fast_minority_and_has_a
     assert spread(0.0, 0.0, scale=2.0) == 2 * CONFIG.motion_floor_px
     assert spread(60.0, 0.0) > 2 * spread(20.0, 0.0) > 2 * CONFIG.motion_floor_px
     assert spread(20.0, 50.0) == pytest.approx(spread(20.0, 0.0))
+    for count in (1, 6, 7):
+        motions = np.random.default_rng(count).normal(0, 30, (count + 2, 2)).astype(np.float32)
+        ages = np.array([0, *[2] * count, 0])
+        state = trajectories(np.zeros((len(ages), 2)), np.zeros((len(ages), HISTORY, 2)), ages)
+        some = replace(state, motions=motions)
+        median = float(np.median(np.hypot(*motions[1:-1].T)))
+        assert displacement_spread(some, CONFIG, 0.0) == 2 * CONFIG.motion_relative * median
     unknown = trajectories(np.zeros((5, 2)), np.zeros((5, HISTORY, 2)), np.zeros(5))
     assert displacement_spread(unknown, CONFIG, 1.0) == CONFIG.motion_floor_px

@@ -6,7 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from mlbs_actors.camera import _median_error, camera_evidence, camera_homography, homography_motion
+from mlbs_actors.camera import (
+    _differences,
+    _median_error,
+    camera_evidence,
+    camera_homography,
+    homography_motion,
+)
 from mlbs_actors.messages import Array
 
 #: A roll of 2°, a zoom of 3 %, a shift and a little perspective.
@@ -132,6 +138,25 @@ def test_what_moves_on_its_own_is_unexplained_and_nothing_else_is() -> None:
     touched[38:82, 56:98] = True  # the thing now, the thing then as the camera moved it, and the window
     assert (difference[52:78, 62:88] > 0).all()
     assert difference[~touched].max() == 0.0
+
+
+@pytest.mark.parametrize(
+    "mapping",
+    [
+        np.eye(3),
+        np.array([[1, 0, 3.5], [0, 1, -2.25], [0, 0, 1]]),
+        np.array([[0.99, 0.02, 1.0], [-0.01, 1.01, 0.5], [1e-4, -2e-4, 1]]),
+        np.array([[1.0, 0, 100], [0, 1, 0], [0, 0, 1]]),
+    ],
+)
+def test_frames_differ_where_the_mapping_does_not_lead_out(mapping: Array) -> None:
+    current, one, other = np.random.default_rng(0).integers(0, 256, (3, 20, 30)).astype(np.uint8)
+    y, x = np.mgrid[:20, :30]
+    there_x, there_y, scale = np.tensordot(mapping, np.stack([x, y, np.ones_like(x)]), 1)
+    inside = (there_x >= 0) & (there_x <= 29 * scale) & (there_y >= 0) & (there_y <= 19 * scale)
+    for found, moved in zip(_differences(current, one, other, mapping), (one, other), strict=True):
+        expected = np.abs(current.astype(int) - moved) * inside
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_the_difference_is_the_mean_over_a_window() -> None:

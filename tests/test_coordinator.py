@@ -15,7 +15,6 @@ from mlbs_actors.config import Config
 from mlbs_actors.coordinator import Coordinator
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import FrameError
-from mlbs_actors.held_frames import by_layer
 from mlbs_actors.label_classes import UNLABELLED
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerSummary, Region, Segmentation
 
@@ -414,15 +413,3 @@ def test_frames_without_structure_have_a_background_and_nothing_else() -> None:
     for evidence in run(flat, configured()):
         assert [one.layer for one in evidence.layers] == [BACKGROUND]
         assert np.isfinite(evidence.camera).all()
-
-
-def test_evidence_is_sorted_by_layer_in_the_order_of_the_trajectories() -> None:
-    rng = np.random.default_rng(4)
-    live = np.array([0, 3, 8, 12])  # 8 has no trajectory
-    owner = rng.choice([-1, 0, 3, 12], 50)
-    positions, motions = rng.random((2, 50, 2)).astype(np.float32)
-    sorted_positions, sorted_motions, starts = by_layer(live, owner, positions, motions)
-    assert starts[-1] == (owner >= 0).sum()
-    for one, start, end in zip(live, starts[:-1], starts[1:], strict=True):
-        np.testing.assert_array_equal(sorted_positions[start:end], positions[owner == one])
-        np.testing.assert_array_equal(sorted_motions[start:end], motions[owner == one])

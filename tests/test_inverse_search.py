@@ -68,8 +68,10 @@ def test_differences_and_mismatch_of_a_patch_are_those_summed_pixel_by_pixel(
     patch = np.s_[y : y + PATCH, x : x + PATCH]
     difference = SHADES * (moved_patch(target, y, x, u, v) - source[patch].astype(float))
     slope_x, slope_y = before.slope_x[patch].astype(float), before.slope_y[patch].astype(float)
-    place = (y, x, np.float32(u), np.float32(v))
-    found = inverse_search._differences(before.shades, after.around, before.slope_x, before.slope_y, *place)
+    place = (source.shape, y, x, np.float32(u), np.float32(v))
+    gray, around = before.gray.ravel(), after.around.ravel()
+    slopes = before.slope_x.ravel(), before.slope_y.ravel()
+    found = inverse_search._differences(gray, around, slopes[0], slopes[1], *place)
     sums = (difference, difference**2, difference * slope_x, difference * slope_y)
     for one, plain, unit in zip(
         found, sums, (1, 2 * abs(difference), abs(slope_x), abs(slope_y)), strict=True
@@ -77,14 +79,14 @@ def test_differences_and_mismatch_of_a_patch_are_those_summed_pixel_by_pixel(
         # Each difference is cut off to a whole shade.
         assert abs(one - plain.sum()) <= (1.01 * unit * np.ones((PATCH, PATCH))).sum() + PATCH * PATCH
     expected = np.square(difference - difference.mean()).sum()
-    mismatch = inverse_search._mismatch(before.shades, after.around, *place)
+    mismatch = inverse_search._mismatch(gray, around, *place)
     np.testing.assert_allclose(mismatch, expected, rtol=0.02, atol=2 * PATCH * PATCH)
 
 
 def test_slopes_are_summed_over_the_patch() -> None:
     [level] = flow_levels(texture(48, 64), 0)
     x, y = (one[11 : 11 + PATCH, 7 : 7 + PATCH].astype(float) for one in (level.slope_x, level.slope_y))
-    found = inverse_search._slopes(level.slope_x, level.slope_y, 11, 7)
+    found = inverse_search._slopes(level.slope_x.ravel(), level.slope_y.ravel(), (48, 64), 11, 7)
     np.testing.assert_allclose(
         found, [(x * x).sum(), (x * y).sum(), (y * y).sum(), x.sum(), y.sum()], rtol=1e-6
     )
@@ -94,13 +96,14 @@ def test_no_sum_over_a_patch_overflows() -> None:
     black, white = np.zeros((32, 32), np.uint8), np.full((32, 32), 255, np.uint8)
     white[:, ::2] = 0
     [before], [after] = flow_levels(black, 0), flow_levels(white, 0)
-    slope = np.full((32, 32), 4 * 255, np.int16)
-    place = (8, 8, np.float32(0), np.float32(0))
-    _, squares, along, _ = inverse_search._differences(before.shades, after.around, slope, slope, *place)
+    slope = np.full(32 * 32, 4 * 255, np.int16)
+    place = ((32, 32), 8, 8, np.float32(0), np.float32(0))
+    around = after.around.ravel()
+    _, squares, along, _ = inverse_search._differences(before.gray.ravel(), around, slope, slope, *place)
     assert squares == 32 * (255 * SHADES) ** 2
     assert along == 32 * 255 * SHADES * 4 * 255
-    whole = np.full((32, 32), 255 * SHADES, np.int32)
-    _, squares, along, _ = inverse_search._differences(whole, 0 * after.around, slope, slope, *place)
+    whole = np.full(32 * 32, 255, np.uint8)
+    _, squares, along, _ = inverse_search._differences(whole, 0 * around, slope, slope, *place)
     assert squares == 64 * (255 * SHADES) ** 2
     assert along == -64 * 255 * SHADES * 4 * 255
 
@@ -112,7 +115,7 @@ def test_a_pixels_motion_is_the_weighted_mean_of_the_patches_over_it() -> None:
     across, down = (inverse_search._patch_places(*one, 5) for one in ((4, 29), (6, 23)))
     motions = np.random.default_rng(0).normal(0, 3, (len(down), len(across), 2)).astype(np.float32)
     window = np.zeros((3, part.height, part.width), np.float32)
-    inverse_search._densify(before.shades, after.around, motions, across, down, part.x, part.y, window)
+    inverse_search._densify(before.gray, after.around, motions, across, down, part.x, part.y, window)
     sums = np.zeros((3, *source.shape))
     for row, y in enumerate(down):
         for column, x in enumerate(across):
@@ -172,9 +175,9 @@ def test_levels_are_halves_continued_past_their_sides() -> None:
     gray = texture(45, 66)
     fine, coarse = flow_levels(gray, 1)
     assert coarse.gray.shape == (22, 33)
-    np.testing.assert_array_equal(fine.shades, SHADES * gray.astype(np.int32))
-    continued = np.pad(coarse.gray.astype(np.float32) * SHADES, MARGIN, mode="edge")
-    np.testing.assert_array_equal(coarse.around, continued)
+    for level in (fine, coarse):
+        continued = np.pad(level.gray.astype(np.float32) * SHADES, MARGIN, mode="edge")
+        np.testing.assert_array_equal(level.around, continued)
 
 
 @pytest.mark.parametrize(

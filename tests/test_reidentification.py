@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mlbs_actors.reidentification import colour_signatures
+from mlbs_actors.reidentification import colour_signatures, colours_at
 
 
 def test_a_signature_is_the_share_of_each_colour_bin() -> None:
@@ -32,3 +32,11 @@ def test_each_group_has_its_own_signature_and_what_is_in_none_counts_for_none() 
         (alone,) = colour_signatures(np.zeros(len(own), np.int64), own, 1)
         np.testing.assert_array_equal(together[row], alone)
     assert not together[2].any()
+
+
+def test_colours_are_those_of_the_nearest_pixels_of_the_frame() -> None:
+    rng = np.random.default_rng(0)
+    frame = rng.integers(0, 256, (20, 30, 3)).astype(np.uint8)
+    positions = (rng.random((50, 2)) * [36, 26] - 3).astype(np.float32)
+    x, y = np.clip(np.rint(positions).astype(int), 0, [29, 19]).T
+    np.testing.assert_array_equal(colours_at(frame, positions), frame[y, x])

@@ -17,6 +17,7 @@ from mlbs_actors.trajectories import (
     EVIDENCE_BOUNDS,
     EVIDENCE_KEPT,
     TrajectoryState,
+    _seeds,
     advance_trajectories,
     empty_trajectories,
     seed_trajectories,
@@ -124,6 +125,52 @@ def test_seeds_keep_their_distance_and_leave_no_gap_in_a_textured_frame() -> Non
     free[y, x] = 0
     gap = cv2.distanceTransform(free, cv2.DIST_L2, 5)[inner]
     assert np.quantile(gap, 0.95) <= 1.5 * SPACING
+
+
+def seeds_by_masks(
+    positions: Array,
+    structure: Array,
+    wanted: Array,
+    dense: Array,
+    shape: tuple[int, int],
+    spacings: list[float],
+) -> Array:
+    """Seeds of two grids: every pixel's distance to the nearest point is known."""
+    height, width = shape
+    step = (width / structure.shape[1], height / structure.shape[0])
+    mean, seeds = float(structure.mean()), np.zeros((0, 2), np.float32)
+    v, u = np.indices(structure.shape)
+    for spacing, chosen in zip(spacings, (wanted, wanted & dense), strict=True):
+        cells = (np.concatenate([positions, seeds]) / step).astype(int)
+        cells = np.clip(cells, 0, [structure.shape[1] - 1, structure.shape[0] - 1])
+        distance = np.full(structure.shape, np.inf)
+        for column, row in cells:
+            distance = np.minimum(distance, np.hypot(u - column, v - row))
+        free = distance >= 0.75 * spacing / np.mean(step)
+        rows, columns = int(height / spacing), int(width / spacing)
+        found = []
+        for row in range(rows):
+            for column in range(columns):
+                x, y = (np.float32((column + 0.5) * width / columns), np.float32((row + 0.5) * height / rows))
+                at = int(y / step[1]), int(x / step[0])
+                border = min(x, y, width - 1 - x, height - 1 - y)
+                if chosen[at] and free[at] and structure[at] > mean * (0.1 + np.exp(-0.1 * border)):
+                    found.append((x, y))
+        seeds = np.concatenate([seeds, np.array(found, np.float32).reshape(-1, 2)])
+    return seeds
+
+
+def test_seeds_are_the_points_of_two_grids_that_are_wanted_structured_and_far_from_all_points() -> None:
+    rng, shape = np.random.default_rng(0), (90, 140)
+    structure, wanted = rng.random((45, 70)).astype(np.float32), rng.random((45, 70)) > 0.2
+    dense = np.zeros((45, 70), bool)
+    dense[10:30, 20:60] = True
+    positions = (rng.random((25, 2)) * [150, 100] - 5).astype(np.float32)
+    expected = seeds_by_masks(positions, structure, wanted, dense, shape, [10.0, 4.5])
+    step = (2.0, 2.0)
+    found = _seeds(positions, structure, float(structure.mean()), wanted, dense, shape, step, (10.0, 4.5))
+    assert len(found) > 50
+    np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("shape", [(16, 16), (40, 56), (72, 96)])

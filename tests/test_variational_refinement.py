@@ -22,13 +22,12 @@ def textures(shape: tuple[int, int], seed: int) -> tuple[Array, Array]:
 
 
 def refined(source: Array, target: Array, part: Region, flow: Array, sweeps: int, steps: int = 1) -> Array:
-    shades = source.astype(np.int32) * SHADES
     around = cv2.copyMakeBorder(
         (target.astype(np.float32) * SHADES), MARGIN, MARGIN, MARGIN, MARGIN, cv2.BORDER_REPLICATE
     )
     flow = flow.copy()
     for _ in range(steps):
-        refine_flow(shades, around, part.x, part.y, flow, MARGIN, SHADES, sweeps)
+        refine_flow(source, around, part.x, part.y, flow, MARGIN, SHADES, sweeps)
     return flow
 
 
