@@ -2,14 +2,41 @@
 
 from __future__ import annotations
 
-from functools import partial
+import functools
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
 
 from numba import njit
 
 __all__ = ["compiled"]
 
-#: Decorator of a function that Numba compiles when it is first called, and keeps beside the module. As in
-#: NumPy a division by zero gives infinity or NaN: with the check that Python makes, no loop that divides
-#: runs in vector registers. An index with a sign is asked each time whether it counts from the end, so that
-#: the innermost loops over the edges of a graph make theirs np.uint32.
-compiled = partial(njit, cache=True, error_model="numpy")
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(**options: Any) -> Callable[[Function], Function]:
+    """Decorator of a function that Numba compiles when it is first called, and keeps beside the module.
+
+    As in NumPy a division by zero gives infinity or NaN: with the check that Python makes, no loop that
+    divides runs in vector registers.
+    """
+
+    def compile_and_keep(function: Function) -> Function:
+        kernel: Any = njit(function, cache=True, error_model="numpy", **options)
+        # Numba compiles anew what lies in a changed file, but not what calls it from another one, into which
+        # it has been built. So what is kept counts only as long as no module has changed.
+        kernel._cache._cache_file._source_stamp = _package_stamp()
+        kept: Function = kernel
+        return kept
+
+    return compile_and_keep
+
+
+@functools.cache
+def _package_stamp() -> str:
+    """Names, times of the last change and sizes of all modules beside this one, digested."""
+    modules = sorted((path.name, path.stat()) for path in Path(__file__).parent.glob("*.py"))
+    known = [(name, status.st_mtime_ns, status.st_size) for name, status in modules]
+    return hashlib.sha256(repr(known).encode()).hexdigest()

@@ -210,9 +210,9 @@ def test_the_reader_is_held_back_to_the_pace_of_the_slowest(
     run_to_end(node.start(spec(slow, reader, FakeSink(tmp_path, slow_seconds=sink_seconds))))
     node.close()
     ahead = [int(frames) for frames in (tmp_path / "ahead").read_text().split()]
-    # 3 reads under way, 1 in hand and 1 being written; between them 14 rows, or 2 frames in the layers and 7
+    # 6 reads under way, 1 in hand and 1 being written; between them 14 rows, or 2 frames in the layers and 7
     # that wait for an eighth to be written with.
-    assert 3 <= max(ahead) <= (19 if slow == "sink" else 14)
+    assert 3 <= max(ahead) <= (22 if slow == "sink" else 17)
 
 
 def test_a_burst_ends_where_its_file_is_slow(node: Node, parts: FakeParts, tmp_path: Path) -> None:

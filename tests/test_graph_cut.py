@@ -252,7 +252,8 @@ def test_no_expansion_lowers_the_result_although_few_are_tried_again(
         tried, left_out = tried + int(worth.sum()), left_out + int((~worth).sum())
         return worth
 
-    monkeypatch.setattr(expansion_course, "_expand_in_turn", expansion_course._expand_in_turn.py_func)
+    compiled: Any = expansion_course._expand_in_turn
+    monkeypatch.setattr(expansion_course, "_expand_in_turn", compiled.py_func)
     monkeypatch.setattr(expansion_course, "_worth_expanding", counted)
     for seed in range(30):
         rng = np.random.default_rng(seed)

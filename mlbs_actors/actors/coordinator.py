@@ -212,6 +212,7 @@ class CoordinatorActor:
                 self._track(frame.image)
             if self._progressed >= self._next_snapshot:
                 self._save()
+        self._record.send()
         self._collect()
         return self._progress(done=False, kept_waiting=kept_waiting)
 

@@ -213,6 +213,7 @@ class Record:
     def await_snapshot(self, seconds: float) -> None:
         """Wait until the newest snapshot is kept, but not longer than that; raises what a row raised."""
         deadline = time.monotonic() + seconds
+        self.send()
         self.collect()
         while self._offered and time.monotonic() < deadline:
             time.sleep(_LOOK_SECONDS)
@@ -222,9 +223,15 @@ class Record:
         """See :meth:`StreamSink.provisional`."""
         self._sink.provisional.remote(self._run)
 
+    def send(self) -> None:
+        """Hand over what is there, though it be less than a batch."""
+        batch = self._batch
+        if batch.rows:
+            self._pending.append((self._sink.take.remote(self._run, batch.rows), batch))
+            self._batch = _Batch()
+
     def collect(self) -> None:
-        """Hand over and take back what is there, without waiting; raises what a row raised."""
-        self._send()
+        """Take back what is there, without waiting; raises what a row raised."""
         while self._pending and ray.wait([self._pending[0][0]], timeout=0)[0]:
             self._take_answer()
         if self._asked is not None and ray.wait([self._asked[1]], timeout=0)[0]:
@@ -243,14 +250,14 @@ class Record:
 
     def close(self, *, whole: bool) -> None:
         """Wait until every row is committed and the files are closed; see :meth:`StreamSink.close`."""
-        self._send()
+        self.send()
         while self._pending:
             self._take_answer()
         self.committed = ray.get(self._sink.close.remote(self._run, whole))
 
     def close_after_failure(self) -> None:
         """Commit the rows that were handed over whole and close the files, whatever else goes wrong."""
-        self._send()
+        self.send()
         while self._pending:
             try:
                 self._take_answer()
@@ -270,7 +277,7 @@ class Record:
     def _hand_over(self, row: LabelRow | GapRow) -> None:
         self._batch.rows.append(row)
         if len(self._batch.rows) == self._batch_rows:
-            self._send()
+            self.send()
         while self._pending and self._under_way > _PENDING_ROWS:
             self._take_answer()
 
@@ -278,12 +285,6 @@ class Record:
     def _under_way(self) -> int:
         sent = sum(len(batch.rows) for _, batch in self._pending)
         return len(self._expected) + len(self._batch.rows) + sent
-
-    def _send(self) -> None:
-        batch = self._batch
-        if batch.rows:
-            self._pending.append((self._sink.take.remote(self._run, batch.rows), batch))
-            self._batch = _Batch()
 
     def _take_answer(self) -> None:
         answer, batch = self._pending.popleft()

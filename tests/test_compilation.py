@@ -1,0 +1,60 @@
+"""What is kept of compiled functions is no older than what they call."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from mlbs_actors import compilation
+
+_CALLER = """
+from mlbs_actors.called import STEP, one
+from mlbs_actors.compilation import compiled
+
+@compiled()
+def total():
+    return STEP * one()
+
+print(total(), sum(total.stats.cache_hits.values()))
+"""
+
+_CALLED = """
+from mlbs_actors.compilation import compiled
+
+STEP = {step}
+
+@compiled()
+def one():
+    return {value}
+"""
+
+
+def run(package: Path, step: int, value: int) -> tuple[int, int]:
+    """What a function gives whose constant and function come from another module; how often it was kept."""
+    called = package / "called.py"
+    if called.read_text() != (text := _CALLED.format(step=step, value=value)):
+        called.write_text(text)
+    done = subprocess.run(
+        [sys.executable, "-c", "import mlbs_actors.caller"],
+        cwd=package.parent,
+        env={**os.environ, "PYTHONPATH": str(package.parent)},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    result, kept = done.stdout.split()
+    return int(result), int(kept)
+
+
+def test_a_change_of_another_module_reaches_the_functions_that_use_it(tmp_path: Path) -> None:
+    package = tmp_path / "mlbs_actors"
+    package.mkdir()
+    source = Path(compilation.__file__).read_text()
+    for name, text in (("__init__", ""), ("compilation", source), ("called", ""), ("caller", _CALLER)):
+        (package / f"{name}.py").write_text(text)
+    assert run(package, 2, 10) == (20, 0)
+    assert run(package, 2, 10) == (20, 1)
+    assert run(package, 2, 11) == (22, 0)
+    assert run(package, 30, 11) == (330, 0)
