@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mlbs_actors.messages import Array
+from mlbs_actors.messages import Array, Region
 from orchestrator.sinks.drawing import draw_caption, draw_labels
 from orchestrator.sinks.layer_colours import COLOURS, layer_colour
 
@@ -61,6 +61,21 @@ def test_two_layers_that_touch_are_told_apart_by_an_outline() -> None:
     labels[:, 30:] = np.where(labels[:, 30:] > 0, 2, 0)
     drawn = draw_labels(np.zeros((60, 60, 3), np.uint8), labels)
     assert tuple(drawn[18, 30].tolist()) == layer_colour(2)
+
+
+def test_a_dark_rim_never_lies_on_another_layer() -> None:
+    labels = np.zeros((60, 90), np.uint16)
+    labels[10:50, 10:40], labels[10:50, 40:80] = 1, 2
+    drawn = draw_labels(np.full((60, 90, 3), 200, np.uint8), labels)
+    assert (drawn[10:50, 39] == layer_colour(1)).all()
+    assert (drawn[10:50, 40] == layer_colour(2)).all()
+
+
+def test_boxes_that_are_known_need_not_be_looked_for() -> None:
+    image, labels = np.full((60, 60, 3), 100, np.uint8), square(layer=7)
+    labels[0:9, 50:60] = 300
+    regions = {7: Region(15, 15, 30, 30), 300: Region(50, 0, 10, 9)}
+    np.testing.assert_array_equal(draw_labels(image, labels, regions), draw_labels(image, labels))
 
 
 @pytest.mark.parametrize("grey", [0, 128, 255])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import cv2
 import numpy as np
 from av.video.frame import VideoFrame
 
-from mlbs_actors.messages import Array
+from mlbs_actors.messages import Array, Region
 from orchestrator.durable_files import publish, temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels
 
@@ -73,14 +74,24 @@ class OverlayVideo:
         self._failed = False
         self._last_pts = -1
 
-    def add(self, image: Array, labels: Array, index: int, pts: float) -> None:
-        """Append frame ``index``, shown at ``pts`` seconds; times that do not advance go on by 1/90,000 s."""
+    def add(
+        self,
+        image: Array,
+        labels: Array,
+        index: int,
+        pts: float,
+        regions: Mapping[int, Region] | None = None,
+    ) -> None:
+        """Append frame ``index``, shown at ``pts`` seconds; times that do not advance go on by 1/90,000 s.
+
+        ``regions`` are the layers' bounding boxes, where they are known.
+        """
         if self._failed:
             return
         try:
             container, stream = self._opened(image.shape)
             size = (stream.width, stream.height)
-            drawn = draw_labels(image, labels)
+            drawn = draw_labels(image, labels, regions)
             draw_caption(drawn, f"frame {index}")
             drawn = _padded(drawn)
             if (drawn.shape[1], drawn.shape[0]) != size:

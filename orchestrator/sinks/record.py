@@ -140,7 +140,8 @@ class StreamRecord:
         except OSError as error:
             raise self._unwritable(error) from None
         if self._overlay is not None and frame.image is not None:
-            self._overlay.add(frame.image, segmentation.labels, frame.index, frame.pts)
+            regions = {layer.layer: layer.region for layer in segmentation.layers}
+            self._overlay.add(frame.image, segmentation.labels, frame.index, frame.pts, regions)
         if self._live is not None and frame.image is not None:
             self._live.show(frame.image, segmentation.labels, frame.index)
         return self._committed
