@@ -85,6 +85,23 @@ def test_a_label_image_gives_back_its_ids_whatever_the_largest(largest: int, mod
     assert image.getpalette() == (davis_palette().ravel().tolist() if mode == "P" else None)
 
 
+@pytest.mark.parametrize("largest", [2, 254, 65535])
+def test_a_label_image_is_the_picture_that_an_image_library_writes(largest: int) -> None:
+    labels = np.random.default_rng(5).integers(0, largest, (241, 319), np.uint16, endpoint=True)
+    written, buffer = Image.open(io.BytesIO(encode_label_image(labels))), io.BytesIO()
+    image = Image.fromarray(labels.astype(np.uint8) if largest < 255 else labels)
+    if largest < 255:
+        image.putpalette(davis_palette().tobytes())
+    image.save(buffer, format="PNG")
+    expected = Image.open(buffer)
+    assert (written.mode, written.info, written.getpalette()) == (
+        expected.mode,
+        expected.info,
+        expected.getpalette(),
+    )
+    np.testing.assert_array_equal(np.asarray(written), np.asarray(expected))
+
+
 # Record
 
 
