@@ -36,12 +36,12 @@ def publish(paths: Iterable[Path]) -> None:
     OSError
         As the disk says; files already renamed stay.
     """
-    published = list(paths)
-    for path in published:
-        _sync(temporary_path(path))
-    for path in published:
-        temporary_path(path).replace(path)
-    for folder in sorted({path.parent for path in published}):
+    drafts = [(temporary_path(path), path) for path in paths]
+    for draft, _ in drafts:
+        _sync(draft)
+    for draft, path in drafts:
+        draft.replace(path)
+    for folder in sorted({path.parent for _, path in drafts}):
         _sync(folder)
 
 

@@ -47,11 +47,11 @@ def draw_labels(image: Array, labels: Array, regions: Mapping[int, Region] | Non
         left, top = max(region.x - line, 0), max(region.y - line, 0)
         box = slice(top, region.y + region.height + line), slice(left, region.x + region.width + line)
         mask, canvas = (labels[box] == layer).view(np.uint8), drawn[box]
-        cv2.copyTo(np.zeros_like(canvas), cv2.dilate(mask, around), canvas)
+        cv2.copyTo(np.zeros(canvas.shape, np.uint8), cv2.dilate(mask, around), canvas)
         cut.append((layer, left, top, mask, canvas, image[box]))
     texts = []
     for layer, left, top, mask, canvas, picture in cut:
-        colour = np.empty_like(canvas)
+        colour = np.empty(canvas.shape, np.uint8)
         cv2.rectangle(colour, (0, 0), (mask.shape[1], mask.shape[0]), layer_colour(layer), cv2.FILLED)
         cv2.copyTo(colour, mask, canvas)
         tinted = cv2.addWeighted(picture, 1 - _OPACITY, colour, _OPACITY, 0)

@@ -99,7 +99,7 @@ class OverlayVideo:
             # OpenCV converts in half of the time that the encoder's library takes.
             planes = np.asarray(cv2.cvtColor(drawn, cv2.COLOR_BGR2YUV_I420), np.uint8)
             frame = VideoFrame.from_numpy_buffer(planes, format="yuv420p")
-            self._last_pts = max(self._last_pts + 1, round(pts / _TIME_BASE))
+            self._last_pts = max(self._last_pts + 1, round(pts / TICK))
             frame.pts, frame.time_base = self._last_pts, _TIME_BASE
             container.mux(stream.encode(frame))
         except (av.error.FFmpegError, OSError, ValueError) as error:
