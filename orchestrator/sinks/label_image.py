@@ -22,6 +22,7 @@ _DAVIS_COLOURS = 22  # from here on its palette is a grey ramp
 _COMPRESSION, _STRATEGY = 1, zlib.Z_RLE
 _MEMORY = 5  # of 9; with more it finds nothing more, and takes a quarter longer
 _GREY, _INDEXED = 0, 3  # PNG's kinds of colour
+_UNFILTERED = 0  # PNG's word before a row
 
 
 def voc_colours(count: int = 256) -> Array:
@@ -75,7 +76,8 @@ def encode_label_image(labels: Array) -> bytes:
     indexed = labels.max(initial=0) <= LARGEST_INDEXED_LABEL
     sample, colour = (np.dtype(np.uint8), _INDEXED) if indexed else (np.dtype(">u2"), _GREY)
     # Written here: an image library's many small steps take as long again as the compression.
-    rows: Array = np.zeros((height, 1 + width * sample.itemsize), np.uint8)  # the first byte: not filtered
+    rows: Array = np.empty((height, 1 + width * sample.itemsize), np.uint8)
+    rows[:, 0] = _UNFILTERED
     rows[:, 1:].view(sample)[:] = labels
     deflate = zlib.compressobj(_COMPRESSION, memLevel=_MEMORY, strategy=_STRATEGY)
     chunks = (

@@ -109,16 +109,14 @@ def run_length_code(labels: Array, layer: int, region: Region) -> str:
         Holds all the layer's pixels; only there they are looked for.
     """
     height, width = labels.shape
-    # A row of zeros below each column ends its last run; another zero before them all begins the first.
-    inside = np.zeros(region.width * (region.height + 1) + 1, np.bool_)
-    columns = inside[1:].reshape(region.width, region.height + 1)
-    np.equal(labels[region.slices].T, layer, out=columns[:, :-1])
-    column, row = np.divmod((inside[1:] != inside[:-1]).nonzero()[0], region.height + 1)
-    bounds = (region.x + column) * height + region.y + row
-    # A run that reaches the frame's bottom may go on at the top of the next column.
-    counted = np.ones(len(bounds) + 2, np.bool_)
-    counted[2:-2:2] = counted[3:-2:2] = bounds[1:-1:2] != bounds[2::2]
-    bounds = np.concatenate([[0], bounds, [height * width]])[counted]
+    # A row of zeros below each column ends its last run, but not where that may go on at the next one's top.
+    pitch = min(region.height + 1, height)
+    inside = np.zeros(region.width * pitch + 2, np.bool_)  # with a zero before them all and one behind
+    columns = inside[1:-1].reshape(region.width, pitch)
+    np.equal(labels[region.slices].T, layer, out=columns[:, : region.height])
+    changes = (inside[1:] != inside[:-1]).nonzero()[0]
+    bounds = changes + changes // pitch * (height - pitch) + (region.x * height + region.y)
+    bounds = np.concatenate(([0], bounds, [height * width]))
     counts = bounds[1:] - bounds[:-1]
     if counts[-1] == 0:
         counts = counts[:-1]  # the last run is the layer's own
