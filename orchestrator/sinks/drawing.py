@@ -39,7 +39,7 @@ def draw_labels(image: Array, labels: Array, regions: Mapping[int, Region] | Non
     """
     drawn = image.copy()
     line = max(1, round(min(image.shape[:2]) * _LINE_PX))
-    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * line + 1, 2 * line + 1))
+    around = _disc(line)
     cut = []
     # All dark rims come first: where one lies on another layer, that one's outline lies on it.
     # OpenCV's masked copies take a tenth of the time of assignments by a mask.
@@ -109,8 +109,12 @@ def _stencil(text: str, digit_height: int) -> tuple[Array, Array]:
     (width, height), below = cv2.getTextSize(text, _FONT, scale, stroke)
     fill = np.zeros((height + below + 4 * rim, width + 4 * rim), np.uint8)
     cv2.putText(fill, text, (2 * rim, height + 2 * rim), _FONT, scale, 255, stroke, cv2.LINE_AA)
-    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1, 2 * rim + 1))
-    return cv2.merge([fill] * 3), cv2.merge([cv2.dilate(fill, around)] * 3)
+    return cv2.merge([fill] * 3), cv2.merge([cv2.dilate(fill, _disc(rim))] * 3)
+
+
+@lru_cache(maxsize=16)
+def _disc(radius: int) -> Array:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
 
 
 def _text_height(picture: Array) -> int:
