@@ -44,7 +44,7 @@ from mlbs_actors.cells import cell_side, in_cells, mean_of_cells, spread_over_ce
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
-from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_positions
+from mlbs_actors.gabp import MotionField, MotionParameters, motion_field
 from mlbs_actors.kde import AppearanceParameters, confidence, warp_and_evaluate
 from mlbs_actors.layer_cost import finished_posterior, layer_cost, quantised_colours
 from mlbs_actors.learning import near_trajectories, trusted_background
@@ -58,6 +58,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
+from mlbs_actors.node_grid import node_positions
 from mlbs_actors.object_regions import contested, median_motion, object_region
 from mlbs_actors.photometric import FramePart, photometric_advantage
 from mlbs_actors.region_groups import slices_in

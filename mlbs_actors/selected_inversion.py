@@ -15,6 +15,7 @@ from mlbs_actors.messages import Array
 __all__ = ["inverse_diagonal"]
 
 
+@compiled()
 def inverse_diagonal(screening: Array, edge: float) -> Array:
     """Diagonal of A⁻¹, exactly.
 
@@ -34,8 +35,8 @@ def inverse_diagonal(screening: Array, edge: float) -> Array:
     (rows, columns) float64
     """
     if screening.shape[0] < screening.shape[1]:
-        return np.ascontiguousarray(inverse_diagonal(screening.T, edge).T)
-    return np.asarray(_inverse_diagonal(np.ascontiguousarray(screening), edge))
+        return _inverse_diagonal(screening.T.copy(), edge).T.copy()
+    return _inverse_diagonal(screening.copy(), edge)
 
 
 @compiled()
