@@ -203,16 +203,16 @@ class Layer:
         field = self.motion_field(evidence, frame_evidence, home)
         part = slices_in(cells, in_cells(home, side))
         home_motion = field.of_cells(side)
+        home_motion *= np.float32(1.0 / side)  # in cells
         motion = np.ascontiguousarray(home_motion[part])
         variance = np.ascontiguousarray(field.variance_of_cells(side)[part])
-        per_cell = np.float32(1.0 / side)
         moved = perf_counter()
         image = mean_of_cells(frame[home.slices], side)
         density = self._density(side)
         opened = np.zeros(image.shape[:2], np.bool_)
         opened[part] = needed
         model, log_density = warp_and_evaluate(
-            state.model, in_cells(home, side), home_motion * per_cell, image, density, opened
+            state.model, in_cells(home, side), home_motion, image, density, opened
         )
         weights = self.config.posterior
         log_ratio, samples = quantised_colours(
@@ -222,7 +222,7 @@ class Layer:
             weights.appearance_cap,
         )
         before = in_cells(state.region, side)
-        prior = warp_map(posterior, before, cells, motion * per_cell, needed)
+        prior = warp_map(posterior, before, cells, motion, needed)
         if self.kind == "background":
             trusted = trusted_background(self.config, evidence, frame_evidence, side)
             own_terms: Array = np.zeros(needed.shape, np.float32)
@@ -231,7 +231,7 @@ class Layer:
             advantage = photometric_advantage(
                 FramePart(before, state.image),
                 FramePart(cells, image),
-                motion * per_cell,
+                motion,
                 shrunk_homography(frame_evidence.camera, (side, side)),
                 prior[0] >= 0.5,
                 weights.photometric_cap,

@@ -68,7 +68,7 @@ def layer_cost(
     needed : (h, w) bool
         Cells to evaluate.
     motion : (h, w, 2) float32
-        Mean of the motion field, px.
+        Mean of the motion field, cells.
     variance : (h, w) float32
         Its variance, px².
     prior : two (h, w) float32
@@ -98,6 +98,7 @@ def layer_cost(
     _layer_cost(
         needed,
         motion,
+        np.float32(side),
         variance,
         single_precision(evidence.flow[rows, columns]),
         np.ascontiguousarray(evidence.flow_reliable[rows, columns]),
@@ -161,9 +162,9 @@ def _places(first: int, count: int, ratio: float, grid: int) -> tuple[Array, Arr
 
 @compiled()
 def _layer_cost(
-    needed: Array, motion: Array, variance: Array, flow: Array, reliable: Array, unexplained: Array,
-    top: Array, bottom: Array, down: Array, left: Array, right: Array, along: Array, heard: Array,
-    prior: Array, share: Array, own_terms: Array,
+    needed: Array, motion: Array, side: np.float32, variance: Array, flow: Array, reliable: Array,
+    unexplained: Array, top: Array, bottom: Array, down: Array, left: Array, right: Array, along: Array,
+    heard: Array, prior: Array, share: Array, own_terms: Array,
     flow_variance: np.float32, neutral: np.float32, disagreement: Array, surprise: Array, offset: np.float32,
     cost: Array,
 ) -> None:  # fmt: skip
@@ -191,7 +192,7 @@ def _layer_cost(
                     flow_x += w10 * flow[b, c, 0] + w11 * flow[b, d, 0]
                     flow_y = w00 * flow[a, c, 1] + w01 * flow[a, d, 1]
                     flow_y += w10 * flow[b, c, 1] + w11 * flow[b, d, 1]
-                    miss_x, miss_y = flow_x - motion[y, x, 0], flow_y - motion[y, x, 1]
+                    miss_x, miss_y = flow_x - side * motion[y, x, 0], flow_y - side * motion[y, x, 1]
                     distance = (miss_x * miss_x + miss_y * miss_y) / (variance[y, x] + flow_variance)
                     place = min(distance * np.float32(_DISTANCE_STEPS), np.float32(disagreement.size - 1))
                     nats += weight * disagreement[int(place + half)]
