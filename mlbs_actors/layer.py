@@ -40,7 +40,7 @@ import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
 from mlbs_actors.camera import shrunk_homography
-from mlbs_actors.cells import cell_side, in_cells, mean_of_cells, spread_over_cells
+from mlbs_actors.cells import cell_side, cells_won, in_cells, mean_of_cells, spread_over_cells
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
@@ -341,9 +341,8 @@ class Layer:
         state = self.state
         if previous is None or previous.frame_index != state.last_frame:
             return np.zeros((0, 0), np.float32)
-        mask = previous.labels[state.home.slices] == self.layer
-        won = mean_of_cells(mask.view(np.uint8) * np.uint8(255), state.cell)
-        update(state.model, state.image, (won == 255) & state.trusted)
+        won, learnt = cells_won(previous.labels, self.layer, state.home, state.cell, state.trusted)
+        update(state.model, state.image, learnt)
         cells, home = in_cells(state.region, state.cell), in_cells(state.home, state.cell)
         own = np.ascontiguousarray(won[slices_in(cells, home)])
         return finished_posterior(
