@@ -39,14 +39,18 @@ def factorised(screening: Array, edge: float) -> Array:
             lower[node, 1] = -edge
         if v + 1 < rows:
             lower[node, width] = -edge  # the very element beside the diagonal where a line is one node
-    factor = np.empty(width + 1)
+    # Places in a flat array, without a sign: thousands of slices of a dozen elements would take longer.
+    flat, factor, line = lower.reshape(-1), np.empty(width + 1), np.uint64(width + 1)
     for node in range(size):
-        factor[:] = lower[node] / lower[node, 0]
+        own = np.uint64(node) * line
+        for k in range(width + 1):
+            factor[k] = flat[own + np.uint64(k)] / flat[own]
         for k in range(1, width + 1):
-            change, below, row = lower[node, k], factor[k:], lower[node + k]
-            for i in range(below.size):
-                row[i] -= change * below[i]
-        lower[node, 1:] = factor[1:]
+            change, row = flat[own + np.uint64(k)], own + np.uint64(k) * line
+            for i in range(width + 1 - k):
+                flat[row + np.uint64(i)] -= change * factor[np.uint64(k + i)]
+        for k in range(1, width + 1):
+            flat[own + np.uint64(k)] = factor[k]
     return lower
 
 

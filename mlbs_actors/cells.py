@@ -13,10 +13,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.config import length_scale
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["aligned", "cell_side", "in_cells", "in_pixels", "mean_of_cells", "spread_over_cells"]
+__all__ = ["aligned", "cell_side", "cells_won", "in_cells", "in_pixels", "mean_of_cells", "spread_over_cells"]
 
 
 def cell_side(shape: tuple[int, int], cell_px: float) -> int:
@@ -68,6 +69,71 @@ def mean_of_cells(values: Array, side: int) -> Array:
     if any(missing):
         values = cv2.copyMakeBorder(values, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
     return np.asarray(cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA))
+
+
+def cells_won(labels: Array, layer: int, region: Region, side: int, trusted: Array) -> tuple[Array, Array]:
+    """How much of each cell of an aligned region a layer has in a map.
+
+    Parameters
+    ----------
+    labels : (H, W) uint16
+        C-contiguous.
+    layer : int
+    region : Region
+    side : int
+    trusted : (⌈h/side⌉, ⌈w/side⌉) bool
+
+    Returns
+    -------
+    share : (⌈h/side⌉, ⌈w/side⌉) uint8
+        255 = all; past the frame's border its last row and column go on.
+    learnt : (⌈h/side⌉, ⌈w/side⌉) bool
+        Cells that it has altogether and that are trusted.
+    """
+    share, learnt = np.empty(trusted.shape, np.uint8), np.empty(trusted.shape, np.bool_)
+    _count_won(
+        labels,
+        np.uint16(layer),
+        region.x,
+        region.y,
+        region.width,
+        region.height,
+        side,
+        trusted,
+        share,
+        learnt,
+    )
+    return share, learnt
+
+
+@compiled()
+def _count_won(
+    labels: Array, layer: np.uint16, left: int, top: int, width: int, height: int, side: int, trusted: Array,
+    share: Array, learnt: Array,
+) -> None:  # fmt: skip
+    columns, scale = trusted.shape[1], np.float32(255.0 / (side * side))
+    own = np.empty(columns * side, np.uint8)  # pixels of each column in a row of cells
+    for y in range(trusted.shape[0]):
+        own[:] = 0
+        for v in range(y * side, (y + 1) * side):
+            line = labels[top + min(v, height - 1), left : left + width]
+            for x in range(width):
+                own[np.uint64(x)] += np.uint8(line[np.uint64(x)] == layer)
+        own[width:] = own[width - 1]
+        row, told, trust = share[y], learnt[y], trusted[y]
+        if side == 2:  # the usual one: a loop of known steps runs in vector registers
+            for x in range(columns):
+                first = np.uint64(2 * x)
+                count = np.int32(own[first]) + np.int32(own[first + np.uint64(1)])
+                row[x] = np.uint8((np.int32(255) * count + np.int32(2)) >> np.int32(2))
+                told[x] = (count == 4) & trust[x]
+            continue
+        for x in range(columns):
+            count = np.int32(0)
+            for u in range(x * side, (x + 1) * side):
+                count += np.int32(own[u])
+            row[x] = np.uint8(np.int32(np.rint(scale * np.float32(count))))
+            told[x] = (count == side * side) & trust[x]
 
 
 def spread_over_cells(values: Array, side: int, shape: tuple[int, int]) -> Array:

@@ -39,17 +39,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from mlbs_actors.cells import mean_of_cells
 from mlbs_actors.compilation import compiled
 from mlbs_actors.errors import SolverError
 from mlbs_actors.messages import Array
+from mlbs_actors.node_grid import bilinear_taps, grid_shape, lump, point_misfit, to_pixels
 from mlbs_actors.screened_poisson import solve
 from mlbs_actors.selected_inversion import inverse_diagonal
 
-__all__ = ["MotionField", "MotionParameters", "motion_field", "node_positions"]
+__all__ = ["MotionField", "MotionParameters", "motion_field"]
 
 #: Relative residual of the solves before the last, see :func:`motion_field`.
 _ROUGH_TOLERANCE = 1e-2
@@ -102,7 +102,8 @@ class MotionField:
     shape : (h, w)
         Size of the region, px.
     mean : (gh, gw, 2) float32
-        Backward motion (x, y) at the nodes :func:`node_positions` of ``spacing``, px/frame.
+        Backward motion (x, y) at the nodes of ``spacing``
+        (:func:`~mlbs_actors.node_grid.node_positions`), px/frame.
     spacing : int
         px.
     variance : (vh, vw) float32
@@ -129,11 +130,11 @@ class MotionField:
 
     def dense(self) -> Array:
         """Mean at every pixel: (h, w, 2) float32, px/frame; bilinear, constant past the outer nodes."""
-        return _to_pixels(self.mean, self.spacing, self.shape)
+        return to_pixels(self.mean, self.spacing, self.shape)
 
     def dense_variance(self) -> Array:
         """Variance at every pixel: (h, w) float32, px², interpolated like :meth:`dense`."""
-        return _to_pixels(self.variance, self.variance_spacing, self.shape)
+        return to_pixels(self.variance, self.variance_spacing, self.shape)
 
     def of_cells(self, side: int) -> Array:
         """Mean over the pixels of each cell of this side: (⌈h/side⌉, ⌈w/side⌉, 2) float32, px/frame."""
@@ -145,31 +146,9 @@ class MotionField:
 
     def _in_cells(self, nodes: Array, spacing: int, side: int) -> Array:
         if spacing % side:
-            return mean_of_cells(_to_pixels(nodes, spacing, self.shape), side)
+            return mean_of_cells(to_pixels(nodes, spacing, self.shape), side)
         # As the field is linear between the nodes, the value in the middle of a cell is nearly its mean.
-        return _to_pixels(nodes, spacing // side, (-(-self.shape[0] // side), -(-self.shape[1] // side)))
-
-
-def node_positions(shape: tuple[int, int], spacing: int) -> Array:
-    """Where the nodes of a region lie.
-
-    Parameters
-    ----------
-    shape : (h, w)
-        Size of the region, px.
-    spacing : int
-        px.
-
-    Returns
-    -------
-    (⌈h/spacing⌉, ⌈w/spacing⌉, 2) float32
-        Region-local (x, y) of each node, the centre of its cell, px. The last ones may lie past the border.
-    """
-    rows, columns = _grid_shape(shape, spacing)
-    nodes = np.empty((rows, columns, 2), np.float32)
-    nodes[..., 0] = (np.arange(columns) + 0.5) * spacing - 0.5
-    nodes[..., 1] = ((np.arange(rows) + 0.5) * spacing - 0.5)[:, None]
-    return nodes
+        return to_pixels(nodes, spacing // side, (-(-self.shape[0] // side), -(-self.shape[1] // side)))
 
 
 def motion_field(
@@ -190,7 +169,7 @@ def motion_field(
     shape : (h, w)
         Size of the region, px.
     prior_mean : (2,) or (gh, gw, 2) float
-        Prior motion, one for all or at each of :func:`node_positions` (for example the camera's), px/frame.
+        Prior motion, one for all or at each node of ``spacing_px`` (for example the camera's), px/frame.
     parameters : MotionParameters
 
     Returns
@@ -206,27 +185,36 @@ def motion_field(
     -----
     Paper §5, P(M|tracks) ∝ Π N(m_i | m_j, Σ_m) Π N(m_i | m_track, Σ_p).
     """
-    if not (_all_finite(positions) and _all_finite(motions) and np.isfinite(prior_mean).all()):
+    height, width = shape
+    prior = np.ascontiguousarray(prior_mean, np.float64)
+    if prior.ndim == 1:
+        prior = prior.reshape(1, 1, 2)
+    finite, inside, points, moved = _told_inside(positions, motions, prior, height, width)
+    if not finite:
         raise SolverError(
             "A motion field needs finite evidence; drop trajectories with NaN or infinite motion."
         )
-    height, width = shape
     if height == 0 or width == 0:
         return _empty_field(shape, len(positions), parameters)
-    spacing = parameters.spacing_px
-    grid = _grid_shape(shape, spacing)
-    prior = np.empty((2, *grid))
-    prior[0], prior[1] = prior_mean[..., 0], prior_mean[..., 1]
-    inside = _inside(positions, height, width)
-    points = positions[inside]
-    deviation, weights, iterations, residual = _robust_deviation(
+    grid, variance_grid = (
+        grid_shape(shape, parameters.spacing_px),
+        grid_shape(shape, parameters.variance_spacing_px),
+    )
+    # What the finer nodes of the mean vary more, in units of the smoothness's variance.
+    refinement = np.log(parameters.variance_spacing_px / parameters.spacing_px) / (2.0 * np.pi)
+    mean, variance, point_weights, iterations, residual = _posterior(
         points,
-        motions[inside],
+        moved,
+        inside,
         prior,
-        spacing,
-        1.0 / parameters.smoothness_std_px**2,
+        grid,
+        parameters.spacing_px,
+        variance_grid,
+        parameters.variance_spacing_px,
+        parameters.smoothness_std_px**2,
         1.0 / parameters.point_std_px**2,
-        _prior_precision(grid, parameters),
+        parameters.prior_std_px**2,
+        refinement,
         parameters.robust_px,
         parameters.robust_rounds,
         parameters.tolerance,
@@ -238,13 +226,11 @@ def motion_field(
             f"{parameters.tolerance:.1e} is wanted; raise the tolerance, or bring the standard deviations of "
             "its terms closer together."
         )
-    point_weights = np.zeros(len(positions), np.float32)
-    point_weights[inside] = weights
     return MotionField(
         shape=(height, width),
-        mean=_sum_by_nodes(prior, deviation),
-        spacing=spacing,
-        variance=_marginal_variance(points, weights, shape, parameters).astype(np.float32),
+        mean=mean,
+        spacing=parameters.spacing_px,
+        variance=variance,
         variance_spacing=parameters.variance_spacing_px,
         point_weights=point_weights,
         iterations=iterations,
@@ -256,9 +242,9 @@ def _empty_field(shape: tuple[int, int], point_count: int, parameters: MotionPar
     """Field of a region without pixels."""
     return MotionField(
         shape=shape,
-        mean=np.zeros((*_grid_shape(shape, parameters.spacing_px), 2), np.float32),
+        mean=np.zeros((*grid_shape(shape, parameters.spacing_px), 2), np.float32),
         spacing=parameters.spacing_px,
-        variance=np.zeros(_grid_shape(shape, parameters.variance_spacing_px), np.float32),
+        variance=np.zeros(grid_shape(shape, parameters.variance_spacing_px), np.float32),
         variance_spacing=parameters.variance_spacing_px,
         point_weights=np.zeros(point_count, np.float32),
         iterations=0,
@@ -266,60 +252,63 @@ def _empty_field(shape: tuple[int, int], point_count: int, parameters: MotionPar
     )
 
 
-def _grid_shape(shape: tuple[int, int], spacing: int) -> tuple[int, int]:
-    return -(-shape[0] // spacing), -(-shape[1] // spacing)
-
-
-def _to_pixels(values: Array, spacing: int, shape: tuple[int, int]) -> Array:
-    """Bilinear: cv2 aligns cell centres too and repeats the border."""
-    if 0 in shape:
-        return np.zeros((*shape, *values.shape[2:]), np.float32)
-    size = (values.shape[1] * spacing, values.shape[0] * spacing)
-    pixels: Array = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
-    return np.ascontiguousarray(pixels[: shape[0], : shape[1]])
-
-
 @compiled()
-def _all_finite(values: Array) -> bool:
-    return bool(np.isfinite(values).all())
-
-
-@compiled()
-def _sum_by_nodes(prior: Array, deviation: Array) -> Array:
-    """Sum of two (2, gh, gw) fields, (gh, gw, 2) float32."""
-    total = np.empty((prior.shape[1], prior.shape[2], 2), np.float32)
-    for v in range(total.shape[0]):
-        for u in range(total.shape[1]):
-            for axis in range(2):
-                total[v, u, axis] = prior[axis, v, u] + deviation[axis, v, u]
-    return total
-
-
-@compiled()
-def _inside(positions: Array, height: int, width: int) -> Array:
-    """Which points lie in the region."""
-    inside = np.empty(positions.shape[0], np.bool_)
+def _told_inside(
+    positions: Array, motions: Array, prior: Array, height: int, width: int
+) -> tuple[bool, Array, Array, Array]:
+    """Whether all is finite, which points lie in the region, their positions and their motions."""
+    count, inside = 0, np.empty(positions.shape[0], np.bool_)
+    finite = np.isfinite(positions).all() and np.isfinite(motions).all() and np.isfinite(prior).all()
+    points, moved = np.empty(positions.shape, positions.dtype), np.empty(motions.shape, motions.dtype)
     for point in range(inside.size):
         x, y = positions[point, 0], positions[point, 1]
         inside[point] = -0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5
-    return inside
+        if inside[point]:
+            points[count], moved[count] = positions[point], motions[point]
+            count += 1
+    return bool(finite), inside, points[:count], moved[:count]
 
 
 @compiled()
-def _bilinear_taps(points: Array, rows: int, columns: int, spacing: int) -> tuple[Array, Array]:
-    """Indices (n, 4) of the nodes around each point, and the point's shares (n, 4) in them; they sum to 1."""
-    nodes, shares = np.empty((points.shape[0], 4), np.int64), np.empty((points.shape[0], 4))
-    for point in range(points.shape[0]):
-        u = min(max((np.float64(points[point, 0]) + 0.5) / spacing - 0.5, 0.0), columns - 1.0)
-        v = min(max((np.float64(points[point, 1]) + 0.5) / spacing - 0.5, 0.0), rows - 1.0)
-        left, top = int(u), int(v)
-        right, bottom = min(left + 1, columns - 1), min(top + 1, rows - 1)
-        along, down = u - left, v - top
-        nodes[point, 0], nodes[point, 1] = top * columns + left, top * columns + right
-        nodes[point, 2], nodes[point, 3] = bottom * columns + left, bottom * columns + right
-        shares[point, 0], shares[point, 1] = (1 - down) * (1 - along), (1 - down) * along
-        shares[point, 2], shares[point, 3] = down * (1 - along), down * along
-    return nodes, shares
+def _posterior(
+    points: Array, motions: Array, inside: Array, prior_mean: Array, grid: tuple[int, int], spacing: int,
+    variance_grid: tuple[int, int], variance_spacing: int, smoothness: float, point_precision: float,
+    prior_variance: float, refinement: float, robust_px: float, robust_rounds: int, tolerance: float,
+    max_iterations: int,
+) -> tuple[Array, Array, Array, int, float]:  # fmt: skip
+    """Mean (gh, gw, 2) and variance (vh, vw), float32; the weights of all points, those outside too; the
+    iterations of all rounds, and the residual of the last."""
+    rows, columns = grid
+    prior = np.empty((2, rows, columns))
+    for v in range(rows):
+        for u in range(columns):
+            near = prior_mean[min(v, prior_mean.shape[0] - 1), min(u, prior_mean.shape[1] - 1)]
+            prior[0, v, u], prior[1, v, u] = near[0], near[1]
+    deviation, weights, iterations, residual = _robust_deviation(
+        points, motions, prior, spacing, 1.0 / smoothness, point_precision,
+        1.0 / (prior_variance * rows * columns), robust_px, robust_rounds, tolerance, max_iterations,
+    )  # fmt: skip
+    mean = np.empty((rows, columns, 2), np.float32)
+    for v in range(rows):
+        for u in range(columns):
+            for axis in range(2):
+                mean[v, u, axis] = prior[axis, v, u] + deviation[axis, v, u]
+    # diag(A⁻¹) of the same model on the variance's grid.
+    rows, columns = variance_grid
+    nodes, shares = bilinear_taps(points, rows, columns, variance_spacing)
+    precision = 1.0 / (prior_variance * rows * columns)
+    screening = lump(nodes, shares, weights * point_precision, motions, precision, rows, columns)[0]
+    marginal = inverse_diagonal(screening, 1.0 / smoothness)
+    variance = np.empty((rows, columns), np.float32)
+    for v in range(rows):
+        for u in range(columns):
+            variance[v, u] = marginal[v, u] + smoothness * refinement
+    point_weights, told = np.zeros(inside.size, np.float32), 0
+    for point in range(inside.size):
+        if inside[point]:
+            point_weights[point] = weights[told]
+            told += 1
+    return mean, variance, point_weights, iterations, residual
 
 
 @compiled()
@@ -330,56 +319,21 @@ def _robust_deviation(
     """How far the field (2, gh, gw) is from its prior, the points' weights, the iterations of all rounds, and
     the residual of the last."""
     rows, columns = prior.shape[1], prior.shape[2]
-    nodes, shares = _bilinear_taps(points, rows, columns, spacing)
-    measured = _misfit(motions, prior, nodes, shares)
+    nodes, shares = bilinear_taps(points, rows, columns, spacing)
+    measured = point_misfit(motions, prior, nodes, shares)
     weights, deviation = np.ones(points.shape[0]), np.zeros(prior.shape)
     iterations, residual = 0, 0.0
     rounds = robust_rounds if points.shape[0] else 0
     for number in range(rounds + 1):
-        lumped = _lump(nodes, shares, weights * point_precision, measured, prior_precision, rows, columns)
+        lumped = lump(nodes, shares, weights * point_precision, measured, prior_precision, rows, columns)
         # A rough field is enough to weigh the trajectories by.
         accepted = tolerance if number == rounds else max(tolerance, _ROUGH_TOLERANCE)
         solution = solve(lumped[0], lumped[1:], edge, deviation, accepted, max_iterations)
         deviation, residual = solution.value, solution.residual
         iterations += solution.iterations
         if number < rounds:
-            weights = _robust_weights(_misfit(measured, deviation, nodes, shares), robust_px)
+            weights = _robust_weights(point_misfit(measured, deviation, nodes, shares), robust_px)
     return deviation, weights, iterations, residual
-
-
-@compiled()
-def _misfit(values: Array, field: Array, nodes: Array, shares: Array) -> Array:
-    """Points' values (n, 2) less those of a (2, gh, gw) field."""
-    flat = field.reshape(2, -1)
-    misfit = np.empty((values.shape[0], 2))
-    for point in range(values.shape[0]):
-        for axis in range(2):
-            total = 0.0
-            for tap in range(4):
-                total += shares[point, tap] * flat[axis, nodes[point, tap]]
-            misfit[point, axis] = values[point, axis] - total
-    return misfit
-
-
-@compiled()
-def _lump(
-    nodes: Array, shares: Array, evidence: Array, measured: Array, precision: float, rows: int, columns: int
-) -> Array:
-    """Sums on the nodes by the points' shares, (3, gh, gw): of their evidence, with the prior's precision,
-    and of their evidence times what they measured."""
-    total = np.zeros((3, rows * columns))
-    total[0] = precision
-    for point in range(nodes.shape[0]):
-        for tap in range(4):
-            node, amount = nodes[point, tap], shares[point, tap] * evidence[point]
-            total[0, node] += amount
-            total[1, node] += amount * measured[point, 0]
-            total[2, node] += amount * measured[point, 1]
-    return total.reshape(3, rows, columns)
-
-
-def _prior_precision(grid: tuple[int, int], parameters: MotionParameters) -> float:
-    return 1.0 / (parameters.prior_std_px**2 * grid[0] * grid[1])
 
 
 @compiled()
@@ -388,17 +342,3 @@ def _robust_weights(misfit: Array, robust_px: float) -> Array:
     scale = max(robust_px, 3.0 * 1.4826 * np.sqrt(np.median(squared)))
     weights: Array = (scale**2 / (scale**2 + squared)) ** 2
     return weights
-
-
-def _marginal_variance(
-    points: Array, weights: Array, shape: tuple[int, int], parameters: MotionParameters
-) -> Array:
-    """diag(A⁻¹) of the same model on the variance's grid, plus what the finer nodes of the mean vary more."""
-    grid = _grid_shape(shape, parameters.variance_spacing_px)
-    nodes, shares = _bilinear_taps(points, *grid, parameters.variance_spacing_px)
-    evidence, nothing = weights / parameters.point_std_px**2, np.zeros((len(points), 2))
-    screening = _lump(nodes, shares, evidence, nothing, _prior_precision(grid, parameters), *grid)[0]
-    refinement = np.log(parameters.variance_spacing_px / parameters.spacing_px) / (2.0 * np.pi)
-    variance = inverse_diagonal(screening, 1.0 / parameters.smoothness_std_px**2)
-    variance += parameters.smoothness_std_px**2 * refinement
-    return variance

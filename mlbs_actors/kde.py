@@ -206,7 +206,7 @@ def _evaluate(
     samples: Array, count: Array, spread: Array, residual: Array, image: Array, needed: Array,
     floor: np.float32, registration: np.float32, exponent: Array, norm: Array, result: Array,
 ) -> None:  # fmt: skip
-    width, slots = result.shape[1], samples.shape[3]
+    width, slots, stacks = result.shape[1], samples.shape[3], samples.reshape(-1)
     lanes = -(-slots // 4) * 4  # slots of a pixel among the kernels, of which four are summed at once
     planes, colours = padded_planes(image), np.empty((3, width), np.float32)
     steepest, bandwidth = np.empty((2, width), np.int32), np.empty(width, np.int32)
@@ -232,13 +232,17 @@ def _evaluate(
             x = asked[pixel]
             bandwidth[x] = max(bandwidth[x], np.int32(spread[y, x]))
             scale = exponent[bandwidth[x]]
-            blues, greens, reds = samples[y, x, 0], samples[y, x, 1], samples[y, x, 2]
-            own = kernels[pixel * lanes : (pixel + 1) * lanes]
-            for slot in range(slots):
-                blue = np.float32(blues[slot]) - colours[0, x]
-                green = np.float32(greens[slot]) - colours[1, x]
-                red = np.float32(reds[slot]) - colours[2, x]
-                own[slot] = max((blue * blue + green * green + red * red) * scale, _LEAST)
+            blue, green, red = colours[0, x], colours[1, x], colours[2, x]
+            blues = np.uint64((y * width + x) * 3 * slots)
+            greens, reds = blues + np.uint64(slots), blues + np.uint64(2 * slots)
+            first = np.uint64(pixel * lanes)
+            for number in range(slots):
+                place = np.uint64(number)
+                off_blue = np.float32(stacks[blues + place]) - blue
+                off_green = np.float32(stacks[greens + place]) - green
+                off_red = np.float32(stacks[reds + place]) - red
+                squared = off_blue * off_blue + off_green * off_green + off_red * off_red
+                kernels[first + place] = max(squared * scale, _LEAST)
         for i in range(found * lanes):
             bits[i] = np.int32(kernels[i])
         for i in range(found * lanes):

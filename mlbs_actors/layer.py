@@ -40,11 +40,11 @@ import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
 from mlbs_actors.camera import shrunk_homography
-from mlbs_actors.cells import cell_side, in_cells, mean_of_cells, spread_over_cells
+from mlbs_actors.cells import cell_side, cells_won, in_cells, mean_of_cells, spread_over_cells
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
-from mlbs_actors.gabp import MotionField, MotionParameters, motion_field, node_positions
+from mlbs_actors.gabp import MotionField, MotionParameters, motion_field
 from mlbs_actors.kde import AppearanceParameters, confidence, warp_and_evaluate
 from mlbs_actors.layer_cost import finished_posterior, layer_cost, quantised_colours
 from mlbs_actors.learning import near_trajectories, trusted_background
@@ -58,6 +58,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
+from mlbs_actors.node_grid import node_positions
 from mlbs_actors.object_regions import contested, median_motion, object_region
 from mlbs_actors.photometric import FramePart, photometric_advantage
 from mlbs_actors.region_groups import slices_in
@@ -202,16 +203,16 @@ class Layer:
         field = self.motion_field(evidence, frame_evidence, home)
         part = slices_in(cells, in_cells(home, side))
         home_motion = field.of_cells(side)
+        home_motion *= np.float32(1.0 / side)  # in cells
         motion = np.ascontiguousarray(home_motion[part])
         variance = np.ascontiguousarray(field.variance_of_cells(side)[part])
-        per_cell = np.float32(1.0 / side)
         moved = perf_counter()
         image = mean_of_cells(frame[home.slices], side)
         density = self._density(side)
         opened = np.zeros(image.shape[:2], np.bool_)
         opened[part] = needed
         model, log_density = warp_and_evaluate(
-            state.model, in_cells(home, side), home_motion * per_cell, image, density, opened
+            state.model, in_cells(home, side), home_motion, image, density, opened
         )
         weights = self.config.posterior
         log_ratio, samples = quantised_colours(
@@ -221,7 +222,7 @@ class Layer:
             weights.appearance_cap,
         )
         before = in_cells(state.region, side)
-        prior = warp_map(posterior, before, cells, motion * per_cell, needed)
+        prior = warp_map(posterior, before, cells, motion, needed)
         if self.kind == "background":
             trusted = trusted_background(self.config, evidence, frame_evidence, side)
             own_terms: Array = np.zeros(needed.shape, np.float32)
@@ -230,7 +231,7 @@ class Layer:
             advantage = photometric_advantage(
                 FramePart(before, state.image),
                 FramePart(cells, image),
-                motion * per_cell,
+                motion,
                 shrunk_homography(frame_evidence.camera, (side, side)),
                 prior[0] >= 0.5,
                 weights.photometric_cap,
@@ -340,9 +341,8 @@ class Layer:
         state = self.state
         if previous is None or previous.frame_index != state.last_frame:
             return np.zeros((0, 0), np.float32)
-        mask = previous.labels[state.home.slices] == self.layer
-        won = mean_of_cells(mask.view(np.uint8) * np.uint8(255), state.cell)
-        update(state.model, state.image, (won == 255) & state.trusted)
+        won, learnt = cells_won(previous.labels, self.layer, state.home, state.cell, state.trusted)
+        update(state.model, state.image, learnt)
         cells, home = in_cells(state.region, state.cell), in_cells(state.home, state.cell)
         own = np.ascontiguousarray(won[slices_in(cells, home)])
         return finished_posterior(

@@ -68,7 +68,7 @@ def layer_cost(
     needed : (h, w) bool
         Cells to evaluate.
     motion : (h, w, 2) float32
-        Mean of the motion field, px.
+        Mean of the motion field, cells.
     variance : (h, w) float32
         Its variance, px².
     prior : two (h, w) float32
@@ -98,6 +98,7 @@ def layer_cost(
     _layer_cost(
         needed,
         motion,
+        np.float32(side),
         variance,
         single_precision(evidence.flow[rows, columns]),
         np.ascontiguousarray(evidence.flow_reliable[rows, columns]),
@@ -161,43 +162,57 @@ def _places(first: int, count: int, ratio: float, grid: int) -> tuple[Array, Arr
 
 @compiled()
 def _layer_cost(
-    needed: Array, motion: Array, variance: Array, flow: Array, reliable: Array, unexplained: Array,
-    top: Array, bottom: Array, down: Array, left: Array, right: Array, along: Array, heard: Array,
-    prior: Array, share: Array, own_terms: Array,
+    needed: Array, motion: Array, side: np.float32, variance: Array, flow: Array, reliable: Array,
+    unexplained: Array, top: Array, bottom: Array, down: Array, left: Array, right: Array, along: Array,
+    heard: Array, prior: Array, share: Array, own_terms: Array,
     flow_variance: np.float32, neutral: np.float32, disagreement: Array, surprise: Array, offset: np.float32,
     cost: Array,
 ) -> None:  # fmt: skip
     one, half, step = np.float32(1), np.float32(0.5), np.float32(COST_STEP)
+    width, columns = needed.shape[1], unexplained.shape[1]
+    # Places in flat arrays, without a sign: it would be looked at before each is read.
+    asked, terms, known, shares = (
+        needed.reshape(-1),
+        own_terms.reshape(-1),
+        prior.reshape(-1),
+        share.reshape(-1),
+    )
+    moves, variances, costs = motion.reshape(-1), variance.reshape(-1), cost.reshape(-1)
+    errors, trust, flows = unexplained.reshape(-1), reliable.reshape(-1), flow.reshape(-1)
     for y in range(needed.shape[0]):
-        for x in range(needed.shape[1]):
-            if not needed[y, x]:
+        above, below, lower = top[y] * columns, bottom[y] * columns, down[y]
+        for x in range(width):
+            cell = np.uint64(y * width + x)
+            if not asked[cell]:
                 continue
-            nats = offset + own_terms[y, x]
-            a, b, c, d = top[y], bottom[y], left[x], right[x]
-            largest = max(unexplained[a, c], unexplained[a, d], unexplained[b, c], unexplained[b, d])
+            nats = offset + terms[cell]
+            a, b = np.uint64(above + left[x]), np.uint64(above + right[x])
+            c, d = np.uint64(below + left[x]), np.uint64(below + right[x])
+            largest = np.uint64(max(errors[a], errors[b], errors[c], errors[d]))
             if heard[largest] > 0:
-                w00, w01 = (one - down[y]) * (one - along[x]), (one - down[y]) * along[x]
-                w10, w11 = down[y] * (one - along[x]), down[y] * along[x]
+                w00, w01 = (one - lower) * (one - along[x]), (one - lower) * along[x]
+                w10, w11 = lower * (one - along[x]), lower * along[x]
                 error = (
-                    w00 * np.float32(unexplained[a, c]) + w01 * np.float32(unexplained[a, d])
-                    + w10 * np.float32(unexplained[b, c]) + w11 * np.float32(unexplained[b, d])
+                    w00 * np.float32(errors[a]) + w01 * np.float32(errors[b])
+                    + w10 * np.float32(errors[c]) + w11 * np.float32(errors[d])
                 )  # fmt: skip
-                weight = heard[int(error + half)]
-                weight *= (
-                    w00 * reliable[a, c] + w01 * reliable[a, d] + w10 * reliable[b, c] + w11 * reliable[b, d]
-                )
+                weight = heard[np.uint64(np.int64(error + half))]
+                weight *= w00 * trust[a] + w01 * trust[b] + w10 * trust[c] + w11 * trust[d]
                 if weight > 0:
-                    flow_x = w00 * flow[a, c, 0] + w01 * flow[a, d, 0]
-                    flow_x += w10 * flow[b, c, 0] + w11 * flow[b, d, 0]
-                    flow_y = w00 * flow[a, c, 1] + w01 * flow[a, d, 1]
-                    flow_y += w10 * flow[b, c, 1] + w11 * flow[b, d, 1]
-                    miss_x, miss_y = flow_x - motion[y, x, 0], flow_y - motion[y, x, 1]
-                    distance = (miss_x * miss_x + miss_y * miss_y) / (variance[y, x] + flow_variance)
+                    two, one_more = np.uint64(2), np.uint64(1)
+                    a, b, c, d, move = two * a, two * b, two * c, two * d, two * cell
+                    flow_x = w00 * flows[a] + w01 * flows[b]
+                    flow_x += w10 * flows[c] + w11 * flows[d]
+                    flow_y = w00 * flows[a + one_more] + w01 * flows[b + one_more]
+                    flow_y += w10 * flows[c + one_more] + w11 * flows[d + one_more]
+                    miss_x, miss_y = flow_x - side * moves[move], flow_y - side * moves[move + one_more]
+                    distance = (miss_x * miss_x + miss_y * miss_y) / (variances[cell] + flow_variance)
                     place = min(distance * np.float32(_DISTANCE_STEPS), np.float32(disagreement.size - 1))
-                    nats += weight * disagreement[int(place + half)]
-            believed = min(prior[y, x] + (one - share[y, x]) * neutral, one)
-            nats += surprise[int(believed * np.float32(_PRIOR_STEPS) + half)]
-            cost[y, x] = np.uint8(min(max(np.rint(nats / step), np.float32(0)), np.float32(255)))
+                    nats += weight * disagreement[np.uint64(np.int64(place + half))]
+            believed = min(known[cell] + (one - shares[cell]) * neutral, one)
+            nats += surprise[np.uint64(np.int64(believed * np.float32(_PRIOR_STEPS) + half))]
+            quanta = min(max(np.rint(nats / step), np.float32(0)), np.float32(255))
+            costs[cell] = np.uint8(np.int32(quanta))
 
 
 def quantised_colours(log_density: Array, count: Array, needed: Array, largest: float) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from mlbs_actors.cells import aligned, in_cells
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.messages import UNEXPLAINED_STEP, Array, FrameEvidence, LayerEvidence, Region
+from mlbs_actors.object_regions import bounds, box_within
 from mlbs_actors.trajectory_distance import closed_distance, trajectory_distance
 
 __all__ = ["near_trajectories", "trusted_background"]
@@ -116,12 +117,8 @@ def _others(evidence: LayerEvidence, frame_evidence: FrameEvidence) -> list[Laye
 
 def _surroundings(layers: list[LayerEvidence], margin: float, shape: tuple[int, int]) -> Region:
     """Box of some layers' trajectories with a margin, inside the frame."""
-    positions = np.concatenate([np.zeros((0, 2), np.float32), *(one.positions for one in layers)])
-    if len(positions) == 0:
-        return Region(0, 0, 0, 0)
-    x0, y0 = np.maximum(np.floor(positions.min(axis=0) - margin), 0).astype(int)
-    x1, y1 = np.minimum(np.ceil(positions.max(axis=0) + margin) + 1, shape[::-1]).astype(int)
-    return Region(int(x0), int(y0), int(x1 - x0), int(y1 - y0))
+    boxes = [bounds(one.positions) for one in layers if len(one.positions)]
+    return box_within(boxes, margin, shape) if boxes else Region(0, 0, 0, 0)
 
 
 def _unexplained(evidence: FrameEvidence, side: int) -> Array:

@@ -10,6 +10,7 @@ Differs from the paper, in which every layer is evaluated on the whole frame.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import ceil, floor
 
 import numpy as np
@@ -20,7 +21,7 @@ from mlbs_actors.config import length_scale
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region, Segmentation
 from mlbs_actors.region_groups import around, common, slices_in
 
-__all__ = ["contested", "median_motion", "object_region"]
+__all__ = ["bounds", "box_within", "contested", "median_motion", "object_region"]
 
 
 def object_region(
@@ -52,7 +53,7 @@ def object_region(
     """
     boxes = []
     if len(evidence.positions):
-        boxes.append(_bounds(evidence.positions))
+        boxes.append(bounds(evidence.positions))
     for summary in previous.layers if previous is not None else ():
         if summary.layer == evidence.layer:
             box = summary.region
@@ -64,12 +65,8 @@ def object_region(
             boxes.append((x, y, x + box.width, y + box.height))
     if not boxes:
         return Region(0, 0, 0, 0)
-    height, width = shape
-    margin = margin_px * length_scale(height, width)
-    left, top, right, bottom = zip(*boxes, strict=True)
-    x0, y0 = _within(floor(min(left) - margin), width), _within(floor(min(top) - margin), height)
-    x1, y1 = _within(ceil(max(right) + margin) + 1, width), _within(ceil(max(bottom) + margin) + 1, height)
-    return aligned(Region(x0, y0, x1 - x0, y1 - y0), cell, shape)
+    margin = margin_px * length_scale(*shape)
+    return aligned(box_within(boxes, margin, shape), cell, shape)
 
 
 def median_motion(motions: Array) -> tuple[float, float]:
@@ -84,10 +81,21 @@ def _median_motion(motions: Array) -> tuple[float, float]:
 
 
 @compiled()
-def _bounds(positions: Array) -> tuple[float, float, float, float]:
-    """Least x and y, largest x and y."""
+def bounds(positions: Array) -> tuple[float, float, float, float]:
+    """Least x and y, largest x and y of some positions (n ≥ 1, 2)."""
     x, y = positions[:, 0], positions[:, 1]
     return x.min(), y.min(), x.max(), y.max()
+
+
+def box_within(
+    boxes: Sequence[tuple[float, float, float, float]], margin: float, shape: tuple[int, int]
+) -> Region:
+    """The region around some :func:`bounds`, at least one, with a margin, inside an (H, W) frame, px."""
+    left, top, right, bottom = zip(*boxes, strict=True)
+    x0, y0 = _within(floor(min(left) - margin), shape[1]), _within(floor(min(top) - margin), shape[0])
+    x1 = _within(ceil(max(right) + margin) + 1, shape[1])
+    y1 = _within(ceil(max(bottom) + margin) + 1, shape[0])
+    return Region(x0, y0, x1 - x0, y1 - y0)
 
 
 def _within(place: int, length: int) -> int:

@@ -15,6 +15,7 @@ from mlbs_actors.messages import Array
 __all__ = ["inverse_diagonal"]
 
 
+@compiled()
 def inverse_diagonal(screening: Array, edge: float) -> Array:
     """Diagonal of A⁻¹, exactly.
 
@@ -34,8 +35,8 @@ def inverse_diagonal(screening: Array, edge: float) -> Array:
     (rows, columns) float64
     """
     if screening.shape[0] < screening.shape[1]:
-        return np.ascontiguousarray(inverse_diagonal(screening.T, edge).T)
-    return np.asarray(_inverse_diagonal(np.ascontiguousarray(screening), edge))
+        return _inverse_diagonal(screening.T.copy(), edge).T.copy()
+    return _inverse_diagonal(screening.copy(), edge)
 
 
 @compiled()
@@ -45,17 +46,19 @@ def _inverse_diagonal(screening: Array, edge: float) -> Array:
     lower = factorised(screening, edge)
     # inverse[i, width + k] is Z's element (i, i + k), on both sides of the diagonal.
     inverse = np.zeros((size + width, 2 * width + 1))
-    column = np.empty(width)
+    # Places in a flat array, without a sign, as in the factorisation.
+    flat, column, line = inverse.reshape(-1), np.empty(width), np.uint64(2 * width + 1)
     for node in range(size - 1, -1, -1):
         column[:] = 0.0
+        own = np.uint64(node) * line + np.uint64(width)
         for k in range(1, width + 1):
-            weight, row = lower[node, k], inverse[node + k, width + 1 - k :]
+            weight, row = lower[node, k], own + np.uint64(k) * line - np.uint64(k - 1)
             for i in range(width):
-                column[i] -= weight * row[i]
+                column[i] -= weight * flat[row + np.uint64(i)]
         corner = 1.0 / lower[node, 0]
         for k in range(1, width + 1):
             corner -= lower[node, k] * column[k - 1]
-            inverse[node, width + k] = column[k - 1]
-            inverse[node + k, width - k] = column[k - 1]
-        inverse[node, width] = corner
+            flat[own + np.uint64(k)] = column[k - 1]
+            flat[own + np.uint64(k) * (line - np.uint64(1))] = column[k - 1]
+        flat[own] = corner
     return np.ascontiguousarray(inverse[:size, width]).reshape(rows, columns)

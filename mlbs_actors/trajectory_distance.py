@@ -29,23 +29,32 @@ def trajectory_distance(layers: Sequence[LayerEvidence], cells: Region, side: in
     (h, w) float32
         px; infinite everywhere if no trajectory lies in the region.
     """
-    free = np.full((cells.height, cells.width), 255, np.uint8)
-    if layers:
-        positions = [evidence.positions for evidence in layers]
-        _mark(np.concatenate(positions), side, cells.x, cells.y, free)
-    if free.size == 0 or free.all():
-        return np.full(free.shape, np.inf, np.float32)
-    return np.asarray(np.float32(side) * cv2.distanceTransform(free, cv2.DIST_L2, 5))
+    positions = [evidence.positions for evidence in layers if len(evidence.positions)]
+    if positions:
+        together = positions[0] if len(positions) == 1 else np.concatenate(positions)
+        free, found = _free_cells(together, side, cells.x, cells.y, cells.width, cells.height)
+        if found:
+            return np.multiply(_distance(free), np.float32(side))
+    return np.full((cells.height, cells.width), np.inf, np.float32)
 
 
 @compiled()
-def _mark(positions: Array, side: int, left: int, top: int, free: Array) -> None:
-    """Set the cells to 0 in which some positions lie."""
-    height, width = free.shape
+def _free_cells(
+    positions: Array, side: int, left: int, top: int, width: int, height: int
+) -> tuple[Array, bool]:
+    """0 for the cells in which some positions lie and 1 for the others, uint8; whether there is one."""
+    free, found = np.ones((height, width), np.uint8), False
     for point in range(positions.shape[0]):
         x, y = np.rint(positions[point, 0]) - side * left, np.rint(positions[point, 1]) - side * top
         if 0 <= x < side * width and 0 <= y < side * height:
             free[int(y) // side, int(x) // side] = 0
+            found = True
+    return free, found
+
+
+def _distance(free: Array) -> Array:
+    """To the nearest 0, cells: (h, w) float32."""
+    return cv2.distanceTransform(free, cv2.DIST_L2, 5)
 
 
 def closed_distance(distance: Array, radius: float, side: int) -> Array:
@@ -54,7 +63,7 @@ def closed_distance(distance: Array, radius: float, side: int) -> Array:
     Parameters
     ----------
     distance : (h, w) float32
-        Of cells, px.
+        Of cells, px; infinite everywhere if the set is empty.
     radius : float
         Gaps of up to twice this that are enclosed by the set belong to it, px.
     side : int
@@ -65,10 +74,19 @@ def closed_distance(distance: Array, radius: float, side: int) -> Array:
     (h, w) float32
         px.
     """
-    if distance.size == 0 or not np.isfinite(distance).all():
+    if distance.size == 0 or distance[0, 0] == np.inf:
         return distance
     # Past the region's border the set is taken to go on: an object that leaves the frame stays whole.
-    outside = cv2.distanceTransform((distance <= radius).astype(np.uint8), cv2.DIST_L2, 5)
-    closed = outside > radius / side
-    to_closed = cv2.distanceTransform((~closed).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.asarray(np.minimum(distance / np.float32(side), to_closed) * np.float32(side))
+    outside = _distance(_within(distance, np.float32(radius)))
+    to_closed = _distance(_within(outside, np.float32(radius / side)))
+    return np.minimum(distance, np.multiply(to_closed, np.float32(side), out=to_closed), out=to_closed)
+
+
+@compiled()
+def _within(distance: Array, radius: np.float32) -> Array:
+    """1 where a distance is at most the radius, 0 elsewhere, uint8."""
+    within = np.empty(distance.shape, np.uint8)
+    for y in range(distance.shape[0]):
+        for x in range(distance.shape[1]):
+            within[y, x] = distance[y, x] <= radius
+    return within

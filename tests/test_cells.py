@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mlbs_actors.cells import aligned, cell_side, in_cells, in_pixels, mean_of_cells, spread_over_cells
+from mlbs_actors.cells import (
+    aligned,
+    cell_side,
+    cells_won,
+    in_cells,
+    in_pixels,
+    mean_of_cells,
+    spread_over_cells,
+)
 from mlbs_actors.messages import Array, Region
 
 
@@ -28,6 +36,22 @@ def test_a_cell_has_the_mean_of_its_pixels(side: int, shape: tuple[int, ...]) ->
     assert np.abs(found - plain_means(values, side)).max() <= 0.5
     motion = np.random.default_rng(1).normal(0, 3, (*shape[:2], 2)).astype(np.float32)
     np.testing.assert_allclose(mean_of_cells(motion, side), plain_means(motion, side), atol=1e-5)
+
+
+@pytest.mark.parametrize("side", [1, 2, 3])
+@pytest.mark.parametrize("region", [Region(0, 0, 23, 17), Region(12, 6, 11, 11), Region(6, 6, 0, 0)])
+def test_a_layer_has_the_share_of_its_pixels_and_learns_whole_cells_that_are_trusted(
+    side: int, region: Region
+) -> None:
+    rng = np.random.default_rng(2)
+    labels = (rng.random((17, 23)) < 0.3).astype(np.uint16) * 3
+    labels[:10] = 3
+    cells = in_cells(region, side)
+    trusted = rng.random((cells.height, cells.width)) < 0.5
+    share, learnt = cells_won(labels, 3, region, side, trusted)
+    expected = mean_of_cells((labels[region.slices] == 3).astype(np.uint8) * np.uint8(255), side)
+    np.testing.assert_array_equal(share, expected.reshape(trusted.shape))
+    np.testing.assert_array_equal(learnt, (share == 255) & trusted)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.bool_, np.int32])

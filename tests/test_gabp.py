@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from mlbs_actors.errors import SolverError
-from mlbs_actors.gabp import MotionParameters, motion_field, node_positions
+from mlbs_actors.gabp import MotionParameters, motion_field
 from mlbs_actors.messages import Array
+from mlbs_actors.node_grid import node_positions
 
 PLAIN = MotionParameters(robust_rounds=0, tolerance=1e-9)
 SAME_GRID = replace(PLAIN, variance_spacing_px=PLAIN.spacing_px)

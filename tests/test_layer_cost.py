@@ -84,13 +84,13 @@ def test_the_cost_of_cells_is_that_of_the_pixels_in_their_middle() -> None:
     cells = Region(8, 5, 20, 15)
     pixels = Region(side * cells.x, side * cells.y, side * cells.width, side * cells.height)
     shape, centre = (cells.height, cells.width), np.s_[1::side, 1::side]
-    still, ones = np.zeros((*shape, 2), np.float32), np.ones(shape, np.float32)
+    moves, ones = np.full((*shape, 2), 0.5, np.float32), np.ones(shape, np.float32)
     given = (rng.normal(0, 1, shape).astype(np.float32), ones, rng.random(shape).astype(np.float32))
     found = layer_cost(
-        CONFIG, "object", evidence, cells, side, ones > 0, still, given[1], (given[2], ones), given[0]
+        CONFIG, "object", evidence, cells, side, ones > 0, moves, given[1], (given[2], ones), given[0]
     )
     own_terms, variance, prior = (one.repeat(side, axis=0).repeat(side, axis=1) for one in given)
-    motion = np.zeros((*own_terms.shape, 2), np.float32)
+    motion = np.full((*own_terms.shape, 2), 0.5 * side, np.float32)
     share = np.ones_like(prior)
     by_pixels = layer_cost(
         CONFIG, "object", evidence, pixels, 1, share > 0, motion, variance, (prior, share), own_terms

@@ -160,7 +160,7 @@ def test_it_is_that_of_the_formula_under_any_camera() -> None:
     found = photometric_advantage(*parts, motion, camera, own, LARGEST)
     expected = plain_advantage(before, now, motion, camera, own)
     assert np.abs(expected).mean() > 0.1
-    # A source on the edge of remap's grid of 1/32 px may fall to either side.
+    # A grey level just between two whole ones may fall to either side.
     assert np.mean(np.abs(found - expected) > 1e-3) < 0.01
 
 

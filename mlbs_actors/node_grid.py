@@ -1,0 +1,100 @@
+"""The grid of nodes of a motion field: where they lie, how points share in them, and their values at pixels.
+
+A node lies at the centre of its cell of ``spacing``² pixels. A point shares in the four nodes around it, and
+a pixel is read off them, bilinearly.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mlbs_actors.compilation import compiled
+from mlbs_actors.messages import Array
+
+__all__ = ["bilinear_taps", "grid_shape", "lump", "node_positions", "point_misfit", "to_pixels"]
+
+
+def grid_shape(shape: tuple[int, int], spacing: int) -> tuple[int, int]:
+    """Rows and columns of the nodes of an (h, w) region."""
+    return -(-shape[0] // spacing), -(-shape[1] // spacing)
+
+
+def node_positions(shape: tuple[int, int], spacing: int) -> Array:
+    """Where the nodes of a region lie.
+
+    Parameters
+    ----------
+    shape : (h, w)
+        Size of the region, px.
+    spacing : int
+        px.
+
+    Returns
+    -------
+    (⌈h/spacing⌉, ⌈w/spacing⌉, 2) float32
+        Region-local (x, y) of each node, the centre of its cell, px. The last ones may lie past the border.
+    """
+    rows, columns = grid_shape(shape, spacing)
+    nodes = np.empty((rows, columns, 2), np.float32)
+    nodes[..., 0] = (np.arange(columns) + 0.5) * spacing - 0.5
+    nodes[..., 1] = ((np.arange(rows) + 0.5) * spacing - 0.5)[:, None]
+    return nodes
+
+
+def to_pixels(values: Array, spacing: int, shape: tuple[int, int]) -> Array:
+    """The nodes' values (gh, gw[, c]) at the pixels of an (h, w) region, bilinear, float32."""
+    if 0 in shape:
+        return np.zeros((*shape, *values.shape[2:]), np.float32)
+    size = (values.shape[1] * spacing, values.shape[0] * spacing)
+    # cv2 aligns cell centres too, and repeats the border.
+    pixels: Array = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(pixels[: shape[0], : shape[1]])
+
+
+@compiled()
+def bilinear_taps(points: Array, rows: int, columns: int, spacing: int) -> tuple[Array, Array]:
+    """Indices (n, 4) of the nodes around each point, and the point's shares (n, 4) in them; they sum to 1."""
+    nodes, shares = np.empty((points.shape[0], 4), np.int64), np.empty((points.shape[0], 4))
+    for point in range(points.shape[0]):
+        u = min(max((np.float64(points[point, 0]) + 0.5) / spacing - 0.5, 0.0), columns - 1.0)
+        v = min(max((np.float64(points[point, 1]) + 0.5) / spacing - 0.5, 0.0), rows - 1.0)
+        left, top = int(u), int(v)
+        right, bottom = min(left + 1, columns - 1), min(top + 1, rows - 1)
+        along, down = u - left, v - top
+        nodes[point, 0], nodes[point, 1] = top * columns + left, top * columns + right
+        nodes[point, 2], nodes[point, 3] = bottom * columns + left, bottom * columns + right
+        shares[point, 0], shares[point, 1] = (1 - down) * (1 - along), (1 - down) * along
+        shares[point, 2], shares[point, 3] = down * (1 - along), down * along
+    return nodes, shares
+
+
+@compiled()
+def point_misfit(values: Array, field: Array, nodes: Array, shares: Array) -> Array:
+    """Points' values (n, 2) less those of a (2, gh, gw) field."""
+    flat = field.reshape(2, -1)
+    misfit = np.empty((values.shape[0], 2))
+    for point in range(values.shape[0]):
+        for axis in range(2):
+            total = 0.0
+            for tap in range(4):
+                total += shares[point, tap] * flat[axis, nodes[point, tap]]
+            misfit[point, axis] = values[point, axis] - total
+    return misfit
+
+
+@compiled()
+def lump(
+    nodes: Array, shares: Array, evidence: Array, measured: Array, precision: float, rows: int, columns: int
+) -> Array:
+    """Sums on the nodes by the points' shares, (3, gh, gw): of their evidence, with the prior's precision,
+    and of their evidence times what they measured."""
+    total = np.zeros((3, rows * columns))
+    total[0] = precision
+    for point in range(nodes.shape[0]):
+        for tap in range(4):
+            node, amount = nodes[point, tap], shares[point, tap] * evidence[point]
+            total[0, node] += amount
+            total[1, node] += amount * measured[point, 0]
+            total[2, node] += amount * measured[point, 1]
+    return total.reshape(3, rows, columns)
