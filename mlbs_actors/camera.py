@@ -48,13 +48,20 @@ def camera_homography(positions: Array, motions: Array, scale: float) -> Array:
     matrix = None
     if len(positions) >= LEAST_POINTS:
         matrix, _ = cv2.findHomography(positions, positions + motions, cv2.RANSAC, INLIER_PX * scale)
-    if matrix is None or not np.isfinite(matrix).all() or not 0.5 < np.linalg.det(matrix[:2, :2]) < 2.0:
+    if matrix is None or not np.isfinite(matrix).all() or not 0.5 < _enlargement(matrix) < 2.0:
         matrix = np.eye(3)
         if len(positions):
             matrix[:2, 2] = np.median(motions, axis=0)
     return np.asarray(matrix, np.float64)
 
 
+def _enlargement(matrix: Array) -> float:
+    """How much larger a homography (3, 3) makes areas, but for its perspective."""
+    (xx, xy, _), (yx, yy, _), _ = matrix.tolist()
+    return float(xx * yy - xy * yx)
+
+
+@compiled()
 def homography_motion(matrix: Array, positions: Array) -> Array:
     """Backward motion that a homography gives each point.
 
@@ -69,8 +76,14 @@ def homography_motion(matrix: Array, positions: Array) -> Array:
     (n, 2) float32
         px.
     """
-    mapped = positions.astype(np.float64) @ matrix[:, :2].T + matrix[:, 2]
-    return np.asarray(mapped[:, :2] / mapped[:, 2:] - positions, np.float32)
+    motions = np.empty((len(positions), 2), np.float32)
+    for point in range(len(positions)):
+        x, y = np.float64(positions[point, 0]), np.float64(positions[point, 1])
+        along = matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2]
+        down = matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2]
+        depth = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2]
+        motions[point, 0], motions[point, 1] = along / depth - x, down / depth - y
+    return motions
 
 
 def shrunk_homography(matrix: Array, step: tuple[float, float]) -> Array:
@@ -145,7 +158,7 @@ def camera_evidence(
         cv2.boxFilter(difference, cv2.CV_32F, (5, 5))
         for difference in _differences(current, by_camera, by_flow, mapping)
     )
-    noise = np.float32(np.clip(_median_error(camera_error), LEAST_NOISE, MOST_NOISE))
+    noise = np.float32(min(max(_median_error(camera_error), LEAST_NOISE), MOST_NOISE))
     return CameraEvidence(*_in_noise(camera_error, flow_error, noise))
 
 

@@ -388,7 +388,7 @@ def background_first(labels: Array, trajectories: TrajectoryState, scale: float,
         return np.full(len(labels), BACKGROUND, np.int64)
     residual = np.hypot(trajectories.residuals[:, 0, 0], trajectories.residuals[:, 0, 1])
     obeying = [
-        len(evenly_spread(trajectories.positions[(labels == cluster) & (residual < scale)], spacing))
+        len(evenly_spread(trajectories.positions, (labels == cluster) & (residual < scale), spacing))
         for cluster in clusters
     ]
     background = int(clusters[int(np.argmax(obeying))])

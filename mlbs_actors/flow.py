@@ -26,7 +26,7 @@ from mlbs_actors.inverse_search import (
 )
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["DenseFlow", "dense_flow", "flow_gray", "sample_flow"]
+__all__ = ["DenseFlow", "dense_flow", "flow_gray", "reliable_at"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class DenseFlow:
 
     def forward_reliable_at(self, x: Array, y: Array) -> Array:
         """The same at some places of the grid, (n,) int64 each: (n,) bool."""
-        return _reliable_at(self.forward, self.backward, *self.step, self.thresholds, x, y)
+        return reliable_at(self.forward, self.backward, *self.step, self.thresholds, x, y)
 
 
 def flow_gray(frame: Array, config: FlowConfig) -> Array:
@@ -81,29 +81,6 @@ def flow_gray(frame: Array, config: FlowConfig) -> Array:
     scale = min(1.0, config.scale / length_scale(height, width))
     size = (max(16, round(width * scale)), max(16, round(height * scale)))
     return gray if size == (width, height) else cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
-
-
-def sample_flow(flow: Array, points: Array, step: tuple[float, float]) -> Array:
-    """Bilinear flow vectors at full-size positions.
-
-    Parameters
-    ----------
-    flow : (h, w, c) float32
-    points : (n, 2) float32
-        (x, y), full-size px.
-    step : (float, float)
-        Full-size px per grid step.
-
-    Returns
-    -------
-    (n, c) float32
-    """
-    if len(points) == 0:
-        return np.zeros((0, flow.shape[2]), np.float32)
-    x = ((points[:, 0] + 0.5) / step[0] - 0.5).astype(np.float32)
-    y = ((points[:, 1] + 0.5) / step[1] - 0.5).astype(np.float32)
-    sampled = cv2.remap(flow, x[None, :], y[None, :], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return sampled.reshape(len(points), flow.shape[2])
 
 
 def dense_flow(
@@ -271,10 +248,10 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
 
 
 @compiled()
-def _reliable_at(
+def reliable_at(
     flow: Array, reverse: Array, step_x: float, step_y: float, checks: tuple[float, ...], xs: Array, ys: Array
 ) -> Array:
-    """The same at some places: trajectories are at a few in a hundred."""
+    """The same at columns and rows (n,) int64 of the grid: trajectories are at a few in a hundred."""
     height, width = flow.shape[:2]
     reliable = np.zeros(xs.size, np.bool_)
     by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))

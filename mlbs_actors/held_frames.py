@@ -14,9 +14,10 @@ import numpy as np
 
 from mlbs_actors.camera import CameraEvidence, camera_evidence
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flow import DenseFlow, sample_flow
+from mlbs_actors.flow import DenseFlow
 from mlbs_actors.label_classes import UNLABELLED
 from mlbs_actors.messages import BACKGROUND, UNEXPLAINED_STEP, Array
+from mlbs_actors.sampling import sample_flow, sample_map
 from mlbs_actors.trajectories import EVIDENCE_BOUNDS, TrajectoryState
 
 __all__ = ["HeldFrame", "by_layer", "first_frame", "held_frame", "owners", "relabelled"]
@@ -101,7 +102,7 @@ def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array,
     HeldFrame
     """
     evidence = camera_evidence(following, gray, np.linalg.inv(camera), flow.forward, flow.step)
-    advantage = sample_flow(evidence.advantage[..., None], held.positions, flow.step)[:, 0]
+    advantage = sample_map(evidence.advantage, held.positions, flow.step)
     return replace(
         held,
         motions=-sample_flow(flow.forward, held.positions, flow.step),

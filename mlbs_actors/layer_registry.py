@@ -21,7 +21,7 @@ import numpy as np
 
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.label_classes import UNLABELLED, distinct_labels
-from mlbs_actors.label_rows import layers_of, sightings
+from mlbs_actors.label_rows import layers_of, note_sightings, sightings
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.reidentification import SIGNATURE_BINS, Sighting, best_sleeper, colour_signatures
 
@@ -250,12 +250,11 @@ class LayerRegistry:
         """
         state = self.state
         rows, counts, means = sightings(state.labels, labels, positions, motions)
-        enough = counts >= self.config.min_tracks
-        state.seen[enough] = state.tracked[enough] = frame_index
-        state.centroids[enough], state.velocities[enough] = means[enough, :2], -means[enough, 2:]
-        fresh = colour_signatures(rows, colours, len(state.labels))[enough]
-        old = state.signatures[enough]
-        state.signatures[enough] = np.where(old.any(axis=1, keepdims=True), 0.9 * old + 0.1 * fresh, fresh)
+        enough: Array = counts >= self.config.min_tracks
+        note_sightings(
+            enough, means, colour_signatures(rows, colours, len(state.labels)), frame_index,
+            state.seen, state.tracked, state.centroids, state.velocities, state.signatures,
+        )  # fmt: skip
         coasting: Array = ~enough & (state.labels > 0) & (state.seen == frame_index - 1)
         coasting &= frame_index - state.tracked <= self.config.coast_frames
         if coasting.any():

@@ -14,8 +14,9 @@ import numpy as np
 from mlbs_actors.camera import CameraEvidence, camera_evidence, camera_homography, homography_motion
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.epipolar import forward_motion, static_motion
-from mlbs_actors.flow import DenseFlow, sample_flow
+from mlbs_actors.flow import DenseFlow
 from mlbs_actors.messages import Array
+from mlbs_actors.sampling import sample_map
 from mlbs_actors.trajectories import (
     TrajectoryState,
     advance_trajectories,
@@ -83,27 +84,26 @@ def track(
     spacing = settings.seed_spacing_px * scale
     trajectories, survivors = before, np.arange(len(before))
     if flow is not None:
-        trajectories = advance_trajectories(before, flow, shape)
-        survivors = np.searchsorted(before.ids, trajectories.ids)
-    telling = np.flatnonzero((trajectories.ages > 0) & background[survivors])
-    voters = telling[evenly_spread(trajectories.positions[telling], 2 * spacing)]
+        trajectories, survivors = advance_trajectories(before, flow, shape)
+    telling = (trajectories.ages > 0) & background[survivors]
+    voters = evenly_spread(trajectories.positions, telling, 2 * spacing)
     camera = camera_homography(trajectories.positions[voters], trajectories.motions[voters], scale)
     nothing = np.zeros(gray.shape, np.float32)
     against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
     if flow is not None:
         against_camera = camera_evidence(previous, gray, camera, flow.backward, flow.step)
-        mismatch = (against_camera.unexplained - against_camera.advantage)[..., None]
-        mismatch = sample_flow(mismatch, trajectories.positions, flow.step)[:, 0]
+        unexplained, advantage = (
+            sample_map(one, trajectories.positions, flow.step)
+            for one in (against_camera.unexplained, against_camera.advantage)
+        )
+        mismatch = unexplained - advantage  # of the flow
         same = np.flatnonzero(mismatch <= settings.most_mismatch)
         trajectories, survivors = selected(trajectories, same), survivors[same]
-    # Small movers need more points than the grid gives them.
-    dense = against_camera.advantage > settings.dense_advantage
-    trajectories = seed_trajectories(trajectories, gray, flow, shape, settings, dense)
+    trajectories = seed_trajectories(trajectories, gray, flow, shape, settings, against_camera.advantage)
     step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
-    advantage = sample_flow(against_camera.advantage[..., None], trajectories.positions, step)[:, 0]
+    advantage = sample_map(against_camera.advantage, trajectories.positions, step)
     predicted = homography_motion(camera, trajectories.positions)
-    moving = np.flatnonzero(trajectories.ages > 0)
-    everywhere = moving[evenly_spread(trajectories.positions[moving], 2 * spacing)]
+    everywhere = evenly_spread(trajectories.positions, trajectories.ages > 0, 2 * spacing)
     driving = forward_motion(
         trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape
     )

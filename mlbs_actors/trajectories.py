@@ -16,8 +16,9 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import TrajectoriesConfig, length_scale
-from mlbs_actors.flow import DenseFlow, sample_flow
+from mlbs_actors.flow import DenseFlow, reliable_at
 from mlbs_actors.messages import Array
+from mlbs_actors.sampling import sample_flow
 
 __all__ = [
     "TrajectoryState",
@@ -91,7 +92,9 @@ def empty_trajectories(config: TrajectoriesConfig) -> TrajectoryState:
     )
 
 
-def advance_trajectories(state: TrajectoryState, flow: DenseFlow, shape: tuple[int, int]) -> TrajectoryState:
+def advance_trajectories(
+    state: TrajectoryState, flow: DenseFlow, shape: tuple[int, int]
+) -> tuple[TrajectoryState, Array]:
     """Carry every point into the next frame; drop those that leave or that the flow does not confirm.
 
     Parameters
@@ -107,35 +110,43 @@ def advance_trajectories(state: TrajectoryState, flow: DenseFlow, shape: tuple[i
     -------
     TrajectoryState
         At frame t, but for the residuals (:func:`with_residuals`).
+    (m,) intp
+        Where those that live on stood in the arrays of frame t−1, ascending.
     """
-    motion = sample_flow(flow.forward, state.positions, flow.step)
-    positions, cell_x, cell_y, inside = _moved(
-        state.positions, motion, flow.step, flow.forward.shape[:2], (shape[0], shape[1])
-    )
-    alive = np.flatnonzero(inside & flow.forward_reliable_at(cell_x, cell_y))
-    kept = selected(state, alive)
-    return replace(
-        kept,
-        positions=positions[alive],
-        motions=-motion[alive],
-        ages=np.minimum(kept.ages + np.int32(1), np.int32(state.residuals.shape[1])),
-    )
+    survivors, ids, positions, motions, rows, ages, evidence = _advanced(
+        state.ids, state.positions, state.rows, state.ages, state.evidence, state.residuals.shape[1],
+        flow.forward, flow.backward, flow.step, flow.thresholds, shape,
+    )  # fmt: skip
+    advanced = TrajectoryState(ids, positions, motions, state.residuals, rows, ages, evidence, state.next_id)
+    return advanced, survivors
 
 
 @compiled()
-def _moved(
-    positions: Array, motion: Array, step: tuple[float, float], grid: tuple[int, int], shape: tuple[int, int]
-) -> tuple[Array, Array, Array, Array]:
-    """Where points get to, column and row of the flow's grid they come from, and who stays in the frame."""
-    count = positions.shape[0]
-    moved, inside = positions + motion, np.empty(count, np.bool_)
+def _advanced(
+    ids: Array, positions: Array, rows: Array, ages: Array, evidence: Array, most_age: int,
+    forward: Array, backward: Array, step: tuple[float, float], checks: tuple[float, ...],
+    shape: tuple[int, int],
+) -> tuple[Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    """Which points live on, and their ids, places, backward motions, rows, ages and evidence."""
+    count, step_x, step_y = len(positions), np.float32(step[0]), np.float32(step[1])
+    motion = sample_flow(forward, positions, step)
     cell_x, cell_y = np.empty(count, np.int64), np.empty(count, np.int64)
-    step_x, step_y = np.float32(step[0]), np.float32(step[1])
     for i in range(count):
-        cell_x[i] = min(max(int(positions[i, 0] / step_x), 0), grid[1] - 1)
-        cell_y[i] = min(max(int(positions[i, 1] / step_y), 0), grid[0] - 1)
-        inside[i] = 0 <= moved[i, 0] <= shape[1] - 1 and 0 <= moved[i, 1] <= shape[0] - 1
-    return moved, cell_x, cell_y, inside
+        cell_x[i] = min(max(int(positions[i, 0] / step_x), 0), forward.shape[1] - 1)
+        cell_y[i] = min(max(int(positions[i, 1] / step_y), 0), forward.shape[0] - 1)
+    reliable = reliable_at(forward, backward, step[0], step[1], checks, cell_x, cell_y)
+    moved, survivors, alive = positions + motion, np.empty(count, np.intp), 0
+    for i in range(count):
+        inside = 0 <= moved[i, 0] <= shape[1] - 1 and 0 <= moved[i, 1] <= shape[0] - 1
+        if inside and reliable[i]:
+            survivors[alive] = i
+            alive += 1
+    survivors = survivors[:alive]
+    older = np.minimum(ages[survivors] + 1, most_age).astype(np.int32)
+    return (
+        survivors, ids[survivors], moved[survivors], -motion[survivors], rows[survivors], older,
+        evidence[survivors],
+    )  # fmt: skip
 
 
 def selected(state: TrajectoryState, positions: Array) -> TrajectoryState:
@@ -159,7 +170,7 @@ def seed_trajectories(
     flow: DenseFlow | None,
     shape: tuple[int, int],
     config: TrajectoriesConfig,
-    dense: Array | None = None,
+    advantage: Array | None = None,
 ) -> TrajectoryState:
     """Start trajectories on a grid wherever the image has structure and no live trajectory is near.
 
@@ -174,8 +185,9 @@ def seed_trajectories(
     shape : (int, int)
         (H, W) of the full frame.
     config : TrajectoriesConfig
-    dense : (h, w) bool, optional
-        Where to seed on the dense grid besides.
+    advantage : (h, w) float32, optional
+        Of :class:`~mlbs_actors.camera.CameraEvidence`, × noise: where it is large, small movers need more
+        points than the grid gives them, and there are seeds on a dense grid besides.
 
     Returns
     -------
@@ -190,42 +202,36 @@ def seed_trajectories(
     (height, width), scale = shape, length_scale(*shape)
     step = (width / gray.shape[1], height / gray.shape[0])
     structure = cv2.cornerMinEigenVal(gray, blockSize=5, ksize=3)
-    wanted = np.ones(gray.shape, bool) if flow is None else flow.backward_reliable
     # Nearer than the least spacing the flow cannot tell two points apart.
     spacings = (
         max(config.seed_spacing_px * scale, LEAST_SPACING * max(step)),
         max(config.dense_spacing_px * scale, LEAST_DENSE_SPACING * max(step)),
     )
-    seeds = _seeds(
-        state.positions, structure, float(structure.mean()), wanted,
-        np.zeros(gray.shape, bool) if dense is None else dense, (height, width), step, spacings,
+    ids, positions, motions, rows, ages, evidence = _seeded(
+        state.ids, state.positions, state.motions, state.rows, state.ages, state.evidence, state.next_id,
+        structure, float(structure.mean()),
+        np.ones(gray.shape, bool) if flow is None else flow.backward_reliable,
+        np.zeros(gray.shape, np.float32) if advantage is None else advantage, config.dense_advantage,
+        np.zeros((*gray.shape, 2), np.float32) if flow is None else flow.backward, flow is not None,
+        (height, width), step, spacings,
     )  # fmt: skip
-    motions = np.zeros_like(seeds) if flow is None else sample_flow(flow.backward, seeds, flow.step)
-    return TrajectoryState(
-        *_joined(state.ids, state.positions, state.motions, seeds, motions, state.next_id),
-        state.residuals,
-        *_begun(state.rows, state.ages, state.evidence, len(seeds), 0 if flow is None else 1),
-        state.next_id + len(seeds),
-    )
+    next_id = state.next_id + len(ids) - len(state)
+    return TrajectoryState(ids, positions, motions, state.residuals, rows, ages, evidence, next_id)
 
 
 @compiled()
-def _joined(
-    ids: Array, positions: Array, motions: Array, seeds: Array, seed_motions: Array, next_id: int
-) -> tuple[Array, Array, Array]:
-    """Ids, positions and motions of trajectories and of those that begin."""
-    begun = next_id + np.arange(len(seeds))
+def _seeded(
+    ids: Array, positions: Array, motions: Array, rows: Array, ages: Array, evidence: Array, next_id: int,
+    structure: Array, mean: float, wanted: Array, advantage: Array, least_advantage: float, backward: Array,
+    age: int, shape: tuple[int, int], step: tuple[float, float], spacings: tuple[float, float],
+) -> tuple[Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    """Ids, positions, motions, rows, ages and evidence of trajectories, and of those that begin."""
+    seeds = _seeds(positions, structure, mean, wanted, advantage, least_advantage, shape, step, spacings)
+    count = len(seeds)
     return (
-        np.concatenate((ids, begun)),
+        np.concatenate((ids, next_id + np.arange(count))),
         np.concatenate((positions, seeds)),
-        np.concatenate((motions, seed_motions)),
-    )
-
-
-@compiled()
-def _begun(rows: Array, ages: Array, evidence: Array, count: int, age: int) -> tuple[Array, Array, Array]:
-    """Rows, ages and evidence of trajectories and of as many that begin."""
-    return (
+        np.concatenate((motions, sample_flow(backward, seeds, step))),
         np.concatenate((rows, np.full(count, -1, np.intp))),
         np.concatenate((ages, np.full(count, age, np.int32))),
         np.concatenate((evidence, np.zeros(count, np.float32))),
@@ -234,23 +240,16 @@ def _begun(rows: Array, ages: Array, evidence: Array, count: int, age: int) -> t
 
 @compiled()
 def _seeds(
-    positions: Array,
-    structure: Array,
-    mean: float,
-    wanted: Array,
-    dense: Array,
-    shape: tuple[int, int],
-    step: tuple[float, float],
-    spacings: tuple[float, float],
-) -> Array:
+    positions: Array, structure: Array, mean: float, wanted: Array, advantage: Array, least_advantage: float,
+    shape: tuple[int, int], step: tuple[float, float], spacings: tuple[float, float],
+) -> Array:  # fmt: skip
     """The seeds of the grid and of the dense one, (n, 2) float32."""
     taken = np.zeros(structure.shape, np.bool_)
     _take(taken, positions, step)
-    seeds = _grid_seeds(structure, mean, wanted, wanted, taken, shape, step, spacings[0])
+    seeds = _grid_seeds(structure, mean, wanted, advantage, -np.inf, taken, shape, step, spacings[0])
     _take(taken, seeds, step)
-    return np.concatenate(
-        (seeds, _grid_seeds(structure, mean, wanted, dense, taken, shape, step, spacings[1]))
-    )
+    more = _grid_seeds(structure, mean, wanted, advantage, least_advantage, taken, shape, step, spacings[1])
+    return np.concatenate((seeds, more))
 
 
 @compiled()
@@ -267,7 +266,8 @@ def _grid_seeds(
     structure: Array,
     mean: float,
     wanted: Array,
-    besides: Array,
+    advantage: Array,
+    least_advantage: float,
     taken: Array,
     shape: tuple[int, int],
     step: tuple[float, float],
@@ -289,7 +289,7 @@ def _grid_seeds(
         for column in range(columns):
             x = np.float32((column + 0.5) * width / columns)
             u = min(int(x / step[0]), wanted.shape[1] - 1)
-            if not (wanted[v, u] and besides[v, u]):
+            if not (wanted[v, u] and advantage[v, u] > least_advantage):
                 continue
             border = min(min(x, y), min(width - 1 - x, height - 1 - y))
             structured = structure[v, u] > mean * (0.1 + np.exp(-0.1 * border))
@@ -311,7 +311,8 @@ def _covered(taken: Array, y: int, x: int, half_width: Array) -> bool:
     return False
 
 
-def evenly_spread(positions: Array, spacing: float) -> Array:
+@compiled()
+def evenly_spread(positions: Array, chosen: Array, spacing: float) -> Array:
     """Pick at most one point a square, so that every part of the frame has the same say.
 
     Where trajectories are dense, on objects, they would outvote the background.
@@ -320,6 +321,8 @@ def evenly_spread(positions: Array, spacing: float) -> Array:
     ----------
     positions : (n, 2) float32
         px.
+    chosen : (n,) bool
+        Which of them may be picked.
     spacing : float
         Side of a square, px.
 
@@ -328,24 +331,18 @@ def evenly_spread(positions: Array, spacing: float) -> Array:
     (m,) intp
         Ascending positions in the array; of each square the first.
     """
-    if len(positions) == 0:
-        return np.zeros(0, np.intp)
-    return np.asarray(_first_of_each(positions, np.float32(spacing)))
-
-
-@compiled()
-def _first_of_each(positions: Array, spacing: np.float32) -> Array:
-    """Positions in the array of the first point of each square."""
-    column, row = np.empty(len(positions), np.int64), np.empty(len(positions), np.int64)
-    for point in range(len(positions)):
-        column[point] = int(np.floor(positions[point, 0] / spacing))
-        row[point] = int(np.floor(positions[point, 1] / spacing))
+    candidates, side = np.flatnonzero(chosen), np.float32(spacing)
+    if candidates.size == 0:
+        return candidates
+    column, row = np.empty(candidates.size, np.int64), np.empty(candidates.size, np.int64)
+    for place, point in enumerate(candidates):
+        column[place] = int(np.floor(positions[point, 0] / side))
+        row[place] = int(np.floor(positions[point, 1] / side))
     left, top = column.min(), row.min()
     taken = np.zeros((column.max() - left + 1, row.max() - top + 1), np.bool_)
-    first = np.empty(len(positions), np.intp)
-    found = 0
-    for point in range(len(positions)):
-        square = column[point] - left, row[point] - top
+    first, found = np.empty(candidates.size, np.intp), 0
+    for place, point in enumerate(candidates):
+        square = column[place] - left, row[place] - top
         if not taken[square]:
             taken[square] = True
             first[found] = point
@@ -364,14 +361,24 @@ def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -
     advantage : (n,) float32
         :class:`~mlbs_actors.camera.CameraEvidence` at each trajectory, × the frame's noise.
     """
-    evidence = EVIDENCE_KEPT * state.evidence + np.clip(advantage, *EVIDENCE_BOUNDS).astype(np.float32)
-    residuals = _remembered(state.residuals, state.rows, state.ages, state.motions, predicted)
+    residuals, evidence = _remembered(
+        state.residuals, state.rows, state.ages, state.motions, predicted, state.evidence, advantage
+    )
     return replace(state, residuals=residuals, rows=np.arange(len(state)), evidence=evidence)
 
 
 @compiled()
-def _remembered(residuals: Array, rows: Array, ages: Array, motions: Array, predicted: Array) -> Array:
-    """The newest residuals, 0 of those without a motion, and those before, one frame older."""
+def _remembered(
+    residuals: Array, rows: Array, ages: Array, motions: Array, predicted: Array, evidence: Array,
+    advantage: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """The newest residuals, 0 of those without a motion, and those before, one frame older; the evidence."""
+    least, most = np.float32(EVIDENCE_BOUNDS[0]), np.float32(EVIDENCE_BOUNDS[1])
+    summed = np.empty(rows.size, np.float32)
+    for trajectory in range(rows.size):
+        summed[trajectory] = EVIDENCE_KEPT * evidence[trajectory] + min(
+            max(np.float32(advantage[trajectory]), least), most
+        )
     length = 2 * residuals.shape[1]
     moved, old = np.empty((rows.size, length), np.float32), residuals.reshape(residuals.shape[0], length)
     for trajectory in range(rows.size):
@@ -385,4 +392,4 @@ def _remembered(residuals: Array, rows: Array, ages: Array, motions: Array, pred
             before = old[row]
             for place in range(length - 2):
                 one[place + 2] = before[place]
-    return moved.reshape(rows.size, residuals.shape[1], 2)
+    return moved.reshape(rows.size, residuals.shape[1], 2), summed

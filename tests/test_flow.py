@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig
-from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray, sample_flow
+from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray
 from mlbs_actors.messages import Array, Region
 
 CONFIG = FlowConfig()
@@ -164,27 +164,6 @@ def test_the_checks_at_some_places_are_those_of_the_whole_field(step: tuple[floa
     found = flow.forward_reliable_at(x, y)
     np.testing.assert_array_equal(found, flow.forward_reliable().ravel())
     assert 0 < found.mean() < 1
-
-
-def test_flow_is_sampled_bilinearly_between_the_centres_of_its_cells() -> None:
-    field = np.random.default_rng(0).normal(size=(6, 9, 2)).astype(np.float32)
-    step = (2.0, 4.0)
-    points = np.random.default_rng(1).uniform((1, 2), (15, 20), (50, 2)).astype(np.float32)
-    sampled = sample_flow(field, points, step)
-    for (px, py), value in zip(points, sampled, strict=True):
-        x, y = (px + 0.5) / step[0] - 0.5, (py + 0.5) / step[1] - 0.5  # pixel centres are at whole numbers
-        left, top = int(np.floor(x)), int(np.floor(y))
-        right, down = x - left, y - top
-        expected = (1 - down) * ((1 - right) * field[top, left] + right * field[top, left + 1]) + down * (
-            (1 - right) * field[top + 1, left] + right * field[top + 1, left + 1]
-        )
-        np.testing.assert_allclose(value, expected, atol=0.15)  # OpenCV's 1/32 px of a rough field
-    centres = np.array([[0.5, 1.5], [16.5, 21.5]], np.float32)  # of the first and the last cell
-    np.testing.assert_allclose(sample_flow(field, centres, step), [field[0, 0], field[5, 8]], atol=1e-6)
-
-
-def test_flow_at_no_points_is_empty() -> None:
-    assert sample_flow(np.zeros((4, 4, 3), np.float32), np.zeros((0, 2), np.float32), (1, 1)).shape == (0, 3)
 
 
 def test_the_grey_image_is_shrunk_but_never_below_16_px_and_never_enlarged() -> None:

@@ -20,6 +20,7 @@ from mlbs_actors.trajectories import (
     _seeds,
     advance_trajectories,
     empty_trajectories,
+    evenly_spread,
     seed_trajectories,
     with_residuals,
 )
@@ -67,7 +68,7 @@ def test_a_point_is_followed_to_a_fraction_of_a_pixel() -> None:
     state = seeded(frames[0])
     start = state
     for before, after in pairwise(frames):
-        state = advance_trajectories(state, flow_between(before, after), SHAPE)
+        state, _ = advance_trajectories(state, flow_between(before, after), SHAPE)
     assert len(state) > 0.6 * len(start)
     moved = state.positions - start.positions[np.searchsorted(start.ids, state.ids)]
     error = np.hypot(*(moved - 10 * velocity).T)
@@ -86,7 +87,7 @@ def test_a_point_that_becomes_hidden_is_dropped_and_one_that_stays_in_view_is_ke
         frame[40:80, 50 + 8 * t : 90 + 8 * t] = thing[:40, :40]
         frames.append(frame)
     state = seeded(frames[0])
-    followed = advance_trajectories(state, flow_between(*frames), SHAPE)
+    followed, _ = advance_trajectories(state, flow_between(*frames), SHAPE)
     lives = np.isin(state.ids, followed.ids)
     x, y = state.positions.T
     hidden = (x > 91) & (x < 97) & (y > 42) & (y < 78)
@@ -100,7 +101,7 @@ def test_a_point_that_becomes_hidden_is_dropped_and_one_that_stays_in_view_is_ke
 
 def test_a_point_that_leaves_the_frame_is_dropped() -> None:
     state = seeded(shifted(texture(), (0, 0)))
-    followed = advance_trajectories(state, constant_flow((6.0, 0.0)), SHAPE)
+    followed, _ = advance_trajectories(state, constant_flow((6.0, 0.0)), SHAPE)
     stays = state.positions[:, 0] + 6.0 <= SHAPE[1] - 1
     assert 0 < stays.sum() < len(state)
     np.testing.assert_array_equal(followed.ids, state.ids[stays])
@@ -112,7 +113,7 @@ def test_a_point_whose_flow_is_not_confirmed_is_dropped() -> None:
     flow = constant_flow((0.0, 0.0))
     contradicted = flow.backward.copy()
     contradicted[:, :80] = 9.0
-    followed = advance_trajectories(state, replace(flow, backward=contradicted), SHAPE)
+    followed, _ = advance_trajectories(state, replace(flow, backward=contradicted), SHAPE)
     np.testing.assert_array_equal(followed.ids, state.ids[state.positions[:, 0] >= 80])
 
 
@@ -168,7 +169,8 @@ def test_seeds_are_the_points_of_two_grids_that_are_wanted_structured_and_far_fr
     positions = (rng.random((25, 2)) * [150, 100] - 5).astype(np.float32)
     expected = seeds_by_masks(positions, structure, wanted, dense, shape, [10.0, 4.5])
     step = (2.0, 2.0)
-    found = _seeds(positions, structure, float(structure.mean()), wanted, dense, shape, step, (10.0, 4.5))
+    mean, advantage = float(structure.mean()), np.where(dense, np.float32(3), np.float32(2))
+    found = _seeds(positions, structure, mean, wanted, advantage, 2.0, shape, step, (10.0, 4.5))
     assert len(found) > 50
     np.testing.assert_array_equal(found, expected)
 
@@ -180,7 +182,7 @@ def test_a_tiny_frame_has_no_more_trajectories_than_its_pixels_can_tell_apart(sh
     flow = DenseFlow(motion, -motion, np.ones(shape, bool), (1.0, 1.0), THRESHOLDS)
     state = empty_trajectories(CONFIG)
     for _ in range(12):
-        state = advance_trajectories(state, flow, shape)
+        state, _ = advance_trajectories(state, flow, shape)
         state = seed_trajectories(state, gray, flow, shape, CONFIG)
         assert 0 < len(state) <= shape[0] * shape[1] / 4
 
@@ -203,7 +205,7 @@ def test_only_the_places_that_trajectories_left_are_seeded_again() -> None:
     kept = np.flatnonzero(state.positions[:, 0] < 80)
     contradicted = still.backward.copy()
     contradicted[:, 80:] = 9.0
-    half = advance_trajectories(state, replace(still, backward=contradicted), SHAPE)
+    half, _ = advance_trajectories(state, replace(still, backward=contradicted), SHAPE)
     np.testing.assert_array_equal(half.ids, state.ids[kept])
     refilled = seed_trajectories(half, gray, still, SHAPE, CONFIG)
     fresh = refilled.positions[len(half) :]
@@ -220,7 +222,7 @@ def test_an_id_is_never_given_twice_and_ids_ascend() -> None:
     ever = state.ids.tolist()
     for before, after in pairwise(frames):
         flow = flow_between(before, after)
-        state = advance_trajectories(state, flow, SHAPE)
+        state, _ = advance_trajectories(state, flow, SHAPE)
         survivors = len(state)
         state = seed_trajectories(state, after, flow, SHAPE, CONFIG)
         assert (np.diff(state.ids) > 0).all()
@@ -258,7 +260,7 @@ def test_the_newest_residuals_come_first_and_the_oldest_are_forgotten() -> None:
     motions = [(1.0, 0.0), (0.0, 2.0), (-1.0, 0.0), (0.5, 0.5), (0.0, -1.0), (0.25, 0.0)]
     expected = np.zeros((4, 2))
     for steps, motion in enumerate(motions, start=1):
-        state = advance_trajectories(state, constant_flow(motion), SHAPE)
+        state, _ = advance_trajectories(state, constant_flow(motion), SHAPE)
         predicted = np.full((len(state), 2), 0.5, np.float32)
         state = with_residuals(state, predicted, np.zeros(len(state), np.float32))
         expected = np.concatenate([[-np.array(motion) - 0.5], expected[:-1]])
@@ -305,7 +307,7 @@ def test_evidence_goes_on_with_its_trajectory_and_a_seed_has_none() -> None:
     own = np.linspace(0.0, 5.0, len(state), dtype=np.float32)
     state = with_residuals(state, np.zeros((len(state), 2), np.float32), own)
     flow = constant_flow((6.0, 0.0))
-    followed = advance_trajectories(state, flow, SHAPE)
+    followed, _ = advance_trajectories(state, flow, SHAPE)
     np.testing.assert_array_equal(followed.evidence, state.evidence[np.isin(state.ids, followed.ids)])
     assert len(followed) < len(state)
     refilled = seed_trajectories(followed, gray, flow, SHAPE, CONFIG)
@@ -319,8 +321,9 @@ def test_where_it_is_dense_more_is_seeded_and_nothing_is_outside() -> None:
     flow = constant_flow((0.0, 0.0))
     dense = np.zeros(SHAPE, bool)
     dense[30:90, 40:110] = True
+    advantage = np.where(dense, np.float32(2 * config.dense_advantage), np.float32(0))
     state = seed_trajectories(empty_trajectories(config), gray, flow, SHAPE, config)
-    more = seed_trajectories(state, gray, flow, SHAPE, config, dense)
+    more = seed_trajectories(state, gray, flow, SHAPE, config, advantage)
     np.testing.assert_array_equal(more.ids[: len(state)], state.ids)
     fresh = more.positions[len(state) :]
     x, y = np.rint(fresh).astype(int).T
@@ -332,20 +335,42 @@ def test_where_it_is_dense_more_is_seeded_and_nothing_is_outside() -> None:
 
     coarse = count(state.positions)
     assert count(more.positions) > 5 * coarse  # a full grid alone has ten times as many
-    alone = seed_trajectories(empty_trajectories(config), gray, flow, SHAPE, config, dense)
+    alone = seed_trajectories(empty_trajectories(config), gray, flow, SHAPE, config, advantage)
     assert count(alone.positions) > 5 * coarse
     np.testing.assert_array_equal(alone.positions, more.positions)
     spacing = config.dense_spacing_px * length_scale(*SHAPE)
     assert pdist(more.positions).min() >= 0.75 * spacing - 0.8  # distances are taken between whole pixels
-    nowhere = seed_trajectories(state, gray, flow, SHAPE, config, np.zeros(SHAPE, bool))
+    nowhere = seed_trajectories(state, gray, flow, SHAPE, config, np.zeros(SHAPE, np.float32))
     assert len(nowhere) == len(state)
 
 
 def test_nothing_to_follow_stays_nothing() -> None:
-    state = advance_trajectories(empty_trajectories(CONFIG), constant_flow((1.0, 1.0)), SHAPE)
+    state, _ = advance_trajectories(empty_trajectories(CONFIG), constant_flow((1.0, 1.0)), SHAPE)
     assert len(state) == 0
     assert with_residuals(state, np.zeros((0, 2), np.float32), np.zeros(0, np.float32)).residuals.shape == (
         0,
         4,
         2,
     )
+
+
+def test_of_each_square_the_first_of_the_chosen_points_is_picked() -> None:
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(0, 100, (200, 2)).astype(np.float32)
+    chosen = rng.random(200) < 0.7
+    first: dict[tuple[int, int], int] = {}
+    for point in np.flatnonzero(chosen):
+        x, y = positions[point] // np.float32(12.5)
+        first.setdefault((int(x), int(y)), int(point))
+    assert evenly_spread(positions, chosen, 12.5).tolist() == sorted(first.values())
+    assert len(evenly_spread(positions, np.zeros(200, bool), 12.5)) == 0
+
+
+def test_who_lives_on_is_told_by_the_place_before() -> None:
+    state = seeded(shifted(texture(), (0, 0)))
+    flow = constant_flow((6.0, -3.0))
+    followed, survivors = advance_trajectories(state, flow, SHAPE)
+    assert 0 < len(followed) < len(state)
+    np.testing.assert_array_equal(followed.ids, state.ids[survivors])
+    np.testing.assert_allclose(followed.positions, state.positions[survivors] + (6, -3), atol=1e-4)
+    np.testing.assert_allclose(followed.motions, np.tile((-6, 3), (len(followed), 1)), atol=1e-4)
