@@ -31,8 +31,10 @@ def trajectory_distance(layers: Sequence[LayerEvidence], cells: Region, side: in
     """
     positions = [evidence.positions for evidence in layers if len(evidence.positions)]
     if positions:
-        together = positions[0] if len(positions) == 1 else np.concatenate(positions)
-        free, found = _free_cells(together, side, cells.x, cells.y, cells.width, cells.height)
+        # Also of one: for Numba an array that can only be read is another type, with kernels of its own.
+        free, found = _free_cells(
+            np.concatenate(positions), side, cells.x, cells.y, cells.width, cells.height
+        )
         if found:
             return np.multiply(_distance(free), np.float32(side))
     return np.full((cells.height, cells.width), np.inf, np.float32)
