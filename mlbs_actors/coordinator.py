@@ -33,7 +33,7 @@ from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow import dense_flow, flow_gray
 from mlbs_actors.flow_focus import focus_boxes, focus_cells
-from mlbs_actors.held_frames import HeldFrame, by_layer, first_frame, held_frame, owners, relabelled
+from mlbs_actors.held_frames import HeldFrame, by_layer, first_frame, held_frame, relabelled
 from mlbs_actors.label_classes import UNLABELLED, distinct_labels
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.messages import (
@@ -337,7 +337,7 @@ class Coordinator:
         assert state.shape is not None
         registry = LayerRegistry(self.config.layers, state.shape, state.registry)
         owner = registry.layers_of(held.labels)
-        live = sorted({BACKGROUND, *owners(owner).tolist(), *registry.live_layers(held.frame_index)})
+        live = sorted({BACKGROUND, *distinct_labels(owner), *registry.live_layers(held.frame_index)})
         retired = set(state.evaluated) - set(live)
         if held.frame_index == state.epoch:
             # The models of another size; the background's is one of them.

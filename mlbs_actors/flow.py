@@ -57,10 +57,6 @@ class DenseFlow:
         """Which forward flow the backward flow confirms and is not on a motion boundary, (h, w) bool."""
         return _reliable(self.forward, self.backward, *self.step, self.thresholds)
 
-    def forward_reliable_at(self, x: Array, y: Array) -> Array:
-        """The same at some places of the grid, (n,) int64 each: (n,) bool."""
-        return reliable_at(self.forward, self.backward, *self.step, self.thresholds, x, y)
-
 
 def flow_gray(frame: Array, config: FlowConfig) -> Array:
     """Grey image, shrunk to the size on which flow is computed.

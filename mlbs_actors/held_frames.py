@@ -20,7 +20,7 @@ from mlbs_actors.messages import BACKGROUND, UNEXPLAINED_STEP, Array
 from mlbs_actors.sampling import sample_flow, sample_map
 from mlbs_actors.trajectories import EVIDENCE_BOUNDS, TrajectoryState
 
-__all__ = ["HeldFrame", "by_layer", "first_frame", "held_frame", "owners", "relabelled"]
+__all__ = ["HeldFrame", "by_layer", "first_frame", "held_frame", "relabelled"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,20 +143,6 @@ def relabelled(
         most[alive] = np.maximum(most[alive], trajectories.evidence[place[alive]])
         result.append(replace(held, labels=newest, evidence=most))
     return tuple(result)
-
-
-@compiled()
-def owners(owner: Array) -> Array:
-    """Which layers there are among some layer ids (n,) int64, but for −1; they are few."""
-    found, count = np.empty(owner.size, np.int64), 0
-    for i in range(owner.size):
-        known = owner[i] == UNLABELLED
-        for place in range(count):
-            known |= found[place] == owner[i]
-        if not known:
-            found[count] = owner[i]
-            count += 1
-    return found[:count]
 
 
 @compiled()

@@ -31,6 +31,17 @@ def label_classes(labels: Array, left_out: Array) -> tuple[Array, Array]:
     classes : (n,) int64
         Where each one's label stands among them, −1 for those left out.
     """
+    known = _known_labels(labels, left_out)
+    classes = np.full(labels.size, -1, np.int64)
+    for i in range(labels.size):
+        if not left_out[i]:
+            classes[i] = np.searchsorted(known, labels[i])
+    return known, classes
+
+
+@compiled()
+def _known_labels(labels: Array, left_out: Array) -> Array:
+    """The labels that there are, ascending."""
     known, count = np.empty(labels.size, np.int64), 0
     for i in range(labels.size):
         if left_out[i] or (i > 0 and labels[i] == labels[i - 1] and not left_out[i - 1]):
@@ -41,17 +52,12 @@ def label_classes(labels: Array, left_out: Array) -> tuple[Array, Array]:
                 known[later] = known[later - 1]
             known[place] = labels[i]
             count += 1
-    known = known[:count].copy()
-    classes = np.full(labels.size, -1, np.int64)
-    for i in range(labels.size):
-        if not left_out[i]:
-            classes[i] = np.searchsorted(known, labels[i])
-    return known, classes
+    return known[:count].copy()
 
 
 def distinct_labels(labels: Array) -> set[int]:
     """Which labels trajectories (n,) have, but for −1."""
-    return set(label_classes(labels, labels == UNLABELLED)[0].tolist())
+    return set(_known_labels(labels, labels == UNLABELLED).tolist())
 
 
 @compiled()

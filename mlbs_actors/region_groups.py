@@ -53,14 +53,8 @@ def group_regions(regions: Sequence[Region], shape: tuple[int, int]) -> list[Reg
         In the order of their first members.
     """
     members = [position for position, region in enumerate(regions) if region.area]
-    boxes = [(one.x, one.y, one.x + one.width, one.y + one.height) for one in regions if one.area]
-    corners = np.array(
-        [
-            (max(left - 1, 0), max(top - 1, 0), min(right + 1, shape[1]), min(bottom + 1, shape[0]))
-            for left, top, right, bottom in boxes
-        ],
-        np.int64,
-    )
+    boxes = [grown(regions[position], 1, shape) for position in members]
+    corners = np.array([(one.x, one.y, one.x + one.width, one.y + one.height) for one in boxes], np.int64)
     groups: dict[int, list[int]] = {}
     for position, group in zip(members, _merged(corners.reshape(-1, 4)).tolist(), strict=True):
         groups.setdefault(group, []).append(position)
@@ -118,5 +112,6 @@ def around(regions: Iterable[Region], margin: int = 0) -> Region:
 
 def grown(box: Region, reach: int, shape: tuple[int, ...]) -> Region:
     """The box and what a filter of this reach needs around it."""
-    larger = Region(box.x - reach, box.y - reach, box.width + 2 * reach, box.height + 2 * reach)
-    return common(larger, Region(0, 0, shape[1], shape[0]))
+    x, y = max(box.x - reach, 0), max(box.y - reach, 0)
+    right, bottom = min(box.x + box.width + reach, shape[1]), min(box.y + box.height + reach, shape[0])
+    return Region(x, y, right - x, bottom - y)

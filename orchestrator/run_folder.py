@@ -100,17 +100,23 @@ class RunFolder:
             raise ConfigError(
                 f"{self.path / 'run.json'} cannot be read; begin anew in another folder with --output."
             ) from None
-        sources: dict[str, str] = begun.get("sources", {})
-        recorded = {name: sources[name] for name in sources if recorded_frames(self.stream(name))}
         for key, meaning in _SAME.items():
-            if begun.get(key) != description[key] and not (
-                key == "sources" and recorded.items() <= description[key].items()
-            ):
+            if begun.get(key) == description[key]:
+                continue
+            if key != "sources" or not self._has_all_recorded(begun.get(key, {}), description[key]):
                 raise ConfigError(
                     f"The run in {self.path} had other {meaning}; give the same ones as then (see its "
                     "run.json), or another folder with --output."
                 )
         return begun
+
+    def _has_all_recorded(self, begun: dict[str, str], sources: dict[str, str]) -> bool:
+        """Whether every stream of which something is recorded still has its source."""
+        return all(
+            sources.get(name) == source
+            for name, source in begun.items()
+            if recorded_frames(self.stream(name))
+        )
 
     def states(self) -> dict[str, StreamState]:
         """Streams as ``status.json`` tells of them; none if it cannot be read."""

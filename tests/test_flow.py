@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig
-from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray
+from mlbs_actors.flow import DenseFlow, dense_flow, flow_gray, reliable_at
 from mlbs_actors.messages import Array, Region
 
 CONFIG = FlowConfig()
@@ -161,7 +161,7 @@ def test_the_checks_at_some_places_are_those_of_the_whole_field(step: tuple[floa
     first, second, _ = covered_scene()
     flow = dense_flow(first, second, (round(96 * step[1]), round(128 * step[0])), CONFIG, CHECKS)
     y, x = (one.ravel() for one in np.indices(first.shape))
-    found = flow.forward_reliable_at(x, y)
+    found = reliable_at(flow.forward, flow.backward, *flow.step, flow.thresholds, x, y)
     np.testing.assert_array_equal(found, flow.forward_reliable().ravel())
     assert 0 < found.mean() < 1
 

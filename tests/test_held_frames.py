@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors import held_frames
+from mlbs_actors.label_classes import distinct_labels
 from mlbs_actors.messages import UNEXPLAINED_STEP
 
 RNG = np.random.default_rng(2)
@@ -30,7 +31,7 @@ def test_trajectories_are_told_apart_by_layer_where_they_tell_something() -> Non
     live, owner = np.array([0, 2, 5, 7]), rng.choice([-1, 0, 2, 7], 60)
     evidence = rng.normal(size=60).astype(np.float32)
     positions, motions = rng.random((2, 60, 2)).astype(np.float32)
-    assert sorted(held_frames.owners(owner)) == [0, 2, 7]
+    assert distinct_labels(owner) == {0, 2, 7}
     there, moved, starts = held_frames.by_layer(live, owner, evidence, np.float32(0.25), positions, motions)
     for layer, start, end in zip(live, starts, starts[1:], strict=False):
         telling = (owner == layer) & ((evidence >= 0.25) | (layer == 0))
