@@ -66,7 +66,7 @@ def contact_shadow(
             continue
         wide = Region(feet.x + left, feet.y + top, right - left, bottom - top)
         core = _resting(foot, above, _steepness(frame, wide), left, top, steepest, least, gap)
-        _take_strip(cv2.dilate(core, disc), foot, body, found[feet.slices])
+        _take_strip(cv2.dilate(core, disc), foot, body, found, feet.x, feet.y)
     return found
 
 
@@ -168,7 +168,7 @@ def _steepness(frame: Array, box: Region) -> Array:
     around = grown(box, 3, frame.shape)
     gray = cv2.cvtColor(frame[around.slices], cv2.COLOR_BGR2GRAY).astype(np.float32)
     slopes = (cv2.Sobel(gray, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
-    return np.asarray(cv2.blur(np.hypot(*slopes), (5, 5))[slices_in(box, around)])
+    return np.ascontiguousarray(cv2.blur(np.hypot(*slopes), (5, 5))[slices_in(box, around)])
 
 
 @compiled()
@@ -210,12 +210,12 @@ def _resting(
 
 
 @compiled()
-def _take_strip(grown_core: Array, foot: Array, body: Array, found: Array) -> None:
+def _take_strip(grown_core: Array, foot: Array, body: Array, found: Array, left: int, top: int) -> None:
     """Add what of the foot the strip's edges reach, and what of the body is under that, down to the ground:
-    the shadow's lighter rim."""
+    the shadow's lighter rim. The foot's box begins at (left, top) of what is found."""
     height, width = foot.shape
     over = np.zeros(width, np.bool_)
     for y in range(height):
         for x in range(width):
             over[x] = (over[x] and body[y, x]) or (foot[y, x] and grown_core[y, x] > 0)
-            found[y, x] |= over[x]
+            found[top + y, left + x] |= over[x]

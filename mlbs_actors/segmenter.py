@@ -162,20 +162,22 @@ class Segmenter:
             _discount_shadows(costs, fused.places, shadow_likelihood(dark), strength)
         frame_shape = (frame.shape[0], frame.shape[1])
         pulls = _track_pulls([evidence for _, evidence in members], box, frame_shape, config.track_cost)
-        image = np.ascontiguousarray(frame[box.slices])
+        # Arrays of their own, though the box may be the frame: kernels are compiled for one kind of memory.
+        image = frame[box.slices].copy()
         ready = perf_counter()
         label_costs = np.full(len(members), round(config.label_cost * scale**2 / COST_QUANTUM), np.int64)
         label_costs[0] = 0  # the background is always there
         weights = contrast_weights(image, config.contrast_strength, config.contrast_scale)
         positions = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, fused.places))
         solved = perf_counter()
-        labels = result.labels[box.slices]
         ids = np.array([one.layer for one in posteriors], np.uint16)
-        _put_ids(ids, positions, labels)
+        _put_ids(ids, positions, result.labels, box.x, box.y)
         speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
         clean_labels(result.labels, box, speck_px=speck_px, hole_px=hole_px)
+        labels = result.labels[box.slices].copy()
         if dark is not None and config.contact_shadow > 0:
             labels[contact_shadow(labels, image, dark, side, scale, config.contact_shadow)] = BACKGROUND
+            result.labels[box.slices] = labels
         result.normaliser[cells.slices], result.fallback[cells.slices] = fused.normaliser, fused.fallback
         summaries = _summaries(labels, ids, fused, posteriors, box)
         done = perf_counter()
@@ -261,10 +263,11 @@ def _discount_shadows(costs: Array, places: Array, shadow: Array, strength: np.f
 
 
 @compiled()
-def _put_ids(ids: Array, positions: Array, labels: Array) -> None:
-    for y in range(labels.shape[0]):
-        for x in range(labels.shape[1]):
-            labels[y, x] = ids[positions[y, x]]
+def _put_ids(ids: Array, positions: Array, labels: Array, left: int, top: int) -> None:
+    for y in range(positions.shape[0]):
+        row, own = positions[y], labels[top + y]
+        for x in range(row.size):
+            own[left + x] = ids[row[x]]
 
 
 def _summaries(

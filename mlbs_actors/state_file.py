@@ -1,4 +1,4 @@
-"""The state of a part as a file: typed arrays and plain values, no pickle.
+"""The state of a part as a file, or on its way to another process: typed arrays and plain values, no pickle.
 
 A file holds one dataclass: its values as JSON, in which an array is a number, then the bytes of the arrays,
 then the CRC-32 of all that. It is read back against the type that is expected, field by field; what does not
@@ -45,11 +45,27 @@ class CapturedState:
     ----------
     header : bytes
     arrays : tuple of ndarray
-        Copies, in the order of their bytes in the file.
+        In the order of their bytes in the file.
     """
 
     header: bytes
     arrays: tuple[Array, ...]
+
+    def state(self, kind: type[_State]) -> _State:
+        """Return the state as another process can go on with it; all arrays are copies.
+
+        Parameters
+        ----------
+        kind : type
+            The dataclass that was captured.
+        """
+        header = json.loads(self.header)
+        arrays = [
+            _formed(array.reshape(-1, order="A").view(np.uint8), one)
+            for array, one in zip(self.arrays, header["arrays"], strict=True)
+        ]
+        state: _State = _decoded(header["values"], kind, arrays)
+        return state
 
     def write(self, path: Path) -> None:
         """Write the file and wait until it is on the disk; under its name it is whole.
@@ -160,14 +176,18 @@ def _arrays(content: Array, position: int, layout: list[dict[str, Any]]) -> list
     arrays = []
     for one in layout:
         position += -position % _ALIGNMENT
-        dtype, shape = np.dtype(one["dtype"]), tuple(one["shape"])
-        end = position + dtype.itemsize * int(np.prod(shape, dtype=np.int64))
-        order: Literal["F", "C"] = "F" if one["fortran"] else "C"
-        array = content[position:end].copy().view(dtype).reshape(shape, order=order)
-        array.setflags(write=one["writeable"])
-        arrays.append(array)
+        end = position + np.dtype(one["dtype"]).itemsize * int(np.prod(one["shape"], dtype=np.int64))
+        arrays.append(_formed(content[position:end], one))
         position = end
     return arrays
+
+
+def _formed(content: Array, layout: Mapping[str, Any]) -> Array:
+    """An array of its own from its bytes, (n,) uint8."""
+    order: Literal["F", "C"] = "F" if layout["fortran"] else "C"
+    array: Array = content.copy().view(np.dtype(layout["dtype"])).reshape(tuple(layout["shape"]), order=order)
+    array.setflags(write=layout["writeable"])
+    return array
 
 
 def _encoded(value: Any, hint: Any, arrays: list[Array]) -> Any:

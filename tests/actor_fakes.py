@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -257,8 +258,8 @@ class FakeParts:
         How often parts die where frames say so.
     hang : bool
         They hang instead.
-    hanging_starts : int
-        So many layer processes hang at their start, the first ones.
+    hanging_starts : range
+        Which layer processes hang at their start, of those that have come so far.
     """
 
     folder: Path
@@ -266,7 +267,7 @@ class FakeParts:
     slow_seconds: float = 0.0
     deaths: int = 1_000_000
     hang: bool = False
-    hanging_starts: int = 0
+    hanging_starts: range = range(0)
 
     def coordinator(self, config: Config) -> CoordinatorPart:
         self._note()
@@ -283,16 +284,21 @@ class FakeParts:
         self._note()
         if self.cannot_start:
             raise MemoryError("no memory left for a layer")
-        for number in range(self.hanging_starts):
-            with suppress(FileExistsError):
-                (self.folder / f"hangs-{number}").touch(exist_ok=False)
-                time.sleep(1_000)
+        if self._start_number() in self.hanging_starts:
+            time.sleep(1_000)
 
     def warm_stream(self) -> None:
         self._note()
 
     def processes(self) -> set[int]:
         return {int(note.name.removeprefix("pid-")) for note in self.folder.glob("pid-*")}
+
+    def _start_number(self) -> int:
+        for number in count():
+            with suppress(FileExistsError):
+                (self.folder / f"start-{number}").touch(exist_ok=False)
+                break
+        return number
 
     def _note(self) -> None:
         (self.folder / f"pid-{os.getpid()}").touch()

@@ -23,6 +23,7 @@ from actor_fakes import (
     FakeParts,
     FakeReader,
     FakeSink,
+    Memory,
     crowd,
     is_running,
     picture,
@@ -38,7 +39,7 @@ from ray.exceptions import RayActorError
 from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
 from mlbs_actors.actors.channels import take
-from mlbs_actors.actors.layer import LayerStep
+from mlbs_actors.actors.layer import LayerStart, LayerStep
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import CoordinatorPart
 from mlbs_actors.actors.pool import PoolActor
@@ -49,6 +50,7 @@ from mlbs_actors.actors.sink import GapRow, SinkActor
 from mlbs_actors.actors.stream_protocol import SourceFrame, SourceSilence, SourceStatus, StreamProgress
 from mlbs_actors.errors import ActorLostError, LayerError, SinkError, SourceError
 from mlbs_actors.messages import Array, FrameEvidence, LayerEvidence
+from mlbs_actors.state_file import capture
 from orchestrator.sources.synthetic import scene
 
 pytestmark = pytest.mark.ray
@@ -78,6 +80,33 @@ def test_layers_born_dormant_and_retired_while_running_give_the_same_bytes_as_in
     [progress] = run_to_end(node.start(spec("crowd", FakeReader([*pictures], tmp_path))))
     assert rows(tmp_path) == rows_in_one_process(parts, pictures)
     assert progress == StreamProgress(30, 30, 0, 0, 0, True, None, progress.stage_ms, length=30)
+
+
+def test_layers_that_get_no_process_live_in_the_segmenter_s_with_the_same_bytes(
+    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+) -> None:
+    only_the_background = FakeParts(parts.folder, hanging_starts=range(1, 1000))
+    node = Node(parts=only_the_background, policy=PoolPolicy(spare=0))
+    pictures = [picture(t) for t in range(4)] + crowd(30, most=5)
+    run_to_end(node.start(spec("crowd", FakeReader([*pictures], tmp_path))))
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+    node.close()
+
+
+def test_a_layer_moves_to_a_process_of_its_own_as_soon_as_there_is_one_with_the_same_bytes(
+    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+) -> None:
+    node = Node(parts=parts, policy=PoolPolicy(spare=0))
+    pictures = [picture(t) for t in range(4)] + [picture(t, live=[1, 2, 3]) for t in range(4, 400)]
+    stream = node.start(spec("three", FakeReader([*pictures], tmp_path, slow_seconds=0.02)))
+    busy = []
+    while not stream.advance().result(timeout=120).done:
+        busy.append(node.census().busy)
+    stream.stop(drain=False)
+    assert busy[0] == 1
+    assert max(busy) == 4
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+    node.close()
 
 
 def test_the_sink_gets_the_background_s_memory_of_just_the_frames_it_wants(
@@ -265,8 +294,8 @@ def test_a_birth_starts_a_process_only_where_few_are_left(ray_session: RaySessio
     policy = PoolPolicy(spare=3, least=2, refill_seconds=0.05)
     pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
     run = ray.get(pool.begin.remote(1))
-    for layer, left in ((1, 2), (2, 2)):
-        ray.get(pool.acquire.remote(run, SavedLayer(layer, "object", -1), CONFIG, None))
+    for left in (2, 2):
+        ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
         wait_until(lambda left=left: ray.get(pool.census.remote()).idle == left)  # type: ignore[misc]
     time.sleep(1.0)
     assert ray.get(pool.census.remote()) == PoolCensus(idle=2, busy=2)
@@ -279,12 +308,33 @@ def test_a_birth_takes_another_process_when_an_idle_one_has_died_unnoticed(
 ) -> None:
     pool = spawn(PoolActor, parts, PoolPolicy(spare=1), node=ray.get_runtime_context().get_node_id())
     run = ray.get(pool.begin.remote(1))
-    first, _ = ray.get(pool.acquire.remote(run, SavedLayer(1, "object", -1), CONFIG, None))
+    first, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
     ray.get(pool.release.remote(run, identity(first), None))
     ray.kill(first)
-    second, _ = ray.get(pool.acquire.remote(run, SavedLayer(2, "object", -1), CONFIG, None))
+    second, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
     assert ray.get(second.__ray_ready__.remote())
     assert second != first
+    end([pool])
+
+
+def test_processes_that_no_frame_waits_for_start_one_after_the_other_or_are_taken_from_those_that_come_back(
+    ray_session: RaySession, parts: FakeParts
+) -> None:
+    hanging = FakeParts(parts.folder, hanging_starts=range(1, 1000))
+    pool = spawn(PoolActor, hanging, PoolPolicy(spare=0), node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote(1))
+    first, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
+    asked = [pool.acquire.remote(run, CONFIG, awaited=False) for _ in range(3)]
+    assert not ray.wait(asked, timeout=2.0)[0]
+    assert ray.get(pool.census.remote()) == PoolCensus(idle=1, busy=1)
+    ray.get(pool.release.remote(run, identity(first), first.release.remote(run)))
+    [came], left = ray.wait(asked, timeout=30.0)
+    assert ray.get(came)[0] == first
+    ray.get(pool.end.remote(run))
+    for reference in left:
+        with pytest.raises(LayerError, match="has ended"):
+            ray.get(reference, timeout=30.0)
+    ray.get(pool.close.remote())
     end([pool])
 
 
@@ -293,7 +343,7 @@ def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
 ) -> None:
     node = Node(parts=FakeParts(parts.folder, cannot_start=True))
     stream = node.start(spec("poor", FakeReader([*crowd(9, 1)], tmp_path)))
-    with pytest.raises(ActorLostError, match=r"No process could be started for layer 0: .*no memory left"):
+    with pytest.raises(ActorLostError, match=r"No process could be started for a layer: .*no memory left"):
         stream.advance().result(timeout=120)
     stream.stop(drain=False)
     node.close()
@@ -302,7 +352,7 @@ def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
 def test_a_layer_process_that_hangs_at_its_start_is_replaced(
     ray_session: RaySession, parts: FakeParts, tmp_path: Path
 ) -> None:
-    hanging = FakeParts(parts.folder, hanging_starts=1)
+    hanging = FakeParts(parts.folder, hanging_starts=range(1))
     node = Node(parts=hanging, policy=PoolPolicy(spare=0, start_seconds=8.0))
     pictures = crowd(9, 1)
     [progress] = run_to_end(node.start(spec("slow", FakeReader([*pictures], tmp_path))))
@@ -317,17 +367,14 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
     policy = PoolPolicy(spare=0, release_seconds=2.0)
     pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
     run = ray.get(pool.begin.remote(1))
-    kept, hanging = (
-        ray.get(pool.acquire.remote(run, SavedLayer(layer, "object", -1), CONFIG, None))[0]
-        for layer in (1, 2)
-    )
+    kept, hanging = (ray.get(pool.acquire.remote(run, CONFIG, awaited=True))[0] for layer in (1, 2))
     os.kill(ray.get(hanging.__ray_call__.remote(_pid)), signal.SIGSTOP)
     ray.get(pool.end.remote(run))
     assert ray.get(pool.census.remote()) == PoolCensus(idle=1, busy=0)
     with pytest.raises(RayActorError):
         ray.get(hanging.__ray_ready__.remote())
     again = ray.get(pool.begin.remote(2))
-    same, offer = ray.get(pool.acquire.remote(again, SavedLayer(3, "object", -1), CONFIG, None))
+    same, offer = ray.get(pool.acquire.remote(again, CONFIG, awaited=True))
     assert same == kept
     # What the first stream's coordinator has asked for before may still come.
     ray.get(kept.release.remote(run))
@@ -346,8 +393,10 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
     slots, memory = SlotPool(), SharedMemory()
     told = memory.share(evidence, slots.take("evidence"))
     frame = memory.share(SourceFrame(0, picture(0), 0.0, "0"), slots.take("frame"))
+    born = memory.share(capture(Memory(4)), slots.take("state"))
     served = kept.serve.remote(again)
     with take(offer) as channel:
+        channel.send(LayerStart(SavedLayer(3, "object", -1), born))
         channel.send(LayerStep(told, frame, None, slots.take("posterior")))
         assert memory.taken(channel.receive()).layer == 3
     ray.get(served)
@@ -365,7 +414,7 @@ def test_a_stream_that_has_ended_gets_no_more_processes(ray_session: RaySession,
     async def end_while_a_process_starts() -> PoolCensus:
         pool = PoolActor(parts, policy)
         run = await pool.begin(1)
-        late = asyncio.ensure_future(pool.acquire(run, SavedLayer(1, "object", -1), CONFIG, None))
+        late = asyncio.ensure_future(pool.acquire(run, CONFIG, awaited=True))
         await asyncio.sleep(0)
         assert await pool.census() == PoolCensus(idle=0, busy=1)
         await pool.end(run)

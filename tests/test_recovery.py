@@ -464,6 +464,20 @@ def test_a_stream_that_loses_a_process_goes_on_with_the_same_bytes_and_the_other
     assert not (tmp_path / "bad/snapshots").exists()
 
 
+@pytest.mark.ray
+@pytest.mark.usefixtures("ray_session")
+def test_layers_that_have_no_process_yet_are_in_the_snapshots_too(parts: FakeParts, tmp_path: Path) -> None:
+    pictures = [picture(t) for t in range(4)] + fatal(44, 37, "segmenter")[4:]
+    only_the_background = replace(parts, hanging_starts=range(1, 1000))
+    node = Node(parts=only_the_background, policy=PoolPolicy(spare=0))
+    states = drive(node, spec("crowded", FakeReader([*pictures], tmp_path / "r"), tmp_path))
+    assert (states["crowded"].committed, states["crowded"].returns) == (44, 1)
+    assert as_rows(tmp_path / "crowded") == expected(parts, pictures)
+    assert read_commits(tmp_path / "crowded")[1].snapshot is not None
+    assert node.census().busy == 0
+    node.close()
+
+
 @pytest.mark.long
 @pytest.mark.ray
 @pytest.mark.usefixtures("ray_session")

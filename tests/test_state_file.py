@@ -94,6 +94,32 @@ def test_arrays_keep_bytes_type_shape_order_and_whether_they_may_be_written(
     assert back.flags.aligned
 
 
+@pytest.mark.parametrize("arrived", [False, True])
+def test_a_captured_state_is_gone_on_with_by_another_process_like_one_that_was_read(
+    tmp_path: Path, arrived: bool
+) -> None:
+    arrays = [np.asfortranarray(np.arange(12.0).reshape(3, 4)), np.zeros((0, 5, 2), np.float32), np.array(3)]
+    arrays[0].setflags(write=False)
+    for array in arrays:
+        captured = capture(state(maybe=array))
+        if arrived:  # through shared memory: the arrays are read-only
+            buffers: list[pickle.PickleBuffer] = []
+            description = pickle.dumps(captured, protocol=5, buffer_callback=buffers.append)
+            captured = pickle.loads(description, buffers=[one.raw().toreadonly() for one in buffers])
+        given, read = captured.state(State), read_state(written(tmp_path, state(maybe=array)), State)
+        for one, other in ((given.picture, read.picture), (given.maybe, read.maybe)):
+            assert one is not None
+            assert other is not None
+            np.testing.assert_array_equal(one, other)
+            assert (one.dtype, one.flags.fnc, one.flags.writeable) == (
+                other.dtype,
+                other.flags.fnc,
+                other.flags.writeable,
+            )
+        nothing = np.zeros(0)
+        assert replace(given, picture=nothing, maybe=None) == replace(read, picture=nothing, maybe=None)
+
+
 def test_a_captured_state_does_not_follow_its_part(tmp_path: Path) -> None:
     living = state()
     captured = capture(living)

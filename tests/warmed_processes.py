@@ -44,27 +44,30 @@ def main(warmed: str) -> None:
         yield
         later[one] |= compiled() - before
 
-    coordinator, segmenter = parts.coordinator(config), parts.segmenter(config)
-    layers: dict[int, LayerPart] = {}
-    previous: Segmentation | None = None
-    results: dict[int, Segmentation] = {}
-    video = scene("demo", frames=12, seed=1, width=640, height=480)
-    for t in range(len(video)):
-        wanted = coordinator.feedback_index(t)
-        feedback = None if wanted is None else partial(results.__getitem__, wanted)
-        with noted("stream"):
-            evidences = [*coordinator.step(t, _arrived(video.frame(t)), feedback)]
-        for evidence in map(_arrived, evidences):
-            frame = _arrived(video.frame(evidence.frame_index))
-            posteriors = []
-            for own in evidence.layers:
-                layer = layers.setdefault(own.layer, parts.layer(config, own.layer, own.kind))
-                with noted("layer"):
-                    posteriors.append(layer.step(own, evidence, frame, previous))
+    for name, frames in (("demo", 12), ("steady-crowd", 20)):
+        coordinator, segmenter = parts.coordinator(config), parts.segmenter(config)
+        layers: dict[int, LayerPart] = {}
+        previous: Segmentation | None = None
+        results: dict[int, Segmentation] = {}
+        video = scene(name, frames=frames, seed=1, width=640, height=480)
+        for t in range(len(video)):
+            wanted = coordinator.feedback_index(t)
+            feedback = None if wanted is None else partial(results.__getitem__, wanted)
             with noted("stream"):
-                labelled = segmenter.step(evidence, frame, [*map(_arrived, posteriors)])
-            previous = results[evidence.frame_index] = _arrived(labelled)
-    assert len(layers) > 3, "a scene with one object proves little"
+                evidences = [*coordinator.step(t, _arrived(video.frame(t)), feedback)]
+            for evidence in map(_arrived, evidences):
+                for layer in evidence.retired:
+                    layers.pop(layer, None)
+                frame = _arrived(video.frame(evidence.frame_index))
+                posteriors = []
+                for own in evidence.layers:
+                    part = layers.setdefault(own.layer, parts.layer(config, own.layer, own.kind))
+                    with noted("layer"):
+                        posteriors.append(part.step(own, evidence, frame, previous))
+                with noted("stream"):
+                    labelled = segmenter.step(evidence, frame, [*map(_arrived, posteriors)])
+                previous = results[evidence.frame_index] = _arrived(labelled)
+        assert len(layers) > 3, "a scene with one object proves little"
     print("later:", later[warmed])
 
 

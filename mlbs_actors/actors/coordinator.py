@@ -23,7 +23,8 @@ from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.channels import ChannelClosedError
 from mlbs_actors.actors.failures import POOL, SEGMENTER, SINK, explain, is_loss, reader_lost, source_failure
-from mlbs_actors.actors.layer import LiveLayers
+from mlbs_actors.actors.layers_at_work import Housed
+from mlbs_actors.actors.live_layers import LiveLayers
 from mlbs_actors.actors.live_reader import LiveReadAhead
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.processes import NOTICE_SECONDS, Handle, identity
@@ -235,9 +236,9 @@ class CoordinatorActor:
     def _restore(self, folder: Path) -> None:
         state = read_state(folder / CONDUCTOR_FILE, ConductorState)
         self._coordinator.state = read_state(folder / COORDINATOR_FILE, type(self._coordinator.state))
-        layers = self._layers.restore(state.layers, folder)
+        self._layers.restore(state.layers)
         slots = [self._slots.take("segmentation") for _ in range(2)]  # not given back
-        self._segmentations |= self._labelling.restore(folder, layers, slots)
+        self._segmentations |= self._labelling.restore(folder, state.layers, slots)
         for frame in state.waiting:
             shared = None if frame.image is None else self._memory.share(frame, self._slots.take("frame"))
             self._waiting.append((shared, frame))
@@ -341,15 +342,17 @@ class CoordinatorActor:
         assert frame is not None  # what has no picture is a gap
         if evidence.retired:
             self._labelling.retire(evidence.retired)
-        born = self._layers.follow(evidence)
+        housed = tuple(
+            Housed(layer, offer, self._slots.take("state")) for layer, offer in self._layers.follow(evidence)
+        )
         told, labelled = self._slots.take("evidence"), self._slots.take("segmentation")
         posteriors = tuple(self._slots.take("posterior") for _ in evidence.layers)
         wants = self._spec.wants_background
         wanted = wants is not None and wants(delivered.index)
         background = self._slots.take("appearance") if wanted else None
         shared = self._memory.share(evidence, told)
-        self._labelling.start(FrameWork(shared, frame, labelled, posteriors, born, background))
-        slots = (frame.slot, told, labelled, *posteriors)
+        self._labelling.start(FrameWork(shared, frame, labelled, posteriors, housed, background))
+        slots = (frame.slot, told, labelled, *posteriors, *(one.state for one in housed))
         self._record.expect(frame, slots if background is None else (*slots, background))
         self._write_gaps()
 

@@ -18,12 +18,17 @@ class FrameOrder:
     last : int
         Frame that was done last, −1 for none.
 
+    Attributes
+    ----------
+    last : int or None
+        As above; None after a frame that failed.
+
     A call that comes twice, or after one that failed half-way, would leave a state that no undisturbed run
     ever has.
     """
 
     def __init__(self, last: int = -1) -> None:
-        self._last: int | None = last
+        self.last: int | None = last
 
     @contextmanager
     def step(self, frame: int, *, after: int) -> Iterator[None]:
@@ -41,11 +46,11 @@ class FrameOrder:
         LayerError
             If another frame was last, or the last one failed.
         """
-        if self._last != after:
-            last = "a frame that failed" if self._last is None else f"frame {self._last}"
+        if self.last != after:
+            last = "a frame that failed" if self.last is None else f"frame {self.last}"
             raise LayerError(
                 f"Frame {frame} follows frame {after} but {last} was last; start the stream again."
             )
-        self._last = None
+        self.last = None
         yield
-        self._last = frame
+        self.last = frame

@@ -249,12 +249,16 @@ def _turn() -> Iterator[None]:
 
 
 def _small_scene(frames: int = 7) -> Iterator[Array]:
-    """Two squares that move before a ground that moves otherwise, and meet, (160, 320, 3) uint8."""
+    """Two squares that move before a ground that moves otherwise, and meet, (160, 320, 3) uint8.
+
+    One has a shadow under it.
+    """
     random = np.random.default_rng(0)
     ground, first, second = (
         cv2.GaussianBlur(random.integers(0, 256, shape, dtype=np.uint8), (0, 0), 1.5)
         for shape in ((160, 340, 3), (70, 70, 3), (70, 70, 3))
     )
+    first[58:] = 9
     for t in range(frames):
         frame = ground[:, 2 * t : 2 * t + 320].copy()
         frame[20:90, 20 + 5 * t : 90 + 5 * t] = first

@@ -1,8 +1,8 @@
 """The node's layer processes: kept warm, lent to streams, taken back, ended when too many are idle.
 
-The pool creates every layer process of its node, so all end with it. A birth is a method call on a process
-that has already imported and compiled everything; if none is ready it waits for one rather than coming a
-frame late.
+The pool creates every layer process of its node, so all end with it. What it lends is a process that has
+already imported and compiled everything. Who waits for one with frames gets one that is started for him, if
+none is ready; for all others processes are started one after the other, beside the frames.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import asyncio
 import time
 from collections.abc import Awaitable
 from dataclasses import dataclass
-from pathlib import Path
 
 import ray
 from ray.exceptions import RayError
@@ -21,7 +20,6 @@ from mlbs_actors.actors.failures import last_line
 from mlbs_actors.actors.layer import LayerActor
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.processes import LOST_PROCESS, Handle, identity, spawn
-from mlbs_actors.actors.saved_states import SavedLayer
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ActorLostError, LayerError
 
@@ -105,6 +103,7 @@ class PoolActor:
         self._idle: list[_Idle] = []
         self._busy: dict[int, dict[str, Handle]] = {}  # by stream and process
         self._closed = False
+        self._news = asyncio.Event()  # an idle process is ready, or a stream has ended
 
     async def begin(self, run: int) -> int:
         """Let a new stream in; return its number, which no other stream may have had."""
@@ -112,25 +111,24 @@ class PoolActor:
         self._refill()
         return run
 
-    async def acquire(
-        self, run: int, own: SavedLayer, config: Config, folder: Path | None
-    ) -> tuple[Handle, ChannelOffer]:
-        """Make a process a layer of stream ``run``, waiting for one if none is ready.
+    async def acquire(self, run: int, config: Config, *, awaited: bool) -> tuple[Handle, ChannelOffer]:
+        """Lend stream ``run`` a process for a layer as soon as one is ready.
 
         Parameters
         ----------
         run : int
-        own : SavedLayer
         config : Config
-        folder : Path, optional
-            Of the snapshot that holds the layer's state; None for a new-born one.
+            Of the stream.
+        awaited : bool
+            Whether frames wait for it: if none is ready, one is started for it. Else it may take as long as
+            the frames want.
 
         Returns
         -------
         Handle
             A :class:`~mlbs_actors.actors.layer.LayerActor`, assigned.
         ChannelOffer
-            Where its steps are to come from.
+            Where the layer and its steps are to come from.
 
         Raises
         ------
@@ -139,36 +137,37 @@ class PoolActor:
         LayerError
             If the stream has ended.
         """
-        layer = own.layer
+        asked = time.monotonic()
         while run in self._busy:
-            soon = [process for process in self._idle if process.soon]
-            waiting = max(soon, key=_Idle.preference, default=None)
-            if waiting is not None:
-                self._idle.remove(waiting)
-            process = waiting or self._start(awaited=True)
+            process = self._soonest() if awaited else self._ready()
+            if process is None:
+                self._start_beside_frames()
+                self._news.clear()
+                await self._news.wait()
+                continue
             self._busy[run][identity(process.handle)] = process.handle
             try:
                 await asyncio.wait_for(asyncio.shield(process.ready), self._policy.start_seconds)
                 offer = None
                 if run in self._busy:  # else it may be another stream's by now
-                    offer = await process.handle.assign.remote(run, own, config, folder)
+                    offer = await process.handle.assign.remote(run, config)
             except asyncio.TimeoutError:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
                 ray.kill(process.handle)
             except LOST_PROCESS as error:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
-                # One that waited may have died unnoticed: the next will do. One that was started for this
-                # very layer would die again.
-                if waiting is None and run in self._busy:
+                # One that waited may have died unnoticed: the next will do. Where one died that was started
+                # meanwhile, the next would die again.
+                if process.since >= asked and run in self._busy:
                     raise ActorLostError(
-                        f"No process could be started for layer {layer}: {last_line(error)}."
+                        f"No process could be started for a layer: {last_line(error)}."
                     ) from error
             else:
                 # Not before: where every start fails, refilling for each try would try for ever.
                 asyncio.get_running_loop().call_later(self._policy.refill_seconds, self._top_up)
                 if run in self._busy and offer is not None:
                     return process.handle, offer
-        raise LayerError(f"Layer {layer} was to be born in a stream that has ended; start the stream again.")
+        raise LayerError("A layer was to be born in a stream that has ended; start the stream again.")
 
     async def release(self, run: int, process: str, released: None) -> None:
         """Take the process of a retired layer back, by its identity; ``released`` is its own answer.
@@ -185,6 +184,7 @@ class PoolActor:
         A stream that lost a process is started again at once, and those that it did not lose are warm.
         """
         lent = self._busy.pop(run, {})
+        self._news.set()
         await asyncio.gather(*(self._take_back(run, handle) for handle in lent.values()))
 
     async def close(self) -> None:
@@ -211,23 +211,46 @@ class PoolActor:
         ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         ready.set_result(None)
         self._idle.append(_Idle(handle, ready, time.monotonic()))
+        self._news.set()
         asyncio.get_running_loop().call_later(self._policy.idle_seconds, self._shrink)
+
+    def _soonest(self) -> _Idle:
+        """The idle process that will be ready first, or a new one."""
+        soon = [process for process in self._idle if process.soon]
+        soonest = max(soon, key=_Idle.preference, default=None)
+        if soonest is None:
+            return self._start(awaited=True)
+        self._idle.remove(soonest)
+        return soonest
+
+    def _ready(self) -> _Idle | None:
+        """An idle process that is ready."""
+        ready = max(self._idle, key=_Idle.preference, default=None)
+        if ready is None or not ready.ready.done():
+            return None
+        self._idle.remove(ready)
+        return ready
 
     def _start(self, *, awaited: bool) -> _Idle:
         handle = spawn(LayerActor, self._parts, awaited, node=self._node)
         ready = asyncio.ensure_future(_answered(handle.__ray_ready__.remote()))
+        ready.add_done_callback(lambda _: self._news.set())
         return _Idle(handle, ready, time.monotonic(), awaited)
 
     def _refill(self) -> None:
         while len(self._idle) < self._policy.spare:
             self._idle.append(self._start(awaited=True))
 
+    def _start_beside_frames(self) -> None:
+        """Start a process that steps back, unless one is starting."""
+        if all(process.ready.done() for process in self._idle):
+            self._idle.append(self._start(awaited=False))
+
     def _top_up(self) -> None:
         """Start a process if too few are idle and none is starting, and look again after a while."""
         if self._closed or len(self._idle) >= min(self._policy.least, self._policy.spare):
             return
-        if all(process.ready.done() for process in self._idle):
-            self._idle.append(self._start(awaited=False))
+        self._start_beside_frames()
         asyncio.get_running_loop().call_later(self._policy.refill_seconds, self._top_up)
 
     def _shrink(self) -> None:

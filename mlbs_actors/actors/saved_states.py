@@ -44,7 +44,7 @@ def layer_file(layer: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SavedLayer:
-    """A layer that has a process.
+    """A layer that lives.
 
     Attributes
     ----------

@@ -14,7 +14,8 @@ from pathlib import Path
 import ray
 
 from mlbs_actors.actors.channels import Channel, ChannelOffer, OfferedChannel, take
-from mlbs_actors.actors.layer import LayerOffers, LayerStep
+from mlbs_actors.actors.layer import LayerStep
+from mlbs_actors.actors.layers_at_work import Housed, LayersAtWork
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.processes import Handle, Reference
@@ -22,6 +23,7 @@ from mlbs_actors.actors.saved_states import (
     PUBLISHED_FILE,
     SEGMENTER_FILE,
     PublishedState,
+    SavedLayer,
     SaveState,
     StateWriter,
 )
@@ -49,8 +51,8 @@ class FrameWork:
         For the label map.
     posteriors : tuple of Slot
         For the answers of the evidence's layers, in ascending id.
-    born : LayerOffers
-        Where the layers are that are new to the segmenter.
+    housed : tuple of Housed
+        Layers of the evidence that have got a process.
     background : Slot, optional
         For what the background remembers after this frame; None if nobody wants it.
     """
@@ -59,7 +61,7 @@ class FrameWork:
     frame: Shared[SourceFrame]
     answer: Slot
     posteriors: tuple[Slot, ...]
-    born: LayerOffers
+    housed: tuple[Housed, ...]
     background: Slot | None
 
 
@@ -97,7 +99,7 @@ class SegmenterActor:
         self._memory = SharedMemory()
         self._order = FrameOrder()
         self._channel = OfferedChannel()
-        self._layers: dict[int, Channel] = {}
+        self._layers = LayersAtWork(parts, config, self._memory)
         # Those that others may still ask for: the layers the last one, the coordinator that before it.
         self._published: deque[Segmentation] = deque(maxlen=2)
         self._previous: Shared[Segmentation] | None = None
@@ -108,14 +110,14 @@ class SegmenterActor:
         return self._channel.offer
 
     def restore(
-        self, folder: Path, layers: LayerOffers, slots: Sequence[Slot]
+        self, folder: Path, layers: Sequence[SavedLayer], slots: Sequence[Slot]
     ) -> dict[int, Shared[Segmentation]]:
         """Go back to a snapshot.
 
         Parameters
         ----------
         folder : Path
-        layers : LayerOffers
+        layers : sequence of SavedLayer
             Those that lived at that time.
         slots : sequence of Slot
             Two.
@@ -125,7 +127,7 @@ class SegmenterActor:
         dict of int to Shared
             The newest label maps at that time by their frame, at most two, oldest first.
         """
-        self._layers = {layer: take(offer) for layer, offer in layers}
+        self._layers.restore(layers, folder)
         self._segmenter.state = read_state(folder / SEGMENTER_FILE, type(self._segmenter.state))
         published = read_state(folder / PUBLISHED_FILE, PublishedState).segmentations
         self._published.extend(published)
@@ -142,8 +144,7 @@ class SegmenterActor:
         try:
             self._channel.serve(self._answers)
         finally:
-            for layer in self._layers.values():
-                layer.close()
+            self._layers.close()
             self._writer.finish()
 
     def step(
@@ -158,35 +159,35 @@ class SegmenterActor:
         if isinstance(note, FrameWork):
             yield self._labelled(note)
         elif isinstance(note, Retirement):
-            self._retire(note)
+            self._layers.retire(note.layers)
         else:
             self.save(note)
 
     def _labelled(self, work: FrameWork) -> LabelledFrame:
         evidence, frame = self._memory.taken(work.evidence), self._memory.taken(work.frame)
-        self._layers |= {layer: take(offer) for layer, offer in work.born}
-        for own, slot in zip(evidence.layers, work.posteriors, strict=True):
-            wanted = work.background if own.layer == BACKGROUND else None
-            step = LayerStep(work.evidence, work.frame, self._previous, slot, wanted)
-            self._layers[own.layer].send(step)
-        answers = [self._layers[own.layer].receive() for own in evidence.layers]
-        background = None if work.background is None else self._layers[BACKGROUND].receive()
+        self._layers.follow(evidence, work.housed)
+        steps = {
+            own.layer: LayerStep(
+                work.evidence,
+                work.frame,
+                self._previous,
+                slot,
+                work.background if own.layer == BACKGROUND else None,
+            )
+            for own, slot in zip(evidence.layers, work.posteriors, strict=True)
+        }
+        answers = self._layers.step(steps)
+        background = None if work.background is None else self._layers.appearance(BACKGROUND, work.background)
         segmentation = self.step(evidence, frame, [self._memory.taken(answer) for answer in answers])
         self._published.append(segmentation)
         self._previous = self._memory.share(segmentation, work.answer)
         return LabelledFrame(evidence.frame_index, self._previous, background)
 
-    def _retire(self, note: Retirement) -> None:
-        for layer in note.layers:
-            if layer in self._layers:
-                self._layers.pop(layer).close()
-
     def save(self, note: SaveState) -> None:
         """Have the layers write their states, and write the own one, beside the work on the next frames."""
-        for layer in self._layers.values():
-            layer.send(note)
         published = PublishedState(tuple(self._published))
-        self._writer.write({SEGMENTER_FILE: self._segmenter.state, PUBLISHED_FILE: published}, note.folder)
+        own = {SEGMENTER_FILE: self._segmenter.state, PUBLISHED_FILE: published}
+        self._writer.write(own | self._layers.save(note), note.folder)
 
 
 class Labelling:
@@ -214,7 +215,7 @@ class Labelling:
         self.under_way = 0
 
     def restore(
-        self, folder: Path, layers: LayerOffers, slots: Sequence[Slot]
+        self, folder: Path, layers: Sequence[SavedLayer], slots: Sequence[Slot]
     ) -> dict[int, Shared[Segmentation]]:
         """See :meth:`SegmenterActor.restore`; before :meth:`begin`. Raises RayError."""
         published: dict[int, Shared[Segmentation]] = ray.get(

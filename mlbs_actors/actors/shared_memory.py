@@ -28,7 +28,7 @@ __all__ = ["Shared", "SharedMemory", "Slot", "SlotKind", "SlotPool"]
 Message = TypeVar("Message")
 
 #: What a slot is for; messages of a kind are about as large as each other.
-SlotKind = Literal["frame", "evidence", "posterior", "segmentation", "appearance"]
+SlotKind = Literal["frame", "evidence", "posterior", "segmentation", "appearance", "state"]
 
 #: Arrays begin at multiples of this, bytes: what vector instructions like.
 _ALIGNMENT = 64

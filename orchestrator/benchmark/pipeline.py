@@ -127,7 +127,8 @@ class _NotingParts:
         return self.parts.coordinator(config)
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
-        self._note("background layer" if kind == "background" else "object layer")
+        if self._own_note.exists():  # else the layer begins in the segmenter's process
+            self._note("background layer" if kind == "background" else "object layer")
         return self.parts.layer(config, layer, kind)
 
     def segmenter(self, config: Config) -> SegmenterPart:
@@ -146,7 +147,11 @@ class _NotingParts:
         (self.waiting / str(os.getpid())).unlink(missing_ok=True)
 
     def _note(self, kind: str) -> None:
-        (self.folder / str(os.getpid())).write_text(kind, encoding="utf-8")
+        self._own_note.write_text(kind, encoding="utf-8")
+
+    @property
+    def _own_note(self) -> Path:
+        return self.folder / str(os.getpid())
 
 
 class _NotingSegmenter:
