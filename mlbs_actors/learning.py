@@ -86,16 +86,14 @@ def trusted_background(
     scale = length_scale(*shape)
     whole = in_cells(Region(0, 0, shape[1], shape[0]), side)
     trusted = np.ones((whole.height, whole.width), np.bool_)
-    objects = [one for one in frame_evidence.layers if one.layer != evidence.layer]
+    end = frame_evidence.part(evidence.layer)[1]  # the background is the first of all layers
+    own, objects = frame_evidence.positions[:end], frame_evidence.positions[end:]
     # A cell is judged up to this far from the objects, by own trajectories up to this far from it. Distances
     # are told for 2×2 cells at once: the lead of own trajectories is then "in a nearer one of these".
     coarse = 2 * side
     near = in_cells(
         aligned(_surroundings(objects, 2.0 * weights.keep_off_px * scale, shape), coarse, shape), coarse
     )
-    end = frame_evidence.part(evidence.layer)[1]  # the background is the first of all layers
-    own = trajectory_distance(frame_evidence.positions[:end], near, coarse)
-    others = trajectory_distance(frame_evidence.positions[end:], near, coarse)
     rows, columns = (
         slice(2 * near.y, 2 * (near.y + near.height)),
         slice(2 * near.x, 2 * (near.x + near.width)),
@@ -104,8 +102,8 @@ def trusted_background(
     if frame_evidence.frame_index > frame_evidence.epoch:
         least = 0.5 * config.layers.unexplained_noise / UNEXPLAINED_STEP
     trusted[rows, columns] = _judged(
-        own,
-        others,
+        trajectory_distance(own, near, coarse),
+        trajectory_distance(objects, near, coarse),
         _unexplained(frame_evidence, side)[rows, columns].copy(),
         least,
         np.float32(weights.keep_off_px * scale),
@@ -130,10 +128,11 @@ def _judged(
     return trusted
 
 
-def _surroundings(layers: list[LayerEvidence], margin: float, shape: tuple[int, int]) -> Region:
-    """Box of some layers' trajectories with a margin, inside the frame."""
-    boxes = [bounds(one.positions) for one in layers if len(one.positions)]
-    return box_within(boxes, margin, shape) if boxes else Region(0, 0, 0, 0)
+def _surroundings(positions: Array, margin: float, shape: tuple[int, int]) -> Region:
+    """Box of some trajectories with a margin, inside the frame."""
+    if not len(positions):
+        return Region(0, 0, 0, 0)
+    return Region(*box_within(*bounds(positions), margin, *shape))
 
 
 def _unexplained(evidence: FrameEvidence, side: int) -> Array:

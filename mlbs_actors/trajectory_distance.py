@@ -67,7 +67,8 @@ def to_occupied(occupied: Array, side: int) -> Array:
     nearby, told = np.empty(width + 2 * _BORDER, np.float32), np.empty(occupied.shape, np.float32)
     for y in range(height):
         for x in range(width):
-            distance[y + _BORDER, x + _BORDER] = np.float32(0) if occupied[y, x] else np.float32(np.inf)
+            if occupied[y, x]:
+                distance[y + _BORDER, x + _BORDER] = 0
     for y in range(_BORDER, height + _BORDER):
         _step_from(distance[y - 1], distance[y - 2], distance[y])
         _step_right(distance[y], nearby)
