@@ -142,8 +142,9 @@ def _take_over(
     words, old, new = stacks.shape[1], stacks.reshape(-1), new_stacks.reshape(-1)
     for pixel in range(source.size):
         place = source[pixel]
-        if place < 0:
-            new_stacks[pixel] = 0
+        if place < 0 or count[place] == 0:  # where nothing is known all is 0, and need not be read
+            for word in range(words):
+                new[np.uint64(pixel * words + word)] = 0
             new_count[pixel], new_newest[pixel], new_spread[pixel] = 0, 0, 0
             continue
         if words == _USUAL_WORDS:
@@ -180,6 +181,8 @@ def _update(
     half, third, rate = np.float32(0.5), np.float32(1 / (3 * SPREAD_STEP)), np.float32(_SPREAD_RATE)
     planes, colours = padded_planes(image), np.empty((3, width), np.float32)
     for y in range(mask.shape[0]):
+        if not mask[y].any():
+            continue
         for x in range(width):
             if mask[y, x] and count[y, x] == 0:
                 residual[y, x, 0], residual[y, x, 1] = 0, 0

@@ -86,6 +86,7 @@ def homography_motion(matrix: Array, positions: Array) -> Array:
     return motions
 
 
+@compiled()
 def shrunk_homography(matrix: Array, step: tuple[float, float]) -> Array:
     """The same homography between pictures of which every pixel is ``step`` px wide and high.
 
@@ -100,10 +101,19 @@ def shrunk_homography(matrix: Array, step: tuple[float, float]) -> Array:
     (3, 3) float64
     """
     # Full-size pixel centres lie at (shrunk + ½)·step − ½.
-    (x, y), shift_x, shift_y = step, 0.5 * step[0] - 0.5, 0.5 * step[1] - 0.5
-    enlarge = np.array([[x, 0, shift_x], [0, y, shift_y], [0, 0, 1]])
-    shrink = np.array([[1 / x, 0, -shift_x / x], [0, 1 / y, -shift_y / y], [0, 0, 1]])
-    return np.asarray(shrink @ matrix @ enlarge)
+    shrunk = np.empty((3, 3))
+    for axis in range(2):
+        shift = 0.5 * step[axis] - 0.5
+        for column in range(3):
+            shrunk[axis, column] = (
+                1 / step[axis] * matrix[axis, column] - shift / step[axis] * matrix[2, column]
+            )
+    shrunk[2] = matrix[2]
+    for row in range(3):
+        along, down = shrunk[row, 0], shrunk[row, 1]
+        shrunk[row, 2] += along * (0.5 * step[0] - 0.5) + down * (0.5 * step[1] - 0.5)
+        shrunk[row, 0], shrunk[row, 1] = along * step[0], down * step[1]
+    return shrunk
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,15 @@ from mlbs_actors.kde import AppearanceParameters, confidence
 from mlbs_actors.messages import COST_STEP, Array, LayerPosterior, Region
 from mlbs_actors.row_log import row_log
 
-__all__ = ["RATIO_STEP", "FusedCosts", "fused_costs", "quantised_ratio", "with_appearance"]
+__all__ = [
+    "RATIO_STEP",
+    "FusedCosts",
+    "add_appearance",
+    "appearance_tables",
+    "fused_costs",
+    "quantised_ratio",
+    "with_appearance",
+]
 
 #: Quantum of log r, nats.
 RATIO_STEP = 1.0 / 16.0
@@ -69,13 +77,12 @@ def with_appearance(
     (h, w) uint8
     """
     fused = np.empty(cost.shape, np.uint8)
-    _add_appearance(
+    add_appearance(
         cost,
         log_ratio.view(np.uint8),
         samples,
         fallback.view(np.uint8),
-        _trust(half_confidence),
-        _EXP,
+        *appearance_tables(half_confidence),
         np.float32(weight / COST_STEP),
         fused,
     )
@@ -124,13 +131,13 @@ def fused_costs(
     FusedCosts
     """
     shape = (box.height, box.width)
-    trust, strength = _trust(half_confidence), np.float32(weight / COST_STEP)
+    (trust, ratio_of), strength = appearance_tables(half_confidence), np.float32(weight / COST_STEP)
     corners = [(box.y - one.region.y // one.cell, box.x - one.region.x // one.cell) for one in posteriors]
     ratios = [one.log_ratio.view(np.uint8) for one in posteriors]
     places = np.empty((len(posteriors), 4), np.int64)
     known, matched = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     for place, corner, ratio, one in zip(places, corners, ratios, posteriors, strict=True):
-        _add_known(known, matched, place, *corner, ratio, one.samples, trust, _EXP)
+        _add_known(known, matched, place, *corner, ratio, one.samples, trust, ratio_of)
     fallback = _fallback(known, matched)
     fallback_bits = fallback.view(np.uint8)
     cost = np.empty((len(posteriors), *shape), np.uint8)
@@ -147,7 +154,7 @@ def fused_costs(
             one.samples,
             fallback_bits,
             trust,
-            _EXP,
+            ratio_of,
             strength,
             LIKELIHOOD,
         )
@@ -155,11 +162,13 @@ def fused_costs(
 
 
 @functools.lru_cache(maxsize=16)
-def _trust(half_confidence: float) -> Array:
-    """κ for 0 … 255 samples."""
-    return confidence(
+def appearance_tables(half_confidence: float) -> tuple[Array, Array]:
+    """κ for 0 … 255 samples, and r for all values of log r, by their bits as an unsigned byte."""
+    trust = confidence(
         np.arange(256, dtype=np.uint8), AppearanceParameters(half_confidence_samples=half_confidence)
     )
+    ratio = np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32) * np.float32(RATIO_STEP)
+    return trust, np.exp(ratio)
 
 
 @compiled()
@@ -195,7 +204,7 @@ def _fallback(known: Array, matched: Array) -> Array:
 
 
 @compiled()
-def _add_appearance(
+def add_appearance(
     cost: Array,
     log_ratio: Array,
     samples: Array,
@@ -231,7 +240,7 @@ def _fuse(
     own_rows = slice(place[0] + down, place[1] + down)
     own_columns = slice(place[2] + right, place[3] + right)
     part, sums = fused[rows, columns], total[rows, columns]
-    _add_appearance(
+    add_appearance(
         cost[own_rows, own_columns],
         log_ratio[own_rows, own_columns],
         samples[own_rows, own_columns],
@@ -259,7 +268,5 @@ def _normaliser(total: Array) -> Array:
     return normaliser
 
 
-#: exp of all 256 values of log r, by their bits as an unsigned byte.
-_EXP = np.exp(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32) * np.float32(RATIO_STEP))
 #: exp(−cost) of all 256 costs.
 LIKELIHOOD = np.exp(np.arange(256, dtype=np.float32) * np.float32(-COST_STEP))

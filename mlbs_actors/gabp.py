@@ -157,13 +157,14 @@ def motion_field(
     shape: tuple[int, int],
     prior_mean: Array,
     parameters: MotionParameters,
+    corner: tuple[int, int] = (0, 0),
 ) -> MotionField:
     """Infer a layer's motion field from its trajectories.
 
     Parameters
     ----------
     positions : (n, 2) float
-        Region-local positions (x, y) at frame t, px. Points outside the region are left out.
+        Positions (x, y) at frame t, px. Points outside the region are left out.
     motions : (n, 2) float
         Their backward motions t → t−1, px/frame.
     shape : (h, w)
@@ -171,6 +172,8 @@ def motion_field(
     prior_mean : (2,) or (gh, gw, 2) float
         Prior motion, one for all or at each node of ``spacing_px`` (for example the camera's), px/frame.
     parameters : MotionParameters
+    corner : (x, y)
+        Of the region, px.
 
     Returns
     -------
@@ -189,11 +192,6 @@ def motion_field(
     prior = np.ascontiguousarray(prior_mean, np.float64)
     if prior.ndim == 1:
         prior = prior.reshape(1, 1, 2)
-    finite, inside, points, moved = _told_inside(positions, motions, prior, height, width)
-    if not finite:
-        raise SolverError(
-            "A motion field needs finite evidence; drop trajectories with NaN or infinite motion."
-        )
     if height == 0 or width == 0:
         return _empty_field(shape, len(positions), parameters)
     grid, variance_grid = (
@@ -203,10 +201,11 @@ def motion_field(
     # What the finer nodes of the mean vary more, in units of the smoothness's variance.
     refinement = np.log(parameters.variance_spacing_px / parameters.spacing_px) / (2.0 * np.pi)
     mean, variance, point_weights, iterations, residual = _posterior(
-        points,
-        moved,
-        inside,
+        positions,
+        motions,
         prior,
+        corner,
+        (height, width),
         grid,
         parameters.spacing_px,
         variance_grid,
@@ -220,6 +219,10 @@ def motion_field(
         parameters.tolerance,
         parameters.max_iterations,
     )
+    if np.isnan(residual):
+        raise SolverError(
+            "A motion field needs finite evidence; drop trajectories with NaN or infinite motion."
+        )
     if not residual <= parameters.tolerance:
         raise SolverError(
             f"The field could be solved to a relative residual of {residual:.1e} only and "
@@ -254,41 +257,44 @@ def _empty_field(shape: tuple[int, int], point_count: int, parameters: MotionPar
 
 @compiled()
 def _told_inside(
-    positions: Array, motions: Array, prior: Array, height: int, width: int
-) -> tuple[bool, Array, Array, Array]:
-    """Whether all is finite, which points lie in the region, their positions and their motions."""
+    positions: Array, motions: Array, corner: tuple[int, int], shape: tuple[int, int]
+) -> tuple[Array, Array, Array]:
+    """Which points lie in a region, their positions in it and their motions."""
     count, inside = 0, np.empty(positions.shape[0], np.bool_)
-    finite = np.isfinite(positions).all() and np.isfinite(motions).all() and np.isfinite(prior).all()
     points, moved = np.empty(positions.shape, positions.dtype), np.empty(motions.shape, motions.dtype)
     for point in range(inside.size):
-        x, y = positions[point, 0], positions[point, 1]
-        inside[point] = -0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5
-        if inside[point]:
-            points[count], moved[count] = positions[point], motions[point]
-            count += 1
-    return bool(finite), inside, points[:count], moved[:count]
+        points[count, 0], points[count, 1] = positions[point, 0] - corner[0], positions[point, 1] - corner[1]
+        moved[count] = motions[point]
+        x, y = points[count, 0], points[count, 1]
+        inside[point] = -0.5 <= x < shape[1] - 0.5 and -0.5 <= y < shape[0] - 0.5
+        count += int(inside[point])
+    return inside, points[:count], moved[:count]
 
 
 @compiled()
 def _posterior(
-    points: Array, motions: Array, inside: Array, prior_mean: Array, grid: tuple[int, int], spacing: int,
-    variance_grid: tuple[int, int], variance_spacing: int, smoothness: float, point_precision: float,
-    prior_variance: float, refinement: float, robust_px: float, robust_rounds: int, tolerance: float,
-    max_iterations: int,
+    positions: Array, motions: Array, prior_mean: Array, corner: tuple[int, int], shape: tuple[int, int],
+    grid: tuple[int, int], spacing: int, variance_grid: tuple[int, int], variance_spacing: int,
+    smoothness: float, point_precision: float, prior_variance: float, refinement: float, robust_px: float,
+    robust_rounds: int, tolerance: float, max_iterations: int,
 ) -> tuple[Array, Array, Array, int, float]:  # fmt: skip
     """Mean (gh, gw, 2) and variance (vh, vw), float32; the weights of all points, those outside too; the
-    iterations of all rounds, and the residual of the last."""
+    iterations of all rounds, and the residual of the last, NaN if something given is not finite."""
     rows, columns = grid
+    mean, point_weights = np.zeros((rows, columns, 2), np.float32), np.zeros(positions.shape[0], np.float32)
+    variance = np.zeros(variance_grid, np.float32)
+    if not (np.isfinite(positions).all() and np.isfinite(motions).all() and np.isfinite(prior_mean).all()):
+        return mean, variance, point_weights, 0, np.nan
+    inside, points, moved = _told_inside(positions, motions, corner, shape)
     prior = np.empty((2, rows, columns))
     for v in range(rows):
         for u in range(columns):
             near = prior_mean[min(v, prior_mean.shape[0] - 1), min(u, prior_mean.shape[1] - 1)]
             prior[0, v, u], prior[1, v, u] = near[0], near[1]
     deviation, weights, iterations, residual = _robust_deviation(
-        points, motions, prior, spacing, 1.0 / smoothness, point_precision,
+        points, moved, prior, spacing, 1.0 / smoothness, point_precision,
         1.0 / (prior_variance * rows * columns), robust_px, robust_rounds, tolerance, max_iterations,
     )  # fmt: skip
-    mean = np.empty((rows, columns, 2), np.float32)
     for v in range(rows):
         for u in range(columns):
             for axis in range(2):
@@ -297,13 +303,12 @@ def _posterior(
     rows, columns = variance_grid
     nodes, shares = bilinear_taps(points, rows, columns, variance_spacing)
     precision = 1.0 / (prior_variance * rows * columns)
-    screening = lump(nodes, shares, weights * point_precision, motions, precision, rows, columns)[0]
+    screening = lump(nodes, shares, weights * point_precision, moved, precision, rows, columns)[0]
     marginal = inverse_diagonal(screening, 1.0 / smoothness)
-    variance = np.empty((rows, columns), np.float32)
     for v in range(rows):
         for u in range(columns):
             variance[v, u] = marginal[v, u] + smoothness * refinement
-    point_weights, told = np.zeros(inside.size, np.float32), 0
+    told = 0
     for point in range(inside.size):
         if inside[point]:
             point_weights[point] = weights[told]

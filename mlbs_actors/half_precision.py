@@ -13,14 +13,10 @@ __all__ = ["single_precision"]
 _SCALE = np.float32(2.0**112)
 
 
-def single_precision(halves: Array) -> Array:
-    """The same finite numbers, (h, w, c) float16, as float32."""
-    return np.asarray(_single_precision(np.ascontiguousarray(halves).view(np.uint16)))
-
-
 @compiled()
-def _single_precision(bits: Array) -> Array:
-    flat = bits.reshape(-1)
+def single_precision(bits: Array) -> Array:
+    """Finite numbers (h, w, c) in half precision, told by their bits as uint16, as float32."""
+    flat = bits.copy().reshape(-1)
     moved = np.empty(flat.size, np.int32)
     for i in range(flat.size):
         one = np.int32(flat[i])

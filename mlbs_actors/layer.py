@@ -39,7 +39,6 @@ import cv2
 import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
-from mlbs_actors.camera import shrunk_homography
 from mlbs_actors.cells import cell_side, cells_won, in_cells, mean_of_cells, spread_over_cells
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config
@@ -225,18 +224,19 @@ class Layer:
         prior = warp_map(posterior, before, cells, motion, needed)
         if self.kind == "background":
             trusted = trusted_background(self.config, evidence, frame_evidence, side)
-            own_terms: Array = np.zeros(needed.shape, np.float32)
+            away: Array = np.zeros(needed.shape, np.float32)
+            advantage: Array = away
         else:
             trusted, away = near_trajectories(self.config, evidence, frame_evidence, region, side)
             advantage = photometric_advantage(
                 FramePart(before, state.image),
                 FramePart(cells, image),
+                side,
                 motion,
-                shrunk_homography(frame_evidence.camera, (side, side)),
+                frame_evidence.camera,
                 prior[0] >= 0.5,
                 weights.photometric_cap,
             )
-            own_terms = np.float32(weights.distance) * away - np.float32(weights.photometric) * advantage
         cost = layer_cost(
             self.config,
             self.kind,
@@ -247,7 +247,8 @@ class Layer:
             motion,
             variance,
             prior,
-            own_terms,
+            away,
+            advantage,
         )
         evaluated = perf_counter()
 
@@ -314,7 +315,6 @@ class Layer:
         MotionField
         """
         shape = (region.height, region.width)
-        corner = np.array([region.x, region.y], np.float32)
         prior: Array = np.zeros(2)
         if self.kind == "background" and region.area:
             nodes = node_positions(shape, self._motion.spacing_px).astype(np.float64)
@@ -323,7 +323,8 @@ class Layer:
             prior = np.array(median_motion(evidence.motions))
         elif region.area:
             prior = -self.state.velocity
-        return motion_field(evidence.positions - corner, evidence.motions, shape, prior, self._motion)
+        corner = (region.x, region.y)
+        return motion_field(evidence.positions, evidence.motions, shape, prior, self._motion, corner)
 
     def _density(self, side: int) -> AppearanceParameters:
         """Of colours that are kept for cells of this side, px."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
-from mlbs_actors.fusion import LIKELIHOOD, RATIO_STEP, with_appearance
+from mlbs_actors.fusion import LIKELIHOOD, RATIO_STEP, add_appearance, appearance_tables
 from mlbs_actors.half_precision import single_precision
 from mlbs_actors.messages import (
     COST_STEP,
@@ -51,7 +51,8 @@ def layer_cost(
     motion: Array,
     variance: Array,
     prior: tuple[Array, Array],
-    own_terms: Array,
+    away: Array,
+    advantage: Array,
 ) -> Array:
     """Weighted sum of the layer's terms.
 
@@ -73,8 +74,9 @@ def layer_cost(
         Its variance, px².
     prior : two (h, w) float32
         The last posterior as :func:`~mlbs_actors.warp.warp_map` returns it.
-    own_terms : (h, w) float32
-        Sum of the terms that an object has besides, nats.
+    away, advantage : (h, w) float32
+        What an object has besides: how far off its trajectories each cell is, in [0, 1], and by how much its
+        motion explains the image better than the camera's, × noise. 0 for the background.
 
     Returns
     -------
@@ -92,26 +94,25 @@ def layer_cost(
         weights.neutral_prior if background else weights.prior_floor,
     )
     flow_variance = (config.motion.flow_std_px * length_scale(*evidence.shape)) ** 2
-    (height, width), grid = evidence.shape, evidence.flow.shape
-    rows, top, bottom, down = _taps(cells.y, cells.height, height / side, grid[0])
-    columns, left, right, along = _taps(cells.x, cells.width, width / side, grid[1])
+    height, width = evidence.shape
     _layer_cost(
         needed,
         motion,
         np.float32(side),
         variance,
-        single_precision(evidence.flow[rows, columns]),
-        np.ascontiguousarray(evidence.flow_reliable[rows, columns]),
-        np.ascontiguousarray(evidence.unexplained[rows, columns]),
-        top,
-        bottom,
-        down,
-        left,
-        right,
-        along,
+        evidence.flow.view(np.uint16),
+        evidence.flow_reliable,
+        evidence.unexplained,
+        cells.x,
+        cells.y,
+        width / side,
+        height / side,
         heard,
         *prior,
-        own_terms,
+        away,
+        advantage,
+        np.float32(weights.distance),
+        np.float32(weights.photometric),
         np.float32(flow_variance),
         np.float32(weights.neutral_prior),
         disagreement,
@@ -138,20 +139,14 @@ def _tables(
     )
 
 
-def _taps(first: int, count: int, length: float, grid: int) -> tuple[slice, Array, Array, Array]:
-    """Some cells of an axis on a grid of the same axis: the part that they lie in, between which two of its
-    places each cell's centre lies, and its share in the second. The whole axis is ``length`` cells long."""
-    low, high, share = _places(first, count, grid / length, grid)
-    if count == 0:
-        return slice(0, 0), low, high, share
-    part = slice(int(low[0]), int(high[-1]) + 1)
-    return part, low - part.start, high - part.start, share
-
-
 @compiled()
-def _places(first: int, count: int, ratio: float, grid: int) -> tuple[Array, Array, Array]:
+def _taps(first: int, count: int, length: float, grid: int) -> tuple[Array, Array, Array]:
+    """Between which two places of a grid's axis the centres of some cells lie, and their share in the second.
+
+    The whole axis is ``length`` cells long.
+    """
     low, high = np.empty(count, np.int64), np.empty(count, np.int64)
-    share = np.empty(count, np.float32)
+    share, ratio = np.empty(count, np.float32), grid / length
     for i in range(count):
         place = min(max((first + i + 0.5) * ratio - 0.5, 0.0), grid - 1.0)
         low[i] = int(place)
@@ -162,34 +157,43 @@ def _places(first: int, count: int, ratio: float, grid: int) -> tuple[Array, Arr
 
 @compiled()
 def _layer_cost(
-    needed: Array, motion: Array, side: np.float32, variance: Array, flow: Array, reliable: Array,
-    unexplained: Array, top: Array, bottom: Array, down: Array, left: Array, right: Array, along: Array,
-    heard: Array, prior: Array, share: Array, own_terms: Array,
-    flow_variance: np.float32, neutral: np.float32, disagreement: Array, surprise: Array, offset: np.float32,
-    cost: Array,
+    needed: Array, motion: Array, side: np.float32, variance: Array, flow_bits: Array, reliable: Array,
+    unexplained: Array, first_column: int, first_row: int, width_in_cells: float, height_in_cells: float,
+    heard: Array, prior: Array, share: Array, away: Array, advantage: Array, distant: np.float32,
+    photometric: np.float32, flow_variance: np.float32, neutral: np.float32, disagreement: Array,
+    surprise: Array, offset: np.float32, cost: Array,
 ) -> None:  # fmt: skip
+    """The flow comes by its bits, and like the two maps beside it for the whole frame."""
+    # As a rule the cells are those of the flow's grid, and no place lies between two of it.
+    same = width_in_cells == unexplained.shape[1] and height_in_cells == unexplained.shape[0]
+    if needed.size == 0:
+        return
+    top, bottom, down = _taps(first_row, needed.shape[0], height_in_cells, unexplained.shape[0])
+    left, right, along = _taps(first_column, needed.shape[1], width_in_cells, unexplained.shape[1])
+    # The part of the flow that is read, in single precision.
+    first, start = top[0], left[0]
+    flow = single_precision(flow_bits[first : bottom[-1] + 1, start : right[-1] + 1])
+    flows, row_length = flow.reshape(-1), flow.shape[1]
     one, half, step = np.float32(1), np.float32(0.5), np.float32(COST_STEP)
     width, columns = needed.shape[1], unexplained.shape[1]
     # Places in flat arrays, without a sign: it would be looked at before each is read.
-    asked, terms, known, shares = (
-        needed.reshape(-1),
-        own_terms.reshape(-1),
-        prior.reshape(-1),
-        share.reshape(-1),
-    )
+    asked, known, shares = needed.reshape(-1), prior.reshape(-1), share.reshape(-1)
+    distances, leads = away.reshape(-1), advantage.reshape(-1)
     moves, variances, costs = motion.reshape(-1), variance.reshape(-1), cost.reshape(-1)
-    errors, trust, flows = unexplained.reshape(-1), reliable.reshape(-1), flow.reshape(-1)
+    errors, trust = unexplained.reshape(-1), reliable.reshape(-1)
     for y in range(needed.shape[0]):
         above, below, lower = top[y] * columns, bottom[y] * columns, down[y]
         for x in range(width):
             cell = np.uint64(y * width + x)
             if not asked[cell]:
                 continue
-            nats = offset + terms[cell]
-            a, b = np.uint64(above + left[x]), np.uint64(above + right[x])
-            c, d = np.uint64(below + left[x]), np.uint64(below + right[x])
-            largest = np.uint64(max(errors[a], errors[b], errors[c], errors[d]))
-            if heard[largest] > 0:
+            nats = offset + (distant * distances[cell] - photometric * leads[cell])
+            a, two, odd = np.uint64(above + left[x]), np.uint64(2), np.uint64(1)
+            near = two * np.uint64((top[y] - first) * row_length + left[x] - start)
+            weight, flow_x, flow_y = heard[errors[a]] * trust[a], flows[near], flows[near + odd]
+            if not same:
+                b = np.uint64(above + right[x])
+                c, d = np.uint64(below + left[x]), np.uint64(below + right[x])
                 w00, w01 = (one - lower) * (one - along[x]), (one - lower) * along[x]
                 w10, w11 = lower * (one - along[x]), lower * along[x]
                 error = (
@@ -198,17 +202,18 @@ def _layer_cost(
                 )  # fmt: skip
                 weight = heard[np.uint64(np.int64(error + half))]
                 weight *= w00 * trust[a] + w01 * trust[b] + w10 * trust[c] + w11 * trust[d]
-                if weight > 0:
-                    two, one_more = np.uint64(2), np.uint64(1)
-                    a, b, c, d, move = two * a, two * b, two * c, two * d, two * cell
-                    flow_x = w00 * flows[a] + w01 * flows[b]
-                    flow_x += w10 * flows[c] + w11 * flows[d]
-                    flow_y = w00 * flows[a + one_more] + w01 * flows[b + one_more]
-                    flow_y += w10 * flows[c + one_more] + w11 * flows[d + one_more]
-                    miss_x, miss_y = flow_x - side * moves[move], flow_y - side * moves[move + one_more]
-                    distance = (miss_x * miss_x + miss_y * miss_y) / (variances[cell] + flow_variance)
-                    place = min(distance * np.float32(_DISTANCE_STEPS), np.float32(disagreement.size - 1))
-                    nats += weight * disagreement[np.uint64(np.int64(place + half))]
+                right_of = two * np.uint64(right[x] - left[x])
+                under = two * np.uint64((bottom[y] - top[y]) * row_length)
+                flow_x = w00 * flow_x + w01 * flows[near + right_of]
+                flow_x += w10 * flows[near + under] + w11 * flows[near + under + right_of]
+                flow_y = w00 * flow_y + w01 * flows[near + odd + right_of]
+                flow_y += w10 * flows[near + odd + under] + w11 * flows[near + odd + under + right_of]
+            if weight > 0:
+                move = two * cell
+                miss_x, miss_y = flow_x - side * moves[move], flow_y - side * moves[move + odd]
+                distance = (miss_x * miss_x + miss_y * miss_y) / (variances[cell] + flow_variance)
+                place = min(distance * np.float32(_DISTANCE_STEPS), np.float32(disagreement.size - 1))
+                nats += weight * disagreement[np.uint64(np.int64(place + half))]
             believed = min(known[cell] + (one - shares[cell]) * neutral, one)
             nats += surprise[np.uint64(np.int64(believed * np.float32(_PRIOR_STEPS) + half))]
             quanta = min(max(np.rint(nats / step), np.float32(0)), np.float32(255))
@@ -283,26 +288,35 @@ def finished_posterior(
     (h, w) float32
         In [0, 1].
     """
-    fused = with_appearance(
-        cost,
-        log_ratio,
-        samples,
-        np.ascontiguousarray(published.fallback[cells.slices]),
-        config.posterior.appearance,
-        config.appearance.half_confidence_samples,
-    )
     posterior = np.empty(cost.shape, np.float32)
-    normaliser = np.ascontiguousarray(published.normaliser[cells.slices])
-    _finished_posterior(fused, normaliser, won, LIKELIHOOD, posterior)
+    _finished_posterior(
+        cost,
+        log_ratio.view(np.uint8),
+        samples,
+        published.fallback.view(np.uint8),
+        published.normaliser,
+        cells.x,
+        cells.y,
+        won,
+        *appearance_tables(config.appearance.half_confidence_samples),
+        np.float32(config.posterior.appearance / COST_STEP),
+        LIKELIHOOD,
+        posterior,
+    )
     return posterior
 
 
 @compiled()
 def _finished_posterior(
-    fused: Array, normaliser: Array, won: Array, likelihood: Array, posterior: Array
-) -> None:
-    half, share = np.float32(0.5), np.float32(0.5 / 255)
-    for y in range(fused.shape[0]):
-        for x in range(fused.shape[1]):
-            above = int(max(np.int64(fused[y, x]) - np.int64(normaliser[y, x]), np.int64(0)))
+    cost: Array, log_ratio: Array, samples: Array, fallback: Array, normaliser: Array, left: int, top: int,
+    won: Array, trust: Array, ratio_of: Array, strength: np.float32, likelihood: Array, posterior: Array,
+) -> None:  # fmt: skip
+    """``fallback`` and ``normaliser`` are the whole frame's; log r and log f come by their bits."""
+    height, width = cost.shape
+    half, share, fused = np.float32(0.5), np.float32(0.5 / 255), np.empty(cost.shape, np.uint8)
+    rows, columns = slice(top, top + height), slice(left, left + width)
+    add_appearance(cost, log_ratio, samples, fallback[rows, columns], trust, ratio_of, strength, fused)
+    for y in range(height):
+        for x in range(width):
+            above = int(max(np.int64(fused[y, x]) - np.int64(normaliser[top + y, left + x]), np.int64(0)))
             posterior[y, x] = half * likelihood[above] + share * np.float32(won[y, x])

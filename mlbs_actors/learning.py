@@ -14,7 +14,13 @@ from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.messages import UNEXPLAINED_STEP, Array, FrameEvidence, LayerEvidence, Region
 from mlbs_actors.object_regions import bounds, box_within
-from mlbs_actors.trajectory_distance import closed_distance, trajectory_distance
+from mlbs_actors.trajectory_distance import (
+    closed_distance,
+    occupied_cells,
+    occupy,
+    to_occupied,
+    trajectory_distance,
+)
 
 __all__ = ["near_trajectories", "trusted_background"]
 
@@ -29,33 +35,44 @@ def near_trajectories(
     """
     weights, scale = config.posterior, length_scale(*frame_evidence.shape)
     cells = in_cells(region, side)
-    own = trajectory_distance([evidence], cells, side)
-    others = trajectory_distance(_others(evidence, frame_evidence), cells, side)
-    return _trusted_and_away(
-        own,
-        others,
-        closed_distance(own, weights.close_px * scale, side),
-        _unexplained(frame_evidence, side)[cells.slices].copy(),
+    trusted: Array = np.empty((cells.height, cells.width), np.bool_)
+    away: Array = np.empty(trusted.shape, np.float32)
+    _near_trajectories(
+        frame_evidence.positions,
+        *frame_evidence.part(evidence.layer),
+        side,
+        cells.x,
+        cells.y,
+        _unexplained(frame_evidence, side),
         config.layers.unexplained_noise / UNEXPLAINED_STEP,
+        np.float32(weights.close_px * scale),
         np.float32(weights.learn_px * scale),
         np.float32(weights.near_px * scale),
         np.float32(weights.fade_px * scale),
+        trusted,
+        away,
     )
+    return trusted, away
 
 
 @compiled()
-def _trusted_and_away(
-    own: Array, others: Array, body: Array, unexplained: Array, least: float, learn: np.float32,
-    near: np.float32, fade: np.float32,
-) -> tuple[Array, Array]:  # fmt: skip
-    trusted, away = np.empty(own.shape, np.bool_), np.empty(own.shape, np.float32)
+def _near_trajectories(
+    positions: Array, start: int, end: int, side: int, left: int, top: int, unexplained: Array, least: float,
+    close: np.float32, learn: np.float32, near: np.float32, fade: np.float32, trusted: Array, away: Array,
+) -> None:  # fmt: skip
+    """The object's trajectories are those from ``start`` to ``end``, ``unexplained`` is the whole frame's."""
+    height, width = trusted.shape
+    occupied = occupied_cells(positions[:start], side, left, top, width, height)
+    occupy(occupied, positions[end:], side, left, top)
+    others = to_occupied(occupied, side)
+    own = to_occupied(occupied_cells(positions[start:end], side, left, top, width, height), side)
+    body = closed_distance(own, close, side)
     zero, one = np.float32(0), np.float32(1)
-    for y in range(own.shape[0]):
-        for x in range(own.shape[1]):
+    for y in range(height):
+        for x in range(width):
             closest = own[y, x] <= learn and own[y, x] < others[y, x]
-            trusted[y, x] = closest and unexplained[y, x] >= least
+            trusted[y, x] = closest and unexplained[top + y, left + x] >= least
             away[y, x] = min(max((body[y, x] - near) / fade, zero), one)
-    return trusted, away
 
 
 def trusted_background(
@@ -69,14 +86,14 @@ def trusted_background(
     scale = length_scale(*shape)
     whole = in_cells(Region(0, 0, shape[1], shape[0]), side)
     trusted = np.ones((whole.height, whole.width), np.bool_)
-    objects = _others(evidence, frame_evidence)
+    end = frame_evidence.part(evidence.layer)[1]  # the background is the first of all layers
+    own, objects = frame_evidence.positions[:end], frame_evidence.positions[end:]
     # A cell is judged up to this far from the objects, by own trajectories up to this far from it. Distances
     # are told for 2×2 cells at once: the lead of own trajectories is then "in a nearer one of these".
     coarse = 2 * side
     near = in_cells(
         aligned(_surroundings(objects, 2.0 * weights.keep_off_px * scale, shape), coarse, shape), coarse
     )
-    own, others = (trajectory_distance(some, near, coarse) for some in ([evidence], objects))
     rows, columns = (
         slice(2 * near.y, 2 * (near.y + near.height)),
         slice(2 * near.x, 2 * (near.x + near.width)),
@@ -85,8 +102,8 @@ def trusted_background(
     if frame_evidence.frame_index > frame_evidence.epoch:
         least = 0.5 * config.layers.unexplained_noise / UNEXPLAINED_STEP
     trusted[rows, columns] = _judged(
-        own,
-        others,
+        trajectory_distance(own, near, coarse),
+        trajectory_distance(objects, near, coarse),
         _unexplained(frame_evidence, side)[rows, columns].copy(),
         least,
         np.float32(weights.keep_off_px * scale),
@@ -111,14 +128,11 @@ def _judged(
     return trusted
 
 
-def _others(evidence: LayerEvidence, frame_evidence: FrameEvidence) -> list[LayerEvidence]:
-    return [one for one in frame_evidence.layers if one.layer != evidence.layer]
-
-
-def _surroundings(layers: list[LayerEvidence], margin: float, shape: tuple[int, int]) -> Region:
-    """Box of some layers' trajectories with a margin, inside the frame."""
-    boxes = [bounds(one.positions) for one in layers if len(one.positions)]
-    return box_within(boxes, margin, shape) if boxes else Region(0, 0, 0, 0)
+def _surroundings(positions: Array, margin: float, shape: tuple[int, int]) -> Region:
+    """Box of some trajectories with a margin, inside the frame."""
+    if not len(positions):
+        return Region(0, 0, 0, 0)
+    return Region(*box_within(*bounds(positions), margin, *shape))
 
 
 def _unexplained(evidence: FrameEvidence, side: int) -> Array:

@@ -126,6 +126,8 @@ class FrameEvidence:
         Wall time of the coordinator's stages, ms.
     epoch : int
         First frame of this size: nothing that came before it counts.
+    positions, motions : (n, 2) float32
+        Those of all layers' trajectories, layer after layer. Not to be given.
     """
 
     frame_index: int
@@ -139,17 +141,34 @@ class FrameEvidence:
     latency_frames: int
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     epoch: int = 0
+    positions: Array = field(init=False, repr=False)
+    motions: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        nothing = np.zeros((0, 2), np.float32)
+        for name in ("positions", "motions"):
+            joined = np.concatenate([nothing, *(getattr(one, name) for one in self.layers)])
+            object.__setattr__(self, name, joined)
+
+    def part(self, layer: int) -> tuple[int, int]:
+        """Where the trajectories of a layer start and end among those of all; none if it has no part."""
+        start = 0
+        for one in self.layers:
+            end = start + len(one.positions)
+            if one.layer == layer:
+                return start, end
+            start = end
+        return start, start
 
 
 def _pickled_evidence(evidence: FrameEvidence) -> tuple[Any, ...]:
     """Evidence is pickled with one array of positions and one of motions, however many layers there are."""
     layers = evidence.layers
     heads = tuple((one.layer, one.kind, one.last_frame, len(one.positions)) for one in layers)
-    nothing = np.zeros((0, 2), np.float32)
     return _evidence_of_layers, (
         heads,
-        np.concatenate([nothing, *(one.positions for one in layers)]),
-        np.concatenate([nothing, *(one.motions for one in layers)]),
+        evidence.positions,
+        evidence.motions,
         evidence.frame_index,
         evidence.shape,
         evidence.camera,

@@ -15,11 +15,9 @@ from math import ceil, floor
 
 import numpy as np
 
-from mlbs_actors.cells import aligned, in_cells
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import length_scale
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region, Segmentation
-from mlbs_actors.region_groups import around, common, slices_in
 
 __all__ = ["bounds", "box_within", "contested", "median_motion", "object_region"]
 
@@ -51,22 +49,52 @@ def object_region(
     Region
         Inside the frame; empty for an object without trajectories and pixels.
     """
-    boxes = []
-    if len(evidence.positions):
-        boxes.append(bounds(evidence.positions))
-    for summary in previous.layers if previous is not None else ():
-        if summary.layer == evidence.layer:
-            box = summary.region
-            if boxes:
-                back_x, back_y = median_motion(evidence.motions)
-                x, y = box.x - back_x, box.y - back_y
-            else:
-                x, y = box.x + summary.velocity[0], box.y + summary.velocity[1]
-            boxes.append((x, y, x + box.width, y + box.height))
-    if not boxes:
-        return Region(0, 0, 0, 0)
+    told = _told([evidence], previous)
     margin = margin_px * length_scale(*shape)
-    return aligned(box_within(boxes, margin, shape), cell, shape)
+    x, y, width, height = _region(told[0], evidence.positions, evidence.motions, margin, cell, *shape)
+    return Region(x, y, width, height)
+
+
+def _told(layers: Sequence[LayerEvidence], previous: Segmentation | None) -> Array:
+    """What is known of each layer's pixels, (k, 7) float64: whether it had any, their box, their velocity."""
+    published = {one.layer: one for one in previous.layers} if previous is not None else {}
+    told: list[tuple[float, ...]] = []
+    for layer in layers:
+        one = published.get(layer.layer)
+        if one is None:
+            told.append((0, 0, 0, 0, 0, 0, 0))
+        else:
+            box = one.region
+            told.append((1, box.x, box.y, box.width, box.height, *one.velocity))
+    return np.array(told, np.float64)
+
+
+@compiled()
+def _region(
+    told: Array, positions: Array, motions: Array, margin: float, cell: int, height: int, width: int
+) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the region of one object of :func:`_told`."""
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    move_x, move_y = told[5], told[6]
+    if len(positions):
+        x0, y0, x1, y1 = bounds(positions)
+        left, top, right, bottom = np.float64(x0), np.float64(y0), np.float64(x1), np.float64(y1)
+        if told[0]:
+            back_x, back_y = _median_motion(motions)
+            move_x, move_y = -np.float64(back_x), -np.float64(back_y)
+    elif not told[0]:
+        return 0, 0, 0, 0
+    if told[0]:
+        moved_x, moved_y = told[1] + move_x, told[2] + move_y
+        left, top = min(left, moved_x), min(top, moved_y)
+        right, bottom = max(right, moved_x + told[3]), max(bottom, moved_y + told[4])
+    x, y, wide, high = box_within(left, top, right, bottom, margin, height, width)
+    if wide * high == 0:
+        return x, y, wide, high
+    # Of whole cells, which end at the frame's border.
+    end_x, end_y = min(-(-(x + wide) // cell) * cell, width), min(-(-(y + high) // cell) * cell, height)
+    x, y = x // cell * cell, y // cell * cell
+    return x, y, end_x - x, end_y - y
 
 
 def median_motion(motions: Array) -> tuple[float, float]:
@@ -87,17 +115,17 @@ def bounds(positions: Array) -> tuple[float, float, float, float]:
     return x.min(), y.min(), x.max(), y.max()
 
 
+@compiled()
 def box_within(
-    boxes: Sequence[tuple[float, float, float, float]], margin: float, shape: tuple[int, int]
-) -> Region:
-    """The region around some :func:`bounds`, at least one, with a margin, inside an (H, W) frame, px."""
-    left, top, right, bottom = zip(*boxes, strict=True)
-    x0, y0 = _within(floor(min(left) - margin), shape[1]), _within(floor(min(top) - margin), shape[0])
-    x1 = _within(ceil(max(right) + margin) + 1, shape[1])
-    y1 = _within(ceil(max(bottom) + margin) + 1, shape[0])
-    return Region(x0, y0, x1 - x0, y1 - y0)
+    left: float, top: float, right: float, bottom: float, margin: float, height: int, width: int
+) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the pixels around some bounds with a margin, inside a frame, px."""
+    x, y = _within(floor(left - margin), width), _within(floor(top - margin), height)
+    end_x, end_y = _within(ceil(right + margin) + 1, width), _within(ceil(bottom + margin) + 1, height)
+    return x, y, end_x - x, end_y - y
 
 
+@compiled()
 def _within(place: int, length: int) -> int:
     return min(max(place, 0), length)
 
@@ -122,15 +150,46 @@ def contested(
     inside : (rows, columns) bool
         Which of the box's cells are in it.
     """
-    regions = [
-        object_region(one, previous, evidence.shape, margin_px, cell)
-        for one in evidence.layers
-        if one.layer != BACKGROUND
-    ]
-    whole = Region(0, 0, evidence.shape[1], evidence.shape[0])
-    box = aligned(common(around(regions, 1), whole), cell, evidence.shape)
-    cells = in_cells(box, cell)
-    inside = np.zeros((cells.height, cells.width), np.bool_)
-    for region in regions:
-        inside[slices_in(in_cells(region, cell), cells)] = True
-    return box, inside
+    objects = [one for one in evidence.layers if one.layer != BACKGROUND]
+    if not objects:
+        return Region(0, 0, 0, 0), np.zeros((0, 0), np.bool_)
+    counts = np.array([len(one.positions) for one in objects])
+    margin = margin_px * length_scale(*evidence.shape)
+    box, inside = _contested(
+        _told(objects, previous), evidence.positions, evidence.motions, counts, margin, cell, *evidence.shape
+    )
+    return Region(*box), inside
+
+
+@compiled()
+def _contested(
+    told: Array, positions: Array, motions: Array, counts: Array, margin: float, cell: int, height: int,
+    width: int,
+) -> tuple[tuple[int, int, int, int], Array]:  # fmt: skip
+    """The box and its cells of the objects of :func:`_told`, whose trajectories are the last of all."""
+    regions = np.empty((len(told), 4), np.int64)
+    left, top, right, bottom = width, height, 0, 0
+    start = len(positions) - counts.sum()
+    for one in range(len(told)):
+        end = start + counts[one]
+        x, y, wide, high = _region(
+            told[one], positions[start:end], motions[start:end], margin, cell, height, width
+        )
+        if wide * high:
+            left, top, right, bottom = (
+                min(left, x - 1), min(top, y - 1), max(right, x + wide + 1), max(bottom, y + high + 1)
+            )  # fmt: skip
+        regions[one, 0], regions[one, 1], regions[one, 2], regions[one, 3] = x, y, x + wide, y + high
+        start = end
+    left, top = max(left, 0) // cell * cell, max(top, 0) // cell * cell
+    right = min(-(-right // cell) * cell, width)
+    bottom = min(-(-bottom // cell) * cell, height)
+    if right <= left:
+        left, top, right, bottom = 0, 0, 0, 0
+    inside = np.zeros((-(-(bottom - top) // cell), -(-(right - left) // cell)), np.bool_)
+    for one in range(len(told)):
+        x, y = (regions[one, 0] - left) // cell, (regions[one, 1] - top) // cell
+        end_x, end_y = -(-(regions[one, 2] - left) // cell), -(-(regions[one, 3] - top) // cell)
+        if regions[one, 2] > regions[one, 0]:
+            inside[y:end_y, x:end_x] = True
+    return (left, top, right - left, bottom - top), inside

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mlbs_actors.camera import shrunk_homography
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 
@@ -48,7 +49,7 @@ class FramePart:
 
 
 def photometric_advantage(
-    before: FramePart, now: FramePart, motion: Array, camera: Array, own: Array, largest: float
+    before: FramePart, now: FramePart, side: int, motion: Array, camera: Array, own: Array, largest: float
 ) -> Array:
     """By how much an object's motion explains the image better than the camera's.
 
@@ -56,10 +57,12 @@ def photometric_advantage(
     ----------
     before, now : FramePart
         Of frames t−1 and t.
+    side : int
+        Of the pixels of both, px of the frame.
     motion : (h, w, 2) float32
-        The object's backward motion at the pixels of ``now``, px.
+        The object's backward motion at the pixels of ``now``, in these.
     camera : (3, 3) float64
-        The camera's: takes pixels of frame t to frame t−1.
+        The camera's: takes px of frame t to frame t−1.
     own : (h, w) bool
         Where the object's motion leads back to its own pixels.
     largest : float
@@ -81,6 +84,7 @@ def photometric_advantage(
             np.ascontiguousarray(now.image),
             motion,
             camera,
+            float(side),
             corner,
             last_corner,
             own,
@@ -91,8 +95,8 @@ def photometric_advantage(
 
 @compiled()
 def _advantage(
-    before: Array, now: Array, motion: Array, camera: Array, corner: Corner, last_corner: Corner, own: Array,
-    largest: np.float32,
+    before: Array, now: Array, motion: Array, camera: Array, side: float, corner: Corner,
+    last_corner: Corner, own: Array, largest: np.float32,
 ) -> Array:  # fmt: skip
     """:func:`photometric_advantage` of images whose corners (x, y) lie there in the frame."""
     # Zeros are what comes from outside: a border around, and one more behind for a source on it.
@@ -103,12 +107,11 @@ def _advantage(
     for y in range(now.shape[0]):
         _grey_row(now[y].reshape(-1), newest[y])
     known = np.empty(newest.shape, np.bool_)
-    own_misfit, camera_misfit = _misfits(last, newest, motion, camera, corner, last_corner, known)
-    own_error, camera_error = _window_means(own_misfit), _window_means(camera_misfit)
-    noise = np.float32(min(max(np.median(camera_error[::2, ::2]), LEAST_NOISE), MOST_NOISE))
-    advantage = np.zeros(known.shape, np.float32)
-    _compare(own_error, camera_error, noise, own, known, largest, advantage)
-    return advantage
+    own_misfit, camera_misfit = _misfits(
+        last, newest, motion, shrunk_homography(camera, (side, side)), corner, last_corner, known
+    )
+    own_sums, camera_sums = _window_sums(own_misfit), _window_sums(camera_misfit)
+    return _compared(own_sums, camera_sums, _noise(camera_sums), own, known, largest)
 
 
 @compiled()
@@ -184,36 +187,60 @@ def _row_misfit(last: Array, newest: Array, source_x: Array, source_y: Array, mi
 
 
 @compiled()
-def _window_means(values: Array) -> Array:
-    """Means of whole numbers over the window, the image mirrored at its border."""
+def _window_sums(values: Array) -> Array:
+    """Sums of whole numbers over the window, the image mirrored at its border."""
     height, width = values.shape
-    means, ninth = np.empty(values.shape, np.float32), np.float32(1 / WINDOW**2)
-    sums = np.empty(width + 2, np.int32)
+    result, sums = np.empty(values.shape, np.int32), np.empty(width + 2, np.int32)
     inner = sums[1:-1]
     for y in range(height):
         above = values[y - 1 if y > 0 else min(1, height - 1)]
         below = values[y + 1 if y + 1 < height else max(height - 2, 0)]
-        own, row = values[y], means[y]
+        own, row = values[y], result[y]
         for x in range(width):
             inner[x] = above[x] + own[x] + below[x]
         sums[0], sums[width + 1] = inner[min(1, width - 1)], inner[max(width - 2, 0)]
         for x in range(width):
-            row[x] = np.float32(sums[x] + sums[x + 1] + sums[x + 2]) * ninth
-    return means
+            row[x] = sums[x] + sums[x + 1] + sums[x + 2]
+    return result
 
 
 @compiled()
-def _compare(
-    own_error: Array, camera_error: Array, noise: np.float32, own: Array, known: Array,
-    largest: np.float32, advantage: Array,
-) -> None:  # fmt: skip
-    zero, one = np.float32(0), np.float32(1)
-    for y in range(known.shape[0]):
-        for x in range(known.shape[1]):
-            by_own, by_camera = own_error[y, x] / noise, camera_error[y, x] / noise
+def _noise(sums: Array) -> np.float32:
+    """Median of every fourth window's mean, between the noise's bounds; counted by value, for what is above
+    them all is one."""
+    top = np.int32(np.ceil(MOST_NOISE * WINDOW**2))
+    counts, total = np.zeros(top + 1, np.int64), 0
+    for y in range(0, sums.shape[0], 2):
+        for x in range(0, sums.shape[1], 2):
+            counts[min(sums[y, x], top)] += 1
+            total += 1
+    below, lower, value = 0, -1, 0
+    while below <= total // 2:
+        below += counts[value]
+        if lower < 0 and below > (total - 1) // 2:
+            lower = value
+        value += 1
+    ninth = np.float32(1 / WINDOW**2)
+    median: np.float32 = np.float32(0.5) * (np.float32(lower) * ninth + np.float32(value - 1) * ninth)
+    return min(max(median, np.float32(LEAST_NOISE)), np.float32(MOST_NOISE))
+
+
+@compiled()
+def _compared(
+    own_sums: Array, camera_sums: Array, noise: np.float32, own: Array, known: Array, largest: np.float32
+) -> Array:
+    zero, one, ninth = np.float32(0), np.float32(1), np.float32(1 / WINDOW**2)
+    advantage = np.empty(known.shape, np.float32)
+    for y in range(known.shape[0]):  # without a branch: this runs in vector registers
+        own_row, camera_row, row = own_sums[y], camera_sums[y], advantage[y]
+        its_own, seen = own[y], known[y]
+        for x in range(row.size):
+            by_own, by_camera = (
+                np.float32(own_row[x]) * ninth / noise,
+                np.float32(camera_row[x]) * ninth / noise,
+            )
             lead = min(max(by_camera - by_own, -largest), largest)
-            believed = np.float32(CAMERA_BELIEVED) - by_camera
-            if lead > 0:
-                believed = np.float32(OWN_BELIEVED) - by_own if own[y, x] else zero
-            if known[y, x]:
-                advantage[y, x] = lead * min(max(believed, zero), one)
+            own_believed = np.float32(OWN_BELIEVED) - by_own if its_own[x] else zero
+            believed = own_believed if lead > zero else np.float32(CAMERA_BELIEVED) - by_camera
+            row[x] = lead * min(max(believed, zero), one) if seen[x] else zero
+    return advantage

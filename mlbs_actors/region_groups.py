@@ -10,7 +10,7 @@ Differs from the paper, which labels the whole frame with all layers at once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["RegionGroup", "around", "common", "group_regions", "grown", "slices_in"]
+__all__ = ["RegionGroup", "group_regions", "grown", "slices_in"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,29 +85,9 @@ def _merged(corners: Array) -> Array:
     return group
 
 
-def common(one: Region, other: Region) -> Region:
-    """The pixels of both regions; of no area if there are none."""
-    x, y = max(one.x, other.x), max(one.y, other.y)
-    right, bottom = (
-        min(one.x + one.width, other.x + other.width),
-        min(one.y + one.height, other.y + other.height),
-    )
-    return Region(x, y, max(0, right - x), max(0, bottom - y))
-
-
 def slices_in(region: Region, box: Region) -> tuple[slice, slice]:
     """Row and column slices that cut a region out of an array of the box around it."""
     return Region(region.x - box.x, region.y - box.y, region.width, region.height).slices
-
-
-def around(regions: Iterable[Region], margin: int = 0) -> Region:
-    """The box of all that have an area, with a margin; of no area if there are none."""
-    boxes = [(one.x, one.y, one.x + one.width, one.y + one.height) for one in regions if one.area]
-    if not boxes:
-        return Region(0, 0, 0, 0)
-    left, top, right, bottom = zip(*boxes, strict=True)
-    x, y = min(left) - margin, min(top) - margin
-    return Region(x, y, max(right) + margin - x, max(bottom) + margin - y)
 
 
 def grown(box: Region, reach: int, shape: tuple[int, ...]) -> Region:

@@ -86,12 +86,12 @@ def ground_colour(picture: Array, evidence: FrameEvidence, previous: Array, scal
         the last map.
     """
     height, width = evidence.shape
-    objects = [one for one in evidence.layers if one.layer != BACKGROUND and len(one.positions)]
-    if not objects and not previous.any():
+    positions = evidence.positions[evidence.part(BACKGROUND)[1] :]  # the objects', which come after it
+    if not len(positions) and not previous.any():
         return None
     size = (max(1, width // SHRINK), max(1, height // SHRINK))
     colour = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    free: Array = trajectory_distance(objects, Region(0, 0, *size), SHRINK) >= NEAR_PX * scale
+    free: Array = trajectory_distance(positions, Region(0, 0, *size), SHRINK) >= NEAR_PX * scale
     if previous.size:
         shown = cv2.resize(previous, size, interpolation=cv2.INTER_NEAREST) > BACKGROUND
         free &= cv2.dilate(shown.view(np.uint8), np.ones((GROWN, GROWN), np.uint8)) == 0

@@ -12,6 +12,7 @@ from mlbs_actors.camera import (
     camera_evidence,
     camera_homography,
     homography_motion,
+    shrunk_homography,
 )
 from mlbs_actors.messages import Array
 
@@ -28,6 +29,17 @@ def texture(height: int, width: int) -> Array:
     noise = np.random.default_rng(3).normal(size=(height, width)).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), 1.5)
     return np.asarray(255 * (smooth - smooth.min()) / np.ptp(smooth), np.uint8)
+
+
+@pytest.mark.parametrize("step", [(1.0, 1.0), (2.0, 2.0), (4.5, 3.0)])
+def test_a_shrunk_homography_takes_shrunk_pixels_where_it_takes_their_centres(
+    step: tuple[float, float],
+) -> None:
+    places = points(50).astype(np.float64)
+    shrunk = (places + 0.5) / step - 0.5
+    moved = cv2.perspectiveTransform(shrunk[None], shrunk_homography(TRUE, step))[0]
+    expected = cv2.perspectiveTransform(places[None], TRUE)[0]
+    np.testing.assert_allclose((moved + 0.5) * step - 0.5, expected, atol=1e-9)
 
 
 def unmoving(shape: tuple[int, ...]) -> Array:

@@ -210,3 +210,13 @@ def test_the_field_of_cells_is_the_mean_of_their_pixels(side: int) -> None:
     np.testing.assert_allclose(field.of_cells(side), expected, atol=0.1)
     expected = field.dense_variance().reshape(36 // side, side, 42 // side, side).mean(axis=(1, 3))
     np.testing.assert_allclose(field.variance_of_cells(side), expected, rtol=0.1)
+
+
+def test_positions_may_be_those_in_the_frame_of_a_region_in_it() -> None:
+    rng = np.random.default_rng(12)
+    positions, motions = rng.uniform(-5, 45, (60, 2)), rng.normal(0, 1, (60, 2))
+    local = motion_field(positions, motions, (36, 42), np.zeros(2), PLAIN)
+    found = motion_field(positions + np.array([30, 20]), motions, (36, 42), np.zeros(2), PLAIN, (30, 20))
+    np.testing.assert_allclose(found.mean, local.mean, atol=1e-6)
+    np.testing.assert_array_equal(found.point_weights, local.point_weights)
+    assert (found.point_weights == 0).any()

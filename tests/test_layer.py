@@ -243,7 +243,7 @@ def test_the_background_learns_away_from_objects_beside_its_own_trajectories_and
     layer = Layer(config, 0, "background")
     layer.step(evidence.layers[0], evidence, picture(), None)
     # Distances are told for four cells at once: what hangs on less than that may go either way.
-    near_own, near_object = (trajectory_distance([one], WHOLE, 1) for one in evidence.layers)
+    near_own, near_object = (trajectory_distance(one.positions, WHOLE, 1) for one in evidence.layers)
     shown = cv2.resize(unexplained, SHAPE[::-1]) * UNEXPLAINED_STEP < 0.5 * config.layers.unexplained_noise
     surely, perhaps = (
         (near_object > 80.0 * SCALE + slack)

@@ -48,7 +48,8 @@ def nats_by_arrays(
     motion: Array,
     variance: Array,
     prior: tuple[Array, Array],
-    own_terms: Array,
+    away: Array,
+    advantage: Array,
 ) -> Array:
     weights, background = CONFIG.posterior, kind == "background"
     spread = variance + (CONFIG.motion.flow_std_px * length_scale(*SHAPE)) ** 2
@@ -60,7 +61,7 @@ def nats_by_arrays(
     believed = prior[0] + (1 - prior[1]) * weights.neutral_prior
     believed = np.maximum(believed, weights.neutral_prior if background else weights.prior_floor)
     terms = -weights.motion * heard * np.log(agreement) - weights.prior * np.log(believed)
-    return np.asarray(weights.offset + terms + own_terms)
+    return np.asarray(weights.offset + terms + weights.distance * away - weights.photometric * advantage)
 
 
 @pytest.mark.parametrize("kind", ["background", "object"])
@@ -70,10 +71,10 @@ def test_the_cost_is_the_weighted_sum_of_the_terms_where_it_is_needed(kind: Laye
     variance = rng.uniform(0.01, 3, SIZE).astype(np.float32)
     share = rng.choice([0.0, 0.4, 1.0], SIZE).astype(np.float32)
     prior = (share * rng.random(SIZE)).astype(np.float32), share
-    own_terms = rng.normal(0, 1, SIZE).astype(np.float32)
+    away, advantage = rng.normal(0, 3, (2, *SIZE)).astype(np.float32)
     needed = rng.random(SIZE) < 0.7
-    found = layer_cost(CONFIG, kind, evidence, REGION, 1, needed, motion, variance, prior, own_terms)
-    expected = nats_by_arrays(kind, evidence, motion, variance, prior, own_terms) / COST_STEP
+    found = layer_cost(CONFIG, kind, evidence, REGION, 1, needed, motion, variance, prior, away, advantage)
+    expected = nats_by_arrays(kind, evidence, motion, variance, prior, away, advantage) / COST_STEP
     assert (found[~needed] == uncontested_cost(CONFIG)).all()
     assert np.abs(found - np.clip(expected, 0, 255))[needed].max() < 0.5 + 0.05  # of the tables
     assert np.ptp(found[needed]) > 50
@@ -85,25 +86,25 @@ def test_the_cost_of_cells_is_that_of_the_pixels_in_their_middle() -> None:
     pixels = Region(side * cells.x, side * cells.y, side * cells.width, side * cells.height)
     shape, centre = (cells.height, cells.width), np.s_[1::side, 1::side]
     moves, ones = np.full((*shape, 2), 0.5, np.float32), np.ones(shape, np.float32)
-    given = (rng.normal(0, 1, shape).astype(np.float32), ones, rng.random(shape).astype(np.float32))
+    given = [rng.random(shape).astype(np.float32) for _ in range(4)]
+    away, advantage, variance, prior = given
     found = layer_cost(
-        CONFIG, "object", evidence, cells, side, ones > 0, moves, given[1], (given[2], ones), given[0]
+        CONFIG, "object", evidence, cells, side, ones > 0, moves, variance, (prior, ones), away, advantage
     )
-    own_terms, variance, prior = (one.repeat(side, axis=0).repeat(side, axis=1) for one in given)
-    motion = np.full((*own_terms.shape, 2), 0.5 * side, np.float32)
-    share = np.ones_like(prior)
+    away, advantage, variance, prior = (one.repeat(side, axis=0).repeat(side, axis=1) for one in given)
+    motion, share = np.full((*away.shape, 2), 0.5 * side, np.float32), np.ones_like(prior)
     by_pixels = layer_cost(
-        CONFIG, "object", evidence, pixels, 1, share > 0, motion, variance, (prior, share), own_terms
+        CONFIG, "object", evidence, pixels, 1, share > 0, motion, variance, (prior, share), away, advantage
     )
     np.testing.assert_array_equal(found, by_pixels[centre])
 
 
 def test_a_cost_is_held_inside_its_byte() -> None:
     zeros, still = np.zeros(SIZE, np.float32), np.zeros((*SIZE, 2), np.float32)
-    own_terms = np.where(np.arange(SIZE[1]) < 40, -100, 100) * np.ones(SIZE)
+    advantage = np.where(np.arange(SIZE[1]) < 40, 1e4, -1e4) * np.ones(SIZE)
     found = layer_cost(
         CONFIG, "object", evidence_of(2), REGION, 1, np.ones(SIZE, bool), still, zeros,
-        (zeros, zeros), own_terms.astype(np.float32),
+        (zeros, zeros), zeros, advantage.astype(np.float32),
     )  # fmt: skip
     assert (found[:, :40] == 0).all()
     assert (found[:, 40:] == 255).all()

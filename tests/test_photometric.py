@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from mlbs_actors.camera import shrunk_homography
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.photometric import FramePart, photometric_advantage
 
@@ -48,6 +49,7 @@ def advantage(before: Array, now: Array, own: Array | None = None, largest: floa
     found = photometric_advantage(
         FramePart(WHOLE, before),
         FramePart(WHOLE, now),
+        1,
         backward(MOVE),
         STILL,
         everywhere if own is None else own,
@@ -110,7 +112,7 @@ def test_out_of_the_frame_before_nothing_is_said() -> None:
 def test_where_the_cameras_horizon_lies_in_the_frame_nothing_is_said() -> None:
     image = FramePart(WHOLE, texture(0)[: SHAPE[0], : SHAPE[1]])
     horizon = np.array([[1.0, 0, 0], [0, 1, 0], [-0.01, 0, 1]])  # a depth of exactly 0 at x = 100
-    found = photometric_advantage(image, image, backward(MOVE), horizon, np.ones(SHAPE, bool), LARGEST)
+    found = photometric_advantage(image, image, 1, backward(MOVE), horizon, np.ones(SHAPE, bool), LARGEST)
     np.testing.assert_array_equal(found[:, 100:], 0.0)
     assert np.isfinite(found).all()
 
@@ -121,6 +123,7 @@ def test_the_regions_of_the_two_frames_may_differ() -> None:
     found = photometric_advantage(
         FramePart(then, before[then.slices]),
         FramePart(region, np.ascontiguousarray(now[region.slices])),
+        1,
         backward(MOVE, region),
         STILL,
         np.ones((region.height, region.width), bool),
@@ -157,22 +160,35 @@ def test_it_is_that_of_the_formula_under_any_camera() -> None:
     motion = backward(MOVE) + rng.normal(0, 0.3, (*SHAPE, 2)).astype(np.float32)
     own = rng.random(SHAPE) < 0.5
     parts = FramePart(WHOLE, before), FramePart(WHOLE, now)
-    found = photometric_advantage(*parts, motion, camera, own, LARGEST)
+    found = photometric_advantage(*parts, 1, motion, camera, own, LARGEST)
     expected = plain_advantage(before, now, motion, camera, own)
     assert np.abs(expected).mean() > 0.1
     # A grey level just between two whole ones may fall to either side.
     assert np.mean(np.abs(found - expected) > 1e-3) < 0.01
 
 
+def test_of_pictures_of_cells_the_camera_is_shrunk_as_they_are() -> None:
+    before, now = frames(texture(0), texture(1))
+    parts = FramePart(WHOLE, before), FramePart(WHOLE, now)
+    own, camera = np.ones(SHAPE, bool), np.array([[1.01, 0.02, -1.3], [-0.015, 0.99, 0.8], [1e-5, -2e-5, 1]])
+    shrunk = shrunk_homography(camera, (3.0, 3.0))
+    found = photometric_advantage(*parts, 3, backward(MOVE), camera, own, LARGEST)
+    expected = photometric_advantage(*parts, 1, backward(MOVE), shrunk, own, LARGEST)
+    np.testing.assert_array_equal(found, expected)
+    assert found.any()
+
+
 def test_a_new_born_layer_and_an_empty_region_say_nothing() -> None:
     nowhere, image = Region(0, 0, 0, 0), texture(0)[: SHAPE[0], : SHAPE[1]]
     nothing = FramePart(nowhere, np.zeros((0, 0, 3), np.uint8))
     everywhere = np.ones(SHAPE, bool)
-    born = photometric_advantage(nothing, FramePart(WHOLE, image), backward(MOVE), STILL, everywhere, LARGEST)
+    born = photometric_advantage(
+        nothing, FramePart(WHOLE, image), 1, backward(MOVE), STILL, everywhere, LARGEST
+    )
     assert born.shape == SHAPE
     assert not born.any()
     none = np.zeros((0, 0, 2), np.float32)
     gone = photometric_advantage(
-        FramePart(WHOLE, image), nothing, none, STILL, np.zeros((0, 0), bool), LARGEST
+        FramePart(WHOLE, image), nothing, 1, none, STILL, np.zeros((0, 0), bool), LARGEST
     )
     assert gone.shape == (0, 0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mlbs_actors.messages import Region
-from mlbs_actors.region_groups import RegionGroup, around, common, group_regions, slices_in
+from mlbs_actors.region_groups import RegionGroup, group_regions, slices_in
 
 SHAPE = (60, 80)
 
@@ -57,17 +57,7 @@ def test_no_regions_make_no_groups() -> None:
     assert group_regions([], SHAPE) == group_regions([Region(3, 3, 0, 7)], SHAPE) == []
 
 
-def test_what_two_regions_have_in_common_is_found_in_an_array_of_the_box() -> None:
-    one, other = Region(3, 4, 10, 8), Region(8, 1, 20, 5)
+def test_a_region_is_cut_out_of_an_array_of_the_box_around_it() -> None:
+    box, region = Region(3, 4, 10, 8), Region(8, 4, 5, 2)
     frame = np.arange(60 * 80).reshape(SHAPE)
-    both = common(one, other)
-    assert both == Region(8, 4, 5, 2)
-    np.testing.assert_array_equal(frame[one.slices][slices_in(both, one)], frame[both.slices])
-    assert common(one, Region(40, 40, 5, 5)).area == 0
-
-
-def test_the_box_around_regions_holds_them_and_leaves_out_those_without_an_area() -> None:
-    regions = [Region(5, 7, 3, 2), Region(90, 90, 0, 4), Region(1, 8, 2, 6)]
-    assert around(regions) == Region(1, 7, 7, 7)
-    assert around(regions, 2) == Region(-1, 5, 11, 11)
-    assert around(regions[1:2], 2).area == 0
+    np.testing.assert_array_equal(frame[box.slices][slices_in(region, box)], frame[region.slices])
