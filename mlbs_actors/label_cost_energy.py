@@ -141,11 +141,6 @@ class UndecidedEnergy:
     label_costs: Array
     elsewhere: Array
 
-    def used(self, labels: Array) -> Array:
-        """(K,) bool: labels in use anywhere in the image, given those of the undecided pixels, (n,) intp."""
-        in_use: Array = self.elsewhere | (np.bincount(labels, minlength=self.elsewhere.size) > 0)
-        return in_use
-
     def energy(self, labels: Array) -> int:
         """Energy of a labelling (n,) intp of the undecided pixels."""
         chosen = self.offers.chosen(labels)
