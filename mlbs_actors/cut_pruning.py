@@ -206,13 +206,14 @@ def movable(
     free = np.zeros(labels.size, np.bool_)
     price = np.empty(candidates.size, np.int64)
     pixels = np.empty(candidates.size, np.intp)
-    count = 0
-    # A first look with all neighbours at alpha leaves few pixels to look at closely.
+    count, others = 0, 0
+    # A first look with all neighbours at alpha mostly leaves few pixels to look at closely.
     for i in range(candidates.size):
         p = candidates[i]
         label = labels[p]
         if label == alpha:
             continue
+        others += 1
         cost = np.int64(costs[i]) - chosen[p]
         refund = np.int64(0) if kept[label] else label_costs[label]
         if cost > refund:
@@ -225,6 +226,8 @@ def movable(
         price[count] = cost
         pixels[count] = p
         count += 1
+    if 16 * (others - count) <= others:  # a closer look hardly leaves fewer
+        return pixels[:count].copy(), price[:count].copy(), kept
     while True:
         left = 0
         for i in range(count):
