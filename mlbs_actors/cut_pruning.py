@@ -156,9 +156,18 @@ def _decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> 
 
 
 @compiled()
+def _offered(candidates: Array, labels: Array, label_count: int) -> Array:
+    """How many candidates have each label."""
+    offered = np.zeros(label_count, np.int64)
+    for p in candidates:
+        offered[labels[p]] += 1
+    return offered
+
+
+@compiled()
 def movable(
     candidates: Array, costs: Array, chosen: Array, neighbour: Array, weight: Array, label_costs: Array,
-    labels: Array, alpha: int,
+    labels: Array, used: Array, alpha: int,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Pixels that a best expansion of ``alpha`` may take, and labels that it leaves in use.
 
@@ -177,6 +186,8 @@ def movable(
         As of :class:`~mlbs_actors.label_cost_energy.UndecidedEnergy`.
     labels : (n,) intp
         The labelling to expand in.
+    used : (K,) int64
+        How many pixels have each label.
     alpha : int
         Label position.
 
@@ -190,22 +201,19 @@ def movable(
         Labels that keep a pixel in every best move, or cost nothing; alpha's own entry has no meaning.
     """
     kept = label_costs == 0
-    if candidates.size < labels.size and not kept.all():
-        stays = np.ones(labels.size, np.bool_)
-        for p in candidates:
-            stays[p] = False
-        for p in range(labels.size):
-            kept[labels[p]] |= stays[p]
+    if not kept.all():
+        kept |= _offered(candidates, labels, used.size) < used
     free = np.zeros(labels.size, np.bool_)
     price = np.empty(candidates.size, np.int64)
     pixels = np.empty(candidates.size, np.intp)
-    count = 0
-    # A first look with all neighbours at alpha leaves few pixels to look at closely.
+    count, others = 0, 0
+    # A first look with all neighbours at alpha mostly leaves few pixels to look at closely.
     for i in range(candidates.size):
         p = candidates[i]
         label = labels[p]
         if label == alpha:
             continue
+        others += 1
         cost = np.int64(costs[i]) - chosen[p]
         refund = np.int64(0) if kept[label] else label_costs[label]
         if cost > refund:
@@ -218,6 +226,8 @@ def movable(
         price[count] = cost
         pixels[count] = p
         count += 1
+    if 16 * (others - count) <= others:  # a closer look hardly leaves fewer
+        return pixels[:count].copy(), price[:count].copy(), kept
     while True:
         left = 0
         for i in range(count):

@@ -21,13 +21,13 @@ from mlbs_actors.label_cost_energy import UndecidedEnergy
 from mlbs_actors.messages import Array
 from mlbs_actors.min_cut import min_cut
 
-__all__ = ["free_expansion", "freeing_expansion", "paid_expansion", "paid_for"]
+__all__ = ["free_expansion", "freeing_expansion", "may_free", "paid_expansion", "paid_for"]
 
 
 @compiled()
 def free_expansion(
     neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array, price: Array
-) -> tuple[Array, np.int64]:
+) -> tuple[Array, np.int64, Array]:
     """Find the pixels that best take a label, no label being freed of its cost.
 
     Parameters
@@ -50,10 +50,38 @@ def free_expansion(
     change : int
         Of the energy; the cost of alpha itself is not in the graph: it is the same for all moves that move
         anything.
+    left : (m,) int32
+        No set of nodes changes the energy by less than ``change`` and what of this is positive at its nodes.
     """
     surplus, near, capacity, unmoved = _move_graph(neighbour, weight, labels, alpha, nodes, price)
     flow, moves = min_cut(surplus, near, capacity)
-    return moves, flow - unmoved
+    return moves, flow - unmoved, surplus
+
+
+@compiled()
+def may_free(labels: Array, nodes: Array, left: Array, paid: Array, label_costs: Array) -> bool:
+    """Whether it could pay to free labels of their cost; else :func:`free_expansion` found the best moves.
+
+    Parameters
+    ----------
+    labels, nodes
+        As for :func:`free_expansion`.
+    left : (m,) int32
+        As it returns it.
+    paid : (l,) int64
+        The labels, of which all pixels are among the nodes.
+    label_costs : (K,) int64
+
+    Returns
+    -------
+    bool
+        False if already what is left at its pixels makes up for the cost of each of them.
+    """
+    missing = np.zeros(label_costs.size, np.int64)
+    missing[paid] = label_costs[paid]
+    for i in range(nodes.size):
+        missing[labels[nodes[i]]] -= max(left[i], 0)
+    return bool((missing > 0).any())
 
 
 @compiled()
@@ -84,9 +112,11 @@ def freeing_expansion(
     change : int
         As :func:`free_expansion` returns them, with the label's cost if it is saved.
     """
-    some, change = free_expansion(neighbour, weight, labels, alpha, nodes, price)
-    taken = labels.copy()
+    some, change, left = free_expansion(neighbour, weight, labels, alpha, nodes, price)
     moves = labels[nodes] == label
+    if np.maximum(left[moves], 0).sum() >= label_cost:  # more than the others could ever pay back
+        return some, change
+    taken = labels.copy()
     change_of_all = -np.int64(label_cost)
     for i in np.flatnonzero(moves):
         taken[nodes[i]] = alpha
@@ -97,7 +127,7 @@ def freeing_expansion(
                 change_of_all -= weight[nodes[i], k]
     others = np.flatnonzero(~moves)
     if others.size:
-        followers, more = free_expansion(neighbour, weight, taken, alpha, nodes[others], price[others])
+        followers, more, _ = free_expansion(neighbour, weight, taken, alpha, nodes[others], price[others])
         moves[others] = followers
         change_of_all += more
     return (moves, change_of_all) if change_of_all < change else (some, change)

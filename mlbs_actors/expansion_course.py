@@ -12,7 +12,7 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.cut_pruning import movable
-from mlbs_actors.expansion import free_expansion, freeing_expansion, paid_expansion, paid_for
+from mlbs_actors.expansion import free_expansion, freeing_expansion, may_free, paid_expansion, paid_for
 from mlbs_actors.label_cost_energy import UndecidedEnergy, cost_of_labels, energy_of_labels
 from mlbs_actors.messages import Array
 
@@ -28,6 +28,10 @@ class Course:
     labels : (n,) intp
     chosen : (n,) int32
         What each pixel pays for its label.
+    used : (K,) int64
+        How many pixels have each label.
+    lost_at : (K,) int64
+        Step that last took a pixel from each label; 0 at the start.
     energy : int
     step : int
         How many expansions have changed the labelling.
@@ -43,6 +47,8 @@ class Course:
 
     labels: Array
     chosen: Array
+    used: Array
+    lost_at: Array
     energy: int
     step: int
     changed_at: Array
@@ -54,12 +60,14 @@ class Course:
     def starting(cls, rest: UndecidedEnergy, labels: Array) -> Course:
         """Before the first expansion of labels (n,) intp."""
         offers = rest.offers
-        chosen, energy, changed_at, news_at, came_from, expanded_at = _started(
+        chosen, used, energy, changed_at, news_at, came_from, expanded_at = _started(
             offers.first, offers.pixel, offers.cost, rest.neighbour, rest.weight, rest.label_costs, labels
         )
         return cls(
             labels=labels,
             chosen=chosen,
+            used=used,
+            lost_at=np.zeros_like(used),
             energy=energy,
             step=0,
             changed_at=changed_at,
@@ -83,6 +91,8 @@ class Course:
                 rest.label_costs,
                 self.labels,
                 self.chosen,
+                self.used,
+                self.lost_at,
                 self.changed_at,
                 self.news_at,
                 self.came_from,
@@ -94,7 +104,8 @@ class Course:
                 return
             alpha = alphas[turn]
             moves, change = paid_expansion(rest, self.labels, alpha, nodes, price, paid)
-            change += int(_cost_of_use(rest.label_costs, self.labels, alpha))
+            if self.used[alpha] == 0:
+                change += int(rest.label_costs[alpha])
             if change < 0:
                 self.energy += change
                 self.step += 1
@@ -102,6 +113,8 @@ class Course:
                     rest.neighbour,
                     self.labels,
                     self.chosen,
+                    self.used,
+                    self.lost_at,
                     self.changed_at,
                     self.news_at,
                     self.came_from,
@@ -118,20 +131,23 @@ class Course:
 def _started(
     first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array, label_costs: Array,
     labels: Array,
-) -> tuple[Array, int, Array, Array, Array, Array]:  # fmt: skip
+) -> tuple[Array, Array, int, Array, Array, Array, Array]:  # fmt: skip
     """The fields of `Course` but the labels, which are given, and the step."""
     chosen = cost_of_labels(first, pixel, cost, labels)
     energy = int(energy_of_labels(chosen, neighbour, weight, label_costs, labels))
+    used = np.zeros(label_costs.size, np.int64)
+    for label in labels:
+        used[label] += 1
     changed_at, news_at = np.zeros(labels.size, np.int32), np.zeros(labels.size, np.int32)
     came_from, expanded_at = np.full(labels.size, -1), np.full(label_costs.size, -1)
-    return chosen, energy, changed_at, news_at, came_from, expanded_at
+    return chosen, used, energy, changed_at, news_at, came_from, expanded_at
 
 
 @compiled()
 def _expand_in_turn(
     alphas: Array, turn: int, first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array,
-    label_costs: Array, labels: Array, chosen: Array, changed_at: Array, news_at: Array, came_from: Array,
-    expanded_at: Array, step: int, energy: int,
+    label_costs: Array, labels: Array, chosen: Array, used: Array, lost_at: Array, changed_at: Array,
+    news_at: Array, came_from: Array, expanded_at: Array, step: int, energy: int,
 ) -> tuple[int, int, int, Array, Array, Array]:  # fmt: skip
     """Expand labels until one is due that could free several of their costs: its turn, how the course stands,
     the pixels that may take it, what it costs them more, and those several."""
@@ -140,37 +156,35 @@ def _expand_in_turn(
         if expanded_at[alpha] == step:
             continue
         own = slice(first[alpha], first[alpha + 1])
-        again = label_costs[alpha] == 0 and expanded_at[alpha] >= 0
-        if again and _nothing_new(pixel[own], label_costs, labels, news_at, expanded_at[alpha], alpha):
+        before = expanded_at[alpha]
+        if before >= 0 and _nothing_new(
+            pixel[own], label_costs, labels, used, lost_at, news_at, before, alpha
+        ):
             expanded_at[alpha] = step
             continue
         nodes, price, kept = movable(
-            pixel[own], cost[own], chosen, neighbour, weight, label_costs, labels, alpha
+            pixel[own], cost[own], chosen, neighbour, weight, label_costs, labels, used, alpha
         )
-        if again:
+        # What must be bought anew is paid for by all its parts together.
+        if before >= 0 and (label_costs[alpha] == 0 or used[alpha] > 0):
             worth = _worth_expanding(
-                neighbour,
-                label_costs,
-                labels,
-                changed_at,
-                news_at,
-                came_from,
-                expanded_at[alpha],
-                alpha,
-                nodes,
+                neighbour, kept, labels, used, lost_at, changed_at, news_at, came_from, before, alpha, nodes
             )
             nodes, price = nodes[worth], price[worth]
         paid = paid_for(labels, nodes, kept)
-        if paid.size > 1:
-            return due, step, energy, nodes, price, paid
         if nodes.size:
-            if paid.size:
+            if paid.size > 1:
+                moves, change, left = free_expansion(neighbour, weight, labels, alpha, nodes, price)
+                if may_free(labels, nodes, left, paid, label_costs):
+                    return due, step, energy, nodes, price, paid
+            elif paid.size:
                 moves, change = freeing_expansion(
                     neighbour, weight, labels, alpha, nodes, price, paid[0], label_costs[paid[0]]
                 )
             else:
-                moves, change = free_expansion(neighbour, weight, labels, alpha, nodes, price)
-            change += _cost_of_use(label_costs, labels, alpha)
+                moves, change, _ = free_expansion(neighbour, weight, labels, alpha, nodes, price)
+            if used[alpha] == 0:
+                change += label_costs[alpha]
             if change < 0:
                 energy += int(change)
                 step += 1
@@ -178,6 +192,8 @@ def _expand_in_turn(
                     neighbour,
                     labels,
                     chosen,
+                    used,
+                    lost_at,
                     changed_at,
                     news_at,
                     came_from,
@@ -193,61 +209,60 @@ def _expand_in_turn(
 
 @compiled()
 def _take(
-    neighbour: Array, labels: Array, chosen: Array, changed_at: Array, news_at: Array, came_from: Array,
-    step: int, alpha: int, moved: Array, price: Array,
+    neighbour: Array, labels: Array, chosen: Array, used: Array, lost_at: Array, changed_at: Array,
+    news_at: Array, came_from: Array, step: int, alpha: int, moved: Array, price: Array,
 ) -> None:  # fmt: skip
     """Give some pixels the label alpha."""
     for i in range(moved.size):
         p = moved[i]
+        used[labels[p]] -= 1
+        lost_at[labels[p]] = step
         came_from[p], labels[p] = labels[p], alpha
         chosen[p] += price[i]
         changed_at[p], news_at[p] = step, step
         for k in range(8):
             if neighbour[p, k] >= 0:
                 news_at[neighbour[p, k]] = step
-
-
-@compiled()
-def _cost_of_use(label_costs: Array, labels: Array, alpha: int) -> int:
-    """What a label costs that is not used yet."""
-    return 0 if label_costs[alpha] == 0 or (labels == alpha).any() else int(label_costs[alpha])
+    used[alpha] += moved.size
 
 
 @compiled()
 def _nothing_new(
-    candidates: Array, label_costs: Array, labels: Array, news_at: Array, expanded_at: int, alpha: int
-) -> bool:
-    """Whether all that a label could take is free, and has not changed since its last expansion, nor what is
-    beside it."""
+    candidates: Array, label_costs: Array, labels: Array, used: Array, lost_at: Array, news_at: Array,
+    expanded_at: int, alpha: int,
+) -> bool:  # fmt: skip
+    """Whether nothing that a label could take has changed since its last expansion, nor what is beside it,
+    nor what it could free of its cost."""
+    offered = np.zeros(used.size, np.int64)
     for p in candidates:
-        if labels[p] != alpha and (news_at[p] > expanded_at or label_costs[labels[p]] > 0):
+        if labels[p] != alpha:
+            if news_at[p] > expanded_at:
+                return False
+            offered[labels[p]] += 1
+    for label in range(used.size):
+        could_be_freed = label_costs[label] > 0 and 0 < offered[label] == used[label]
+        if could_be_freed and lost_at[label] > expanded_at:
             return False
     return True
 
 
 @compiled()
 def _worth_expanding(
-    neighbour: Array,
-    label_costs: Array,
-    labels: Array,
-    changed_at: Array,
-    news_at: Array,
-    came_from: Array,
-    expanded_at: int,
-    alpha: int,
-    nodes: Array,
-) -> Array:
-    """Nodes (m,) bool whose connected part an expansion of the free label alpha could still improve.
+    neighbour: Array, kept: Array, labels: Array, used: Array, lost_at: Array, changed_at: Array,
+    news_at: Array, came_from: Array, expanded_at: int, alpha: int, nodes: Array,
+) -> Array:  # fmt: skip
+    """Nodes (m,) bool whose connected part an expansion of alpha, which is paid for, could still improve.
 
-    What an expansion gains is the sum over the connected parts of what it moves, if their labels are free.
-    A part gains nothing where no pixel of it or beside it has changed since alpha's last expansion, and
-    nothing where the very last change in and around it was to take all of it from alpha: that was a best
-    expansion too, which could have left any of it.
+    What an expansion gains is the sum over the connected parts of what it moves, if each label that it could
+    free of its cost lies in one part. A part gains nothing where no pixel of it or beside it has changed
+    since alpha's last expansion, and nothing where the very last change in and around it was to take all of
+    it from alpha: that was a best expansion too, which could have left any of it. Both hold for freeing a
+    label as well, unless it has lost pixels since: then it might not have been freed so easily.
     """
     open_node = np.zeros(labels.size, np.bool_)
     open_node[nodes] = True
     worth = np.zeros(labels.size, np.bool_)
-    part = np.empty(nodes.size, np.intp)
+    part, inside = np.empty(nodes.size, np.intp), np.zeros(used.size, np.int64)
     for i in range(nodes.size):
         if not open_node[nodes[i]]:
             continue
@@ -255,20 +270,26 @@ def _worth_expanding(
         part[0] = nodes[i]
         head, tail = 0, 1
         oldest, newest = changed_at[nodes[i]], changed_at[nodes[i]]
-        free, from_alpha = True, True
+        from_alpha = True
         while head < tail:
             p = part[head]
             head += 1
             oldest = min(oldest, changed_at[p])
             newest = max(newest, news_at[p])
-            free = free and label_costs[labels[p]] == 0
             from_alpha = from_alpha and came_from[p] == alpha
+            inside[labels[p]] += 1
             for k in range(8):
                 q = neighbour[p, k]
                 if q >= 0 and open_node[q]:
                     open_node[q] = False
                     part[tail] = q
                     tail += 1
-        if not (free and (newest <= expanded_at or (from_alpha and oldest == newest))):
+        settled = newest <= expanded_at or (from_alpha and oldest == newest)
+        for label in range(used.size):
+            if inside[label] > 0 and not kept[label]:
+                whole = inside[label] == used[label] and lost_at[label] <= max(newest, expanded_at)
+                settled = settled and whole
+            inside[label] = 0
+        if not settled:
             worth[part[:tail]] = True
     return worth[nodes]

@@ -13,7 +13,8 @@ Differs from the paper:
 * The pair term is a Potts weight (:mod:`mlbs_actors.contrast`).
 * Costs are integers, in units of ``COST_QUANTUM`` = 1/1024 nat: no tolerance anywhere.
 * Pixels whose label is the same in every optimum are decided first (``cut_pruning``), only the rest is cut.
-* Beside expansions (one label takes pixels), *removals* are tried: a label's pixels are shared out to others.
+* Beside expansions (one label takes pixels), *removals* are tried: a label's pixels are shared out to others
+  (``label_removal``).
 * The start is label 0 everywhere: every labelling with one more label is one expansion away, and with two
   labels the first one ends in a global optimum. An expansion is tried again only where something has
   changed: the last one was the best there.
@@ -28,12 +29,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.coarse_cut import band_around_outlines, halved
-from mlbs_actors.compilation import compiled
 from mlbs_actors.contrast import MAX_COST
 from mlbs_actors.cut_pruning import prune
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.expansion_course import Course
 from mlbs_actors.label_cost_energy import LabelCostEnergy, UndecidedEnergy
+from mlbs_actors.label_removal import remove_labels
 from mlbs_actors.messages import Array
 
 __all__ = [
@@ -178,65 +179,8 @@ def _search(rest: UndecidedEnergy, start: Array, max_sweeps: int) -> tuple[Array
         course.expand(rest, every_label)
         trace.append(course.energy)
         if (course.expanded_at == course.step).all():
-            course = _remove_labels(rest, course)
+            course = remove_labels(rest, course)
             if course.energy == trace[-1]:
                 return course.labels, trace, True
             trace[-1] = course.energy
     return course.labels, trace, False
-
-
-def _remove_labels(rest: UndecidedEnergy, course: Course) -> Course:
-    """Try to do without each label that has to be paid for, in ascending order."""
-    for label in np.flatnonzero(rest.used(course.labels) & (rest.label_costs > 0)):
-        others = rest.used(course.labels)
-        others[label] = False
-        if not others.any():
-            continue
-        shared, near, loss, outline = _shared_out(
-            rest.offers.first,
-            rest.offers.pixel,
-            rest.offers.cost,
-            rest.neighbour,
-            rest.weight,
-            course.labels,
-            course.chosen,
-            int(label),
-            others,
-        )
-        # Neither its cost nor its outline, if saved, could make up for its evidence.
-        if loss >= outline + rest.label_costs[label]:
-            continue
-        proposal = Course.starting(rest, shared)
-        proposal.expand(rest, np.flatnonzero(near))
-        if proposal.energy < course.energy:
-            course = proposal
-    return course
-
-
-@compiled()
-def _shared_out(
-    first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array, labels: Array, chosen: Array,
-    label: int, allowed: Array,
-) -> tuple[Array, Array, int, int]:  # fmt: skip
-    """A labelling where each pixel of one label has the cheapest of some others, the lowest of several; which
-    labels these pixels and those beside them then have; what they cost more, and what their outline costs."""
-    shared, least = labels.copy(), np.full(labels.size, 2**40)
-    for other in np.flatnonzero(allowed):
-        for entry in range(first[other], first[other + 1]):
-            p = pixel[entry]
-            if labels[p] == label and cost[entry] < least[p]:
-                shared[p], least[p] = other, cost[entry]
-    near = np.zeros(allowed.size, np.bool_)
-    loss, outline = np.int64(0), np.int64(0)
-    for p in range(labels.size):
-        if labels[p] != label:
-            continue
-        loss += least[p] - chosen[p]
-        near[shared[p]] = True
-        for k in range(8):
-            q = neighbour[p, k]
-            if q >= 0:
-                near[shared[q]] = True
-                if labels[q] != label:
-                    outline += weight[p, k]
-    return shared, near, int(loss), int(outline)

@@ -28,6 +28,8 @@ __all__ = [
 
 #: Label of a pixel that has none yet.
 UNDECIDED = -1
+#: Label of neighbours that do not have the same one.
+_SEVERAL = -2
 
 #: (dy, dx) of the eight neighbours; entry k + 4 is the opposite of entry k.
 NEIGHBOUR_OFFSETS = np.array([(0, 1), (1, 0), (1, 1), (1, -1), (0, -1), (-1, 0), (-1, -1), (-1, 1)])
@@ -43,7 +45,7 @@ class LabelCostEnergy:
         Cost of each label at each pixel of a cell, at most 2²⁴ in size.
     weights : (H, W, 4) int32
         Potts weight to the neighbour at ``NEIGHBOUR_OFFSETS[k]``, k < 4, in 0 … 2²⁴; 0 where it would be
-        outside the image.
+        outside the image. C-contiguous.
     label_costs : (K,) int64
         Cost of using a label at all, ≥ 0.
     side : int
@@ -141,11 +143,6 @@ class UndecidedEnergy:
     label_costs: Array
     elsewhere: Array
 
-    def used(self, labels: Array) -> Array:
-        """(K,) bool: labels in use anywhere in the image, given those of the undecided pixels, (n,) intp."""
-        in_use: Array = self.elsewhere | (np.bincount(labels, minlength=self.elsewhere.size) > 0)
-        return in_use
-
     def energy(self, labels: Array) -> int:
         """Energy of a labelling (n,) intp of the undecided pixels."""
         chosen = self.offers.chosen(labels)
@@ -196,11 +193,12 @@ def _left_open(
 ) -> tuple[Array, Array, tuple[Array, Array, Array], Array, Array, Array]:  # fmt: skip
     """The fields of `UndecidedEnergy` but the last."""
     pixels, begins, position = _numbered(labels)
-    neighbour, weight = _around(weights, labels, position, pixels, begins)
-    offers = _offers(unary, side, extras, places, weights, labels, pixels, begins, neighbour, position)
-    row = np.empty(pixels.size, np.intp)
+    row, column = np.empty(pixels.size, np.intp), np.empty(pixels.size, np.int32)
     for y in range(labels.shape[0]):
-        row[begins[y] : begins[y + 1]] = y
+        for i in range(begins[y], begins[y + 1]):
+            row[i], column[i] = y, pixels[i] - y * labels.shape[1]
+    neighbour, weight, known, saved = _around(weights, labels, position, row, column)
+    offers = _offers(unary, side, extras, places, weights, labels, begins, column, known, saved, position)
     return pixels, row, offers, neighbour, weight, np.where(elsewhere, 0, label_costs)
 
 
@@ -217,52 +215,34 @@ def _spread(unary: Array, side: int, places: Array, spread: Array) -> None:
 
 @compiled()
 def _offers(
-    unary: Array, side: int, extras: Array, places: Array, weights: Array, labels: Array, pixels: Array,
-    begins: Array, neighbour: Array, position: Array,
+    unary: Array, side: int, extras: Array, places: Array, weights: Array, labels: Array, begins: Array,
+    column: Array, known: Array, saved: Array, position: Array,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """The fields of `Offers`; the last four as of :func:`_numbered` and :func:`_around`."""
+    """The fields of `Offers`; the last five as of :func:`_numbered` and :func:`_around`."""
     height, width = labels.shape
     cell_of = np.arange(width) // side
-    columns, cells = np.empty(pixels.size, np.int32), np.empty(pixels.size, np.int32)
-    # Up to a constant, agreeing with a neighbour of known label saves the weight. Hardly ever are there two.
-    known, saved = np.full(pixels.size, UNDECIDED, np.intp), np.zeros(pixels.size, np.int32)
-    several = np.zeros(pixels.size, np.bool_)
-    for y in range(height):
-        for i in range(begins[y], begins[y + 1]):
-            x = pixels[i] - y * width
-            columns[i], cells[i] = x, cell_of[x]
-            for k in range(8):
-                if neighbour[i, k] >= 0:
-                    continue
-                v, u, row, column, direction = neighbour_and_weight(y, x, k)
-                if 0 <= v < height and 0 <= u < width and labels[v, u] != UNDECIDED:
-                    if known[i] == UNDECIDED:
-                        known[i] = labels[v, u]
-                    if labels[v, u] == known[i]:
-                        saved[i] += weights[row, column, direction]
-                    else:
-                        several[i] = True
     first = np.zeros(unary.shape[0] + 1, np.int64)
-    pixel, cost = np.empty(4 * pixels.size, np.int32), np.empty(4 * pixels.size, np.int32)
+    pixel, cost = np.empty(4 * column.size, np.int32), np.empty(4 * column.size, np.int32)
     count = 0
     for label in range(unary.shape[0]):
         top, bottom, left, right = places[label] * side
         for y in range(top, min(bottom, height)):
             begin, end = begins[y], begins[y + 1]
             if left > 0:
-                begin += np.searchsorted(columns[begin:end], left)
+                begin += np.searchsorted(column[begin:end], left)
             if right < width:
-                end = begin + np.searchsorted(columns[begin:end], right)
+                end = begin + np.searchsorted(column[begin:end], right)
             if count + end - begin > pixel.size:
                 more = np.empty(pixel.size + end - begin, np.int32)
                 pixel, cost = np.concatenate((pixel, more)), np.concatenate((cost, more))
             own = unary[label, y // side]
             for i in range(begin, end):
-                total = own[cells[i]]
+                total = own[cell_of[column[i]]]
+                # Up to a constant, agreeing with a neighbour of known label saves the weight.
                 if known[i] == label:
                     total -= saved[i]
-                elif several[i]:
-                    total -= _saved_by(label, labels, weights, y, columns[i])
+                elif known[i] == _SEVERAL:
+                    total -= _saved_by(label, labels, weights, y, column[i])
                 pixel[count], cost[count] = i, total
                 count += 1
         first[label + 1] = count
@@ -272,7 +252,7 @@ def _offers(
             i = position[y, x]
             begin, end = first[extras[extra, 0]], first[extras[extra, 0] + 1]
             cost[begin + np.searchsorted(pixel[begin:end], i)] += extras[extra, 3]
-    return first, pixel[:count].copy(), cost[:count].copy()
+    return first, pixel[:count], cost[:count]
 
 
 @compiled()
@@ -311,28 +291,45 @@ def _numbered(labels: Array) -> tuple[Array, Array, Array]:
                 pixels[count], position[y, x] = y * width + x, count
                 count += 1
     begins[height] = count
-    return pixels[:count].copy(), begins, position
+    return pixels[:count], begins, position
 
 
 @compiled()
 def _around(
-    weights: Array, labels: Array, position: Array, pixels: Array, begins: Array
-) -> tuple[Array, Array]:
-    """Neighbours (n, 8) of the undecided pixels among themselves, and the weights to them."""
+    weights: Array, labels: Array, position: Array, rows: Array, columns: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Neighbours (n, 8) of the undecided pixels among themselves, and the weights to them; the label of their
+    decided neighbours, ``_SEVERAL`` if these differ, and the sum of the weights to those."""
     height, width = labels.shape
-    neighbour, weight = np.full((pixels.size, 8), -1, np.int32), np.zeros((pixels.size, 8), np.int32)
-    for y in range(height):
-        for i in range(begins[y], begins[y + 1]):
-            x = pixels[i] - y * width
-            for k in range(4):
-                w = weights[y, x, k]
-                if w > 0:
-                    v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
-                    if labels[v, u] == UNDECIDED:
-                        j = position[v, u]
-                        neighbour[i, k], weight[i, k] = j, w
-                        neighbour[j, k + 4], weight[j, k + 4] = i, w
-    return neighbour, weight
+    neighbour, weight = np.empty((rows.size, 8), np.int32), np.empty((rows.size, 8), np.int32)
+    known, saved = np.empty(rows.size, np.int16), np.empty(rows.size, np.int32)
+    # Flat unsigned indices, and no look for the border in the interior: half the time.
+    label_of, position_of, weights_of = labels.reshape(-1), position.reshape(-1), weights.reshape(-1, 4)
+    for i in range(rows.size):
+        y, x = rows[i], columns[i]
+        pixel = y * width + x
+        inside = 0 < y < height - 1 and 0 < x < width - 1
+        only, total = np.int16(UNDECIDED), np.int32(0)
+        for k in range(8):
+            down, right = NEIGHBOUR_OFFSETS[k]
+            if not inside and not (0 <= y + down < height and 0 <= x + right < width):
+                neighbour[i, k], weight[i, k] = -1, 0
+                continue
+            other = np.uint64(pixel + down * width + right)
+            w = weights_of[np.uint64(pixel), k] if k < 4 else weights_of[other, k - 4]
+            label = label_of[other]
+            if label == UNDECIDED:
+                neighbour[i, k], weight[i, k] = position_of[other] if w > 0 else -1, w
+                continue
+            neighbour[i, k], weight[i, k] = -1, 0
+            if w > 0:
+                if only == UNDECIDED:
+                    only = label
+                elif only != label:
+                    only = np.int16(_SEVERAL)
+                total += w
+        known[i], saved[i] = only, total
+    return neighbour, weight, known, saved
 
 
 @compiled()

@@ -66,6 +66,7 @@ def movable_of(rest: UndecidedEnergy, labels: Array, alpha: int) -> tuple[Array,
         rest.weight,
         rest.label_costs,
         labels,
+        np.bincount(labels, minlength=rest.label_costs.size),
         alpha,
     )
     for pixel, dearer in zip(pixels, price, strict=True):

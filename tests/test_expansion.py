@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from mlbs_actors.expansion import freeing_expansion, paid_expansion, paid_for
+from mlbs_actors.expansion import free_expansion, freeing_expansion, may_free, paid_expansion, paid_for
 from mlbs_actors.label_cost_energy import UNDECIDED, LabelCostEnergy, undecided_energy
 from mlbs_actors.messages import Array
 
@@ -43,7 +43,8 @@ def test_an_expansion_frees_labels_where_that_is_best(seed: int, paid: tuple[int
         began = int(whole.label_costs[alpha]) * (alpha in after and alpha not in labels)
         return terms + int(whole.label_costs[freed].sum()) - began
 
-    least = min(change(np.array(moves, bool)) for moves in itertools.product((0, 1), repeat=len(nodes)))
+    all_moves = [np.array(moves, bool) for moves in itertools.product((0, 1), repeat=len(nodes))]
+    least = min(change(moves) for moves in all_moves)
     found, stated = paid_expansion(rest, labels, alpha, nodes, price, paid_for(labels, nodes, kept))
     assert change(found) == stated == least
     if len(paid) == 1:
@@ -52,3 +53,23 @@ def test_an_expansion_frees_labels_where_that_is_best(seed: int, paid: tuple[int
             rest.neighbour, rest.weight, labels, alpha, nodes, price, paid[0], label_cost
         )
         assert change(moves) == change_of_moves == least
+
+
+def test_a_label_is_kept_without_a_second_cut_only_where_that_is_best() -> None:
+    alpha, seen = 0, set()
+    for seed in range(100):
+        whole = random_energy(seed)
+        whole.unary[alpha] += np.random.default_rng(2000 + seed).integers(0, 40, (HEIGHT, WIDTH), np.int32)
+        rest = undecided_energy(whole, np.full((HEIGHT, WIDTH), UNDECIDED, np.int16), np.zeros(LABELS, bool))
+        labels: Array = np.random.default_rng(1000 + seed).integers(0, LABELS, HEIGHT * WIDTH)
+        nodes = np.flatnonzero(labels != alpha)
+        costs = whole.unary.reshape(LABELS, -1)
+        price = (costs[alpha, nodes] - costs[labels[nodes], nodes]).astype(np.int64)
+        paid = paid_for(labels, nodes, np.zeros(LABELS, bool))
+        best, least = paid_expansion(rest, labels, alpha, nodes, price, paid)
+        moves, change, left = free_expansion(rest.neighbour, rest.weight, labels, alpha, nodes, price)
+        seen.add(freeing := may_free(labels, nodes, left, paid, rest.label_costs))
+        if not freeing:
+            assert change == least
+            np.testing.assert_array_equal(moves, best)
+    assert seen == {False, True}

@@ -254,7 +254,6 @@ def test_no_expansion_lowers_the_result_although_few_are_tried_again(
 
     compiled: Any = expansion_course._expand_in_turn
     monkeypatch.setattr(expansion_course, "_expand_in_turn", compiled.py_func)
-    monkeypatch.setattr(expansion_course, "_worth_expanding", counted)
     for seed in range(30):
         rng = np.random.default_rng(seed)
         unary = rng.uniform(0, 3, (4, 12, 30))
@@ -266,7 +265,15 @@ def test_no_expansion_lowers_the_result_although_few_are_tried_again(
         weights = contrast_weights(rng.integers(90, 110, (12, 30, 3)).astype(np.uint8), 1.5)
         for costs in (np.zeros(4), rng.uniform(0, 30, 4) * (rng.random(4) < 0.5)):
             problem = problem_of(unary, weights, costs)
-            result = minimise(problem)
+            with monkeypatch.context() as few:
+                few.setattr(expansion_course, "_worth_expanding", counted)
+                result = minimise(problem)
+            with monkeypatch.context() as all_again:
+                all_again.setattr(expansion_course, "_nothing_new", lambda *_: False)
+                all_again.setattr(
+                    expansion_course, "_worth_expanding", lambda *given: np.ones(given[-1].size, bool)
+                )
+                np.testing.assert_array_equal(result.labels, minimise(problem).labels)
             for alpha in range(4):
                 expanded = textbook_expansion(result.labels, alpha, problem)
                 assert slow_energy(expanded, problem) >= result.energy
