@@ -24,7 +24,6 @@ from mlbs_actors.clustering import (
     bled_trajectories,
     label_speeds,
     least_object_speed,
-    merge_by_motion,
     propagate_labels,
     split_labels,
     split_origins,
@@ -44,6 +43,7 @@ from mlbs_actors.messages import (
     LayerKind,
     Segmentation,
 )
+from mlbs_actors.motion_merging import merge_by_motion
 from mlbs_actors.reidentification import colours_at
 from mlbs_actors.tracking import track
 from mlbs_actors.trajectories import TrajectoryState, empty_trajectories
