@@ -165,14 +165,22 @@ def _absorbing_system(
         A_ul Y_l.
     """
     count = labels.size
-    reached = labels >= 0
-    waiting = list(np.flatnonzero(reached))
-    while len(waiting):
-        node = waiting.pop()
+    reached, waiting, left = labels >= 0, np.empty(count, np.int32), 0
+    for node in range(count):
+        if labels[node] >= 0:
+            continue
+        for e in range(pointers[node], pointers[node + 1]):
+            if weights[e] >= NO_EDGE and labels[neighbours[e]] >= 0:
+                reached[node], waiting[left] = True, node
+                left += 1
+                break
+    while left > 0:
+        left -= 1
+        node = waiting[left]
         for e in range(pointers[node], pointers[node + 1]):
             if weights[e] >= NO_EDGE and not reached[neighbours[e]]:
-                reached[neighbours[e]] = True
-                waiting.append(neighbours[e])
+                reached[neighbours[e]], waiting[left] = True, neighbours[e]
+                left += 1
     solved = np.flatnonzero(reached & (labels < 0))
     place = np.full(count, -1, np.int32)
     place[solved] = np.arange(solved.size)
