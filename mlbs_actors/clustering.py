@@ -40,6 +40,7 @@ __all__ = [
     "label_speeds",
     "least_object_speed",
     "propagate_labels",
+    "residual_speed",
     "split_labels",
     "split_origins",
 ]
@@ -76,7 +77,9 @@ def _decided(
     return np.asarray(likeliest(walk(affinity, classes, len(known)), known))
 
 
-def bled_trajectories(trajectories: TrajectoryState, config: LayersConfig, scale: float) -> Array:
+def bled_trajectories(
+    trajectories: TrajectoryState, speed: Array, config: LayersConfig, scale: float
+) -> Array:
     """Which trajectories move against the camera though the image gives no evidence of it.
 
     Flow bleeds from an object over the smooth ground beside it. Such trajectories move in ways between
@@ -85,6 +88,8 @@ def bled_trajectories(trajectories: TrajectoryState, config: LayersConfig, scale
     Parameters
     ----------
     trajectories : TrajectoryState
+    speed : (n,) float64
+        :func:`residual_speed`, px/frame.
     config : LayersConfig
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
@@ -93,7 +98,7 @@ def bled_trajectories(trajectories: TrajectoryState, config: LayersConfig, scale
     -------
     (n,) bool
     """
-    moving = _residual_speed(trajectories) > config.camera_px * scale
+    moving = speed > config.camera_px * scale
     return np.asarray(moving & (trajectories.evidence < config.least_evidence))
 
 
@@ -192,32 +197,35 @@ def split_origins(before: Array, labels: Array) -> dict[int, int]:
     return origins
 
 
-def label_speeds(trajectories: TrajectoryState, labels: Array) -> dict[int, float]:
+def label_speeds(speed: Array, labels: Array) -> dict[int, float]:
     """How fast each label moves against the camera.
 
     Parameters
     ----------
-    trajectories : TrajectoryState
+    speed : (n,) float64
+        :func:`residual_speed`, px/frame.
     labels : (n,) int64
 
     Returns
     -------
     dict of int to float
-        Label → median over its trajectories of their mean residual motion of up to three frames, px/frame.
+        Label → median of its trajectories, px/frame.
     """
     known, classes = label_classes(labels, labels == UNLABELLED)
-    medians = class_medians(_residual_speed(trajectories), classes, len(known))
+    medians = class_medians(speed, classes, len(known))
     return dict(zip(known.tolist(), medians.tolist(), strict=True))
 
 
 def least_object_speed(
-    trajectories: TrajectoryState, background: Array, config: LayersConfig, scale: float
+    trajectories: TrajectoryState, speed: Array, background: Array, config: LayersConfig, scale: float
 ) -> float:
     """Speed against the camera below which a young label is background, px/frame.
 
     Parameters
     ----------
     trajectories : TrajectoryState
+    speed : (n,) float64
+        :func:`residual_speed`, px/frame.
     background : (n,) bool
     config : LayersConfig
     scale : float
@@ -226,18 +234,18 @@ def least_object_speed(
     least = config.camera_px * scale
     if background.any():
         camera = median_length(trajectories.motions.astype(np.float64), background)
-        own = np.median(_residual_speed(trajectories)[background])
+        own = np.median(speed[background])
         least = max(least, config.camera_relative * camera, 4.0 * float(own))
     return least
 
 
-def _residual_speed(trajectories: TrajectoryState) -> Array:
+def residual_speed(trajectories: TrajectoryState) -> Array:
+    """Length of each trajectory's mean residual motion of up to three frames, (n,) float64, px/frame."""
     return np.asarray(_mean_speed(trajectories.residuals, trajectories.ages))
 
 
 @compiled()
 def _mean_speed(residuals: Array, ages: Array) -> Array:
-    """Length of each trajectory's mean residual motion over its last ``SPEED_FRAMES`` frames, (n,)."""
     speed = np.empty(ages.size)
     for i in range(ages.size):
         x = y = np.float32(0)

@@ -25,6 +25,7 @@ from mlbs_actors.clustering import (
     label_speeds,
     least_object_speed,
     propagate_labels,
+    residual_speed,
     split_labels,
     split_origins,
 )
@@ -276,7 +277,8 @@ class Coordinator:
             graph = self._graph()
             affinity = graph.matrix()
         with _timed(stage_ms, "clustering"):
-            bled = bled_trajectories(state.trajectories, config.layers, scale)
+            speed = residual_speed(state.trajectories)
+            bled = bled_trajectories(state.trajectories, speed, config.layers, scale)
             if state.clustered:
                 carried = propagate_labels(affinity, state.labels, config.affinity)
                 fresh = max(registry.state.next_layer, int(carried.max(initial=0)) + 1)
@@ -287,8 +289,8 @@ class Coordinator:
                 spacing = config.trajectories.seed_spacing_px * scale
                 labels = background_first(labels, state.trajectories, scale, spacing)
                 origins = {}
-            speeds = label_speeds(state.trajectories, labels)
-            least = least_object_speed(state.trajectories, labels == BACKGROUND, config.layers, scale)
+            speeds = label_speeds(speed, labels)
+            least = least_object_speed(state.trajectories, speed, labels == BACKGROUND, config.layers, scale)
             registry.judge(speeds, least)
             ages = registry.ages(frame_index)
             split = labels
