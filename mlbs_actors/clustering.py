@@ -13,7 +13,7 @@ Differs from the paper, which trusts the N-cut alone:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -217,25 +217,28 @@ def label_speeds(speed: Array, labels: Array) -> dict[int, float]:
 
 
 def least_object_speed(
-    trajectories: TrajectoryState, speed: Array, background: Array, config: LayersConfig, scale: float
+    trajectories: TrajectoryState,
+    labels: Array,
+    speeds: Mapping[int, float],
+    config: LayersConfig,
+    scale: float,
 ) -> float:
     """Speed against the camera below which a young label is background, px/frame.
 
     Parameters
     ----------
     trajectories : TrajectoryState
-    speed : (n,) float64
-        :func:`residual_speed`, px/frame.
-    background : (n,) bool
+    labels : (n,) int64
+    speeds : mapping of int to float
+        :func:`label_speeds`.
     config : LayersConfig
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
     """
     least = config.camera_px * scale
-    if background.any():
-        camera = median_length(trajectories.motions.astype(np.float64), background)
-        own = np.median(speed[background])
-        least = max(least, config.camera_relative * camera, 4.0 * float(own))
+    if BACKGROUND in speeds:
+        camera = median_length(trajectories.motions.astype(np.float64), labels == BACKGROUND)
+        least = max(least, config.camera_relative * camera, 4.0 * speeds[BACKGROUND])
     return least
 
 

@@ -201,10 +201,11 @@ class Coordinator:
                 registry = LayerRegistry(config.layers, shape, state.registry)
                 self._observe(registry, labels, frame, frame_index, published)
         if state.clustered:
-            objects = state.labels > BACKGROUND
-            ahead = state.trajectories.positions[objects] - state.trajectories.motions[objects]
             step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
-            state.focus = focus_cells(tracked.against_camera.advantage, ahead, step)
+            state.focus = focus_cells(
+                tracked.against_camera.advantage, trajectories.positions, trajectories.motions,
+                state.labels > BACKGROUND, step,
+            )  # fmt: skip
         state.held = (
             *state.held,
             held_frame(
@@ -290,7 +291,7 @@ class Coordinator:
                 labels = background_first(labels, state.trajectories, scale, spacing)
                 origins = {}
             speeds = label_speeds(speed, labels)
-            least = least_object_speed(state.trajectories, speed, labels == BACKGROUND, config.layers, scale)
+            least = least_object_speed(state.trajectories, labels, speeds, config.layers, scale)
             registry.judge(speeds, least)
             ages = registry.ages(frame_index)
             split = labels

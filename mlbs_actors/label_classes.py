@@ -117,9 +117,18 @@ def likeliest(share: Array, known: Array) -> Array:
 @compiled()
 def class_medians(values: Array, classes: Array, count: int) -> Array:
     """Median of each class's values (n,), (count,) float64; every class has some."""
-    medians = np.empty(count)
+    starts, medians = np.zeros(count + 1, np.int64), np.empty(count)
+    for i in range(classes.size):
+        if classes[i] >= 0:
+            starts[classes[i] + 1] += 1
+    starts = np.cumsum(starts)
+    place, ordered = starts[:-1].copy(), np.empty(starts[-1], values.dtype)
+    for i in range(classes.size):
+        if classes[i] >= 0:
+            ordered[place[classes[i]]] = values[i]
+            place[classes[i]] += 1
     for one in range(count):
-        medians[one] = np.median(values[classes == one])
+        medians[one] = np.median(ordered[starts[one] : starts[one + 1]])
     return medians
 
 

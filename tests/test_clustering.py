@@ -20,7 +20,7 @@ from mlbs_actors.clustering import (
 )
 from mlbs_actors.config import AffinityConfig, LayersConfig, TrajectoriesConfig
 from mlbs_actors.label_classes import UNLABELLED, label_classes
-from mlbs_actors.messages import Array
+from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.trajectories import TrajectoryState, empty_trajectories
 
 CUTS = AffinityConfig(cut_threshold=1e-2, cut_side_tracks=5)
@@ -220,13 +220,12 @@ def test_a_young_trajectory_is_as_fast_as_the_frames_it_has_lived() -> None:
 def test_what_counts_as_moving_grows_with_the_camera_and_with_what_it_leaves_unexplained() -> None:
     def least(camera: float, residual: float) -> float:
         state = trajectories(np.full((20, 2), (camera, 0.0)), np.full((20, 4, 2), (0.0, residual)))
-        return least_object_speed(state, residual_speed(state), np.ones(20, bool), LAYERS, 1.0)
+        labels = np.full(20, BACKGROUND)
+        return least_object_speed(state, labels, label_speeds(residual_speed(state), labels), LAYERS, 1.0)
 
     floor = least(0.0, 0.0)
     assert floor > 0
     assert least(200.0, 0.0) > least(100.0, 0.0) > floor
     assert least(0.0, 20.0) > least(0.0, 10.0) > floor
     state = trajectories(np.full((20, 2), 50.0), np.zeros((20, 4, 2)))
-    assert least_object_speed(state, residual_speed(state), np.zeros(20, bool), LAYERS, 2.0) == pytest.approx(
-        2 * floor
-    )
+    assert least_object_speed(state, np.ones(20, np.int64), {1: 9.0}, LAYERS, 2.0) == pytest.approx(2 * floor)
