@@ -1,14 +1,11 @@
-"""Which trajectories belong together: propagate, split, merge (§4).
+"""Which trajectories belong together: propagate, split (§4).
 
 Every few frames the labels are carried on to new trajectories by a random walk, every cluster is put to the
-N-cut test again, and what falls apart is kept apart only if it *moves* apart.
+N-cut test again, and what falls apart is kept apart only if it *moves* apart
+(:mod:`mlbs_actors.motion_merging`).
 
 Differs from the paper, which trusts the N-cut alone:
 
-* Depth is not motion. Two parts of the background that an object cut apart in the image are joined again by a
-  motion test: parts of a static scene join continuously somewhere along their border, while an object is
-  discontinuous along all of its own. So a young label is merged into the neighbour from which its
-  motion distance, at a low quantile over their common border, is within the noise.
 * Flow bleeds over smooth ground. Trajectories that move without evidence of it have no part in the N-cut
   test.
 * Disconnection alone never makes a label, and groups with few trajectories stay unlabelled.
@@ -16,13 +13,12 @@ Differs from the paper, which trusts the N-cut alone:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
 
-from mlbs_actors.affinity import TrajectoryGraph
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import AffinityConfig, LayersConfig
 from mlbs_actors.label_classes import (
@@ -41,17 +37,14 @@ from mlbs_actors.trajectories import TrajectoryState, evenly_spread
 __all__ = [
     "background_first",
     "bled_trajectories",
-    "border_motion",
     "label_speeds",
     "least_object_speed",
-    "merge_by_motion",
     "propagate_labels",
+    "residual_speed",
     "split_labels",
     "split_origins",
 ]
 
-#: Fewer edges across a border say nothing of it.
-LEAST_BORDER = 5
 #: Frames over which a trajectory's speed against the camera is averaged.
 SPEED_FRAMES = 3
 
@@ -84,7 +77,9 @@ def _decided(
     return np.asarray(likeliest(walk(affinity, classes, len(known)), known))
 
 
-def bled_trajectories(trajectories: TrajectoryState, config: LayersConfig, scale: float) -> Array:
+def bled_trajectories(
+    trajectories: TrajectoryState, speed: Array, config: LayersConfig, scale: float
+) -> Array:
     """Which trajectories move against the camera though the image gives no evidence of it.
 
     Flow bleeds from an object over the smooth ground beside it. Such trajectories move in ways between
@@ -93,6 +88,8 @@ def bled_trajectories(trajectories: TrajectoryState, config: LayersConfig, scale
     Parameters
     ----------
     trajectories : TrajectoryState
+    speed : (n,) float64
+        :func:`residual_speed`, px/frame.
     config : LayersConfig
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
@@ -101,7 +98,7 @@ def bled_trajectories(trajectories: TrajectoryState, config: LayersConfig, scale
     -------
     (n,) bool
     """
-    moving = _residual_speed(trajectories) > config.camera_px * scale
+    moving = speed > config.camera_px * scale
     return np.asarray(moving & (trajectories.evidence < config.least_evidence))
 
 
@@ -200,97 +197,58 @@ def split_origins(before: Array, labels: Array) -> dict[int, int]:
     return origins
 
 
-def border_motion(
-    graph: TrajectoryGraph, labels: Array, quantile: float
-) -> dict[tuple[int, int], tuple[float, int]]:
-    """Motion distance across the border of each pair of neighbouring labels.
-
-    Parameters
-    ----------
-    graph : TrajectoryGraph
-    labels : (n,) int64
-    quantile : float
-        In [0, 1].
-
-    Returns
-    -------
-    dict
-        (lower label, higher label) → (that quantile of D_M over the edges between them, number of edges).
-    """
-    low, high, distance = _across_borders(graph.first, graph.second, graph.motion_distance, labels)
-    if len(low) == 0:
-        return {}
-    order = np.lexsort((distance, high, low))
-    low, high, distance = low[order], high[order], distance[order]
-    starts = np.flatnonzero(np.r_[True, (np.diff(low) != 0) | (np.diff(high) != 0)])
-    borders = {}
-    for start, end in zip(starts, np.r_[starts[1:], len(low)], strict=True):
-        position = min(int(quantile * (end - start)), end - start - 1)
-        borders[int(low[start]), int(high[start])] = (float(distance[start + position]), int(end - start))
-    return borders
-
-
-@compiled()
-def _across_borders(
-    first: Array, second: Array, distance: Array, labels: Array
-) -> tuple[Array, Array, Array]:
-    """Lower and higher label and motion distance of the edges between labels."""
-    low, high = np.empty(first.size, labels.dtype), np.empty(first.size, labels.dtype)
-    across, found = np.empty(first.size, distance.dtype), 0
-    for edge in range(first.size):
-        one, other = labels[first[edge]], labels[second[edge]]
-        if one != other and one != UNLABELLED and other != UNLABELLED:
-            low[found], high[found], across[found] = min(one, other), max(one, other), distance[edge]
-            found += 1
-    return low[:found], high[:found], across[:found]
-
-
-def label_speeds(trajectories: TrajectoryState, labels: Array) -> dict[int, float]:
+def label_speeds(speed: Array, labels: Array) -> dict[int, float]:
     """How fast each label moves against the camera.
 
     Parameters
     ----------
-    trajectories : TrajectoryState
+    speed : (n,) float64
+        :func:`residual_speed`, px/frame.
     labels : (n,) int64
 
     Returns
     -------
     dict of int to float
-        Label → median over its trajectories of their mean residual motion of up to three frames, px/frame.
+        Label → median of its trajectories, px/frame.
     """
     known, classes = label_classes(labels, labels == UNLABELLED)
-    medians = class_medians(_residual_speed(trajectories), classes, len(known))
+    medians = class_medians(speed, classes, len(known))
     return dict(zip(known.tolist(), medians.tolist(), strict=True))
 
 
 def least_object_speed(
-    trajectories: TrajectoryState, background: Array, config: LayersConfig, scale: float
+    trajectories: TrajectoryState,
+    labels: Array,
+    speeds: Mapping[int, float],
+    config: LayersConfig,
+    scale: float,
 ) -> float:
     """Speed against the camera below which a young label is background, px/frame.
 
     Parameters
     ----------
     trajectories : TrajectoryState
-    background : (n,) bool
+    labels : (n,) int64
+    speeds : mapping of int to float
+        :func:`label_speeds`.
     config : LayersConfig
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
     """
     least = config.camera_px * scale
-    if background.any():
-        camera = median_length(trajectories.motions.astype(np.float64), background)
-        own = np.median(_residual_speed(trajectories)[background])
-        least = max(least, config.camera_relative * camera, 4.0 * float(own))
+    if BACKGROUND in speeds:
+        camera = median_length(trajectories.motions.astype(np.float64), labels == BACKGROUND)
+        least = max(least, config.camera_relative * camera, 4.0 * speeds[BACKGROUND])
     return least
 
 
-def _residual_speed(trajectories: TrajectoryState) -> Array:
+def residual_speed(trajectories: TrajectoryState) -> Array:
+    """Length of each trajectory's mean residual motion of up to three frames, (n,) float64, px/frame."""
     return np.asarray(_mean_speed(trajectories.residuals, trajectories.ages))
 
 
 @compiled()
 def _mean_speed(residuals: Array, ages: Array) -> Array:
-    """Length of each trajectory's mean residual motion over its last ``SPEED_FRAMES`` frames, (n,)."""
     speed = np.empty(ages.size)
     for i in range(ages.size):
         x = y = np.float32(0)
@@ -300,69 +258,6 @@ def _mean_speed(residuals: Array, ages: Array) -> Array:
         known = min(max(ages[i], 1), SPEED_FRAMES)
         speed[i] = np.hypot(x / known, y / known)
     return speed
-
-
-def merge_by_motion(
-    graph: TrajectoryGraph,
-    labels: Array,
-    ages: dict[int, int],
-    speeds: dict[int, float],
-    least_speed: float,
-    config: LayersConfig,
-) -> Array:
-    """Merge labels into the neighbour that moves with them.
-
-    A young label that does not move against the camera goes to the background, wherever it lies. One
-    whose motion distance to a neighbour is within the noise at a low quantile of their common border goes
-    to that neighbour. Parts of one object bend and turn against each other, so between objects more is
-    allowed, but only where a good part of the younger touches the older: two objects that pass each other
-    touch with little. Objects of any age whose motions have been the same, within the noise, all their common
-    life are one, if they touch at all. Borders are measured against √n of the younger's n trajectories, for
-    a border grows like the root of what it bounds.
-
-    Parameters
-    ----------
-    graph : TrajectoryGraph
-    labels : (n,) int64
-    ages : dict of int to int
-        Frames since each label's birth; a label that is not in it is new.
-    speeds : dict of int to float
-        From :func:`label_speeds`.
-    least_speed : float
-        From :func:`least_object_speed`.
-    config : LayersConfig
-
-    Returns
-    -------
-    (n,) int64
-        The older label wins; among equals the lower one.
-    """
-    labels = labels.copy()
-    for label, speed in speeds.items():
-        if label != BACKGROUND and ages.get(label, 0) < config.young_frames and speed < least_speed:
-            labels[labels == label] = BACKGROUND
-    while True:
-        candidates = []
-        for (low, high), (distance, edges) in border_motion(graph, labels, config.merge_quantile).items():
-            older, younger = sorted((low, high), key=lambda label: (-ages.get(label, 0), label))
-            young = ages.get(younger, 0) < config.young_frames
-            count = int((labels == younger).sum())
-            if older == BACKGROUND:
-                alike = young and distance < config.merge_distance
-            else:
-                alike = young and distance < config.object_merge_distance
-                alike &= edges >= config.merge_border * np.sqrt(count)
-                alike |= (
-                    distance < config.same_motion_distance
-                    and edges >= config.same_motion_border * np.sqrt(count)
-                    and edges >= LEAST_BORDER
-                )
-            if alike:
-                candidates.append((distance, younger, older))
-        if not candidates:
-            return labels
-        _, younger, older = min(candidates)
-        labels[labels == younger] = older
 
 
 def background_first(labels: Array, trajectories: TrajectoryState, scale: float, spacing: float) -> Array:

@@ -24,8 +24,8 @@ from mlbs_actors.clustering import (
     bled_trajectories,
     label_speeds,
     least_object_speed,
-    merge_by_motion,
     propagate_labels,
+    residual_speed,
     split_labels,
     split_origins,
 )
@@ -44,6 +44,7 @@ from mlbs_actors.messages import (
     LayerKind,
     Segmentation,
 )
+from mlbs_actors.motion_merging import merge_by_motion
 from mlbs_actors.reidentification import colours_at
 from mlbs_actors.tracking import track
 from mlbs_actors.trajectories import TrajectoryState, empty_trajectories
@@ -200,10 +201,11 @@ class Coordinator:
                 registry = LayerRegistry(config.layers, shape, state.registry)
                 self._observe(registry, labels, frame, frame_index, published)
         if state.clustered:
-            objects = state.labels > BACKGROUND
-            ahead = state.trajectories.positions[objects] - state.trajectories.motions[objects]
             step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
-            state.focus = focus_cells(tracked.against_camera.advantage, ahead, step)
+            state.focus = focus_cells(
+                tracked.against_camera.advantage, trajectories.positions, trajectories.motions,
+                state.labels > BACKGROUND, step,
+            )  # fmt: skip
         state.held = (
             *state.held,
             held_frame(
@@ -276,7 +278,8 @@ class Coordinator:
             graph = self._graph()
             affinity = graph.matrix()
         with _timed(stage_ms, "clustering"):
-            bled = bled_trajectories(state.trajectories, config.layers, scale)
+            speed = residual_speed(state.trajectories)
+            bled = bled_trajectories(state.trajectories, speed, config.layers, scale)
             if state.clustered:
                 carried = propagate_labels(affinity, state.labels, config.affinity)
                 fresh = max(registry.state.next_layer, int(carried.max(initial=0)) + 1)
@@ -287,8 +290,8 @@ class Coordinator:
                 spacing = config.trajectories.seed_spacing_px * scale
                 labels = background_first(labels, state.trajectories, scale, spacing)
                 origins = {}
-            speeds = label_speeds(state.trajectories, labels)
-            least = least_object_speed(state.trajectories, labels == BACKGROUND, config.layers, scale)
+            speeds = label_speeds(speed, labels)
+            least = least_object_speed(state.trajectories, labels, speeds, config.layers, scale)
             registry.judge(speeds, least)
             ages = registry.ages(frame_index)
             split = labels

@@ -13,6 +13,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.region_groups import group_regions
 
@@ -31,15 +32,19 @@ GROWN = 2
 MOST = 0.7
 
 
-def focus_cells(advantage: Array, objects: Array, step: tuple[float, float]) -> Array:
+def focus_cells(
+    advantage: Array, positions: Array, motions: Array, objects: Array, step: tuple[float, float]
+) -> Array:
     """Cells of a finished frame around which the next flow needs its finest level.
 
     Parameters
     ----------
     advantage : (h, w) float32
         Of :class:`~mlbs_actors.camera.CameraEvidence`, × noise.
-    objects : (n, 2) float32
-        Where the objects' trajectories will be in the next frame, full-size px.
+    positions, motions : (n, 2) float32
+        Trajectories in it, and their backward motions, which are taken to go on, full-size px.
+    objects : (n,) bool
+        Which of them are on objects.
     step : (float, float)
         Full-size px per px of the shrunk frame.
 
@@ -51,11 +56,29 @@ def focus_cells(advantage: Array, objects: Array, step: tuple[float, float]) -> 
     rows, columns = -(-height // CELL), -(-width // CELL)
     mean = cv2.resize(advantage, (columns, rows), interpolation=cv2.INTER_AREA)
     _, piece, stats, _ = cv2.connectedComponentsWithStats((mean > ADVANTAGE).view(np.uint8), connectivity=8)
-    cells: Array = ((piece > 0) & (stats[piece, cv2.CC_STAT_AREA] >= LEAST_CELLS)).view(np.uint8)
-    x = np.clip((objects[:, 0] / (CELL * step[0])).astype(np.intp), 0, columns - 1)
-    y = np.clip((objects[:, 1] / (CELL * step[1])).astype(np.intp), 0, rows - 1)
-    cells[y, x] = 1
+    cells = _cells(
+        piece, stats[:, cv2.CC_STAT_AREA], positions, motions, objects,
+        np.float32(CELL * step[0]), np.float32(CELL * step[1]),
+    )  # fmt: skip
     return np.asarray(cv2.dilate(cells, np.ones((2 * GROWN + 1, 2 * GROWN + 1), np.uint8)), bool)
+
+
+@compiled()
+def _cells(
+    piece: Array, areas: Array, positions: Array, motions: Array, objects: Array, width: np.float32,
+    height: np.float32,
+) -> Array:  # fmt: skip
+    """Cells of pieces (1 …; 0 is none) that are no chance, and those where objects will be, as uint8."""
+    cells = np.empty(piece.shape, np.uint8)
+    for y in range(piece.shape[0]):
+        for x in range(piece.shape[1]):
+            cells[y, x] = piece[y, x] > 0 and areas[piece[y, x]] >= LEAST_CELLS
+    for i in range(objects.size):
+        if objects[i]:
+            x = int((positions[i, 0] - motions[i, 0]) / width)
+            y = int((positions[i, 1] - motions[i, 1]) / height)
+            cells[min(max(y, 0), piece.shape[0] - 1), min(max(x, 0), piece.shape[1] - 1)] = 1
+    return cells
 
 
 def focus_boxes(cells: Array, shape: tuple[int, int]) -> list[Region]:

@@ -15,7 +15,7 @@ import numpy as np
 from mlbs_actors.camera import CameraEvidence, camera_evidence
 from mlbs_actors.compilation import compiled
 from mlbs_actors.flow import DenseFlow
-from mlbs_actors.label_classes import UNLABELLED
+from mlbs_actors.label_classes import UNLABELLED, label_places
 from mlbs_actors.messages import BACKGROUND, UNEXPLAINED_STEP, Array
 from mlbs_actors.sampling import sample_flow, sample_map
 from mlbs_actors.trajectories import EVIDENCE_BOUNDS, TrajectoryState
@@ -151,12 +151,12 @@ def by_layer(
 ) -> tuple[Array, Array, Array]:
     """Positions and motions layer by layer, in their order, and where each of the live layers starts (k + 1);
     without those that belong to none, or to an object with less than the least evidence."""
-    place, starts = np.empty(owner.size, np.int64), np.zeros(live.size + 1, np.int64)
+    place, starts = label_places(owner, live), np.zeros(live.size + 1, np.int64)
     for i in range(owner.size):
-        place[i] = -1
         if owner[i] == BACKGROUND or (owner[i] != UNLABELLED and evidence[i] >= least):
-            place[i] = np.searchsorted(live, owner[i])
             starts[place[i] + 1] += 1
+        else:
+            place[i] = -1
     starts = np.cumsum(starts)
     following = starts.copy()
     there, moved = np.empty((starts[-1], 2), np.float32), np.empty((starts[-1], 2), np.float32)

@@ -7,10 +7,21 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
-__all__ = ["UNLABELLED", "class_medians", "distinct_labels", "label_classes", "likeliest", "median_length"]
+__all__ = [
+    "UNLABELLED",
+    "class_medians",
+    "distinct_labels",
+    "label_classes",
+    "label_places",
+    "likeliest",
+    "median_length",
+]
 
 #: Label of a trajectory that belongs to no layer.
 UNLABELLED = -1
+#: Labels are remembered by their lowest bits, so many at a time: few are asked for, often and in no order, so
+#: that a processor could not foretell how a search among them goes.
+REMEMBERED = 256
 
 
 @compiled()
@@ -32,20 +43,51 @@ def label_classes(labels: Array, left_out: Array) -> tuple[Array, Array]:
         Where each one's label stands among them, −1 for those left out.
     """
     known = _known_labels(labels, left_out)
-    classes = np.full(labels.size, -1, np.int64)
+    classes = label_places(labels, known)
     for i in range(labels.size):
-        if not left_out[i]:
-            classes[i] = np.searchsorted(known, labels[i])
+        if left_out[i]:
+            classes[i] = -1
     return known, classes
+
+
+@compiled()
+def label_places(labels: Array, known: Array) -> Array:
+    """Where labels stand among the known ones.
+
+    Parameters
+    ----------
+    labels : (n,) int64
+    known : (k,) int64
+        Ascending.
+
+    Returns
+    -------
+    (n,) int64
+        −1 for a label that is not known.
+    """
+    places = np.empty(labels.size, np.int64)
+    # None of the first has its slot's lowest bits.
+    asked, answers = np.arange(1, REMEMBERED + 1), np.empty(REMEMBERED, np.int64)
+    for i in range(labels.size):
+        slot = labels[i] & (REMEMBERED - 1)
+        if asked[slot] != labels[i]:
+            place = np.searchsorted(known, labels[i])
+            is_known = place < known.size and known[place] == labels[i]
+            asked[slot], answers[slot] = labels[i], place if is_known else -1
+        places[i] = answers[slot]
+    return places
 
 
 @compiled()
 def _known_labels(labels: Array, left_out: Array) -> Array:
     """The labels that there are, ascending."""
     known, count = np.empty(labels.size, np.int64), 0
+    noted = np.arange(1, REMEMBERED + 1)  # none with its slot's lowest bits
     for i in range(labels.size):
-        if left_out[i] or (i > 0 and labels[i] == labels[i - 1] and not left_out[i - 1]):
+        slot = labels[i] & (REMEMBERED - 1)
+        if left_out[i] or noted[slot] == labels[i]:
             continue
+        noted[slot] = labels[i]
         place = np.searchsorted(known[:count], labels[i])
         if place == count or known[place] != labels[i]:
             for later in range(count, place, -1):
@@ -75,9 +117,18 @@ def likeliest(share: Array, known: Array) -> Array:
 @compiled()
 def class_medians(values: Array, classes: Array, count: int) -> Array:
     """Median of each class's values (n,), (count,) float64; every class has some."""
-    medians = np.empty(count)
+    starts, medians = np.zeros(count + 1, np.int64), np.empty(count)
+    for i in range(classes.size):
+        if classes[i] >= 0:
+            starts[classes[i] + 1] += 1
+    starts = np.cumsum(starts)
+    place, ordered = starts[:-1].copy(), np.empty(starts[-1], values.dtype)
+    for i in range(classes.size):
+        if classes[i] >= 0:
+            ordered[place[classes[i]]] = values[i]
+            place[classes[i]] += 1
     for one in range(count):
-        medians[one] = np.median(values[classes == one])
+        medians[one] = np.median(ordered[starts[one] : starts[one + 1]])
     return medians
 
 

@@ -78,46 +78,46 @@ def _walk(
     radius, share = 1.0 - restart, np.zeros((count, classes))
     before, now, start = np.zeros(count), np.zeros(count), np.zeros(count)
     reached, is_reached = np.empty(count, np.uint32), np.zeros(count, np.bool_)
-    border = np.empty(count, np.uint32)  # nodes with a neighbour that is not reached
+    # At most so much of its share a node hands to a neighbour that is not reached: few are asked again.
+    handed = np.full(count, np.inf)
     for one in range(classes):
         found = 0
         for node in range(count):
             if labels[node] == one:
                 start[node] = now[node] = restart
-                reached[found], is_reached[node], border[found] = node, True, node
+                reached[found], is_reached[node] = node, True
                 found += 1
-        weight, on_border = 2.0, found
+        weight = 2.0
         for _ in range(steps):
-            candidates, on_border, before_step = on_border, 0, found
-            for place in range(candidates):
-                node, is_closed = border[place], True
-                for e in range(pointers[node], pointers[node + 1]):
-                    other = neighbours[e]
-                    if is_reached[other]:
-                        continue
-                    if come[other] * weights[e] * now[node] >= LEAST_SHARE:
-                        reached[found], is_reached[other] = other, True
-                        found += 1
-                    else:
-                        is_closed = False
-                if not is_closed:
-                    border[on_border] = node
-                    on_border += 1
-            for place in range(before_step, found):
-                border[on_border] = reached[place]
-                on_border += 1
             weight = 1.0 / (1.0 - 0.25 * radius**2 * weight)
-            for place in range(found):
+            place = 0
+            while place < found:  # those that are reached on the way, too
                 node, total = reached[place], 0.0
-                for e in range(pointers[node], pointers[node + 1]):
+                first, last = pointers[node], pointers[node + 1]
+                for e in range(first, last):
                     total += weights[e] * now[np.uint32(neighbours[e])]
                 # What was there two steps before makes room for what comes next.
                 before[node] += weight * (come[node] * total + start[node] - before[node])
+                if handed[node] * now[node] >= LEAST_SHARE:
+                    most = 0.0
+                    for e in range(first, last):
+                        other = np.uint32(neighbours[e])
+                        if is_reached[other]:
+                            continue
+                        passed = come[other] * weights[e]
+                        if passed * now[node] >= LEAST_SHARE:
+                            reached[found], is_reached[other] = other, True
+                            found += 1
+                        else:
+                            most = max(most, passed)
+                    handed[node] = most
+                place += 1
             before, now = now, before
         for place in range(found):
             node = reached[place]
             share[node, one] = now[node]
-            before[node], now[node], start[node], is_reached[node] = 0.0, 0.0, 0.0, False
+            before[node], now[node], start[node] = 0.0, 0.0, 0.0
+            is_reached[node], handed[node] = False, np.inf
     return share
 
 
@@ -165,14 +165,22 @@ def _absorbing_system(
         A_ul Y_l.
     """
     count = labels.size
-    reached = labels >= 0
-    waiting = list(np.flatnonzero(reached))
-    while len(waiting):
-        node = waiting.pop()
+    reached, waiting, left = labels >= 0, np.empty(count, np.int32), 0
+    for node in range(count):
+        if labels[node] >= 0:
+            continue
+        for e in range(pointers[node], pointers[node + 1]):
+            if weights[e] >= NO_EDGE and labels[neighbours[e]] >= 0:
+                reached[node], waiting[left] = True, node
+                left += 1
+                break
+    while left > 0:
+        left -= 1
+        node = waiting[left]
         for e in range(pointers[node], pointers[node + 1]):
             if weights[e] >= NO_EDGE and not reached[neighbours[e]]:
-                reached[neighbours[e]] = True
-                waiting.append(neighbours[e])
+                reached[neighbours[e]], waiting[left] = True, neighbours[e]
+                left += 1
     solved = np.flatnonzero(reached & (labels < 0))
     place = np.full(count, -1, np.int32)
     place[solved] = np.arange(solved.size)

@@ -5,29 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.label_classes import UNLABELLED
+from mlbs_actors.label_classes import UNLABELLED, label_places
 from mlbs_actors.messages import BACKGROUND, Array
 
 __all__ = ["layers_of", "note_sightings", "sightings"]
 
 
 @compiled()
-def _row_of(known: Array, label: int) -> int:
-    """Where a label stands among the known ones, which ascend; −1 if it is none of them."""
-    row = int(np.searchsorted(known, label))
-    return row if row < known.size and known[row] == label else -1
-
-
-@compiled()
 def layers_of(labels: Array, known: Array, origins: Array, pooled: Array, other: int) -> Array:
     """Layer ids of labels (n,) int64, −1 for none, by the registry's rows; see `LayerRegistry.layers_of`."""
+    rows, origin_rows = label_places(labels, known), label_places(origins, known)
     layers = np.empty(labels.size, np.int64)
     for i in range(labels.size):
-        label = labels[i]
-        row = _row_of(known, label)
+        label, row = labels[i], rows[i]
         if label < BACKGROUND:
-            label = origins[row] if row >= 0 else UNLABELLED
-            row = _row_of(known, label)
+            label, row = (origins[row], origin_rows[row]) if row >= 0 else (UNLABELLED, -1)
         layers[i] = other if row >= 0 and pooled[row] else label
     return layers
 
@@ -36,10 +28,10 @@ def layers_of(labels: Array, known: Array, origins: Array, pooled: Array, other:
 def sightings(known: Array, labels: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
     """Row of each trajectory's label, −1 if it is not known; how many each has, and their mean positions and
     motions (k, 4)."""
-    rows = np.empty(labels.size, np.int64)
+    rows = label_places(labels, known)
     counts, means = np.zeros(known.size, np.int64), np.zeros((known.size, 4), np.float32)
     for i in range(labels.size):
-        row = rows[i] = _row_of(known, labels[i])
+        row = rows[i]
         if row >= 0:
             counts[row] += 1
             for axis in range(2):

@@ -171,7 +171,8 @@ class LayerRegistry:
         """
         if not merged:
             return
-        origins = [self._object(merged.get(int(one), int(one))) for one in self.state.origins]
+        objects = self._objects()
+        origins = [objects.get(merged.get(one, one), UNLABELLED) for one in self.state.origins.tolist()]
         self.state = replace(self.state, origins=np.array(origins, np.int64))
         self._select(~np.isin(self.state.labels, list(merged)))
 
@@ -191,6 +192,7 @@ class LayerRegistry:
         (n,) int64
         """
         known = set(self.state.labels.tolist()) | {BACKGROUND, UNLABELLED}
+        objects = self._objects()
         for label in sorted(distinct_labels(labels) - known):
             candidate = self.state.next_candidate
             labels = np.where(labels == label, candidate, labels)
@@ -199,7 +201,9 @@ class LayerRegistry:
                 state,
                 labels=np.concatenate([[candidate], state.labels]),
                 born=np.concatenate([[frame_index], state.born]),
-                origins=np.concatenate([[self._object(origins.get(label, UNLABELLED))], state.origins]),
+                origins=np.concatenate(
+                    [[objects.get(origins.get(label, UNLABELLED), UNLABELLED)], state.origins]
+                ),
                 judged=np.concatenate([[0], state.judged]),
                 moving=np.concatenate([[0], state.moving]),
                 seen=np.concatenate([[frame_index], state.seen]),
@@ -212,12 +216,13 @@ class LayerRegistry:
             )
         return labels
 
-    def _object(self, label: int) -> int:
-        """The object that a label is, or belongs to as a candidate; −1 if it is none."""
-        row = np.flatnonzero(self.state.labels == label)
-        if len(row) == 0:
-            return UNLABELLED
-        return label if label > BACKGROUND else int(self.state.origins[row[0]])
+    def _objects(self) -> dict[int, int]:
+        """The object that each label is, or belongs to as a candidate; −1 if it is none."""
+        labels, origins = self.state.labels.tolist(), self.state.origins.tolist()
+        return {
+            label: label if label > BACKGROUND else origin
+            for label, origin in zip(labels, origins, strict=True)
+        }
 
     def observe(
         self,

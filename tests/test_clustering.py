@@ -1,4 +1,4 @@
-"""Which trajectories belong together: propagation, splits, and the motion test that undoes false ones."""
+"""Which trajectories belong together: propagation, splits, and how fast labels move."""
 
 from __future__ import annotations
 
@@ -9,15 +9,12 @@ import pytest
 import scipy.sparse as sp
 
 from mlbs_actors import clustering
-from mlbs_actors.affinity import TrajectoryGraph
 from mlbs_actors.clustering import (
-    LEAST_BORDER,
     bled_trajectories,
-    border_motion,
     label_speeds,
     least_object_speed,
-    merge_by_motion,
     propagate_labels,
+    residual_speed,
     split_labels,
     split_origins,
 )
@@ -27,21 +24,12 @@ from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.trajectories import TrajectoryState, empty_trajectories
 
 CUTS = AffinityConfig(cut_threshold=1e-2, cut_side_tracks=5)
-MERGES = LayersConfig(young_frames=6, merge_quantile=0.3, merge_distance=1.2, merge_border=3.0)
-OLD = 100
-FAST = 1e9
+LAYERS = LayersConfig()
 
 
 def blocks(*sizes: int) -> sp.csr_array:
     """Cliques that nothing joins, one after the other."""
     return sp.csr_array(sp.block_diag([np.ones((size, size)) - np.eye(size) for size in sizes]))
-
-
-def graph_of(edges: list[tuple[int, int, float]], size: int) -> TrajectoryGraph:
-    """A graph from (first, second, motion distance)."""
-    first, second, distance = (np.array(column) for column in zip(*edges, strict=True))
-    distance = distance.astype(np.float32)
-    return TrajectoryGraph(first.astype(np.int32), second.astype(np.int32), distance, np.exp(-distance), size)
 
 
 def trajectories(motions: Array, residuals: Array, ages: Array | None = None) -> TrajectoryState:
@@ -198,37 +186,12 @@ def test_what_moves_against_the_camera_without_evidence_has_bled() -> None:
     residuals[1:] = (3.0, 0.0)
     state = replace(
         trajectories(np.zeros((4, 2)), residuals),
-        evidence=np.array([0.0, 0.0, MERGES.least_evidence, -1.0], np.float32),
+        evidence=np.array([0.0, 0.0, LAYERS.least_evidence, -1.0], np.float32),
     )
-    assert bled_trajectories(state, MERGES, 1.0).tolist() == [False, True, False, True]
-    assert not bled_trajectories(state, MERGES, 10.0).any()  # 3 px is nothing in so large a frame
-
-
-# The border
-
-
-def test_the_motion_across_a_border_is_that_of_plain_loops() -> None:
-    rng = np.random.default_rng(0)
-    pairs = sorted({tuple(sorted(rng.choice(40, 2, replace=False).tolist())) for _ in range(250)})
-    graph = graph_of([(i, j, float(rng.exponential(3.0))) for i, j in pairs], 40)
-    labels = rng.choice([UNLABELLED, -2, 0, 1, 5], 40)
-    for quantile in (0.0, 0.3, 0.5, 1.0):
-        across: dict[tuple[int, int], list[float]] = {}
-        for i, j, distance in zip(graph.first, graph.second, graph.motion_distance, strict=True):
-            low, high = sorted((int(labels[i]), int(labels[j])))
-            if low != high and UNLABELLED not in (low, high):
-                across.setdefault((low, high), []).append(float(distance))
-        borders = border_motion(graph, labels, quantile)
-        assert len(across) == 6
-        assert set(borders) == set(across)
-        for between, distances in across.items():
-            place = min(int(quantile * len(distances)), len(distances) - 1)
-            assert borders[between] == (sorted(distances)[place], len(distances))
-
-
-def test_labels_that_do_not_touch_have_no_border() -> None:
-    graph = graph_of([(0, 1, 1.0), (2, 3, 1.0)], 4)
-    assert border_motion(graph, np.array([0, 0, 1, 1]), 0.3) == {}
+    assert bled_trajectories(state, residual_speed(state), LAYERS, 1.0).tolist() == [False, True, False, True]
+    assert not bled_trajectories(
+        state, residual_speed(state), LAYERS, 10.0
+    ).any()  # 3 px is nothing in so large a frame
 
 
 # Speeds
@@ -239,7 +202,9 @@ def test_a_labels_speed_is_the_median_of_its_members_mean_residual() -> None:
     residuals[0] = residuals[1] = (3.0, 4.0)
     residuals[2] = (60.0, 80.0)  # an outlier
     residuals[3, ::2], residuals[3, 1::2] = (2.0, 0.0), (-2.0, 0.0)  # shakes, goes nowhere
-    speeds = label_speeds(trajectories(np.zeros((5, 2)), residuals), np.array([4, 4, 4, 1, UNLABELLED]))
+    speeds = label_speeds(
+        residual_speed(trajectories(np.zeros((5, 2)), residuals)), np.array([4, 4, 4, 1, UNLABELLED])
+    )
     assert set(speeds) == {1, 4}
     assert speeds[4] == pytest.approx(5.0)
     assert speeds[1] < 1.0
@@ -249,124 +214,18 @@ def test_a_young_trajectory_is_as_fast_as_the_frames_it_has_lived() -> None:
     residuals = np.zeros((1, 4, 2))
     residuals[0, 0] = (0.0, 3.0)
     state = trajectories(np.zeros((1, 2)), residuals, ages=np.array([1]))
-    assert label_speeds(state, np.array([2]))[2] == pytest.approx(3.0)
+    assert label_speeds(residual_speed(state), np.array([2]))[2] == pytest.approx(3.0)
 
 
 def test_what_counts_as_moving_grows_with_the_camera_and_with_what_it_leaves_unexplained() -> None:
     def least(camera: float, residual: float) -> float:
         state = trajectories(np.full((20, 2), (camera, 0.0)), np.full((20, 4, 2), (0.0, residual)))
-        return least_object_speed(state, np.ones(20, bool), MERGES, 1.0)
+        labels = np.full(20, BACKGROUND)
+        return least_object_speed(state, labels, label_speeds(residual_speed(state), labels), LAYERS, 1.0)
 
     floor = least(0.0, 0.0)
     assert floor > 0
     assert least(200.0, 0.0) > least(100.0, 0.0) > floor
     assert least(0.0, 20.0) > least(0.0, 10.0) > floor
     state = trajectories(np.full((20, 2), 50.0), np.zeros((20, 4, 2)))
-    assert least_object_speed(state, np.zeros(20, bool), MERGES, 2.0) == pytest.approx(2 * floor)
-
-
-# Merging
-
-
-def border(low: int, high: int, distances: list[float], size: int = 40) -> tuple[TrajectoryGraph, Array]:
-    """Two labels of 20 trajectories each, and the motion distances of the edges between them."""
-    labels = np.repeat([low, high], size // 2)
-    edges = [(i, size // 2 + i, distance) for i, distance in enumerate(distances)]
-    return graph_of(edges, size), labels
-
-
-def test_a_young_part_that_joins_the_background_somewhere_is_background() -> None:
-    graph, labels = border(BACKGROUND, 3, [0.2] * 8 + [50.0] * 10)
-    merged = merge_by_motion(graph, labels, {BACKGROUND: OLD, 3: 1}, {3: FAST}, 1.0, MERGES)
-    assert set(merged.tolist()) == {BACKGROUND}
-
-
-def test_a_part_that_moves_apart_along_its_whole_border_stays() -> None:
-    graph, labels = border(BACKGROUND, 3, [0.2] + [50.0] * 17)
-    merged = merge_by_motion(graph, labels, {BACKGROUND: OLD, 3: 1}, {3: FAST}, 1.0, MERGES)
-    np.testing.assert_array_equal(merged, labels)
-
-
-def test_an_old_label_is_not_merged_even_if_it_stops() -> None:
-    graph, labels = border(BACKGROUND, 3, [0.0] * 18)
-    ages = {BACKGROUND: OLD, 3: MERGES.young_frames}
-    np.testing.assert_array_equal(merge_by_motion(graph, labels, ages, {3: 0.0}, 1.0, MERGES), labels)
-
-
-def test_a_young_label_that_does_not_move_against_the_camera_is_background_wherever_it_lies() -> None:
-    graph, labels = border(BACKGROUND, 3, [50.0] * 18)
-    ages = {BACKGROUND: OLD, 3: 1}
-    assert not merge_by_motion(graph, labels, ages, {BACKGROUND: 0.0, 3: 0.9}, 1.0, MERGES).any()
-    moving = merge_by_motion(graph, labels, ages, {BACKGROUND: 0.0, 3: 1.1}, 1.0, MERGES)
-    np.testing.assert_array_equal(moving, labels)
-
-
-def test_two_halves_of_one_object_become_the_older_one() -> None:
-    graph, labels = border(2, 5, [0.1] * 18)
-    merged = merge_by_motion(graph, labels, {2: 1, 5: 3}, {2: FAST, 5: FAST}, 1.0, MERGES)
-    assert set(merged.tolist()) == {5}
-    equal = merge_by_motion(graph, labels, {2: 3, 5: 3}, {2: FAST, 5: FAST}, 1.0, MERGES)
-    assert set(equal.tolist()) == {2}
-    new = merge_by_motion(graph, labels, {2: 3}, {2: FAST, 5: FAST}, 1.0, MERGES)
-    assert set(new.tolist()) == {2}
-
-
-def test_two_objects_that_only_touch_stay_apart() -> None:
-    graph, labels = border(2, 5, [0.1] * 4)
-    merged = merge_by_motion(graph, labels, {2: 3, 5: 1}, {2: FAST, 5: FAST}, 1.0, MERGES)
-    np.testing.assert_array_equal(merged, labels)
-
-
-def test_the_border_of_two_halves_is_measured_against_the_root_of_their_size() -> None:
-    # A border grows like the root of what it bounds: 3 √20 = 13.4 edges for the 20 of the younger.
-    ages, speeds = {2: 3, 5: 1}, {2: FAST, 5: FAST}
-    bent = 0.5 * (MERGES.same_motion_distance + MERGES.object_merge_distance)
-    less, labels = border(2, 5, [bent] * 13)
-    np.testing.assert_array_equal(merge_by_motion(less, labels, ages, speeds, 1.0, MERGES), labels)
-    enough, labels = border(2, 5, [bent] * 14)
-    assert set(merge_by_motion(enough, labels, ages, speeds, 1.0, MERGES).tolist()) == {2}
-
-
-def test_objects_of_any_age_whose_motions_are_the_same_are_one() -> None:
-    same = MERGES.same_motion_distance
-    graph, labels = border(2, 5, [0.9 * same] * 6)
-    merged = merge_by_motion(graph, labels, {2: OLD, 5: 2 * OLD}, {2: FAST, 5: FAST}, 1.0, MERGES)
-    assert set(merged.tolist()) == {5}
-
-
-def test_old_objects_whose_motions_differ_stay_apart() -> None:
-    # Of young ones much more is forgiven.
-    assert MERGES.object_merge_distance > MERGES.same_motion_distance
-    graph, labels = border(2, 5, [1.1 * MERGES.same_motion_distance] * 18)
-    ages, speeds = {2: OLD, 5: OLD}, {2: FAST, 5: FAST}
-    np.testing.assert_array_equal(merge_by_motion(graph, labels, ages, speeds, 1.0, MERGES), labels)
-    young = merge_by_motion(graph, labels, {2: OLD, 5: 1}, speeds, 1.0, MERGES)
-    assert set(young.tolist()) == {2}
-
-
-def test_old_objects_that_touch_with_little_stay_apart_however_alike_they_move() -> None:
-    ages, speeds = {2: OLD, 5: OLD}, {2: FAST, 5: FAST}
-    few, labels = border(2, 5, [0.0] * (LEAST_BORDER - 1))
-    np.testing.assert_array_equal(merge_by_motion(few, labels, ages, speeds, 1.0, MERGES), labels)
-    config = MERGES.model_copy(update={"same_motion_border": 2.0})
-    little, labels = border(2, 5, [0.0] * 8)  # less than 2 √20
-    np.testing.assert_array_equal(merge_by_motion(little, labels, ages, speeds, 1.0, config), labels)
-    enough, labels = border(2, 5, [0.0] * 9)
-    assert set(merge_by_motion(enough, labels, ages, speeds, 1.0, config).tolist()) == {2}
-
-
-def test_merges_go_on_until_nothing_is_left_to_merge() -> None:
-    labels = np.repeat([BACKGROUND, 1, 2], 10)
-    chain = [(i, 10 + i, 0.1) for i in range(8)] + [(10 + i, 20 + i, 0.2) for i in range(8)]
-    ages = {BACKGROUND: OLD, 1: 2, 2: 1}
-    merged = merge_by_motion(graph_of(chain, 30), labels, ages, dict.fromkeys((1, 2), FAST), 1.0, MERGES)
-    assert not merged.any()
-
-
-def test_merging_leaves_the_given_labels_and_the_unlabelled_as_they_were() -> None:
-    graph, labels = border(BACKGROUND, 3, [0.0] * 18)
-    labels[-1] = UNLABELLED
-    before = labels.copy()
-    merged = merge_by_motion(graph, labels, {BACKGROUND: OLD}, {3: FAST}, 1.0, MERGES)
-    np.testing.assert_array_equal(labels, before)
-    assert merged.tolist() == [BACKGROUND] * 39 + [UNLABELLED]
+    assert least_object_speed(state, np.ones(20, np.int64), {1: 9.0}, LAYERS, 2.0) == pytest.approx(2 * floor)

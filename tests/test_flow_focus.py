@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
+import pytest
 
-from mlbs_actors.flow_focus import CELL, focus_boxes, focus_cells
+from mlbs_actors.flow_focus import CELL, GROWN, LEAST_CELLS, focus_boxes, focus_cells
 from mlbs_actors.messages import Array, Region
 
 SHAPE = (60, 100)
@@ -19,14 +21,19 @@ def covered(boxes: list[Region]) -> Array:
     return count
 
 
+def cells_around(advantage: Array, objects: Array) -> Array:
+    """Of objects that rest there, (n, 2)."""
+    return focus_cells(advantage, objects, np.zeros_like(objects), np.ones(len(objects), bool), STEP)
+
+
 def test_a_still_scene_has_none() -> None:
-    assert focus_boxes(focus_cells(np.zeros(SHAPE, np.float32), NOBODY, STEP), SHAPE) == []
+    assert focus_boxes(cells_around(np.zeros(SHAPE, np.float32), NOBODY), SHAPE) == []
 
 
 def test_it_is_around_objects_and_around_what_the_camera_does_not_explain() -> None:
     advantage = np.zeros(SHAPE, np.float32)
     advantage[4:12, 80:96] = 2.0
-    cells = focus_cells(advantage, np.array([[21.0, 95.0]], np.float32), STEP)
+    cells = cells_around(advantage, np.array([[21.0, 95.0]], np.float32))
     boxes = focus_boxes(cells, SHAPE)
     count = covered(boxes)
     assert count.max() == 1  # the boxes share no pixel
@@ -36,12 +43,31 @@ def test_it_is_around_objects_and_around_what_the_camera_does_not_explain() -> N
     assert 0 < count.mean() < 0.7
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_cells_are_those_of_numpy(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    advantage = np.kron(rng.random((8, 13)) < 0.2, np.ones((CELL, CELL)))
+    positions, motions = rng.uniform(-20, 220, (9, 2)), rng.normal(0, 8, (9, 2))
+    objects = rng.random(9) < 0.5
+    number, piece = cv2.connectedComponents((advantage > 0).astype(np.uint8)[::CELL, ::CELL], connectivity=8)
+    expected = np.zeros(piece.shape, np.uint8)
+    for one in range(1, number):
+        expected[piece == one] = (piece == one).sum() >= LEAST_CELLS
+    columns, rows = ((positions - motions)[objects] / (CELL * np.array(STEP))).astype(int).T
+    expected[np.clip(rows, 0, piece.shape[0] - 1), np.clip(columns, 0, piece.shape[1] - 1)] = 1
+    size = 2 * GROWN + 1
+    found = focus_cells(
+        advantage.astype(np.float32), positions.astype(np.float32), motions.astype(np.float32), objects, STEP
+    )
+    np.testing.assert_array_equal(found, cv2.dilate(expected, np.ones((size, size), np.uint8)) > 0)
+
+
 def test_what_leaves_the_frame_is_looked_for_at_its_border() -> None:
-    cells = focus_cells(np.zeros(SHAPE, np.float32), np.array([[-40.0, 500.0]], np.float32), STEP)
+    cells = cells_around(np.zeros(SHAPE, np.float32), np.array([[-40.0, 500.0]], np.float32))
     assert cells[-1, 0]
 
 
 def test_boxes_that_would_be_most_of_the_frame_are_the_frame() -> None:
     advantage = np.zeros(SHAPE, np.float32)
     advantage[:, 10:90] = 2.0
-    assert focus_boxes(focus_cells(advantage, NOBODY, STEP), SHAPE) == [Region(0, 0, 100, 60)]
+    assert focus_boxes(cells_around(advantage, NOBODY), SHAPE) == [Region(0, 0, 100, 60)]

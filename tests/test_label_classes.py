@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from mlbs_actors.label_classes import (
+    REMEMBERED,
     UNLABELLED,
     class_medians,
     distinct_labels,
     label_classes,
+    label_places,
     likeliest,
     median_length,
 )
@@ -19,7 +21,7 @@ RNG = np.random.default_rng(6)
 
 @pytest.mark.parametrize("count", [0, 1, 7, 500])
 def test_classes_are_the_places_of_the_labels_among_those_that_count(count: int) -> None:
-    labels = RNG.choice([-7, -1, 0, 3, 4, 90], count)
+    labels = RNG.choice([-7, -1, 0, 3, 4, 3 + 2 * REMEMBERED, 90], count)
     left_out = RNG.random(count) < 0.3
     known, classes = label_classes(labels, left_out)
     np.testing.assert_array_equal(known, np.unique(labels[~left_out]))
@@ -27,6 +29,14 @@ def test_classes_are_the_places_of_the_labels_among_those_that_count(count: int)
         classes, np.where(left_out, -1, np.searchsorted(np.unique(labels[~left_out]), labels))
     )
     assert distinct_labels(labels) == set(labels.tolist()) - {UNLABELLED}
+
+
+def test_labels_are_found_where_they_stand_however_many_share_a_slot() -> None:
+    known = np.unique(RNG.integers(-2 * REMEMBERED, 2 * REMEMBERED, 300))
+    labels = RNG.integers(-3 * REMEMBERED, 3 * REMEMBERED, 2000)
+    expected = [known.tolist().index(label) if label in known else -1 for label in labels]
+    np.testing.assert_array_equal(label_places(labels, known), expected)
+    np.testing.assert_array_equal(label_places(labels, known[:0]), np.full(2000, -1))
 
 
 @pytest.mark.parametrize("count", [3, 40, 41])
