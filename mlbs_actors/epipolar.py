@@ -69,10 +69,9 @@ def forward_motion(
     """
     if len(positions) < 2 * LEAST_POINTS:
         return None
-    inlier = INLIER_PX * length_scale(*shape)
-    error = np.hypot(*(motions - homography_motion(homography, positions)).T)
-    if (error < inlier).mean() > MOST_PLANAR:
+    if explains(homography, positions, motions, shape):
         return None
+    inlier = INLIER_PX * length_scale(*shape)
     points = positions.astype(np.float64)
     try:
         matrix, inliers = cv2.findFundamentalMat(
@@ -91,6 +90,12 @@ def forward_motion(
     # A camera that drives backwards has the same epipolar lines, but its points come from farther out.
     error = np.hypot(*(motions - static_motion(geometry, positions, motions)).T)
     return geometry if (error < inlier).mean() >= LEAST_STATIC else None
+
+
+def explains(homography: Array, positions: Array, motions: Array, shape: tuple[int, int]) -> bool:
+    """Whether a homography explains more than ``MOST_PLANAR`` of some points' backward motions, (n, 2) px."""
+    error = np.hypot(*(motions - homography_motion(homography, positions)).T)
+    return bool((error < INLIER_PX * length_scale(*shape)).sum() > MOST_PLANAR * len(positions))
 
 
 def static_motion(geometry: EpipolarGeometry, positions: Array, motions: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from mlbs_actors.camera import CameraEvidence, camera_evidence, camera_homography, homography_motion
 from mlbs_actors.config import Config, length_scale
-from mlbs_actors.epipolar import forward_motion, static_motion
+from mlbs_actors.epipolar import explains, forward_motion, static_motion
 from mlbs_actors.flow import DenseFlow
 from mlbs_actors.messages import Array
 from mlbs_actors.sampling import sample_map
@@ -87,6 +87,7 @@ def track(
         trajectories, survivors = advance_trajectories(before, flow, shape)
     telling = (trajectories.ages > 0) & background[survivors]
     voters = evenly_spread(trajectories.positions, telling, 2 * spacing)
+    places, moved = trajectories.positions[voters], trajectories.motions[voters]
     camera = camera_homography(trajectories.positions[voters], trajectories.motions[voters], scale)
     nothing = np.zeros(gray.shape, np.float32)
     against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
@@ -104,9 +105,12 @@ def track(
     advantage = sample_map(against_camera.advantage, trajectories.positions, step)
     predicted = homography_motion(camera, trajectories.positions)
     everywhere = evenly_spread(trajectories.positions, trajectories.ages > 0, 2 * spacing)
-    driving = forward_motion(
-        trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape
-    )
+    driving = None
+    # Objects' own motions may be what the homography does not explain.
+    if not explains(camera, places, moved, shape):
+        driving = forward_motion(
+            trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape
+        )
     if driving is not None:
         predicted = static_motion(driving, trajectories.positions, trajectories.motions)
         obeying = np.hypot(*(trajectories.motions - predicted).T) < scale
