@@ -18,7 +18,7 @@ from mlbs_actors.camera import INLIER_PX, LEAST_POINTS, homography_motion
 from mlbs_actors.config import length_scale
 from mlbs_actors.messages import Array
 
-__all__ = ["EpipolarGeometry", "forward_motion", "static_motion"]
+__all__ = ["EpipolarGeometry", "explains", "forward_motion", "static_motion"]
 
 #: The camera drives forwards if at most this share of the points obeys its homography, at least that share
 #: one epipolar geometry, and at least that share moves in it as static points do.
@@ -93,7 +93,16 @@ def forward_motion(
 
 
 def explains(homography: Array, positions: Array, motions: Array, shape: tuple[int, int]) -> bool:
-    """Whether a homography explains more than ``MOST_PLANAR`` of some points' backward motions, (n, 2) px."""
+    """Whether a homography explains more than ``MOST_PLANAR`` of some points' backward motions.
+
+    Parameters
+    ----------
+    homography : (3, 3) float64
+    positions, motions : (n, 2) float32
+        px; of none it explains nothing.
+    shape : (int, int)
+        (H, W) of the frame.
+    """
     error = np.hypot(*(motions - homography_motion(homography, positions)).T)
     return bool((error < INLIER_PX * length_scale(*shape)).sum() > MOST_PLANAR * len(positions))
 

@@ -87,8 +87,9 @@ def track(
         trajectories, survivors = advance_trajectories(before, flow, shape)
     telling = (trajectories.ages > 0) & background[survivors]
     voters = evenly_spread(trajectories.positions, telling, 2 * spacing)
-    places, moved = trajectories.positions[voters], trajectories.motions[voters]
-    camera = camera_homography(trajectories.positions[voters], trajectories.motions[voters], scale)
+    places, motions = trajectories.positions[voters], trajectories.motions[voters]
+    camera = camera_homography(places, motions, scale)
+    planar = explains(camera, places, motions, shape)
     nothing = np.zeros(gray.shape, np.float32)
     against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
     if flow is not None:
@@ -106,8 +107,7 @@ def track(
     predicted = homography_motion(camera, trajectories.positions)
     everywhere = evenly_spread(trajectories.positions, trajectories.ages > 0, 2 * spacing)
     driving = None
-    # Objects' own motions may be what the homography does not explain.
-    if not explains(camera, places, moved, shape):
+    if not planar:  # else what the homography does not explain of all are objects
         driving = forward_motion(
             trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape
         )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from mlbs_actors import tracking
 from mlbs_actors.config import Config
 from mlbs_actors.flow import dense_flow, flow_gray
 from mlbs_actors.messages import Array
@@ -59,3 +61,20 @@ def test_objects_have_motion_and_evidence_of_their_own_and_the_ground_has_not() 
     assert inside.sum() > 20
     assert np.median(own[inside]) > 5 * np.median(own[~inside])
     assert np.median(trajectories.evidence[inside]) > 1.0 > np.median(trajectories.evidence[~inside])
+
+
+@pytest.mark.parametrize("told_by", ["the ground", "the crowd"])
+def test_a_crowd_does_not_make_the_camera_drive_where_one_homography_explains_the_ground(
+    monkeypatch: pytest.MonkeyPatch, told_by: str
+) -> None:
+    shown = scene("steady-crowd", frames=8, width=SHAPE[1], height=SHAPE[0], objects=32)
+    one, other = shown.frame(6), shown.frame(7)
+    before = first(one).trajectories
+    column, row = np.rint(before.positions).astype(int).T
+    background = (shown.labels(6)[row, column] == 0) == (told_by == "the ground")
+    asked = []
+    monkeypatch.setattr(tracking, "forward_motion", lambda *given: asked.append(given))
+    grays = flow_gray(one, CONFIG.flow), flow_gray(other, CONFIG.flow)
+    flow = dense_flow(*grays, SHAPE, CONFIG.flow, CONFIG.trajectories)
+    track(before, background, flow, *grays, SHAPE, CONFIG)
+    assert len(asked) == (0 if told_by == "the ground" else 1)
