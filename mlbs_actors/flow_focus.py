@@ -28,6 +28,8 @@ LEAST_CELLS = 3
 #: So many cells around what is looked at closely: how far it may move in a frame, and what the flow sees
 #: beside it.
 GROWN = 2
+#: Column of OpenCV's statistics of a component.
+_AREA = int(cv2.CC_STAT_AREA)
 #: Above this share of the frame, boxes are not worth their seams.
 MOST = 0.7
 
@@ -57,7 +59,7 @@ def focus_cells(
     mean = cv2.resize(advantage, (columns, rows), interpolation=cv2.INTER_AREA)
     _, piece, stats, _ = cv2.connectedComponentsWithStats((mean > ADVANTAGE).view(np.uint8), connectivity=8)
     cells = _cells(
-        piece, stats[:, cv2.CC_STAT_AREA], positions, motions, objects,
+        piece, stats, positions, motions, objects,
         np.float32(CELL * step[0]), np.float32(CELL * step[1]),
     )  # fmt: skip
     return np.asarray(cv2.dilate(cells, np.ones((2 * GROWN + 1, 2 * GROWN + 1), np.uint8)), bool)
@@ -65,14 +67,14 @@ def focus_cells(
 
 @compiled()
 def _cells(
-    piece: Array, areas: Array, positions: Array, motions: Array, objects: Array, width: np.float32,
+    piece: Array, stats: Array, positions: Array, motions: Array, objects: Array, width: np.float32,
     height: np.float32,
 ) -> Array:  # fmt: skip
     """Cells of pieces (1 …; 0 is none) that are no chance, and those where objects will be, as uint8."""
     cells = np.empty(piece.shape, np.uint8)
     for y in range(piece.shape[0]):
         for x in range(piece.shape[1]):
-            cells[y, x] = piece[y, x] > 0 and areas[piece[y, x]] >= LEAST_CELLS
+            cells[y, x] = piece[y, x] > 0 and stats[piece[y, x], _AREA] >= LEAST_CELLS
     for i in range(objects.size):
         if objects[i]:
             x = int((positions[i, 0] - motions[i, 0]) / width)

@@ -1,22 +1,26 @@
 """Run by a test in a process of its own: which kernels are still compiled or loaded after a warming.
 
-The argument says what is warmed, and what is looked at then: "layer", or "stream", which is a coordinator
-and a segmenter.
+The first argument says what is warmed, and does the work of scenes then: "stream", which is a coordinator and
+a segmenter with layers that have no process yet, or "layer", which takes what the former has told its layers
+from the file that the second argument names.
 """
 
 from __future__ import annotations
 
+import pickle
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 
 from numba.core.dispatcher import Dispatcher
 
 from mlbs_actors import Config
 from mlbs_actors.actors.parts import EngineParts, LayerPart, _arrived
-from mlbs_actors.messages import Segmentation
+from mlbs_actors.messages import Array, FrameEvidence, Segmentation
 from orchestrator.sources.synthetic import scene
+
+#: Scenes and their frames: several objects from the start, a crowd, and one that enters late.
+SCENES = (("demo", 12), ("steady-crowd", 20), ("traffic", 24))
 
 
 def compiled() -> set[tuple[str, str]]:
@@ -28,47 +32,60 @@ def compiled() -> set[tuple[str, str]]:
     return {(str(kernel), str(signature)) for kernel in kernels for signature in kernel.signatures}
 
 
-def main(warmed: str) -> None:
-    parts, config = EngineParts(), Config()
+class Layers:
+    """A stream's layers, in this process."""
+
+    def __init__(self) -> None:
+        self._parts: dict[int, LayerPart] = {}
+        self.most = 0
+
+    def step(self, evidence: FrameEvidence, frame: Array, previous: Segmentation | None) -> list[object]:
+        for layer in evidence.retired:
+            self._parts.pop(layer, None)
+        answers: list[object] = []
+        for own in evidence.layers:
+            part = self._parts.setdefault(own.layer, EngineParts().layer(Config(), own.layer, own.kind))
+            answers.append(_arrived(part.step(own, evidence, frame, previous)))
+        self.most = max(self.most, len(self._parts))
+        return answers
+
+
+def play(name: str, frames: int) -> list[tuple[FrameEvidence, Array, Segmentation | None]]:
+    """Label a scene; return what its layers were told, frame by frame."""
+    parts, layers = EngineParts(), Layers()
+    coordinator, segmenter = parts.coordinator(Config()), parts.segmenter(Config())
+    results: list[Segmentation] = []
+    told: list[tuple[FrameEvidence, Array, Segmentation | None]] = []
+    video = scene(name, frames=120 if name == "traffic" else frames, seed=1, width=640, height=480)
+    for t in range(frames):
+        wanted = coordinator.feedback_index(t)
+        feedback = None if wanted is None else partial(results.__getitem__, wanted)
+        for evidence in map(_arrived, coordinator.step(t, _arrived(video.frame(t)), feedback)):
+            frame = _arrived(video.frame(evidence.frame_index))
+            told.append((evidence, frame, results[-1] if results else None))
+            answers = layers.step(*told[-1])
+            results.append(_arrived(segmenter.step(evidence, frame, answers)))  # type: ignore[arg-type]
+    assert layers.most > (1 if name == "traffic" else 3), "so few layers prove little"
+    return told
+
+
+def main(warmed: str, messages: Path) -> None:
+    parts = EngineParts()
     if warmed == "layer":
         parts.warm_layer()
         assert "scipy.linalg" not in sys.modules, "it takes a fifth of a process's start, and 12 MB"
     else:
         parts.warm_stream()
-    assert compiled(), "nothing was warmed"
-    later: dict[str, set[tuple[str, str]]] = {"layer": set(), "stream": set()}
-
-    @contextmanager
-    def noted(one: str) -> Iterator[None]:
-        before = compiled()
-        yield
-        later[one] |= compiled() - before
-
-    for name, frames in (("demo", 12), ("steady-crowd", 20)):
-        coordinator, segmenter = parts.coordinator(config), parts.segmenter(config)
-        layers: dict[int, LayerPart] = {}
-        previous: Segmentation | None = None
-        results: dict[int, Segmentation] = {}
-        video = scene(name, frames=frames, seed=1, width=640, height=480)
-        for t in range(len(video)):
-            wanted = coordinator.feedback_index(t)
-            feedback = None if wanted is None else partial(results.__getitem__, wanted)
-            with noted("stream"):
-                evidences = [*coordinator.step(t, _arrived(video.frame(t)), feedback)]
-            for evidence in map(_arrived, evidences):
-                for layer in evidence.retired:
-                    layers.pop(layer, None)
-                frame = _arrived(video.frame(evidence.frame_index))
-                posteriors = []
-                for own in evidence.layers:
-                    part = layers.setdefault(own.layer, parts.layer(config, own.layer, own.kind))
-                    with noted("layer"):
-                        posteriors.append(part.step(own, evidence, frame, previous))
-                with noted("stream"):
-                    labelled = segmenter.step(evidence, frame, [*map(_arrived, posteriors)])
-                previous = results[evidence.frame_index] = _arrived(labelled)
-        assert len(layers) > 3, "a scene with one object proves little"
-    print("later:", later[warmed])
+    before = compiled()
+    assert before, "nothing was warmed"
+    if warmed == "layer":
+        for told in pickle.loads(messages.read_bytes()):
+            layers = Layers()
+            for one in told:
+                layers.step(*map(_arrived, one))
+    else:
+        messages.write_bytes(pickle.dumps([play(name, frames) for name, frames in SCENES], protocol=5))
+    print("later:", compiled() - before)
 
 
-main(sys.argv[1])
+main(sys.argv[1], Path(sys.argv[2]))

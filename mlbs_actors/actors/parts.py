@@ -172,12 +172,15 @@ class EngineParts:
             part = self.layer(config, layer, kind)
             previous = None
             for t in range(2):
-                own = LayerEvidence(
-                    layer=layer,
-                    kind=kind,
-                    last_frame=t - 1,
-                    positions=_read_only(positions),
-                    motions=_read_only(motions),
+                both = tuple(
+                    LayerEvidence(
+                        layer=one,
+                        kind=kinds[one],
+                        last_frame=t - 1,
+                        positions=_read_only(positions),
+                        motions=_read_only(motions),
+                    )
+                    for one in range(2)
                 )
                 evidence = FrameEvidence(
                     frame_index=t,
@@ -186,11 +189,11 @@ class EngineParts:
                     flow=_read_only(np.zeros((*grid, 2), np.float16)),
                     flow_reliable=_read_only(np.ones(grid, bool)),
                     unexplained=_read_only(np.full(grid, 255, np.uint8)),
-                    layers=(own,),
+                    layers=both,
                     retired=(),
                     latency_frames=0,
                 )
-                part.step(own, evidence, frame, previous)
+                part.step(both[layer], evidence, frame, previous)
                 previous = Segmentation(
                     frame_index=t,
                     labels=_read_only(np.full((height, width), layer, np.uint16)),

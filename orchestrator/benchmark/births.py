@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import pairwise
 
+from mlbs_actors.actors.parts import EngineParts
 from orchestrator.benchmark.engine_run import EngineCall, play
 from orchestrator.benchmark.finding import Finding
 from orchestrator.benchmark.pipeline import Arrival, pipeline
@@ -61,8 +62,10 @@ def measure_births(
     """Play each scene once, in this process and through Ray.
 
     Through Ray a frame's time is that between its label map and the one before, as they are made, and the
-    pool has its spare processes ready, as after some seconds of any run.
+    pool has its spare processes ready, as after some seconds of any run. In this process, as in those of Ray,
+    the kernels have been loaded before: what a process's first object ever costs beside is not a birth's.
     """
+    EngineParts().warm_stream()
     rows, figures, plots = [], {}, {}
     for number, name in enumerate(scenes):
         say(f"births: {name} in this process ({number + 1} of {len(scenes)})")
