@@ -67,10 +67,15 @@ def last_messages(frames: Iterable[Array], config: Config) -> FrameMessages:
     return segmenter.heard
 
 
+@dataclass(frozen=True)
+class NoState:
+    """State of a part that remembers nothing."""
+
+
 @dataclass
 class _EmptyCoordinator:
     evidence: FrameEvidence
-    state: None = None
+    state: NoState = NoState()
 
     def feedback_index(self, frame_index: int) -> int | None:
         return None if frame_index < 2 else frame_index - 2
@@ -90,7 +95,7 @@ class _EmptyCoordinator:
 @dataclass
 class _EmptyLayer:
     posterior: LayerPosterior
-    state: None = None
+    state: NoState = NoState()
 
     def step(
         self,
@@ -109,7 +114,7 @@ class _EmptyLayer:
 @dataclass
 class _EmptySegmenter:
     segmentation: Segmentation
-    state: None = None
+    state: NoState = NoState()
 
     def step(self, evidence: FrameEvidence, frame: Array, posteriors: list[LayerPosterior]) -> Segmentation:
         return replace(self.segmentation, frame_index=evidence.frame_index)
