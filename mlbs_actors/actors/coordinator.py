@@ -11,8 +11,7 @@ from __future__ import annotations
 import logging
 import sys
 import time
-from collections import Counter, deque
-from collections.abc import Mapping
+from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -21,6 +20,7 @@ from pathlib import Path
 import ray
 from ray.exceptions import GetTimeoutError, RayError
 
+from mlbs_actors.actors.account import StreamAccount
 from mlbs_actors.actors.channels import ChannelClosedError
 from mlbs_actors.actors.failures import POOL, SEGMENTER, SINK, explain, is_loss, reader_lost, source_failure
 from mlbs_actors.actors.layers_at_work import Housed
@@ -44,9 +44,7 @@ from mlbs_actors.actors.sink import Record
 from mlbs_actors.actors.stream_protocol import (
     Snapshot,
     SourceFrame,
-    SourcePosition,
     SourceSilence,
-    SourceStatus,
     StreamProgress,
     StreamSpec,
 )
@@ -125,12 +123,7 @@ class CoordinatorActor:
         self._waiting: deque[tuple[Shared[SourceFrame] | None, SourceFrame]] = deque()
         # The newest that came back, by the engine's frame index.
         self._segmentations: dict[int, Shared[Segmentation]] = {}
-        self._counts: Counter[SourceStatus] = Counter()
-        self._position = SourcePosition()
-        self._silence: SourceSilence | None = None
-        self._length: int | None = None  # of the source, as that says
-        self._problem: str | None = None
-        self._stages = _StageTimes()
+        self._account = StreamAccount(spec.max_frames)
         self._ended: StreamProgress | MlbsError | None = None
         self._begun = self._interrupted = False
         self._to_skip = 0
@@ -200,12 +193,9 @@ class CoordinatorActor:
                 return self._finish()
             shared, frame = delivered
             self._write_labelled()
-            self._silence = frame if isinstance(frame, SourceSilence) else None
+            self._account.take(frame)
             if isinstance(frame, SourceSilence):
                 break
-            self._counts[frame.status] += 1
-            self._position = SourcePosition(self._counts.total(), frame.pts, time.time())
-            self._length = frame.length
             self._waiting.append((shared, frame))
             if frame.image is None:
                 self._write_gaps()
@@ -242,17 +232,16 @@ class CoordinatorActor:
         for frame in state.waiting:
             shared = None if frame.image is None else self._memory.share(frame, self._slots.take("frame"))
             self._waiting.append((shared, frame))
-        self._counts.update(state.counts)
-        self._position = state.position
+        self._account.restore(state.counts, state.position)
         self._saved = state.position.rows
 
     def _begin_reading(self) -> None:
         try:
             if isinstance(self._source, LiveReadAhead):
-                self._source.go_on(self._position, self._read)
+                self._source.go_on(self._account.position, self._account.read)
             else:
                 self._source.begin()
-                self._to_skip = 0 if self._interrupted else self._read
+                self._to_skip = 0 if self._interrupted else self._account.read
         except RayError as error:
             raise self._reader_failure(error) from None
 
@@ -269,21 +258,21 @@ class CoordinatorActor:
         """Let every part write its state, each after the same frame; the work goes on meanwhile."""
         assert self._snapshots is not None
         self._await_snapshot()
-        folder = self._snapshots / f"{self._position.rows:08d}"
+        folder = self._snapshots / f"{self._account.position.rows:08d}"
         self._labelling.save(folder)
         layers = self._layers.state()
         waiting = tuple(frame for _, frame in self._waiting)
-        own = ConductorState(self._counts, self._position, waiting, layers)
+        own = ConductorState(self._account.counts, self._account.position, waiting, layers)
         self._writer.write({CONDUCTOR_FILE: own, COORDINATOR_FILE: self._coordinator.state}, folder)
         shared = (CONDUCTOR_FILE, COORDINATOR_FILE, SEGMENTER_FILE, PUBLISHED_FILE)
         parts = (*shared, *(layer_file(one.layer) for one in layers))
         self._record.offer(Snapshot(folder, self._record.rows, self._record.label_maps, parts))
-        self._saved = self._position.rows
+        self._saved = self._account.position.rows
 
     def _save_where_it_stands(self) -> None:
         """Have a snapshot of right now: what a live source has given will not be given again."""
         if self._snapshots is not None and not self._spec.replayable:
-            if self._saved != self._position.rows:
+            if self._saved != self._account.position.rows:
                 self._save()
             self._await_labelled()
             self._record.await_snapshot(_SNAPSHOT_SECONDS)
@@ -305,9 +294,9 @@ class CoordinatorActor:
             if isinstance(failure, ActorLostError):
                 self._save_where_it_stands()
                 raise failure from None
-            if self._read == 0:
+            if self._account.read == 0:
                 raise failure from None
-            self._problem = str(failure)
+            self._account.problem = str(failure)
             self._source.stop()
             return None
 
@@ -315,12 +304,12 @@ class CoordinatorActor:
         # What aborts the decoding of a file every time is its damage; a live source shows it only once.
         damaged = self._spec.replayable and self._spec.last_try
         if not damaged and (is_loss(error) or isinstance(error, GetTimeoutError)):
-            return reader_lost(self._spec.name, self._read)
-        return source_failure(error, self._spec.source, self._read)
+            return reader_lost(self._spec.name, self._account.read)
+        return source_failure(error, self._spec.source, self._account.read)
 
     def _track(self, image: Array) -> None:
         """Let the engine's coordinator take the next picture, and start the work that it makes possible."""
-        index = self._counts["ok"] - 1  # the engine counts the frames it is given
+        index = self._account.counts["ok"] - 1  # the engine counts the frames it is given
         wanted = self._coordinator.feedback_index(index)
         feedback = None if wanted is None else partial(self._labelled, wanted)
         for evidence in self._coordinator.step(index, image, feedback):
@@ -333,7 +322,7 @@ class CoordinatorActor:
         # None before it is asked for any more.
         self._segmentations = {t: one for t, one in self._segmentations.items() if t >= frame_index}
         segmentation = self._memory.taken(self._segmentations[frame_index])
-        self._stages.add(segmentation.stage_ms)
+        self._account.label(segmentation)
         return segmentation
 
     def _label(self, evidence: FrameEvidence) -> None:
@@ -378,7 +367,7 @@ class CoordinatorActor:
             self._record.gap(frame.index, frame.pts, status)
 
     def _finish(self) -> StreamProgress:
-        self._silence = None  # of a stream that ends it is no fault
+        self._account.silence = None  # of a stream that ends it is no fault
         if self._interrupted:
             self._save_where_it_stands()
             self._record.provisional()
@@ -391,11 +380,11 @@ class CoordinatorActor:
         self._writer.finish()
         self._layers.release_all()
         self._record.close(whole=not self._interrupted)
-        if self._problem is None:
+        if self._account.problem is None:
             try:
-                self._problem = self._source.problem()
+                self._account.problem = self._source.problem()
             except RayError as error:
-                self._problem = str(source_failure(error, self._spec.source, self._read))
+                self._account.problem = str(source_failure(error, self._spec.source, self._account.read))
         return self._progress(done=True)
 
     def _close_after_failure(self) -> None:
@@ -422,45 +411,11 @@ class CoordinatorActor:
         )
 
     def _progress(self, *, done: bool, kept_waiting: bool = False) -> StreamProgress:
-        lengths = [length for length in (self._length, self._spec.max_frames) if length is not None]
-        return StreamProgress(
-            read=self._read,
-            committed=self._record.committed,
-            quarantined=self._counts["quarantined"],
-            dropped=self._counts["dropped"],
-            gaps=self._counts["gap"],
-            layers=len(self._layers),
-            done=done,
-            problem=self._problem,
-            stage_ms=self._stages.take_means(),
-            silence=self._silence,
-            length=min(lengths, default=None),
-            kept_waiting=kept_waiting,
+        return self._account.progress(
+            self._record.committed, len(self._layers), done=done, kept_waiting=kept_waiting
         )
-
-    @property
-    def _read(self) -> int:
-        return self._counts.total() - self._counts["gap"]
 
     def _roles(self) -> dict[str, str]:
         links = self._links
         own = ((links.segmenter, SEGMENTER), (links.pool, POOL), (links.sink, SINK))
         return {identity(handle): role for handle, role in own} | dict(self._layers.roles())
-
-
-class _StageTimes:
-    """Mean wall time by stage over the label maps seen since the last report."""
-
-    def __init__(self) -> None:
-        self._sums: dict[str, float] = {}
-        self._frames = 0
-
-    def add(self, stage_ms: Mapping[str, float]) -> None:
-        self._frames += 1
-        for stage, milliseconds in stage_ms.items():
-            self._sums[stage] = self._sums.get(stage, 0.0) + milliseconds
-
-    def take_means(self) -> dict[str, float]:
-        means = {stage: total / self._frames for stage, total in self._sums.items()}
-        self._sums, self._frames = {}, 0
-        return means
