@@ -284,7 +284,8 @@ def _not_to_be_resumed(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[s
 
 def _words_on_resuming(begun: Mapping[str, Any], description: Mapping[str, Any], ended: int) -> str:
     """What the user should know of a run that is gone on with."""
-    words = f"Going on with the run of {begun['started']}; {count_of(ended, 'stream')} ended before."
+    words = f"Going on with the run of {begun['started']}"
+    words += f"; {count_of(ended, 'stream')} ended before." if ended else "."
     for key in ("versions", "machine"):
         if begun.get(key) != description[key]:
             words += f"\nThe {key} are not those of then (see run.json): label maps from here on may differ."

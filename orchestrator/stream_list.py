@@ -166,18 +166,20 @@ def _sourceless(streams: Sequence[ListedStream]) -> Iterator[tuple[ListedStream,
 
 def _lines(path: Path) -> list[bytes]:
     try:
+        if path.is_dir():
+            raise ConfigError(f"{path} is a folder; write a list with the line NAME {path} and give that.")
         if not path.is_file():
             raise ConfigError(f"There is no list of streams at {path}; give an existing file with --streams.")
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
         raise ConfigError(f"The list {path} cannot be read: {error}.") from error
-    if len(content) > MAX_BYTES:
-        raise ConfigError(f"The list {path} is larger than {MAX_BYTES // 2**20} MiB; split it.")
     if content.startswith(_MEDIA_BEGINNINGS) or content[4:8] == b"ftyp":
         raise ConfigError(
             f"{path} is a video or picture; write a list with the line NAME {path} and give that."
         )
+    if len(content) > MAX_BYTES:
+        raise ConfigError(f"The list {path} is larger than {MAX_BYTES // 2**20} MiB; split it.")
     return content.removeprefix(b"\xef\xbb\xbf").split(b"\n")
 
 

@@ -172,10 +172,9 @@ def test_an_empty_list_is_refused(tmp_path: Path, text: str) -> None:
     assert "no stream" in refusal(tmp_path, text)
 
 
-def test_a_missing_list_and_a_folder_for_a_list_are_refused(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.txt", tmp_path):
-        with pytest.raises(ConfigError, match="--streams"):
-            read_stream_list(path)
+def test_a_missing_list_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--streams"):
+        read_stream_list(tmp_path / "none.txt")
 
 
 def test_a_list_past_its_limits_is_refused_without_reading_on(tmp_path: Path) -> None:
@@ -203,9 +202,15 @@ def test_a_video_or_picture_given_for_the_list_is_told_in_one_sentence(
     content: bytes, tmp_path: Path
 ) -> None:
     given = tmp_path / "street.mp4"
-    given.write_bytes(content)
-    with pytest.raises(ConfigError, match="is a video or picture; write a list"):
-        read_stream_list(given)
+    for length in (0, 9 * 2**20):
+        given.write_bytes(content + bytes(length))
+        with pytest.raises(ConfigError, match="is a video or picture; write a list"):
+            read_stream_list(given)
+
+
+def test_a_folder_given_for_the_list_is_told_in_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is a folder; write a list with the line NAME"):
+        read_stream_list(tmp_path)
 
 
 def test_a_folder_or_glob_of_videos_is_a_stream_for_each(tmp_path: Path) -> None:

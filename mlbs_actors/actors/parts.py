@@ -9,6 +9,7 @@ import os
 import pickle
 import sys
 import tempfile
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -237,12 +238,14 @@ def _hidden(module: str) -> Iterator[None]:
 
 @contextmanager
 def _turn() -> Iterator[None]:
-    """Wait for the other processes of this user; without their order nothing is lost but time.
+    """Wait for this user's other processes of this installation; without order nothing is lost but time.
 
     Those that step back take turns among themselves: who is waited for must not wait for them.
     """
     rank = "-idle" if os.sched_getscheduler(0) == os.SCHED_IDLE else ""
-    lock = FileLock(Path(tempfile.gettempdir()) / f"mlbs-actors-kernels-{os.getuid()}{rank}.lock")
+    installation = zlib.crc32(str(Path(__file__).resolve()).encode())
+    name = f"mlbs-actors-kernels-{os.getuid()}-{installation:08x}{rank}.lock"
+    lock = FileLock(Path(tempfile.gettempdir()) / name)
     with suppress(OSError, Timeout):
         lock.acquire(timeout=TURN_SECONDS)
     try:
