@@ -98,6 +98,10 @@ class LayerWork:
         """Return what the layer remembers after its last step."""
         return self._memory.share(self.part.appearance(), slot)
 
+    def saved(self) -> dict[str, object]:
+        """Return what a snapshot is to hold of it, by the name of the file."""
+        return {layer_file(self._own.layer): self.part.state}
+
     def hand_over(self, slot: Slot) -> LayerStart:
         """What another process goes on with."""
         last = self._order.last
@@ -155,7 +159,6 @@ class LayerActor:
         own = start.own
         part = self._parts.layer(self._config, own.layer, own.kind)
         part.state = self._memory.taken(start.state).state(type(part.state))
-        self._layer = own.layer
         self._work = LayerWork(own, part, self._memory)
 
     def step(self, step: LayerStep) -> Shared[LayerPosterior]:
@@ -166,7 +169,7 @@ class LayerActor:
     def save(self, note: SaveState) -> None:
         """Write the state, beside the work on the next frames."""
         assert self._work is not None  # begun
-        self._writer.write({layer_file(self._layer): self._work.part.state}, note.folder)
+        self._writer.write(self._work.saved(), note.folder)
 
     def release(self, run: int) -> None:
         """Forget the layer, and with it its memory."""

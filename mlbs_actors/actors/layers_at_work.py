@@ -114,7 +114,7 @@ class LayersAtWork:
         """Have the processes write their layers' states; return those of the others by their files."""
         for channel in self._elsewhere.values():
             channel.send(note)
-        return {layer_file(layer): work.part.state for layer, work in self._here.items()}
+        return {name: state for work in self._here.values() for name, state in work.saved().items()}
 
     def close(self) -> None:
         """Let the processes serve no more."""
