@@ -150,8 +150,8 @@ def _finer(
     for level in levels:
         shape = source[level].gray.shape
         flow = resized_flow(flow, shape)
-        for box in boxes:
-            improve_flow(source[level], target[level], flow, _on_level(box, level, shape), effort)
+        parts = [_on_level(box, level, shape) for box in boxes]
+        improve_flow(source[level], target[level], flow, parts, effort)
     return flow
 
 

@@ -12,12 +12,15 @@ around it, which makes better flow than a frame cut to the part.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.lanes import larger, load, magnitude, spread, store
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.variational_refinement import refine_flow
 
@@ -120,9 +123,9 @@ def resized_flow(flow: Array, shape: tuple[int, int]) -> Array:
 
 
 def improve_flow(
-    source: FlowLevel, target: FlowLevel, flow: Array, part: Region, effort: SearchEffort
+    source: FlowLevel, target: FlowLevel, flow: Array, parts: Sequence[Region], effort: SearchEffort
 ) -> None:
-    """Search a part of a level, and refine what is found there.
+    """Search some parts of a level, one after the other, and refine what is found there.
 
     Parameters
     ----------
@@ -130,24 +133,38 @@ def improve_flow(
         Alike in size.
     flow : (2, h, w) float32
         x and y of the motion from ``source`` to ``target`` as it is known so far, px; improved in place.
-    part : Region
-        At least a patch wide and high.
+    parts : sequence of Region
+        Each at least a patch wide and high.
     effort : SearchEffort
     """
-    across = _patch_places(part.x, part.width, effort.stride)
-    down = _patch_places(part.y, part.height, effort.stride)
-    motions = _search(
-        source.gray, target.around, source.slope_x, source.slope_y, flow, across, down,
-        max(1, effort.iterations // 2),
-    )  # fmt: skip
-    window = np.zeros((3, part.height, part.width), np.float32)
-    _densify(source.gray, target.around, motions, across, down, part.x, part.y, window)
-    for _ in range(effort.refinements):
-        refine_flow(source.gray, target.around, part.x, part.y, window, MARGIN, SHADES, SWEEPS)
-    for known, found in zip(flow, window, strict=False):  # the last of the window is the sum of weights
-        known[part.slices] = found
+    if parts:
+        boxes = np.array([(part.x, part.y, part.width, part.height) for part in parts])
+        _improve(
+            source.gray, target.around, source.slope_x, source.slope_y, flow, boxes,
+            max(1, effort.iterations // 2), effort.refinements, effort.stride,
+        )  # fmt: skip
 
 
+@compiled()
+def _improve(
+    gray: Array, around: Array, slope_x: Array, slope_y: Array, flow: Array, boxes: Array, iterations: int,
+    refinements: int, stride: int,
+) -> None:  # fmt: skip
+    """:func:`improve_flow` in boxes (n, 4): left, top, width and height."""
+    for box in range(len(boxes)):
+        left, top, width, height = boxes[box]
+        across, down = _patch_places(left, width, stride), _patch_places(top, height, stride)
+        motions = _search(gray, around, slope_x, slope_y, flow, across, down, iterations)
+        window = np.zeros((3, height, width), np.float32)
+        _densify(gray, around, motions, across, down, left, top, window)
+        for _ in range(refinements):
+            refine_flow(gray, around, left, top, window, MARGIN, SHADES, SWEEPS)
+        for axis in range(2):  # the last of the window is the sum of weights
+            for y in range(height):
+                flow[axis, top + y, left : left + width] = window[axis, y]
+
+
+@compiled()
 def _patch_places(start: int, length: int, stride: int) -> Array:
     """Where patches begin along one axis: the last one ends where the part does."""
     last = start + length - PATCH
@@ -352,23 +369,34 @@ def _densify(
 
     A patch weighs 1 / its difference there in grey levels, at most 1.
     """
-    one, shape = np.float32(1), gray.shape
-    gray, around = gray.reshape(-1), around.reshape(-1)
+    shape, width = gray.shape, window.shape[2]
+    stride, continued = np.uint64(shape[1]), np.uint64(shape[1] + 2 * MARGIN)
+    gray, around, sums = gray.reshape(-1), around.reshape(-1), window.reshape(-1)
+    one, shades = spread(np.float32(1), PATCH), spread(np.float32(SHADES), PATCH)
     for row in range(down.size):
         for column in range(across.size):
             y, x = down[row], across[column]
             u, v = motions[row, column, 0], motions[row, column, 1]
             there, w00, w01, w10, w11 = _source_place(shape, y, x, u, v)
-            for j in range(PATCH):
-                for i in range(PATCH):
-                    moved = _moved(around, there, shape[1], j, i, w00, w01, w10, w11)
-                    shown = np.int32(gray[_place(shape[1], y, x, j, i)]) * np.int32(SHADES)
-                    weight = one / max(one, abs(moved - np.float32(shown)) / np.float32(SHADES))
-                    at_y, at_x = np.uintp(y + j - top), np.uintp(x + i - left)
-                    window[0, at_y, at_x] += weight * u
-                    window[1, at_y, at_x] += weight * v
-                    window[2, at_y, at_x] += weight
+            here, to = _place(shape[1], y, x, 0, 0), _place(width, y - top, x - left, 0, 0)
+            for _ in range(PATCH):
+                moved = _several(around, there, w00) + _several(around, there + np.uint64(1), w01)
+                below = there + continued
+                moved = moved + (_several(around, below, w10) + _several(around, below + np.uint64(1), w11))
+                error = magnitude(moved - load(gray, here, PATCH) * shades) / shades
+                weight, place = one / larger(one, error), to
+                for factor in (u, v, np.float32(1)):
+                    summed = load(sums, place, PATCH) + weight * spread(factor, PATCH)
+                    store(sums, place, summed)
+                    place += np.uint64(window.shape[1] * width)
+                there, here, to = below, here + stride, to + np.uint64(width)
     for y in range(window.shape[1]):
-        for x in range(window.shape[2]):
-            window[0, y, x] /= window[2, y, x]
-            window[1, y, x] /= window[2, y, x]
+        for axis in range(2):
+            for x in range(width):
+                window[axis, y, x] /= window[2, y, x]
+
+
+@compiled(inline="always")
+def _several(values: Array, at: np.uint64, weight: np.float32) -> Any:
+    """A patch's row of some values, times a weight."""
+    return spread(weight, PATCH) * load(values, at, PATCH)

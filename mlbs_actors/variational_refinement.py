@@ -12,9 +12,12 @@ part's sides, and warped anew for each step.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.lanes import load, root, spread, store
 from mlbs_actors.messages import Array
 
 __all__ = ["refine_flow"]
@@ -26,6 +29,9 @@ RELAXATION = np.float32(1.6)
 
 _ZETA2, _EPSILON2 = np.float32(0.1**2), np.float32(0.001**2)
 _HALF, _ONE = np.float32(0.5), np.float32(1)
+
+#: Pixels of a row that are done side by side; the last ones of them may lie past its end.
+LANES = 16
 
 # Kinds of rows, of which the last 16 are kept; each has a pixel more at both ends.
 _ROWS = 16
@@ -77,8 +83,9 @@ def refine_flow(
             _derive(rows, y, width, last, _DIFFERENCE, _XT, _YT)
         y = newest - 2
         if 0 <= y < height:
-            _fit(rows, y, width, last)
             _bind(rows, y, width, last)
+            _fit(rows, y, width, last)
+            _part(rows, y, width)
         for half_sweep in range(half_sweeps):
             y = newest - 3 - half_sweep
             if 0 <= y < height:
@@ -88,14 +95,14 @@ def refine_flow(
             _write_flow(rows, y, width, flow)
 
 
-# A row's loops write one row each, and read no more than eight: what LLVM checks for overlap before it uses
-# vector registers. Rows are places in one array, because slices of their own take longer than a short row.
+# Rows are places in one array, because slices of their own take longer than a short row. What is done past a
+# row's end are numbers like others, and no pixel reads them but with a weight of 0.
 
 
 @compiled(inline="always")
 def _half(width: int) -> int:
-    """Room for every other pixel of a row."""
-    return (width + 3) // 2
+    """Room for every other pixel of a row, and what is done beside the last ones."""
+    return width // (2 * LANES) * LANES + LANES + 2
 
 
 @compiled(inline="always")
@@ -105,8 +112,14 @@ def _row(kind: int, y: int, width: int) -> np.uint64:
 
 
 @compiled(inline="always")
-def _squared(value: np.float32) -> np.float32:
-    return value * value
+def _lanes(rows: Array, kind: int, y: int, width: int, x: int) -> Any:
+    """Some pixels of a row from x on, counted from the one before its first."""
+    return load(rows, _row(kind, y, width) + np.uint64(x), LANES)
+
+
+@compiled(inline="always")
+def _alike(value: np.float32) -> Any:
+    return spread(value, LANES)
 
 
 @compiled(inline="always")
@@ -187,20 +200,15 @@ def _warp(
 
 
 @compiled()
-def _subtract(rows: Array, later: np.uint64, earlier: np.uint64, difference: np.uint64, width: int) -> None:
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        rows[difference + at] = rows[later + at] - rows[earlier + at]
-
-
-@compiled()
 def _derive(rows: Array, y: int, width: int, last: int, of: int, along_x: int, along_y: int) -> None:
     """Differences of the pixels on both sides, once for the frame's mean and once for its difference."""
-    one, here = np.uint64(1), _row(of, y, width)
-    above, below = _row(of, max(y - 1, 0), width), _row(of, min(y + 1, last), width)
+    above, below = max(y - 1, 0), min(y + 1, last)
     x_slope, y_slope = _row(along_x, y, width), _row(along_y, y, width)
-    _subtract(rows, here + one, here - one, x_slope, width)
-    _subtract(rows, below, above, y_slope, width)
+    for x in range(1, width + 1, LANES):
+        across = _lanes(rows, of, y, width, x + 1) - _lanes(rows, of, y, width, x - 1)
+        store(rows, x_slope + np.uint64(x), across)
+        down = _lanes(rows, of, below, width, x) - _lanes(rows, of, above, width, x)
+        store(rows, y_slope + np.uint64(x), down)
     _continue(rows, x_slope, width)
     _continue(rows, y_slope, width)
 
@@ -218,131 +226,123 @@ def _kept(part: int, y: int, width: int, side: int) -> np.uint64:
 
 
 @compiled()
-def _fit(rows: Array, y: int, width: int, last: int) -> None:
-    """The system's part for grey levels and slopes that are to stay."""
-    one, above, below = np.uint64(1), max(y - 1, 0), min(y + 1, last)
-    along_x, along_y, along_t = _row(_X, y, width), _row(_Y, y, width), _row(_DIFFERENCE, y, width)
-    x_above, x_below = _row(_X, above, width), _row(_X, below, width)
-    y_above, y_below = _row(_Y, above, width), _row(_Y, below, width)
-    along_xt, along_yt = _row(_XT, y, width), _row(_YT, y, width)
-    along_xx, along_xy, along_yy = _row(_SPARE, 0, width), _row(_SPARE, 1, width), _row(_SPARE, 2, width)
-    colour, weight = _row(_SPARE, 3, width), _row(_SPARE, 4, width)
-    x_weight, y_weight = _row(_SPARE, 5, width), _row(_SPARE, 6, width)
-    a11, a12, a22 = _made(_A11, width), _made(_A12, width), _made(_A22, width)
-    b1, b2 = _made(_B1, width), _made(_B2, width)
-    _subtract(rows, along_x + one, along_x - one, along_xx, width)
-    _subtract(rows, x_below, x_above, along_xy, width)
-    _subtract(rows, y_below, y_above, along_yy, width)
-    for x in range(1, width + 1):
+def _bind(rows: Array, y: int, width: int, last: int) -> None:
+    """The system's part for smoothness: what binds a pixel to its neighbours."""
+    following = min(y + 1, last)
+    right, below, above = _made(_RIGHT, width), _made(_BELOW, width), _row(_SPARE, _ABOVE, width)
+    strength, share = _alike(_HALF * SMOOTHNESS), _alike(np.float32(y < last))
+    for x in range(1, width + 1, LANES):
         at = np.uint64(x)
-        norm = _squared(rows[along_x + at]) + _squared(rows[along_y + at]) + _ZETA2
-        rows[colour + at] = _HALF * COLOUR / (np.sqrt(_squared(rows[along_t + at]) / norm + _EPSILON2) * norm)
-    for slope, norm_inverse in ((along_xx, x_weight), (along_yy, y_weight)):
-        for x in range(1, width + 1):
-            at = np.uint64(x)
-            norm = _squared(rows[slope + at]) + _squared(rows[along_xy + at]) + _ZETA2
-            rows[norm_inverse + at] = _ONE / norm
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        error = (
-            _squared(rows[along_xt + at]) * rows[x_weight + at]
-            + _squared(rows[along_yt + at]) * rows[y_weight + at]
-        )
-        rows[weight + at] = _HALF * GRADIENT / np.sqrt(error + _EPSILON2)
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        rows[x_weight + at] *= rows[weight + at]
-        rows[y_weight + at] *= rows[weight + at]
-    for along, by_x, by_y, a in ((along_x, along_xx, along_xy, a11), (along_y, along_xy, along_yy, a22)):
-        for x in range(1, width + 1):
-            at = np.uint64(x)
-            slopes = rows[x_weight + at] * _squared(rows[by_x + at])
-            slopes += rows[y_weight + at] * _squared(rows[by_y + at])
-            rows[a + at] = rows[colour + at] * _squared(rows[along + at]) + slopes + _ZETA2
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        slopes = rows[x_weight + at] * rows[along_xx + at] + rows[y_weight + at] * rows[along_yy + at]
-        own = rows[colour + at] * rows[along_x + at] * rows[along_y + at]
-        rows[a12 + at] = own + slopes * rows[along_xy + at]
-    for x in range(1, width + 1):  # from here on the weights stand for what they weigh
-        at = np.uint64(x)
-        rows[colour + at] *= rows[along_t + at]
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        rows[x_weight + at] *= rows[along_xt + at]
-        rows[y_weight + at] *= rows[along_yt + at]
-    for along, by_x, by_y, b in ((along_x, along_xx, along_xy, b1), (along_y, along_xy, along_yy, b2)):
-        for x in range(1, width + 1):
-            at = np.uint64(x)
-            slopes = rows[x_weight + at] * rows[by_x + at] + rows[y_weight + at] * rows[by_y + at]
-            rows[b + at] = -(rows[colour + at] * rows[along + at] + slopes)
+        store(rows, above + at, load(rows, below + at, LANES))
+        u, v = _lanes(rows, _U, y, width, x), _lanes(rows, _V, y, width, x)
+        across_u, across_v = _lanes(rows, _U, y, width, x + 1) - u, _lanes(rows, _V, y, width, x + 1) - v
+        down_u, down_v = _lanes(rows, _U, following, width, x) - u, _lanes(rows, _V, following, width, x) - v
+        across, down = across_u * across_u + across_v * across_v, down_u * down_u + down_v * down_v
+        bond = strength / root(across + down + _alike(_EPSILON2))
+        store(rows, right + at, bond)
+        store(rows, below + at, share * bond)
+    rows[right + np.uint64(width)] = 0
 
 
 @compiled()
-def _bind(rows: Array, y: int, width: int, last: int) -> None:
-    """The system's part for smoothness; the diagonal is turned over, for it is divided by only."""
-    one, following = np.uint64(1), min(y + 1, last)
-    right, below, above = _made(_RIGHT, width), _made(_BELOW, width), _row(_SPARE, _ABOVE, width)
-    for x in range(1, width + 1):
-        rows[above + np.uint64(x)] = rows[below + np.uint64(x)]
-    u, v = _row(_U, y, width), _row(_V, y, width)
-    u_below, v_below = _row(_U, following, width), _row(_V, following, width)
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        across = _squared(rows[u + at + one] - rows[u + at]) + _squared(rows[v + at + one] - rows[v + at])
-        down = _squared(rows[u_below + at] - rows[u + at]) + _squared(rows[v_below + at] - rows[v + at])
-        rows[right + at] = _HALF * SMOOTHNESS / np.sqrt(across + down + _EPSILON2)
-    share = np.float32(y < last)
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        rows[below + at] = share * rows[right + at]
-    rows[right + np.uint64(width)] = 0
-    bonds = _row(_SPARE, 0, width)
-    for x in range(1, width + 1):
-        at = np.uint64(x)
-        beside = rows[right + at] + rows[right + at - one]
-        rows[bonds + at] = beside + rows[below + at] + rows[above + at]
-    for flow, side, diagonal in ((_U, _B1, _A11), (_V, _B2, _A22)):
-        here, b, a = _row(flow, y, width), _made(side, width), _made(diagonal, width)
-        over, under = _row(flow, y - 1, width), _row(flow, following, width)
-        for x in range(1, width + 1):
-            at = np.uint64(x)
-            after, before = rows[here + at + one] - rows[here + at], rows[here + at] - rows[here + at - one]
-            beside = rows[right + at] * after - rows[right + at - one] * before
-            after, before = rows[under + at] - rows[here + at], rows[here + at] - rows[over + at]
-            rows[b + at] += beside + rows[below + at] * after - rows[above + at] * before
-        for x in range(1, width + 1):
-            at = np.uint64(x)
-            rows[a + at] = RELAXATION / (rows[a + at] + rows[bonds + at])
-    # Last, parted: half a sweep reads one half of it and does half of the work.
+def _fit(rows: Array, y: int, width: int, last: int) -> None:
+    """The system's part for grey levels and slopes that are to stay, and then all of the pixel's own; the
+    diagonal is turned over, for it is divided by only."""
+    over, under = max(y - 1, 0), min(y + 1, last)
+    zeta2, epsilon2 = _alike(_ZETA2), _alike(_EPSILON2)
+    for x in range(1, width + 1, LANES):
+        along_x, along_y = _lanes(rows, _X, y, width, x), _lanes(rows, _Y, y, width, x)
+        along_xt, along_yt = _lanes(rows, _XT, y, width, x), _lanes(rows, _YT, y, width, x)
+        along_t = _lanes(rows, _DIFFERENCE, y, width, x)
+        along_xx = _lanes(rows, _X, y, width, x + 1) - _lanes(rows, _X, y, width, x - 1)
+        along_xy = _lanes(rows, _X, under, width, x) - _lanes(rows, _X, over, width, x)
+        along_yy = _lanes(rows, _Y, under, width, x) - _lanes(rows, _Y, over, width, x)
+        xx, xy, yy = along_xx * along_xx, along_xy * along_xy, along_yy * along_yy
+        norm = along_x * along_x + along_y * along_y + zeta2
+        colour = _alike(_HALF * COLOUR) / (root(along_t * along_t / norm + epsilon2) * norm)
+        x_weight, y_weight = _alike(_ONE) / (xx + xy + zeta2), _alike(_ONE) / (yy + xy + zeta2)
+        error = along_xt * along_xt * x_weight + along_yt * along_yt * y_weight
+        weight = _alike(_HALF * GRADIENT) / root(error + epsilon2)
+        x_weight, y_weight = x_weight * weight, y_weight * weight
+
+        at, bound = np.uint64(x), _FIRST + _RIGHT
+        right, left = _lanes(rows, _SPARE, bound, width, x), _lanes(rows, _SPARE, bound, width, x - 1)
+        below, above = _lanes(rows, _SPARE, _FIRST + _BELOW, width, x), _lanes(rows, _SPARE, _ABOVE, width, x)
+        bonds = right + left + below + above
+        a11 = colour * (along_x * along_x) + (x_weight * xx + y_weight * xy) + zeta2
+        a22 = colour * (along_y * along_y) + (x_weight * xy + y_weight * yy) + zeta2
+        a12 = colour * along_x * along_y + (x_weight * along_xx + y_weight * along_yy) * along_xy
+        store(rows, _made(_A11, width) + at, _alike(RELAXATION) / (a11 + bonds))
+        store(rows, _made(_A22, width) + at, _alike(RELAXATION) / (a22 + bonds))
+        store(rows, _made(_A12, width) + at, a12)
+        # From here on the weights stand for what they weigh.
+        colour, x_weight, y_weight = colour * along_t, x_weight * along_xt, y_weight * along_yt
+        pull = _drawn(rows, _U, y, width, under, x, right, left, below, above)
+        push = colour * along_x + (x_weight * along_xx + y_weight * along_xy)
+        store(rows, _made(_B1, width) + at, pull - push)
+        pull = _drawn(rows, _V, y, width, under, x, right, left, below, above)
+        push = colour * along_y + (x_weight * along_xy + y_weight * along_yy)
+        store(rows, _made(_B2, width) + at, pull - push)
+
+
+@compiled(inline="always")
+def _drawn(
+    rows: Array,
+    flow: int,
+    y: int,
+    width: int,
+    under: int,
+    x: int,
+    right: Any,
+    left: Any,
+    below: Any,
+    above: Any,
+) -> Any:
+    """How far a component of the flow is drawn to the neighbours' by the bonds to them."""
+    here = _lanes(rows, flow, y, width, x)
+    after, before = _lanes(rows, flow, y, width, x + 1) - here, here - _lanes(rows, flow, y, width, x - 1)
+    beside = right * after - left * before
+    after, before = _lanes(rows, flow, under, width, x) - here, here - _lanes(rows, flow, y - 1, width, x)
+    return beside + below * after - above * before
+
+
+@compiled()
+def _part(rows: Array, y: int, width: int) -> None:
+    """Keep a row's system parted: half a sweep reads one half of it and does half of the work."""
     made, even, odd = _made(0, width), _kept(0, y, width, 0), _kept(0, y, width, 1)
     for k in range(_PARTS * _half(width)):
         at = np.uint64(k)
-        rows[even + at], rows[odd + at] = rows[made + at + at], rows[made + at + at + one]
+        rows[even + at], rows[odd + at] = rows[made + at + at], rows[made + at + at + np.uint64(1)]
 
 
 @compiled()
 def _relax(rows: Array, y: int, width: int, side: int) -> None:
     """Half a sweep: every other pixel of a row, from its neighbours, which are of the other half."""
-    one, pull, half = np.uint64(1), _row(_SPARE, 0, width), np.uint64(_half(width))
+    half = _half(width)
     # A row has a pixel more at both ends, and the first one is of the first half.
-    first, count = np.uint64(1 - side), (width + side) // 2
-    here, beside = first + np.uint64(side) * half, np.uint64(1 - side) * half
-    right, right_before = _kept(_RIGHT, y, width, side) + first, _kept(_RIGHT, y, width, 1 - side)
-    below, above = _kept(_BELOW, y, width, side) + first, _kept(_BELOW, y - 1, width, side) + first
-    mixed = _kept(_A12, y, width, side) + first
-    for of, another, constant, diagonal in ((_DU, _DV, _B1, _A11), (_DV, _DU, _B2, _A22)):
-        own, other = _row(of, y, width) + here, _row(another, y, width) + here
-        b, a = _kept(constant, y, width, side) + first, _kept(diagonal, y, width, side) + first
-        before = _row(of, y, width) + beside
-        over, under = _row(of, y - 1, width) + here, _row(of, y + 1, width) + here
-        for k in range(count):
-            at = np.uint64(k)
-            across = rows[right + at] * rows[before + at + one] + rows[right_before + at] * rows[before + at]
-            rows[pull + at] = (
-                across + rows[below + at] * rows[under + at] + rows[above + at] * rows[over + at]
-            )
-        for k in range(count):
-            at = np.uint64(k)
-            drawn = rows[pull + at] + rows[b + at] - rows[mixed + at] * rows[other + at]
-            rows[own + at] += rows[a + at] * drawn - RELAXATION * rows[own + at]
+    first, count = 1 - side, (width + side) // 2
+    before = _kept(_RIGHT, y, width, 1 - side)
+    right, below = _kept(_RIGHT, y, width, side), _kept(_BELOW, y, width, side)
+    above, mixed = _kept(_BELOW, y - 1, width, side), _kept(_A12, y, width, side)
+    for k in range(0, count, LANES):
+        at, own, beside = np.uint64(first + k), first + side * half + k, (1 - side) * half + k
+        after, earlier = load(rows, right + at, LANES), load(rows, before + np.uint64(k), LANES)
+        lower, upper = load(rows, below + at, LANES), load(rows, above + at, LANES)
+        change_u, change_v = _lanes(rows, _DU, y, width, own), _lanes(rows, _DV, y, width, own)
+        mix = load(rows, mixed + at, LANES)
+
+        pull = after * _lanes(rows, _DU, y, width, beside + 1) + earlier * _lanes(rows, _DU, y, width, beside)
+        pull = pull + lower * _lanes(rows, _DU, y + 1, width, own)
+        pull = pull + upper * _lanes(rows, _DU, y - 1, width, own)
+        drawn = pull + load(rows, _kept(_B1, y, width, side) + at, LANES) - mix * change_v
+        share = load(rows, _kept(_A11, y, width, side) + at, LANES)
+        change_u = change_u + (share * drawn - _alike(RELAXATION) * change_u)
+        store(rows, _row(_DU, y, width) + np.uint64(own), change_u)
+
+        pull = after * _lanes(rows, _DV, y, width, beside + 1) + earlier * _lanes(rows, _DV, y, width, beside)
+        pull = pull + lower * _lanes(rows, _DV, y + 1, width, own)
+        pull = pull + upper * _lanes(rows, _DV, y - 1, width, own)
+        drawn = pull + load(rows, _kept(_B2, y, width, side) + at, LANES) - mix * change_u
+        share = load(rows, _kept(_A22, y, width, side) + at, LANES)
+        change_v = change_v + (share * drawn - _alike(RELAXATION) * change_v)
+        store(rows, _row(_DV, y, width) + np.uint64(own), change_v)

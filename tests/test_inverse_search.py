@@ -143,7 +143,7 @@ def test_a_fractional_shift_is_found_on_the_finest_level_in_a_part_alone() -> No
     [before], [after] = (flow_levels(np.ascontiguousarray(one), 0) for one in (source, target))
     flow = np.zeros((2, 96, 128), np.float32)
     part = Region(30, 20, 61, 47)
-    improve_flow(before, after, flow, part, EFFORT)
+    improve_flow(before, after, flow, [part], EFFORT)
     inside = flow[(slice(None), *part.slices)]
     np.testing.assert_allclose(np.median(inside, axis=(1, 2)), [0.75, -0.5], atol=0.05)
     inside[:] = 0
@@ -157,7 +157,7 @@ def test_patches_take_over_what_their_neighbours_have_found() -> None:
     [before], [after] = flow_levels(source, 0), flow_levels(target, 0)
     flow = np.zeros((2, 96, 128), np.float32)
     flow[0, 44:52, 60:68] = -12
-    improve_flow(before, after, flow, Region(0, 0, 128, 96), EFFORT)
+    improve_flow(before, after, flow, [Region(0, 0, 128, 96)], EFFORT)
     found = flow[:, 8:-8, 24:-8]
     assert (np.hypot(found[0] + 12, found[1]) < 0.3).mean() > 0.95
 
@@ -167,7 +167,7 @@ def test_smooth_frames_and_motions_out_of_them_give_finite_flow(motion: tuple[fl
     [level] = flow_levels(np.full((16, 24), 90, np.uint8), 0)
     flow = np.empty((2, 16, 24), np.float32)
     flow[0], flow[1] = motion
-    improve_flow(level, level, flow, Region(0, 0, 24, 16), EFFORT)
+    improve_flow(level, level, flow, [Region(0, 0, 24, 16)], EFFORT)
     assert np.isfinite(flow).all()
 
 
@@ -194,3 +194,16 @@ def test_flow_is_stated_in_pixels_of_the_grid_it_is_resized_to() -> None:
     assert finer.shape == (2, 20, 40)
     np.testing.assert_allclose(finer[:, 5, 5], [3.0, -4.0])
     assert resized_flow(flow, (10, 20)) is flow
+
+
+def test_parts_are_improved_as_if_each_were_alone() -> None:
+    [before], [after] = flow_levels(texture(48, 64, 1), 0), flow_levels(texture(48, 64, 2), 0)
+    parts = [Region(2, 3, 20, 17), Region(30, 8, 25, 31), Region(4, 30, 9, 8)]
+    together = np.random.default_rng(0).normal(0, 1, (2, 48, 64)).astype(np.float32)
+    by_turns = together.copy()
+    improve_flow(before, after, together, parts, EFFORT)
+    for part in parts:
+        improve_flow(before, after, by_turns, [part], EFFORT)
+    np.testing.assert_array_equal(together, by_turns)
+    improve_flow(before, after, by_turns, [], EFFORT)
+    np.testing.assert_array_equal(together, by_turns)

@@ -91,7 +91,13 @@ def refined_by_loops(source: Array, target: Array, part: Region, flow: Array, sw
 
 
 @pytest.mark.parametrize("sweeps", [1, 3, 5])
-@pytest.mark.parametrize("part", [Region(0, 0, 37, 26), Region(9, 5, 16, 8), Region(20, 10, 17, 16)])
+@pytest.mark.parametrize(
+    "part",
+    [
+        Region(0, 0, 37, 26), Region(9, 5, 16, 8), Region(20, 10, 17, 16), Region(0, 3, 31, 9),
+        Region(5, 0, 32, 9), Region(4, 17, 33, 9),
+    ],
+)  # fmt: skip
 def test_a_step_is_that_of_plain_loops(part: Region, sweeps: int) -> None:
     source, target = textures((26, 37), sweeps)
     flow = np.random.default_rng(part.x).normal(0, 1.0, (2, part.height, part.width)).astype(np.float32)

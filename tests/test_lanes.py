@@ -1,0 +1,45 @@
+"""Numbers side by side, against NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mlbs_actors.compilation import compiled
+from mlbs_actors.lanes import larger, load, magnitude, root, spread, store
+from mlbs_actors.messages import Array
+
+
+@compiled()
+def _of_sixteen(values: Array, result: Array) -> None:
+    one, other = load(values, np.uint64(1), 16), load(values, np.uint64(4), 16)
+    store(result, np.uint64(0), one + other)
+    store(result, np.uint64(16), one - other)
+    store(result, np.uint64(32), one * other)
+    store(result, np.uint64(48), one / other)
+    store(result, np.uint64(64), root(magnitude(one)) + spread(np.float32(0.1), 16))
+    store(result, np.uint64(80), larger(one, other))
+
+
+@compiled()
+def _of_eight_bytes(values: Array, result: Array) -> None:
+    store(result, np.uint64(2), load(values, np.uint64(3), 8) / spread(np.float32(3), 8))
+
+
+def test_operations_are_those_on_single_numbers() -> None:
+    values = np.random.default_rng(0).normal(0, 10, 20).astype(np.float32)
+    one, other = values[1:17], values[4:20]
+    result = np.zeros(96, np.float32)
+    _of_sixteen(values, result)
+    expected = [one + other, one - other, one * other, one / other]
+    expected += [np.sqrt(abs(one)) + np.float32(0.1), np.maximum(one, other)]
+    np.testing.assert_array_equal(result, np.concatenate(expected))
+
+
+@pytest.mark.parametrize("most", [1, 255])
+def test_bytes_become_numbers_and_nothing_beside_is_written(most: int) -> None:
+    values = np.random.default_rng(0).integers(0, most, 11, np.uint8, endpoint=True)
+    result = np.zeros(12, np.float32)
+    _of_eight_bytes(values, result)
+    np.testing.assert_array_equal(result[2:10], values[3:].astype(np.float32) / np.float32(3))
+    assert not result[[0, 1, 10, 11]].any()
