@@ -19,7 +19,7 @@ Differs from the paper:
   labels the first one ends in a global optimum. An expansion is tried again only where something has
   changed: the last one was the best there.
 * Of more than ``LARGE`` pixels, only those near the outlines of a coarser solution are cut (``coarse_cut``),
-  in one sweep.
+  in one sweep; how many are too many depends on how coarse they are already.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ __all__ = [
 
 _MAX_LABEL_COST = 2**50
 
-#: Images of more pixels are labelled coarse to fine.
-LARGE = 16384
+#: So many pixels, blocks of 2×2 pixels (whose costs hardly differ), and larger blocks (legs are thinner)
+#: are cut as they are; more are labelled coarse to fine.
+LARGE = (2048, 4096, 16384)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +119,13 @@ def lowest_labels(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> Array:
     return _minimise(whole, max_sweeps)[0]
 
 
-def _minimise(whole: LabelCostEnergy, max_sweeps: int) -> tuple[Array, list[int], bool, float]:
+def _minimise(
+    whole: LabelCostEnergy, max_sweeps: int, level: int = 0
+) -> tuple[Array, list[int], bool, float]:
     """Labels, energies up to a constant, whether nothing lowers them, and the fraction decided."""
     shape = whole.weights.shape[:2]
-    if shape[0] * shape[1] > LARGE:
-        band = band_around_outlines(whole, _minimise(halved(whole), max_sweeps)[0])
+    if shape[0] * shape[1] > LARGE[min(level, len(LARGE) - 1)]:
+        band = band_around_outlines(whole, _minimise(halved(whole), max_sweeps, level + 1)[0])
         labels, rest, start = band.labels, band.rest, band.start
         # The outlines are nearly there: a second sweep over a band would move hardly a pixel.
         max_sweeps = 1

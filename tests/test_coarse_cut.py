@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
-from test_graph_cut import in_quanta, problem_of, random_problem, slow_energy
+from test_graph_cut import in_quanta, laid_out, pairs, problem_of, random_problem, slow_energy
 
 from mlbs_actors import graph_cut
 from mlbs_actors.coarse_cut import MAX_BLOCK_COST, band_around_outlines, halved
 from mlbs_actors.contrast import MAX_COST, contrast_weights
 from mlbs_actors.graph_cut import lowest_labels, minimise
-from mlbs_actors.label_cost_energy import UNDECIDED, LabelCostEnergy
+from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS, UNDECIDED, LabelCostEnergy
 from mlbs_actors.messages import Array
 
 
@@ -34,16 +36,72 @@ def moving_scene(seed: int) -> LabelCostEnergy:
     return problem_of(unary, contrast_weights(image), np.array([0.0, 20.0, 20.0, 20.0]))
 
 
-@pytest.mark.parametrize("shape", [(3, 6, 8), (2, 5, 7), (3, 1, 6), (2, 7, 1), (2, 1, 1)])
+def slow_halved_weights(weights: Array) -> Array:
+    """Sums over the pairs of two blocks, by what the cheapest outline nearby costs of one at their edge."""
+    all_pairs, size = pairs(weights), weights.shape[:2]
+
+    def outline(axis: int, place: int, block: int) -> int:
+        """Between the lines ``place`` and ``place + 1`` of the image, along a block."""
+        return sum(
+            w
+            for one, other, w in all_pairs
+            if {one[axis], other[axis]} == {place, place + 1} and one[1 - axis] // 2 == block
+        )
+
+    def share(axis: int, edge: int, block: int) -> float:
+        middle = 2 * edge + 1
+        there = outline(axis, middle, block) if middle < size[axis] - 1 else 0
+        near = [outline(axis, place, block) for place in range(middle - 1, min(middle + 2, size[axis] - 1))]
+        return min(near) / there if there else 1.0
+
+    joined: dict[tuple[int, int, int, int], int] = {}
+    for one, other, w in all_pairs:
+        blocks = sorted([(one[0] // 2, one[1] // 2), (other[0] // 2, other[1] // 2)])
+        joined[(*blocks[0], *blocks[1])] = joined.get((*blocks[0], *blocks[1]), 0) + w
+    found = np.zeros((-(-size[0] // 2), -(-size[1] // 2), 4), np.int32)
+    for (v, u, below, beside), w in joined.items():
+        shares = [share(1, min(u, beside), v)] if u != beside else []
+        shares += [share(0, v, u)] if v != below else []
+        for k in range(4):
+            if shares and tuple(NEIGHBOUR_OFFSETS[k]) == (below - v, beside - u):
+                found[v, u, k] = int(w * min(shares))
+    return found
+
+
+SHAPES = [(3, 6, 8), (2, 5, 7), (3, 1, 6), (2, 7, 1), (2, 1, 1)]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("seed", range(3))
-def test_a_labelling_of_blocks_has_the_same_energy_on_both_scales(
+def test_a_labelling_of_blocks_has_the_same_energy_on_both_scales_where_all_places_are_alike(
     seed: int, shape: tuple[int, int, int]
 ) -> None:
-    problem = random_problem(seed, shape, 5.0)
+    _, height, width = shape
+    sizes = ((height, width - 1), (height - 1, width), (height - 1, width - 1), (height - 1, width - 1))
+    alike = laid_out(*(np.full(one, 100 + 10 * seed + kind) for kind, one in enumerate(sizes)))
+    problem = replace(random_problem(seed, shape, 5.0), weights=alike)
     coarse = halved(problem)
     rng = np.random.default_rng(seed)
     blocks = rng.integers(0, shape[0], coarse.unary.shape[1:])
     assert slow_energy(blocks, coarse) == slow_energy(unhalved(blocks, shape[1:]), problem)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("seed", range(3))
+def test_an_outline_of_blocks_costs_what_the_cheapest_one_near_it_does(
+    seed: int, shape: tuple[int, int, int]
+) -> None:
+    problem = random_problem(seed, shape, 5.0)
+    np.testing.assert_array_equal(halved(problem).weights, slow_halved_weights(problem.weights))
+
+
+def test_an_edge_of_the_image_between_the_pixels_of_a_block_is_not_lost() -> None:
+    costly = np.full((8, 8, 4), 50, np.int32)
+    costly[:, 2, [0, 2]] = costly[:, 3, 3] = 1
+    costly[:, -1, 0] = costly[-1, :, 1:] = costly[:, -1, 2] = costly[:, 0, 3] = 0
+    coarse = halved(LabelCostEnergy(np.zeros((2, 8, 8), np.int32), costly, np.zeros(2, np.int64)))
+    # Columns 2 and 3 are a block: its outlines to either side cost what the edge within it does.
+    assert coarse.weights[:, [0, 1], 0].max() <= 4 < coarse.weights[:, 2, 0].min()
 
 
 @pytest.mark.parametrize("side", [1, 2, 3])
@@ -138,7 +196,7 @@ def test_a_label_that_can_only_be_in_its_place_costs_too_much_elsewhere(
         placed = LabelCostEnergy(unary, problem.weights, problem.label_costs, side, pulls, places)
         labels = minimise(plain).labels
         assert placed.energy(labels) == slow_energy(labels, plain.of_pixels())
-        for large in (10**6, 20):
+        for large in ((10**6,), (20,)):
             monkeypatch.setattr(graph_cut, "LARGE", large)
             np.testing.assert_array_equal(lowest_labels(placed), lowest_labels(plain))
             np.testing.assert_array_equal(minimise(placed).labels, minimise(plain).labels)
@@ -150,7 +208,7 @@ def test_coarse_to_fine_finds_nearly_the_labels_of_the_whole_cut(
 ) -> None:
     problem = moving_scene(seed)
     exact = minimise(problem)
-    monkeypatch.setattr(graph_cut, "LARGE", 2000)
+    monkeypatch.setattr(graph_cut, "LARGE", (2000,))
     found = minimise(problem)
     assert found.energy == slow_energy(found.labels, problem)
     blank = slow_energy(np.zeros((80, 96), np.intp), problem)
@@ -167,5 +225,27 @@ def test_smooth_costs_give_the_very_same_labels(monkeypatch: pytest.MonkeyPatch)
     image = np.full((64, 64, 3), 90, np.uint8)
     problem = LabelCostEnergy(in_quanta(unary), contrast_weights(image), np.zeros(2, np.int64))
     exact = minimise(problem).labels
-    monkeypatch.setattr(graph_cut, "LARGE", 2000)
+    monkeypatch.setattr(graph_cut, "LARGE", (2000,))
     np.testing.assert_array_equal(minimise(problem).labels, exact)
+
+
+def test_every_coarser_level_has_its_own_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = moving_scene(1)  # 7680 px: 1920 blocks, or 480 blocks of blocks, or 120 of those
+
+    def in_bands(whole: LabelCostEnergy, levels: int) -> Array:
+        if levels == 0:
+            monkeypatch.setattr(graph_cut, "LARGE", (10**6,))
+            return lowest_labels(whole)
+        band = band_around_outlines(whole, in_bands(halved(whole), levels - 1))
+        labels = band.labels.copy()
+        labels.reshape(-1)[band.rest.pixels] = graph_cut._search(band.rest, band.start, 1)[0]
+        return labels
+
+    bounds = {0: (7680, 1), 1: (7679, 1920, 1), 2: (7679, 1919, 480), 3: (400,)}
+    found = {}
+    for levels, large in bounds.items():
+        expected = in_bands(problem, levels)
+        monkeypatch.setattr(graph_cut, "LARGE", large)
+        found[levels] = lowest_labels(problem)
+        np.testing.assert_array_equal(found[levels], expected)
+    assert len({labels.tobytes() for labels in found.values()}) == len(bounds)
