@@ -13,6 +13,9 @@ from pathlib import Path
 
 import pytest
 import ray
+from actor_fakes import FakeParts
+
+from mlbs_actors.actors import Node, PoolPolicy
 
 _OBJECT_STORE_BYTES = 100_000_000
 
@@ -55,3 +58,19 @@ def ray_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RaySession
             # Ray drops the handles of the processes it has ended without waiting for them.
             warnings.simplefilter("ignore", ResourceWarning)
             gc.collect()
+
+
+@pytest.fixture
+def parts(tmp_path: Path) -> FakeParts:
+    """Parts of a stream that do next to nothing; a test that wants others has a fixture of its own."""
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    return FakeParts(folder)
+
+
+@pytest.fixture
+def node(ray_session: RaySession, parts: FakeParts) -> Iterator[Node]:
+    """This machine, with one spare layer process."""
+    node = Node(parts=parts, policy=PoolPolicy(spare=1, idle_seconds=0.5))
+    yield node
+    node.close()
