@@ -32,7 +32,9 @@ __all__ = [
     "SPREAD_STEP",
     "AppearanceModel",
     "empty_model",
+    "learn_colours",
     "median_colours",
+    "moved_stacks",
     "update",
     "warp_model",
 ]
@@ -72,6 +74,11 @@ class AppearanceModel:
     spread: Array
     residual: Array
 
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Samples, count, newest, spread and residual, for compiled functions."""
+        return self.samples, self.count, self.newest, self.spread, self.residual
+
 
 def empty_model(region: Region, sample_count: int = 20) -> AppearanceModel:
     """Return a model that knows nothing, for ``sample_count`` ≤ 255 samples a pixel."""
@@ -107,39 +114,46 @@ def warp_model(model: AppearanceModel, new_region: Region, motion: Array) -> App
     -----
     Paper §6.1; see :mod:`mlbs_actors.warp`.
     """
-    if model.region.area == 0:
-        return empty_model(new_region, model.samples.shape[3])
-    source, residual = nearest_sources(model.residual, model.region, new_region, motion)
-    shape = source.shape
-    samples = np.empty((*shape, *model.samples.shape[2:]), np.uint8)
-    count, newest, spread = np.empty(shape, np.uint8), np.empty(shape, np.uint8), np.empty(shape, np.uint8)
-    _take_over(
-        source.ravel(),
-        _stacks(model.samples),
-        model.count.ravel(),
-        model.newest.ravel(),
-        model.spread.ravel(),
-        _stacks(samples),
-        count.ravel(),
-        newest.ravel(),
-        spread.ravel(),
+    old = model.region
+    shift_x, shift_y = new_region.x - old.x, new_region.y - old.y
+    moved = moved_stacks(
+        model.samples, model.count, model.newest, model.spread, model.residual, shift_x, shift_y, motion
     )
-    return AppearanceModel(new_region, samples, count, newest, spread, residual)
+    return AppearanceModel(new_region, *moved)
 
 
-def _stacks(samples: Array) -> Array:
-    """The stacks one by one, (h·w, m), as the widest words that they are made of: fewer to copy."""
-    size = 3 * samples.shape[3]
-    word = next(one for one in (np.uint64, np.uint32, np.uint16, np.uint8) if size % one().itemsize == 0)
-    return samples.reshape(-1, size).view(word)
+@compiled()
+def moved_stacks(
+    samples: Array, count: Array, newest: Array, spread: Array, residual: Array, shift_x: int, shift_y: int,
+    motion: Array,
+) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
+    """The arrays of :func:`warp_model`, for a region that begins so far from the old one's corner."""
+    source, new_residual = nearest_sources(residual, shift_x, shift_y, motion)
+    shape, size = source.shape, 3 * samples.shape[3]
+    new_samples = np.empty((shape[0], shape[1], 3, samples.shape[3]), np.uint8)
+    new_count, new_newest = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
+    new_spread = np.empty(shape, np.uint8)
+    told = (source.reshape(-1), count.reshape(-1), newest.reshape(-1), spread.reshape(-1))
+    room = (new_count.reshape(-1), new_newest.reshape(-1), new_spread.reshape(-1))
+    old, new = samples.reshape(-1), new_samples.reshape(-1)
+    if size % 8 == 0:  # in words: fewer to copy
+        _take_over(told, old.view(np.uint64), size // 8, room, new.view(np.uint64))
+    else:
+        _take_over(told, old, size, room, new)
+    return new_samples, new_count, new_newest, new_spread, new_residual
 
 
 @compiled()
 def _take_over(
-    source: Array, stacks: Array, count: Array, newest: Array, spread: Array,
-    new_stacks: Array, new_count: Array, new_newest: Array, new_spread: Array,
-) -> None:  # fmt: skip
-    words, old, new = stacks.shape[1], stacks.reshape(-1), new_stacks.reshape(-1)
+    told: tuple[Array, Array, Array, Array],
+    old: Array,
+    words: int,
+    room: tuple[Array, Array, Array],
+    new: Array,
+) -> None:
+    """Move stacks of so many words, and counts, newest and spreads, from the places in the first array."""
+    source, count, newest, spread = told
+    new_count, new_newest, new_spread = room
     for pixel in range(source.size):
         place = source[pixel]
         if place < 0 or count[place] == 0:  # where nothing is known all is 0, and need not be read
@@ -153,7 +167,7 @@ def _take_over(
                 new[new_first + np.uint64(word)] = old[first + np.uint64(word)]
         else:
             for word in range(words):
-                new_stacks[pixel, word] = stacks[place, word]
+                new[np.uint64(pixel * words + word)] = old[np.uint64(place * words + word)]
         new_count[pixel], new_newest[pixel], new_spread[pixel] = count[place], newest[place], spread[place]
 
 
@@ -170,13 +184,14 @@ def update(model: AppearanceModel, image: Array, mask: Array) -> None:
         The layer's pixels in the published map. A full stack forgets its oldest sample.
     """
     image = np.ascontiguousarray(image)
-    _update(model.samples, model.count, model.newest, model.spread, model.residual, image, mask)
+    learn_colours(model.samples, model.count, model.newest, model.spread, model.residual, image, mask)
 
 
 @compiled()
-def _update(
+def learn_colours(
     samples: Array, count: Array, newest: Array, spread: Array, residual: Array, image: Array, mask: Array
 ) -> None:
+    """:func:`update` of a model's arrays."""
     capacity, width = samples.shape[3], mask.shape[1]
     half, third, rate = np.float32(0.5), np.float32(1 / (3 * SPREAD_STEP)), np.float32(_SPREAD_RATE)
     planes, colours = padded_planes(image), np.empty((3, width), np.float32)

@@ -36,14 +36,7 @@ from mlbs_actors.flow_focus import focus_boxes, focus_cells
 from mlbs_actors.held_frames import HeldFrame, by_layer, first_frame, held_frame, relabelled
 from mlbs_actors.label_classes import UNLABELLED, distinct_labels
 from mlbs_actors.layer_registry import LayerRegistry, RegistryState
-from mlbs_actors.messages import (
-    BACKGROUND,
-    Array,
-    FrameEvidence,
-    LayerEvidence,
-    LayerKind,
-    Segmentation,
-)
+from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerKind, LayerTracks, Segmentation
 from mlbs_actors.motion_merging import merge_by_motion
 from mlbs_actors.reidentification import colours_at
 from mlbs_actors.tracking import track
@@ -351,13 +344,13 @@ class Coordinator:
         positions, motions, starts = by_layer(
             np.array(live), owner, held.evidence, least, held.positions, held.motions
         )
-        layers = []
+        tracks = []
         for one, start, end in zip(live, starts[:-1].tolist(), starts[1:].tolist(), strict=True):
             kind: LayerKind = (
                 "background" if one == BACKGROUND else "other" if one == state.registry.other else "object"
             )
             last_frame = state.evaluated.get(one, -1)
-            layers.append(LayerEvidence(one, kind, last_frame, positions[start:end], motions[start:end]))
+            tracks.append(LayerTracks(one, kind, last_frame, start, end))
         state.evaluated = dict.fromkeys(live, held.frame_index)
         return FrameEvidence(
             frame_index=held.frame_index,
@@ -366,7 +359,9 @@ class Coordinator:
             flow=held.flow,
             flow_reliable=held.flow_reliable,
             unexplained=held.unexplained,
-            layers=tuple(layers),
+            tracks=tuple(tracks),
+            positions=positions,
+            motions=motions,
             retired=tuple(sorted(retired)),
             latency_frames=state.next_frame - 1 - held.frame_index,
             stage_ms=held.stage_ms,

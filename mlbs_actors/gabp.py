@@ -130,25 +130,42 @@ class MotionField:
 
     def dense(self) -> Array:
         """Mean at every pixel: (h, w, 2) float32, px/frame; bilinear, constant past the outer nodes."""
-        return to_pixels(self.mean, self.spacing, self.shape)
+        return np.asarray(to_pixels(self.mean, self.spacing, *self.shape))
 
     def dense_variance(self) -> Array:
         """Variance at every pixel: (h, w) float32, px², interpolated like :meth:`dense`."""
-        return to_pixels(self.variance, self.variance_spacing, self.shape)
+        return np.asarray(to_pixels(self.variance[..., None], self.variance_spacing, *self.shape)[..., 0])
 
     def of_cells(self, side: int) -> Array:
         """Mean over the pixels of each cell of this side: (⌈h/side⌉, ⌈w/side⌉, 2) float32, px/frame."""
-        return self._in_cells(self.mean, self.spacing, side)
+        return np.asarray(to_pixels(*self.mean_nodes(side), *grid_shape(self.shape, side)))
 
     def variance_of_cells(self, side: int) -> Array:
         """Variance, mean over the pixels of each cell of this side: (⌈h/side⌉, ⌈w/side⌉) float32, px²."""
-        return self._in_cells(self.variance, self.variance_spacing, side)
+        return np.asarray(to_pixels(*self.variance_nodes(side), *grid_shape(self.shape, side))[..., 0])
 
-    def _in_cells(self, nodes: Array, spacing: int, side: int) -> Array:
-        if spacing % side:
-            return mean_of_cells(to_pixels(nodes, spacing, self.shape), side)
-        # As the field is linear between the nodes, the value in the middle of a cell is nearly its mean.
-        return to_pixels(nodes, spacing // side, (-(-self.shape[0] // side), -(-self.shape[1] // side)))
+    def mean_nodes(self, side: int) -> tuple[Array, int]:
+        """Of which the mean over the pixels of each cell of this side is interpolated, and their spacing.
+
+        Returns
+        -------
+        nodes : (rows, columns, 2) float32
+            px/frame.
+        spacing : int
+            Cells.
+        """
+        return self._nodes_of_cells(self.mean, self.spacing, side)
+
+    def variance_nodes(self, side: int) -> tuple[Array, int]:
+        """Of which the variance over the pixels of each cell is interpolated, as :meth:`mean_nodes`."""
+        return self._nodes_of_cells(self.variance[..., None], self.variance_spacing, side)
+
+    def _nodes_of_cells(self, nodes: Array, spacing: int, side: int) -> tuple[Array, int]:
+        if spacing % side == 0:
+            # As the field is linear between the nodes, the value in the middle of a cell is nearly its mean.
+            return nodes, spacing // side
+        means = mean_of_cells(to_pixels(nodes, spacing, *self.shape), side)
+        return means.reshape(*means.shape[:2], -1), 1
 
 
 def motion_field(

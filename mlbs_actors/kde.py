@@ -34,6 +34,8 @@ from mlbs_actors.row_log import row_log
 __all__ = [
     "AppearanceParameters",
     "confidence",
+    "density_tables",
+    "log_densities",
     "log_likelihood",
     "warp_and_evaluate",
 ]
@@ -99,7 +101,7 @@ def log_likelihood(
     """
     result = np.full(model.count.shape, np.nan, np.float32)
     needed = np.ones(model.count.shape, np.bool_) if needed is None else needed
-    _evaluate(
+    log_densities(
         model.samples,
         model.count,
         model.spread,
@@ -108,7 +110,7 @@ def log_likelihood(
         needed,
         np.float32(parameters.bandwidth_floor),
         np.float32(parameters.registration),
-        *_tables(parameters),
+        *density_tables(parameters),
         result,
     )
     return result
@@ -149,7 +151,7 @@ def warp_and_evaluate(
 
 
 @functools.lru_cache(maxsize=16)
-def _tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
+def density_tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
     """Log to base 2 of a kernel per squared grey level, and (σ√2π)⁻³, for the 256 values of ``spread``."""
     bandwidth = np.maximum(np.arange(256) * SPREAD_STEP, parameters.bandwidth_floor)
     exponent = (-1.0 / (2.0 * np.log(2.0) * bandwidth**2)).astype(np.float32)
@@ -202,10 +204,11 @@ def _slopes(
 
 
 @compiled()
-def _evaluate(
+def log_densities(
     samples: Array, count: Array, spread: Array, residual: Array, image: Array, needed: Array,
     floor: np.float32, registration: np.float32, exponent: Array, norm: Array, result: Array,
 ) -> None:  # fmt: skip
+    """:func:`log_likelihood` into NaNs, with the model's arrays and :func:`density_tables`."""
     width, slots, stacks = result.shape[1], samples.shape[3], samples.reshape(-1)
     lanes = -(-slots // 4) * 4  # slots of a pixel among the kernels, of which four are summed at once
     planes, colours = padded_planes(image), np.empty((3, width), np.float32)

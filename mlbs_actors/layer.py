@@ -39,15 +39,15 @@ import cv2
 import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
-from mlbs_actors.cells import cell_side, cells_won, in_cells, mean_of_cells, spread_over_cells
-from mlbs_actors.compilation import compiled
+from mlbs_actors.cells import cells_won, in_cells, spread_over_cells
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
+from mlbs_actors.fusion import LIKELIHOOD, appearance_tables
 from mlbs_actors.gabp import MotionField, MotionParameters, motion_field
-from mlbs_actors.kde import AppearanceParameters, confidence, warp_and_evaluate
-from mlbs_actors.layer_cost import finished_posterior, layer_cost, quantised_colours
-from mlbs_actors.learning import near_trajectories, trusted_background
+from mlbs_actors.layer_cost import finished_posterior
+from mlbs_actors.layer_view import LastFrame, LayerView
 from mlbs_actors.messages import (
+    COST_STEP,
     Array,
     FrameEvidence,
     LayerAppearance,
@@ -58,10 +58,9 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 from mlbs_actors.node_grid import node_positions
-from mlbs_actors.object_regions import contested, median_motion, object_region
-from mlbs_actors.photometric import FramePart, photometric_advantage
+from mlbs_actors.object_frame import finished_object
+from mlbs_actors.object_regions import box_of, contested, median_motion, object_region
 from mlbs_actors.region_groups import slices_in
-from mlbs_actors.warp import warp_map
 
 __all__ = ["Layer", "LayerState"]
 
@@ -147,7 +146,7 @@ class Layer:
             prior_std_px=config.motion.prior_std_px,
             robust_px=config.motion.robust_px,
         )
-        self._trust = confidence(np.arange(256), self._density(1))
+        self._view: LayerView | None = None
 
     def step(
         self,
@@ -189,85 +188,39 @@ class Layer:
             previous = None
         posterior = self._finish(previous)
         finished = perf_counter()
-        shape, margin = frame_evidence.shape, self.config.posterior.region_margin_px
-        side = cell_side(shape, self.config.appearance.cell_px)
+        view = self._view
+        if view is None or view.shape != frame_evidence.shape:
+            view = self._view = LayerView(self.config, self.kind, frame_evidence.shape)
+        side, margin = view.side, self.config.posterior.region_margin_px
+        last = LastFrame(state.region, state.model, state.image, posterior)
         if self.kind == "background":
-            home = Region(0, 0, shape[1], shape[0])
+            home = Region(0, 0, frame.shape[1], frame.shape[0])
             region, needed = contested(frame_evidence, previous, margin, side)
+            field = self.motion_field(evidence, frame_evidence, home)
+            moved = perf_counter()
+            seen = view.of_background(frame, evidence, frame_evidence, last, region, needed, field)
         else:
-            home = region = object_region(evidence, previous, shape, margin, side)
-            own = in_cells(region, side)
-            needed = np.ones((own.height, own.width), np.bool_)
-        cells = in_cells(region, side)
-        field = self.motion_field(evidence, frame_evidence, home)
-        part = slices_in(cells, in_cells(home, side))
-        home_motion = field.of_cells(side)
-        home_motion *= np.float32(1.0 / side)  # in cells
-        motion = np.ascontiguousarray(home_motion[part])
-        variance = np.ascontiguousarray(field.variance_of_cells(side)[part])
-        moved = perf_counter()
-        image = mean_of_cells(frame[home.slices], side)
-        density = self._density(side)
-        opened = np.zeros(image.shape[:2], np.bool_)
-        opened[part] = needed
-        model, log_density = warp_and_evaluate(
-            state.model, in_cells(home, side), home_motion, image, density, opened
-        )
-        weights = self.config.posterior
-        log_ratio, samples = quantised_colours(
-            np.ascontiguousarray(log_density[part]),
-            np.ascontiguousarray(model.count[part]),
-            needed,
-            weights.appearance_cap,
-        )
-        before = in_cells(state.region, side)
-        prior = warp_map(posterior, before, cells, motion, needed)
-        if self.kind == "background":
-            trusted = trusted_background(self.config, evidence, frame_evidence, side)
-            away: Array = np.zeros(needed.shape, np.float32)
-            advantage: Array = away
-        else:
-            trusted, away = near_trajectories(self.config, evidence, frame_evidence, region, side)
-            advantage = photometric_advantage(
-                FramePart(before, state.image),
-                FramePart(cells, image),
-                side,
-                motion,
-                frame_evidence.camera,
-                prior[0] >= 0.5,
-                weights.photometric_cap,
-            )
-        cost = layer_cost(
-            self.config,
-            self.kind,
-            frame_evidence,
-            cells,
-            side,
-            needed,
-            motion,
-            variance,
-            prior,
-            away,
-            advantage,
-        )
+            home = region = object_region(evidence, previous, frame_evidence.shape, margin, side)
+            field = self.motion_field(evidence, frame_evidence, home)
+            moved = perf_counter()
+            seen = view.of_object(frame, evidence, frame_evidence, last, region, field)
         evaluated = perf_counter()
 
+        velocity = state.velocity
         if len(evidence.motions):
             velocity = -np.array(median_motion(evidence.motions), np.float32)
-        else:
-            velocity = state.velocity
         self.state = LayerState(
-            frame_evidence.frame_index,
-            home,
-            region,
-            side,
-            model,
-            cost,
-            log_ratio,
-            samples,
-            image,
-            velocity,
-            trusted,
+            last_frame=frame_evidence.frame_index,
+            home=home,
+            region=region,
+            cell=side,
+            model=seen.model,
+            cost=seen.cost,
+            log_ratio=seen.log_ratio,
+            samples=seen.samples,
+            image=seen.image,
+            velocity=velocity,
+            trusted=seen.trusted,
         )
         return LayerPosterior(
             layer=self.layer,
@@ -275,11 +228,11 @@ class Layer:
             kind=self.kind,
             region=region,
             cell=side,
-            cost=cost,
-            log_ratio=log_ratio,
-            samples=samples,
+            cost=seen.cost,
+            log_ratio=seen.log_ratio,
+            samples=seen.samples,
             outside_cost=255,
-            confidence=float(_mean_trust(model.count, self._trust)),
+            confidence=seen.confidence,
             velocity=velocity,
             stage_ms={
                 "update": 1e3 * (finished - start),
@@ -326,22 +279,31 @@ class Layer:
         corner = (region.x, region.y)
         return motion_field(evidence.positions, evidence.motions, shape, prior, self._motion, corner)
 
-    def _density(self, side: int) -> AppearanceParameters:
-        """Of colours that are kept for cells of this side, px."""
-        colours = self.config.appearance
-        background = self.kind == "background"
-        registration = colours.background_registration_px if background else colours.registration_px
-        return AppearanceParameters(
-            bandwidth_floor=colours.bandwidth_floor,
-            registration=registration / side,
-            half_confidence_samples=colours.half_confidence_samples,
-        )
-
     def _finish(self, previous: Segmentation | None) -> Array:
         """Learn frame t−1; return this layer's normalised posterior of it, empty if it had no part in it."""
         state = self.state
         if previous is None or previous.frame_index != state.last_frame:
             return np.zeros((0, 0), np.float32)
+        if self.kind != "background":
+            return np.asarray(
+                finished_object(
+                    previous.labels,
+                    previous.normaliser,
+                    previous.fallback,
+                    np.uint16(self.layer),
+                    box_of(state.region),
+                    state.cell,
+                    state.model.arrays,
+                    state.image,
+                    state.trusted,
+                    state.cost,
+                    state.log_ratio,
+                    state.samples,
+                    *appearance_tables(self.config.appearance.half_confidence_samples),
+                    np.float32(self.config.posterior.appearance / COST_STEP),
+                    LIKELIHOOD,
+                )
+            )
         won, learnt = cells_won(previous.labels, self.layer, state.home, state.cell, state.trusted)
         update(state.model, state.image, learnt)
         cells, home = in_cells(state.region, state.cell), in_cells(state.home, state.cell)
@@ -349,13 +311,3 @@ class Layer:
         return finished_posterior(
             self.config, state.cost, state.log_ratio, state.samples, previous, cells, own
         )
-
-
-@compiled()
-def _mean_trust(count: Array, trust: Array) -> float:
-    """Mean of a table's values at some numbers of samples, 0 of none."""
-    total = 0.0
-    for y in range(count.shape[0]):
-        for x in range(count.shape[1]):
-            total += trust[count[y, x]]
-    return total / max(count.size, 1)

@@ -25,7 +25,16 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 
-__all__ = ["finished_posterior", "layer_cost", "quantised_colours", "uncontested_cost"]
+__all__ = [
+    "cost_tables",
+    "finish_posterior",
+    "finished_posterior",
+    "layer_cost",
+    "quantise_colours",
+    "quantised_colours",
+    "sum_terms",
+    "uncontested_cost",
+]
 
 #: log of the uniform density over 8-bit colours, nats per unit RGB volume.
 LOG_UNIFORM = -3.0 * float(np.log(256.0))
@@ -83,19 +92,12 @@ def layer_cost(
     (h, w) uint8
         Units of ``COST_STEP``; :func:`uncontested_cost` where it was not needed.
     """
-    weights, background = config.posterior, kind == "background"
+    weights = config.posterior
     cost = np.full(needed.shape, uncontested_cost(config), np.uint8)
-    heard, disagreement, surprise = _tables(
-        config.layers.unexplained_noise,
-        weights.motion,
-        weights.motion_floor if background else weights.object_motion_floor,
-        weights.prior,
-        # Background that was hidden has been there all the same: for it the floor is the neutral value.
-        weights.neutral_prior if background else weights.prior_floor,
-    )
+    heard, disagreement, surprise = cost_tables(config, kind)
     flow_variance = (config.motion.flow_std_px * length_scale(*evidence.shape)) ** 2
     height, width = evidence.shape
-    _layer_cost(
+    sum_terms(
         needed,
         motion,
         np.float32(side),
@@ -123,11 +125,23 @@ def layer_cost(
     return cost
 
 
+def cost_tables(config: Config, kind: LayerKind) -> tuple[Array, Array, Array]:
+    """Weight of the motion term by how little the camera explains, the term by d², and the prior's term."""
+    weights, background = config.posterior, kind == "background"
+    return _tables(
+        config.layers.unexplained_noise,
+        weights.motion,
+        weights.motion_floor if background else weights.object_motion_floor,
+        weights.prior,
+        # Background that was hidden has been there all the same: for it the floor is the neutral value.
+        weights.neutral_prior if background else weights.prior_floor,
+    )
+
+
 @functools.lru_cache(maxsize=16)
 def _tables(
     unexplained_noise: float, motion: float, motion_floor: float, prior: float, prior_floor: float
 ) -> tuple[Array, Array, Array]:
-    """Weight of the motion term by how little the camera explains, the term by d², and the prior's term."""
     heard = np.clip(2.0 * UNEXPLAINED_STEP / unexplained_noise * np.arange(256) - 1.0, 0.0, 1.0)
     distances = np.arange(32 * _DISTANCE_STEPS + 1) / _DISTANCE_STEPS
     disagreement = -np.log(motion_floor + (1.0 - motion_floor) * np.exp(-0.5 * distances))
@@ -156,14 +170,15 @@ def _taps(first: int, count: int, length: float, grid: int) -> tuple[Array, Arra
 
 
 @compiled()
-def _layer_cost(
+def sum_terms(
     needed: Array, motion: Array, side: np.float32, variance: Array, flow_bits: Array, reliable: Array,
     unexplained: Array, first_column: int, first_row: int, width_in_cells: float, height_in_cells: float,
     heard: Array, prior: Array, share: Array, away: Array, advantage: Array, distant: np.float32,
     photometric: np.float32, flow_variance: np.float32, neutral: np.float32, disagreement: Array,
     surprise: Array, offset: np.float32, cost: Array,
 ) -> None:  # fmt: skip
-    """The flow comes by its bits, and like the two maps beside it for the whole frame."""
+    """:func:`layer_cost` into costs of nothing; the flow comes by its bits, and for the whole frame, like the
+    two maps beside it."""
     # As a rule the cells are those of the flow's grid, and no place lies between two of it.
     same = width_in_cells == unexplained.shape[1] and height_in_cells == unexplained.shape[0]
     if needed.size == 0:
@@ -241,14 +256,15 @@ def quantised_colours(log_density: Array, count: Array, needed: Array, largest: 
         0 where it is not needed.
     """
     log_ratio, samples = np.zeros(needed.shape, np.int8), np.zeros(needed.shape, np.uint8)
-    _quantise_colours(log_density, count, needed, np.float32(largest), log_ratio, samples)
+    quantise_colours(log_density, count, needed, np.float32(largest), log_ratio, samples)
     return log_ratio, samples
 
 
 @compiled()
-def _quantise_colours(
+def quantise_colours(
     log_density: Array, count: Array, needed: Array, largest: np.float32, log_ratio: Array, samples: Array
 ) -> None:
+    """:func:`quantised_colours` into zeros."""
     for y in range(needed.shape[0]):
         for x in range(needed.shape[1]):
             if needed[y, x] and count[y, x] > 0:
@@ -289,7 +305,7 @@ def finished_posterior(
         In [0, 1].
     """
     posterior = np.empty(cost.shape, np.float32)
-    _finished_posterior(
+    finish_posterior(
         cost,
         log_ratio.view(np.uint8),
         samples,
@@ -307,11 +323,12 @@ def finished_posterior(
 
 
 @compiled()
-def _finished_posterior(
+def finish_posterior(
     cost: Array, log_ratio: Array, samples: Array, fallback: Array, normaliser: Array, left: int, top: int,
     won: Array, trust: Array, ratio_of: Array, strength: np.float32, likelihood: Array, posterior: Array,
 ) -> None:  # fmt: skip
-    """``fallback`` and ``normaliser`` are the whole frame's; log r and log f come by their bits."""
+    """:func:`finished_posterior`; ``fallback`` and ``normaliser`` are the whole frame's, log r and log f come
+    by their bits."""
     height, width = cost.shape
     half, share, fused = np.float32(0.5), np.float32(0.5 / 255), np.empty(cost.shape, np.uint8)
     rows, columns = slice(top, top + height), slice(left, left + width)

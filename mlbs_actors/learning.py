@@ -22,45 +22,35 @@ from mlbs_actors.trajectory_distance import (
     trajectory_distance,
 )
 
-__all__ = ["near_trajectories", "trusted_background"]
+__all__ = ["near_trajectories", "trusted_background", "unexplained_cells"]
 
 
+@compiled()
 def near_trajectories(
-    config: Config, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region, side: int
-) -> tuple[Array, Array]:
+    positions: Array, start: int, end: int, side: int, left: int, top: int, unexplained: Array, least: float,
+    close: np.float32, learn: np.float32, near: np.float32, fade: np.float32, trusted: Array, away: Array,
+) -> None:  # fmt: skip
     """Cells in which an object may learn, and their cost in [0, 1] away from its trajectories.
 
     What is labelled wrongly near an outline must not be learnt: an object learns close to its own
     trajectories, where the camera's motion fails to explain the image.
+
+    Parameters
+    ----------
+    positions : (n, 2) float32
+        Of all layers' trajectories, px; the object's are those from ``start`` to ``end``.
+    start, end, side, left, top : int
+        Side of a cell, px, and where the object's cells begin.
+    unexplained : (rows, columns) uint8
+        :func:`unexplained_cells` of the whole frame.
+    least : float
+        What of it counts as a failure.
+    close, learn, near, fade : float32
+        Lengths of :class:`~mlbs_actors.config.PosteriorConfig`, px of this frame.
+    trusted : (h, w) bool
+    away : (h, w) float32
+        Room for the two results.
     """
-    weights, scale = config.posterior, length_scale(*frame_evidence.shape)
-    cells = in_cells(region, side)
-    trusted: Array = np.empty((cells.height, cells.width), np.bool_)
-    away: Array = np.empty(trusted.shape, np.float32)
-    _near_trajectories(
-        frame_evidence.positions,
-        *frame_evidence.part(evidence.layer),
-        side,
-        cells.x,
-        cells.y,
-        _unexplained(frame_evidence, side),
-        config.layers.unexplained_noise / UNEXPLAINED_STEP,
-        np.float32(weights.close_px * scale),
-        np.float32(weights.learn_px * scale),
-        np.float32(weights.near_px * scale),
-        np.float32(weights.fade_px * scale),
-        trusted,
-        away,
-    )
-    return trusted, away
-
-
-@compiled()
-def _near_trajectories(
-    positions: Array, start: int, end: int, side: int, left: int, top: int, unexplained: Array, least: float,
-    close: np.float32, learn: np.float32, near: np.float32, fade: np.float32, trusted: Array, away: Array,
-) -> None:  # fmt: skip
-    """The object's trajectories are those from ``start`` to ``end``, ``unexplained`` is the whole frame's."""
     height, width = trusted.shape
     occupied = occupied_cells(positions[:start], side, left, top, width, height)
     occupy(occupied, positions[end:], side, left, top)
@@ -104,7 +94,7 @@ def trusted_background(
     trusted[rows, columns] = _judged(
         trajectory_distance(own, near, coarse),
         trajectory_distance(objects, near, coarse),
-        _unexplained(frame_evidence, side)[rows, columns].copy(),
+        unexplained_cells(frame_evidence, side)[rows, columns].copy(),
         least,
         np.float32(weights.keep_off_px * scale),
         np.float32(weights.learn_px * scale),
@@ -135,7 +125,7 @@ def _surroundings(positions: Array, margin: float, shape: tuple[int, int]) -> Re
     return Region(*box_within(*bounds(positions), margin, *shape))
 
 
-def _unexplained(evidence: FrameEvidence, side: int) -> Array:
+def unexplained_cells(evidence: FrameEvidence, side: int) -> Array:
     """How badly the camera's motion explains the image, at the frame's cells of this side, uint8."""
     height, width = evidence.shape
     grid = (-(-height // side), -(-width // side))

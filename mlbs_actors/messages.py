@@ -14,10 +14,9 @@ A layer's id is for life and never reused; id 0 is the background.
 
 from __future__ import annotations
 
-import copyreg
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -37,8 +36,10 @@ __all__ = [
     "LayerKind",
     "LayerPosterior",
     "LayerSummary",
+    "LayerTracks",
     "Region",
     "Segmentation",
+    "received",
 ]
 
 Array = npt.NDArray[Any]
@@ -94,6 +95,17 @@ class LayerEvidence:
     motions: Array
 
 
+class LayerTracks(NamedTuple):
+    """Which of a frame's trajectories are a layer's: those from ``start`` to ``end``; the rest as there."""
+
+    layer: int
+    kind: LayerKind
+    last_frame: int
+    start: int
+    end: int
+
+
+@pickled_by_values
 @dataclass(frozen=True, slots=True)
 class FrameEvidence:
     """All that the coordinator found out about one frame.
@@ -114,8 +126,10 @@ class FrameEvidence:
     unexplained : (h, w) uint8
         How badly the camera's own motion explains the image, in units of ``UNEXPLAINED_STEP`` times the
         frame's noise; 0 for frame 0.
-    layers : tuple of LayerEvidence
+    tracks : tuple of LayerTracks
         The live layers in ascending id; the background (id 0) is always first.
+    positions, motions : (n, 2) float32
+        Those of all layers' trajectories (:class:`LayerEvidence`), layer after layer.
     retired : tuple of int
         Layers whose models end before this frame: those that had a part in the last frame and have none
         in this one (asleep or ended), and at the start of an epoch all, the background's too. Their processes
@@ -126,8 +140,6 @@ class FrameEvidence:
         Wall time of the coordinator's stages, ms.
     epoch : int
         First frame of this size: nothing that came before it counts.
-    positions, motions : (n, 2) float32
-        Those of all layers' trajectories, layer after layer. Not to be given.
     """
 
     frame_index: int
@@ -136,73 +148,30 @@ class FrameEvidence:
     flow: Array
     flow_reliable: Array
     unexplained: Array
-    layers: tuple[LayerEvidence, ...]
+    tracks: tuple[LayerTracks, ...]
+    positions: Array
+    motions: Array
     retired: tuple[int, ...]
     latency_frames: int
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     epoch: int = 0
-    positions: Array = field(init=False, repr=False)
-    motions: Array = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        nothing = np.zeros((0, 2), np.float32)
-        for name in ("positions", "motions"):
-            joined = np.concatenate([nothing, *(getattr(one, name) for one in self.layers)])
-            object.__setattr__(self, name, joined)
+    @property
+    def layers(self) -> tuple[LayerEvidence, ...]:
+        """What concerns each of the live layers."""
+        return tuple(map(self._evidence, self.tracks))
+
+    def of(self, layer: int) -> LayerEvidence:
+        """What concerns one live layer."""
+        return self._evidence(next(one for one in self.tracks if one.layer == layer))
 
     def part(self, layer: int) -> tuple[int, int]:
         """Where the trajectories of a layer start and end among those of all; none if it has no part."""
-        start = 0
-        for one in self.layers:
-            end = start + len(one.positions)
-            if one.layer == layer:
-                return start, end
-            start = end
-        return start, start
+        return next(((one.start, one.end) for one in self.tracks if one.layer == layer), (0, 0))
 
-
-def _pickled_evidence(evidence: FrameEvidence) -> tuple[Any, ...]:
-    """Evidence is pickled with one array of positions and one of motions, however many layers there are."""
-    layers = evidence.layers
-    heads = tuple((one.layer, one.kind, one.last_frame, len(one.positions)) for one in layers)
-    return _evidence_of_layers, (
-        heads,
-        evidence.positions,
-        evidence.motions,
-        evidence.frame_index,
-        evidence.shape,
-        evidence.camera,
-        evidence.flow,
-        evidence.flow_reliable,
-        evidence.unexplained,
-        evidence.retired,
-        evidence.latency_frames,
-        evidence.stage_ms,
-        evidence.epoch,
-    )
-
-
-def _evidence_of_layers(
-    heads: tuple[tuple[int, LayerKind, int, int], ...],
-    positions: Array,
-    motions: Array,
-    frame_index: int,
-    shape: tuple[int, int],
-    camera: Array,
-    flow: Array,
-    flow_reliable: Array,
-    unexplained: Array,
-    *rest: Any,
-) -> FrameEvidence:
-    layers, start = [], 0
-    for layer, kind, last_frame, count in heads:
-        own = slice(start, start + count)
-        layers.append(LayerEvidence(layer, kind, last_frame, positions[own], motions[own]))
-        start += count
-    return FrameEvidence(frame_index, shape, camera, flow, flow_reliable, unexplained, tuple(layers), *rest)
-
-
-copyreg.pickle(FrameEvidence, _pickled_evidence)
+    def _evidence(self, tracks: LayerTracks) -> LayerEvidence:
+        layer, kind, last_frame, start, end = tracks
+        return LayerEvidence(layer, kind, last_frame, self.positions[start:end], self.motions[start:end])
 
 
 @pickled_by_values
@@ -376,3 +345,21 @@ class Segmentation:
             tracker_id=ids,
             data={"velocity": np.array([layer.velocity for layer in self.layers], np.float32).reshape(-1, 2)},
         )
+
+
+Message = TypeVar("Message", FrameEvidence, LayerPosterior, Segmentation)
+
+
+def received(message: Message) -> Message:
+    """A message as its receiver has it: to its arrays nothing can be written.
+
+    It is so between processes. Within one process, too, the same kernels do for all receivers then: they are
+    compiled for arrays that can be written to, or for such that cannot.
+    """
+    views: dict[str, Any] = {}
+    for one in fields(message):
+        value = getattr(message, one.name)
+        if isinstance(value, np.ndarray):
+            views[one.name] = value.view()
+            views[one.name].setflags(write=False)
+    return replace(message, **views)

@@ -6,7 +6,6 @@ a pixel is read off them, bilinearly.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from mlbs_actors.compilation import compiled
@@ -42,14 +41,67 @@ def node_positions(shape: tuple[int, int], spacing: int) -> Array:
     return nodes
 
 
-def to_pixels(values: Array, spacing: int, shape: tuple[int, int]) -> Array:
-    """The nodes' values (gh, gw[, c]) at the pixels of an (h, w) region, bilinear, float32."""
-    if 0 in shape:
-        return np.zeros((*shape, *values.shape[2:]), np.float32)
-    size = (values.shape[1] * spacing, values.shape[0] * spacing)
-    # cv2 aligns cell centres too, and repeats the border.
-    pixels: Array = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
-    return np.ascontiguousarray(pixels[: shape[0], : shape[1]])
+@compiled()
+def to_pixels(values: Array, spacing: int, height: int, width: int) -> Array:
+    """The nodes' values (gh, gw, c) at the pixels of an (h, w) region, (h, w, c), bilinear, float32.
+
+    To the last bit what cv2 makes of them, which rounds a single component once an axis, and several thrice.
+    """
+    rows, columns, components = values.shape
+    pixels = np.empty((height, width, components), np.float32)
+    if pixels.size == 0:
+        return pixels
+    once = components == 1 and min(rows, columns) > 1
+    left, right, along = _pixel_taps(width, columns, spacing)
+    top, bottom, down = _pixel_taps(height, rows, spacing)
+    one = np.float32(1)
+    wide, flat, length = (
+        np.empty((rows, width * components), np.float32),
+        pixels.reshape(-1),
+        width * components,
+    )
+    for v in range(rows):
+        nodes, line = values[v].reshape(-1), wide[v]
+        for x in range(width):
+            share = along[x] if left[x] < right[x] else np.float32(0)
+            for component in range(components):
+                a = nodes[np.uint64(components * left[x] + component)]
+                b = nodes[np.uint64(components * right[x] + component)]
+                between = _between(a, b, share) if once else a * (one - share) + b * share
+                line[np.uint64(components * x + component)] = between
+    for y in range(height):
+        above, below, share, line = (
+            wide[top[y]],
+            wide[bottom[y]],
+            down[y],
+            flat[y * length : (y + 1) * length],
+        )
+        if once:
+            for i in range(length):
+                line[i] = _between(above[i], below[i], share)
+        else:
+            for i in range(length):
+                line[i] = above[i] * (one - share) + below[i] * share
+    return pixels
+
+
+@compiled(inline="always")
+def _between(a: np.float32, b: np.float32, share: np.float32) -> np.float32:
+    """a + share (b − a), the product as exact as a fused multiplication and addition has it."""
+    return np.float32(np.float64(a) + np.float64(share) * np.float64(b - a))
+
+
+@compiled()
+def _pixel_taps(length: int, nodes: int, spacing: int) -> tuple[Array, Array, Array]:
+    """The two nodes along one axis that each pixel lies between, and the share of the second."""
+    first, second = np.empty(length, np.int64), np.empty(length, np.int64)
+    share = np.empty(length, np.float32)
+    for i in range(length):
+        place = np.float32((i + 0.5) * (1.0 / spacing) - 0.5)
+        whole = np.floor(place)
+        first[i], share[i] = min(max(int(whole), 0), nodes - 1), place - whole
+        second[i] = min(max(int(whole) + 1, 0), nodes - 1)
+    return first, second, share
 
 
 @compiled()

@@ -10,16 +10,23 @@ Differs from the paper, in which every layer is evaluated on the whole frame.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import ceil, floor
 
 import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import length_scale
-from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region, Segmentation
+from mlbs_actors.messages import (
+    BACKGROUND,
+    Array,
+    FrameEvidence,
+    LayerEvidence,
+    LayerSummary,
+    Region,
+    Segmentation,
+)
 
-__all__ = ["bounds", "box_within", "contested", "median_motion", "object_region"]
+__all__ = ["bounds", "box_of", "box_within", "contested", "median_motion", "object_region"]
 
 
 def object_region(
@@ -49,24 +56,18 @@ def object_region(
     Region
         Inside the frame; empty for an object without trajectories and pixels.
     """
-    told = _told([evidence], previous)
+    summaries = previous.layers if previous is not None else ()
+    told = np.array(_told(next((one for one in summaries if one.layer == evidence.layer), None)), np.float64)
     margin = margin_px * length_scale(*shape)
-    x, y, width, height = _region(told[0], evidence.positions, evidence.motions, margin, cell, *shape)
+    x, y, width, height = _region(told, evidence.positions, evidence.motions, margin, cell, *shape)
     return Region(x, y, width, height)
 
 
-def _told(layers: Sequence[LayerEvidence], previous: Segmentation | None) -> Array:
-    """What is known of each layer's pixels, (k, 7) float64: whether it had any, their box, their velocity."""
-    published = {one.layer: one for one in previous.layers} if previous is not None else {}
-    told: list[tuple[float, ...]] = []
-    for layer in layers:
-        one = published.get(layer.layer)
-        if one is None:
-            told.append((0, 0, 0, 0, 0, 0, 0))
-        else:
-            box = one.region
-            told.append((1, box.x, box.y, box.width, box.height, *one.velocity))
-    return np.array(told, np.float64)
+def _told(one: LayerSummary | None) -> tuple[float, ...]:
+    """What is known of a layer's pixels: whether it had any, their box, their velocity."""
+    if one is None:
+        return 0, 0, 0, 0, 0, 0, 0
+    return 1, *box_of(one.region), *one.velocity
 
 
 @compiled()
@@ -95,6 +96,11 @@ def _region(
     end_x, end_y = min(-(-(x + wide) // cell) * cell, width), min(-(-(y + high) // cell) * cell, height)
     x, y = x // cell * cell, y // cell * cell
     return x, y, end_x - x, end_y - y
+
+
+def box_of(region: Region) -> tuple[int, int, int, int]:
+    """Left, top, width and height of a region, for compiled functions."""
+    return region.x, region.y, region.width, region.height
 
 
 def median_motion(motions: Array) -> tuple[float, float]:
@@ -150,13 +156,15 @@ def contested(
     inside : (rows, columns) bool
         Which of the box's cells are in it.
     """
-    objects = [one for one in evidence.layers if one.layer != BACKGROUND]
+    objects = [one for one in evidence.tracks if one.layer != BACKGROUND]
     if not objects:
         return Region(0, 0, 0, 0), np.zeros((0, 0), np.bool_)
-    counts = np.array([len(one.positions) for one in objects])
+    counts = np.array([one.end - one.start for one in objects])
+    published = {one.layer: one for one in previous.layers} if previous is not None else {}
+    told = np.array([_told(published.get(one.layer)) for one in objects], np.float64)
     margin = margin_px * length_scale(*evidence.shape)
     box, inside = _contested(
-        _told(objects, previous), evidence.positions, evidence.motions, counts, margin, cell, *evidence.shape
+        told, evidence.positions, evidence.motions, counts, margin, cell, *evidence.shape
     )
     return Region(*box), inside
 

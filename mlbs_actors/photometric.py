@@ -12,15 +12,13 @@ uncovered has no past that could explain it, but over smooth ground any motion s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mlbs_actors.camera import shrunk_homography
 from mlbs_actors.compilation import compiled
-from mlbs_actors.messages import Array, Region
+from mlbs_actors.messages import Array
 
-__all__ = ["FramePart", "photometric_advantage"]
+__all__ = ["photometric_advantage"]
 
 #: Where (x, y) an image begins in the frame.
 Corner = tuple[int, int]
@@ -33,39 +31,28 @@ LEAST_NOISE, MOST_NOISE = 1.5, 3.0
 OWN_BELIEVED, CAMERA_BELIEVED = 4.0, 2.5
 
 
-@dataclass(frozen=True, slots=True)
-class FramePart:
-    """The colours of a region of a frame.
-
-    Attributes
-    ----------
-    region : Region
-    image : (h, w, 3) uint8
-        BGR.
-    """
-
-    region: Region
-    image: Array
-
-
+@compiled()
 def photometric_advantage(
-    before: FramePart, now: FramePart, side: int, motion: Array, camera: Array, own: Array, largest: float
-) -> Array:
+    before: Array, now: Array, motion: Array, camera: Array, side: float, corner: Corner,
+    last_corner: Corner, own: Array, largest: np.float32,
+) -> Array:  # fmt: skip
     """By how much an object's motion explains the image better than the camera's.
 
     Parameters
     ----------
-    before, now : FramePart
-        Of frames t−1 and t.
-    side : int
-        Of the pixels of both, px of the frame.
+    before, now : (last h, last w, 3), (h, w, 3) uint8
+        Its regions of frames t−1 and t, BGR.
     motion : (h, w, 2) float32
         The object's backward motion at the pixels of ``now``, in these.
     camera : (3, 3) float64
         The camera's: takes px of frame t to frame t−1.
+    side : float
+        Of the pixels of both, px of the frame.
+    corner, last_corner : (x, y)
+        Where ``now`` and ``before`` begin in the frame, in their pixels.
     own : (h, w) bool
         Where the object's motion leads back to its own pixels.
-    largest : float
+    largest : float32
         Most that it can be, either way.
 
     Returns
@@ -74,31 +61,8 @@ def photometric_advantage(
         In units of the noise, which is the median error of the camera's motion, between ``LEAST_NOISE`` and
         ``MOST_NOISE`` grey levels; 0 where either motion leads out of ``before``.
     """
-    region = now.region
-    if region.area == 0 or before.region.area == 0:
-        return np.zeros(motion.shape[:2], np.float32)
-    corner, last_corner = (region.x, region.y), (before.region.x, before.region.y)
-    return np.asarray(
-        _advantage(
-            np.ascontiguousarray(before.image),
-            np.ascontiguousarray(now.image),
-            motion,
-            camera,
-            float(side),
-            corner,
-            last_corner,
-            own,
-            np.float32(largest),
-        )
-    )
-
-
-@compiled()
-def _advantage(
-    before: Array, now: Array, motion: Array, camera: Array, side: float, corner: Corner,
-    last_corner: Corner, own: Array, largest: np.float32,
-) -> Array:  # fmt: skip
-    """:func:`photometric_advantage` of images whose corners (x, y) lie there in the frame."""
+    if before.size == 0 or now.size == 0:
+        return np.zeros(own.shape, np.float32)
     # Zeros are what comes from outside: a border around, and one more behind for a source on it.
     last = np.zeros((before.shape[0] + 3, before.shape[1] + 3), np.uint8)
     newest = np.empty(now.shape[:2], np.uint8)

@@ -96,7 +96,7 @@ class Segmenter:
         FrameError
             If the frame is not the next one, or the posteriors are not those of its live layers.
         """
-        ids = [one.layer for one in evidence.layers]
+        ids = [one.layer for one in evidence.tracks]
         given = [(one.layer, one.frame_index) for one in posteriors]
         expected = [(layer, self.state.next_frame) for layer in ids]
         if evidence.frame_index != self.state.next_frame or given != expected:

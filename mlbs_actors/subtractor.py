@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
+
 from mlbs_actors.config import Config
 from mlbs_actors.coordinator import Coordinator
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.inspection import FrameInspection, inspect_frame
 from mlbs_actors.layer import Layer
-from mlbs_actors.messages import Array, FrameEvidence, Segmentation
+from mlbs_actors.messages import Array, FrameEvidence, Segmentation, received
 from mlbs_actors.segmenter import Segmenter
 
 __all__ = ["MultilayerSubtractor"]
@@ -67,11 +69,14 @@ class MultilayerSubtractor:
             If the frame has another type.
         """
         index = self._coordinator.state.next_frame
+        if isinstance(frame, np.ndarray):  # of anything else the coordinator says what is wrong
+            frame = frame.copy()  # the caller may reuse its buffer
+            frame.setflags(write=False)
         with single_threaded():
             wanted = self._coordinator.feedback_index(index)
             feedback = None if wanted is None else partial(self._published.__getitem__, wanted)
             evidence = self._coordinator.step(index, frame, feedback)
-            self._waiting[index] = frame.copy()  # the caller may reuse its buffer
+            self._waiting[index] = frame
             return [self._label(one) for one in evidence]
 
     def flush(self) -> list[Segmentation]:
@@ -79,7 +84,8 @@ class MultilayerSubtractor:
         with single_threaded():
             return [self._label(one) for one in self._coordinator.flush()]
 
-    def _label(self, evidence: FrameEvidence) -> Segmentation:
+    def _label(self, made: FrameEvidence) -> Segmentation:
+        evidence = received(made)
         index = evidence.frame_index
         frame = self._waiting.pop(index)
         for retired in evidence.retired:
@@ -89,7 +95,7 @@ class MultilayerSubtractor:
             if one.layer not in self._layers:
                 self._layers[one.layer] = Layer(self.config, one.layer, one.kind)
             layer = self._layers[one.layer]
-            posteriors.append(layer.step(one, evidence, frame, self._published.get(index - 1)))
+            posteriors.append(received(layer.step(one, evidence, frame, self._published.get(index - 1))))
         segmentation = self._segmenter.step(evidence, frame, posteriors)
         self._published = {known: result for known, result in self._published.items() if known > index - 3}
         self._published[index] = segmentation

@@ -27,23 +27,22 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["MAX_MISS_PX", "nearest_sources", "warp_map"]
+__all__ = ["MAX_MISS_PX", "interpolate_map", "nearest_sources", "warp_map"]
 
 #: A stack that describes a point this far from the source, px, is not taken over.
 MAX_MISS_PX = 1.0
 
 
-def nearest_sources(
-    residual: Array, old_region: Region, new_region: Region, motion: Array
-) -> tuple[Array, Array]:
+@compiled()
+def nearest_sources(residual: Array, shift_x: int, shift_y: int, motion: Array) -> tuple[Array, Array]:
     """Which stack of frame t−1 each pixel of frame t takes over, and its new residual.
 
     Parameters
     ----------
     residual : (old height, old width, 2) float32
         Sub-pixel residual (x, y) of the stacks of frame t−1, px.
-    old_region, new_region : Region
-        Where the stacks of frame t−1 and of frame t live in the frame.
+    shift_x, shift_y : int
+        Where the stacks of frame t begin, from where those of frame t−1 do, px.
     motion : (new height, new width, 2) float32
         The layer's backward motion t → t−1 at the pixels of the new region, px.
 
@@ -58,15 +57,12 @@ def nearest_sources(
     -----
     Backward warp of the appearance model, paper §6.1.
     """
-    source = np.empty((new_region.height, new_region.width), np.int32)
-    new_residual = np.empty((new_region.height, new_region.width, 2), np.float32)
+    source, new_residual = np.empty(motion.shape[:2], np.int32), np.empty(motion.shape, np.float32)
     if residual.size == 0:
-        source.fill(-1)
-        new_residual.fill(0.0)
-        return source, new_residual
-    _find_sources(
-        residual, motion, new_region.x - old_region.x, new_region.y - old_region.y, source, new_residual
-    )
+        source[:] = -1
+        new_residual[:] = 0
+    else:
+        _find_sources(residual, motion, shift_x, shift_y, source, new_residual)
     return source, new_residual
 
 
@@ -188,16 +184,17 @@ def warp_map(
     Paper §6.1, with the delta approximation (variance of the motion taken as 0).
     """
     value, share = np.zeros(needed.shape, np.float32), np.zeros(needed.shape, np.float32)
-    _warp_bilinear(
+    interpolate_map(
         values, motion, new_region.x - old_region.x, new_region.y - old_region.y, needed, value, share
     )
     return value, share
 
 
 @compiled()
-def _warp_bilinear(
+def interpolate_map(
     values: Array, motion: Array, shift_x: int, shift_y: int, needed: Array, value: Array, share: Array
 ) -> None:
+    """:func:`warp_map` into zeros, from a region that begins so far from the new one's corner."""
     height, width = values.shape
     one = np.float32(1)
     for y in range(needed.shape[0]):

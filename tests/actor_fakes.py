@@ -17,6 +17,7 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
+from joined_evidence import joined_evidence
 
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, PartFactory, SegmenterPart
 from mlbs_actors.actors.stream_protocol import (
@@ -133,14 +134,14 @@ class _Coordinator:
             for layer in live
         )
         self.state.last |= dict.fromkeys(live, t)
-        return FrameEvidence(
+        return joined_evidence(
+            layers,
             frame_index=t,
             shape=SHAPE,
             camera=np.eye(3),
             flow=np.zeros((2, 2, 2), np.float16),
             flow_reliable=np.ones((2, 2), bool),
             unexplained=np.zeros((1, 1), np.uint8),
-            layers=layers,
             retired=retired,
             latency_frames=0,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from joined_evidence import joined_evidence
 
 from mlbs_actors.messages import (
     BACKGROUND,
@@ -47,14 +48,14 @@ def frame_of(
 ) -> FrameEvidence:
     """Half-size maps; nothing is explained by the camera's motion, unless a test says otherwise."""
     half = (SHAPE[0] // 2, SHAPE[1] // 2)
-    return FrameEvidence(
+    return joined_evidence(
+        layers,
         frame_index=frame_index,
         shape=SHAPE,
         camera=np.eye(3),
         flow=np.full((*half, 2), flow, np.float16),
         flow_reliable=np.full(half, reliable),
         unexplained=np.full(half, 255, np.uint8),
-        layers=tuple(layers),
         retired=(),
         latency_frames=0,
     )

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 import pytest
 
 from mlbs_actors.camera import shrunk_homography
 from mlbs_actors.messages import Array, Region
-from mlbs_actors.photometric import FramePart, photometric_advantage
+from mlbs_actors.photometric import photometric_advantage
 
 SHAPE = (90, 120)
 WHOLE = Region(0, 0, SHAPE[1], SHAPE[0])
@@ -43,10 +45,28 @@ def backward(motion: tuple[float, float], region: Region = WHOLE) -> Array:
     return np.full((region.height, region.width, 2), (-motion[0], -motion[1]), np.float32)
 
 
+class FramePart(NamedTuple):
+    """The colours of a region of a frame."""
+
+    region: Region
+    image: Array
+
+
+def compared(
+    before: FramePart, now: FramePart, side: int, motion: Array, camera: Array, own: Array, largest: float
+) -> Array:
+    corner, last_corner = ((one.region.x, one.region.y) for one in (now, before))
+    images = np.ascontiguousarray(before.image), np.ascontiguousarray(now.image)
+    found = photometric_advantage(
+        *images, motion, camera, float(side), corner, last_corner, own, np.float32(largest)
+    )
+    return np.asarray(found)
+
+
 def advantage(before: Array, now: Array, own: Array | None = None, largest: float = LARGEST) -> Array:
     """Of the car's motion over a camera that stands."""
     everywhere = np.ones(SHAPE, bool)
-    found = photometric_advantage(
+    found = compared(
         FramePart(WHOLE, before),
         FramePart(WHOLE, now),
         1,
@@ -112,7 +132,7 @@ def test_out_of_the_frame_before_nothing_is_said() -> None:
 def test_where_the_cameras_horizon_lies_in_the_frame_nothing_is_said() -> None:
     image = FramePart(WHOLE, texture(0)[: SHAPE[0], : SHAPE[1]])
     horizon = np.array([[1.0, 0, 0], [0, 1, 0], [-0.01, 0, 1]])  # a depth of exactly 0 at x = 100
-    found = photometric_advantage(image, image, 1, backward(MOVE), horizon, np.ones(SHAPE, bool), LARGEST)
+    found = compared(image, image, 1, backward(MOVE), horizon, np.ones(SHAPE, bool), LARGEST)
     np.testing.assert_array_equal(found[:, 100:], 0.0)
     assert np.isfinite(found).all()
 
@@ -120,7 +140,7 @@ def test_where_the_cameras_horizon_lies_in_the_frame_nothing_is_said() -> None:
 def test_the_regions_of_the_two_frames_may_differ() -> None:
     before, now = frames(texture(0), texture(1))
     then, region = Region(20, 10, 80, 70), Region(34, 22, 60, 50)
-    found = photometric_advantage(
+    found = compared(
         FramePart(then, before[then.slices]),
         FramePart(region, np.ascontiguousarray(now[region.slices])),
         1,
@@ -160,7 +180,7 @@ def test_it_is_that_of_the_formula_under_any_camera() -> None:
     motion = backward(MOVE) + rng.normal(0, 0.3, (*SHAPE, 2)).astype(np.float32)
     own = rng.random(SHAPE) < 0.5
     parts = FramePart(WHOLE, before), FramePart(WHOLE, now)
-    found = photometric_advantage(*parts, 1, motion, camera, own, LARGEST)
+    found = compared(*parts, 1, motion, camera, own, LARGEST)
     expected = plain_advantage(before, now, motion, camera, own)
     assert np.abs(expected).mean() > 0.1
     # A grey level just between two whole ones may fall to either side.
@@ -172,8 +192,8 @@ def test_of_pictures_of_cells_the_camera_is_shrunk_as_they_are() -> None:
     parts = FramePart(WHOLE, before), FramePart(WHOLE, now)
     own, camera = np.ones(SHAPE, bool), np.array([[1.01, 0.02, -1.3], [-0.015, 0.99, 0.8], [1e-5, -2e-5, 1]])
     shrunk = shrunk_homography(camera, (3.0, 3.0))
-    found = photometric_advantage(*parts, 3, backward(MOVE), camera, own, LARGEST)
-    expected = photometric_advantage(*parts, 1, backward(MOVE), shrunk, own, LARGEST)
+    found = compared(*parts, 3, backward(MOVE), camera, own, LARGEST)
+    expected = compared(*parts, 1, backward(MOVE), shrunk, own, LARGEST)
     np.testing.assert_array_equal(found, expected)
     assert found.any()
 
@@ -182,13 +202,9 @@ def test_a_new_born_layer_and_an_empty_region_say_nothing() -> None:
     nowhere, image = Region(0, 0, 0, 0), texture(0)[: SHAPE[0], : SHAPE[1]]
     nothing = FramePart(nowhere, np.zeros((0, 0, 3), np.uint8))
     everywhere = np.ones(SHAPE, bool)
-    born = photometric_advantage(
-        nothing, FramePart(WHOLE, image), 1, backward(MOVE), STILL, everywhere, LARGEST
-    )
+    born = compared(nothing, FramePart(WHOLE, image), 1, backward(MOVE), STILL, everywhere, LARGEST)
     assert born.shape == SHAPE
     assert not born.any()
     none = np.zeros((0, 0, 2), np.float32)
-    gone = photometric_advantage(
-        FramePart(WHOLE, image), nothing, 1, none, STILL, np.zeros((0, 0), bool), LARGEST
-    )
+    gone = compared(FramePart(WHOLE, image), nothing, 1, none, STILL, np.zeros((0, 0), bool), LARGEST)
     assert gone.shape == (0, 0)

@@ -7,6 +7,7 @@ from math import exp, log
 
 import numpy as np
 import pytest
+from joined_evidence import joined_evidence
 
 from mlbs_actors.config import Config
 from mlbs_actors.contrast import COST_QUANTUM, MAX_COST, contrast_weights
@@ -55,14 +56,14 @@ def evidence_of(
     for one in posteriors:
         at = np.asarray((tracks or {}).get(one.layer, np.zeros((0, 2))), np.float32)
         layers.append(LayerEvidence(one.layer, one.kind, frame_index - 1, at, np.zeros_like(at)))
-    return FrameEvidence(
+    return joined_evidence(
+        layers,
         frame_index=frame_index,
         shape=SHAPE,
         camera=np.eye(3),
         flow=np.zeros((*SHAPE, 2), np.float16),
         flow_reliable=np.zeros(SHAPE, bool),
         unexplained=np.zeros(SHAPE, np.uint8),
-        layers=tuple(layers),
         retired=(),
         latency_frames=3,
         stage_ms={"flow": 1.5},

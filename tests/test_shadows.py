@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from joined_evidence import joined_evidence
 
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region
 from mlbs_actors.shadows import (
@@ -46,14 +47,14 @@ def evidence(layer: int = 1, positions: Array | None = None) -> FrameEvidence:
     if layer != BACKGROUND:
         layers.append(LayerEvidence(layer, "object", 0, at, np.zeros_like(at)))
     half = (SHAPE[0] // 2, SHAPE[1] // 2)
-    return FrameEvidence(
+    return joined_evidence(
+        layers,
         frame_index=1,
         shape=SHAPE,
         camera=np.eye(3),
         flow=np.zeros((*half, 2), np.float16),
         flow_reliable=np.zeros(half, bool),
         unexplained=np.zeros(half, np.uint8),
-        layers=tuple(layers),
         retired=(),
         latency_frames=0,
     )

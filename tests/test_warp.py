@@ -101,7 +101,7 @@ def test_sources_are_those_of_the_plain_rule(spread: float) -> None:
     rng = np.random.default_rng(5)
     residual = rng.uniform(-spread, spread, (OLD.height, OLD.width, 2)).astype(np.float32)
     motion = rough_motion(NEW, 6)
-    source, new_residual = nearest_sources(residual, OLD, NEW, motion)
+    source, new_residual = nearest_sources(residual, NEW.x - OLD.x, NEW.y - OLD.y, motion)
     expected_source, expected_residual = plain_sources(residual, OLD, NEW, motion)
     np.testing.assert_array_equal(source, expected_source)
     np.testing.assert_allclose(new_residual, expected_residual, atol=1e-6)
@@ -116,7 +116,7 @@ def carried_positions(steps: int, motion: Array, with_residual: bool) -> tuple[A
     origin = np.dstack([x, y]).astype(np.float64)
     residual = np.zeros((region.height, region.width, 2), np.float32)
     for _ in range(steps):
-        source, moved = nearest_sources(residual, region, region, motion)
+        source, moved = nearest_sources(residual, 0, 0, motion)
         origin = np.where(source[..., None] >= 0, origin.reshape(-1, 2)[np.maximum(source, 0)], np.nan)
         residual = moved if with_residual else np.zeros_like(moved)
     return origin, residual

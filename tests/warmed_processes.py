@@ -11,16 +11,24 @@ import pickle
 import sys
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
 from mlbs_actors import Config
-from mlbs_actors.actors.parts import EngineParts, LayerPart, _arrived
+from mlbs_actors.actors.parts import EngineParts, LayerPart
 from mlbs_actors.messages import Array, FrameEvidence, Segmentation
 from orchestrator.sources.synthetic import scene
 
 #: Scenes and their frames: several objects from the start, a crowd, and one that enters late.
-SCENES = (("demo", 12), ("steady-crowd", 20), ("traffic", 24))
+SCENES = (("demo", 12), ("steady-crowd", 20), ("crowd", 60), ("traffic", 24))
+
+
+def _arrived(message: Any) -> Any:
+    """What another process reads of a message: the arrays are read-only."""
+    arrays: list[pickle.PickleBuffer] = []
+    description = pickle.dumps(message, protocol=5, buffer_callback=arrays.append)
+    return pickle.loads(description, buffers=[array.raw().toreadonly() for array in arrays])
 
 
 def compiled() -> set[tuple[str, str]]:

@@ -335,7 +335,7 @@ class CoordinatorActor:
             Housed(layer, offer, self._slots.take("state")) for layer, offer in self._layers.follow(evidence)
         )
         told, labelled = self._slots.take("evidence"), self._slots.take("segmentation")
-        posteriors = tuple(self._slots.take("posterior") for _ in evidence.layers)
+        posteriors = tuple(self._slots.take("posterior") for _ in evidence.tracks)
         wants = self._spec.wants_background
         wanted = wants is not None and wants(delivered.index)
         background = self._slots.take("appearance") if wanted else None

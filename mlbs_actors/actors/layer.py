@@ -90,7 +90,7 @@ class LayerWork:
         evidence, frame = self._memory.taken(step.evidence), self._memory.taken(step.frame)
         previous = None if step.previous is None else self._memory.taken(step.previous)
         assert frame.image is not None  # a quarantined frame has no evidence
-        own = next(own for own in evidence.layers if own.layer == self._own.layer)
+        own = evidence.of(self._own.layer)
         with self._order.step(evidence.frame_index, after=own.last_frame):
             return self._memory.share(self.part.step(own, evidence, frame.image, previous), step.answer)
 

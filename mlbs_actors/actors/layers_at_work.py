@@ -75,7 +75,7 @@ class LayersAtWork:
         ChannelClosedError
             If such a process is gone.
         """
-        for own in evidence.layers:
+        for own in evidence.tracks:
             if own.layer not in self._here and own.layer not in self._elsewhere:
                 self._begin(SavedLayer(own.layer, own.kind, -1))
         for one in housed:

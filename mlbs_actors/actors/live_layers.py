@@ -96,7 +96,7 @@ class LiveLayers:
         for layer in evidence.retired:
             if layer in self._living:
                 self._release(layer)
-        for own in evidence.layers:
+        for own in evidence.tracks:
             self._living.setdefault(own.layer, _Living(own.kind, -1)).last_frame = evidence.frame_index
         return tuple(self._housed())
 

@@ -6,7 +6,6 @@ The actors know the engine through :class:`PartFactory` only. :class:`EnginePart
 from __future__ import annotations
 
 import os
-import pickle
 import sys
 import tempfile
 import zlib
@@ -14,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -28,12 +27,13 @@ from mlbs_actors.messages import (
     LayerEvidence,
     LayerKind,
     LayerPosterior,
+    LayerTracks,
     Segmentation,
+    received,
 )
 
 __all__ = ["CoordinatorPart", "EngineParts", "LayerPart", "PartFactory", "SegmenterPart"]
 
-Told = TypeVar("Told")
 
 #: How long a process waits for others to compile, s.
 TURN_SECONDS = 60.0
@@ -151,6 +151,7 @@ class EngineParts:
     def warm_stream(self) -> None:
         """Label a small scene with objects, so that the kernels of all parts are compiled or loaded.
 
+        What a scene holds by accident only, a label that may be removed or a contact shadow, comes after it.
         Else those that only objects need are loaded at a stream's first birth: a quarter of a second.
         """
         import mlbs_actors.coordinator
@@ -158,6 +159,8 @@ class EngineParts:
 
         with _turn():
             self._label_small_scene()
+            _cut_small_image()
+            _find_contact_shadow()
 
     def _run_two_layers(self) -> None:
         config = Config()
@@ -166,22 +169,16 @@ class EngineParts:
         random = np.random.default_rng(0)
         frame = _read_only(random.integers(0, 256, (height, width, 3), dtype=np.uint8))
         columns, rows = np.meshgrid(np.arange(140, 180, 8), np.arange(100, 140, 8))
-        positions = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float32)
+        count = columns.size  # of each layer's trajectories, which are at the same places
+        positions = np.tile(np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float32), (2, 1))
         motions = random.normal(size=positions.shape).astype(np.float32)  # so that there is a field to solve
         kinds: tuple[LayerKind, ...] = ("background", "object")
         for layer, kind in enumerate(kinds):  # one works on the frame, the other on a piece of it
             part = self.layer(config, layer, kind)
             previous = None
             for t in range(2):
-                both = tuple(
-                    LayerEvidence(
-                        layer=one,
-                        kind=kinds[one],
-                        last_frame=t - 1,
-                        positions=_read_only(positions),
-                        motions=_read_only(motions),
-                    )
-                    for one in range(2)
+                tracks = tuple(
+                    LayerTracks(one, kinds[one], t - 1, one * count, (one + 1) * count) for one in range(2)
                 )
                 evidence = FrameEvidence(
                     frame_index=t,
@@ -190,11 +187,13 @@ class EngineParts:
                     flow=_read_only(np.zeros((*grid, 2), np.float16)),
                     flow_reliable=_read_only(np.ones(grid, bool)),
                     unexplained=_read_only(np.full(grid, 255, np.uint8)),
-                    layers=both,
+                    tracks=tracks,
+                    positions=_read_only(positions),
+                    motions=_read_only(motions),
                     retired=(),
                     latency_frames=0,
                 )
-                part.step(both[layer], evidence, frame, previous)
+                part.step(evidence.of(layer), evidence, frame, previous)
                 previous = Segmentation(
                     frame_index=t,
                     labels=_read_only(np.full((height, width), layer, np.uint16)),
@@ -212,15 +211,15 @@ class EngineParts:
         for t, frame in enumerate(_small_scene()):
             wanted = coordinator.feedback_index(t)
             feedback = None if wanted is None else partial(made.__getitem__, wanted)
-            for evidence in map(_arrived, coordinator.step(t, frame, feedback)):
+            for evidence in map(received, coordinator.step(t, frame, feedback)):
                 previous = made[-1] if made else None
                 posteriors = []
                 for own in evidence.layers:
                     if own.layer not in layers:
                         layers[own.layer] = self.layer(Config(), own.layer, own.kind)
                     posterior = layers[own.layer].step(own, evidence, frame, previous)
-                    posteriors.append(_arrived(posterior))
-                made.append(_arrived(segmenter.step(evidence, frame, posteriors)))
+                    posteriors.append(received(posterior))
+                made.append(received(segmenter.step(evidence, frame, posteriors)))
 
 
 @contextmanager
@@ -272,12 +271,32 @@ def _small_scene(frames: int = 7) -> Iterator[Array]:
         yield _read_only(frame)
 
 
-def _arrived(message: Told) -> Told:
-    """What another process reads of a message: the arrays are read-only."""
-    arrays: list[pickle.PickleBuffer] = []
-    description = pickle.dumps(message, protocol=5, buffer_callback=arrays.append)
-    arrived: Told = pickle.loads(description, buffers=[array.raw().toreadonly() for array in arrays])
-    return arrived
+def _cut_small_image() -> None:
+    """Cut what is too small for blocks, and so full of noise that labels are hardly worth their cost."""
+    from mlbs_actors.graph_cut import lowest_labels
+    from mlbs_actors.label_cost_energy import LabelCostEnergy
+
+    side, cells = 2, 16
+    costs = np.random.default_rng(0).integers(0, 50, (3, cells, cells), dtype=np.int32)
+    weights = np.full((side * cells, side * cells, 4), 5, np.int32)
+    weights[:, -1, 0] = weights[-1, :, 1:] = weights[:, -1, 2] = weights[:, 0, 3] = 0
+    lowest_labels(LabelCostEnergy(costs, weights, np.array([0, 1000, 1000]), side))
+
+
+def _find_contact_shadow() -> None:
+    """Look at a square with a dark strip under it."""
+    from mlbs_actors.contact_shadow import contact_shadow
+    from mlbs_actors.shadows import Darkening
+
+    side, cells = 2, 40
+    image = np.full((side * cells, side * cells, 3), 125, np.uint8)
+    labels = np.zeros(image.shape[:2], np.uint16)
+    labels[20:60, 20:60] = 1
+    image[50:60, 20:60] = 9
+    light = np.zeros((cells, cells), np.float32)
+    light[25:30, 10:30] = -3
+    even = np.zeros_like(light)
+    contact_shadow(labels, image, Darkening(light, even, even + 10, even), side, 1.0, 0.25)
 
 
 def _read_only(array: Array) -> Array:

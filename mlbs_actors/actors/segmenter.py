@@ -174,7 +174,7 @@ class SegmenterActor:
                 slot,
                 work.background if own.layer == BACKGROUND else None,
             )
-            for own, slot in zip(evidence.layers, work.posteriors, strict=True)
+            for own, slot in zip(evidence.tracks, work.posteriors, strict=True)
         }
         answers = self._layers.step(steps)
         background = None if work.background is None else self._layers.appearance(BACKGROUND, work.background)

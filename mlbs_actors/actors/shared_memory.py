@@ -12,15 +12,20 @@ process has written outlives that process.
 
 from __future__ import annotations
 
+import copyreg
+import io
 import mmap
 import os
 import pickle
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
+
+import numpy as np
 
 from mlbs_actors.errors import ActorLostError, LayerError
+from mlbs_actors.messages import Array
 from mlbs_actors.pickling import pickled_by_values
 
 __all__ = ["Shared", "SharedMemory", "Slot", "SlotKind", "SlotPool"]
@@ -104,6 +109,7 @@ class SharedMemory:
 
     def __init__(self) -> None:
         self._maps: dict[tuple[int, int], mmap.mmap] = {}
+        self._reductions = {**copyreg.dispatch_table, np.ndarray: _reduced_array}
 
     def share(self, message: Message, slot: Slot) -> Shared[Message]:
         """Copy a message into a slot.
@@ -126,8 +132,11 @@ class SharedMemory:
             If the slot's owner is gone.
         """
         arrays: list[pickle.PickleBuffer] = []
-        description = pickle.dumps(message, protocol=5, buffer_callback=arrays.append)
-        pieces = [memoryview(description), *(array.raw() for array in arrays)]
+        description = io.BytesIO()
+        pickler = pickle.Pickler(description, protocol=5, buffer_callback=arrays.append)
+        pickler.dispatch_table = self._reductions
+        pickler.dump(message)
+        pieces = [description.getbuffer(), *(array.raw() for array in arrays)]
         lengths = tuple(piece.nbytes for piece in pieces)
         ends = _ends(lengths)
         memory = memoryview(self._mapped(slot, ends[-1], grow=True))
@@ -175,6 +184,13 @@ class SharedMemory:
         finally:
             os.close(descriptor)
         return self._maps[key]
+
+
+def _reduced_array(array: Array) -> Any:
+    """How an array is pickled: NumPy's own way runs through Python functions for each array that is read."""
+    if array.flags.c_contiguous and array.dtype.isbuiltin == 1:
+        return np.ndarray, (array.shape, array.dtype.str, pickle.PickleBuffer(array.data))
+    return array.__reduce_ex__(5)
 
 
 def _ends(lengths: Sequence[int]) -> list[int]:

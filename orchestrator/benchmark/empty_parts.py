@@ -85,8 +85,8 @@ class _EmptyCoordinator:
     ) -> list[FrameEvidence]:
         if feedback is not None:
             feedback()
-        layers = tuple(replace(layer, last_frame=frame_index - 1) for layer in self.evidence.layers)
-        return [replace(self.evidence, frame_index=frame_index, layers=layers, retired=())]
+        tracks = tuple(one._replace(last_frame=frame_index - 1) for one in self.evidence.tracks)
+        return [replace(self.evidence, frame_index=frame_index, tracks=tracks, retired=())]
 
     def flush(self) -> list[FrameEvidence]:
         return []
