@@ -18,7 +18,12 @@ from mlbs_actors.errors import ConfigError
 from orchestrator.benchmark.births import BirthCost, birth_cost, times_in_process, times_through_ray
 from orchestrator.benchmark.empty_parts import EmptyParts, last_messages
 from orchestrator.benchmark.engine_run import EngineCall, EngineCost, play, steady_cost
-from orchestrator.benchmark.layers import further_object_ms, layers_table, measure_layers
+from orchestrator.benchmark.layers import (
+    further_object_ms,
+    layers_table,
+    measure_layers,
+    processes_table,
+)
 from orchestrator.benchmark.memory import KindMemory, memory_by_kind, memory_table, stream_mib
 from orchestrator.benchmark.pipeline import Arrival, SteadyWindow
 from orchestrator.benchmark.played_video import EndlessReader, write_video
@@ -198,13 +203,22 @@ def cost(cpu: float) -> EngineCost:
 
 def test_a_further_object_costs_the_growth_over_the_objects_more() -> None:
     costs = {1: cost(80.0), 3: cost(100.0), 8: cost(140.0)}
-    further = further_object_ms(costs)
+    further = further_object_ms({count: one.cpu_ms for count, one in costs.items()})
     assert math.isnan(further[1])
     assert (further[3], further[8]) == (10.0, 8.0)
     rows = [line.split() for line in layers_table(costs).splitlines()]
     assert rows[1][4:] == ["0.80", "-", "-"]
     assert rows[3][4:] == ["1.40", "8", "8"]
     assert layers_table({2: cost(50.0)}).splitlines()[1].split()[4:] == ["-", "-", "-"]
+
+
+def test_through_ray_the_cost_of_a_further_object_is_that_of_all_processes() -> None:
+    start = StartUp(2.0, 9.0, 10.0)
+    few = PipelineCost(50.0, 20.0, {"object layer": 3.0, "coordinator": 17.0}, start)
+    more = PipelineCost(40.0, 25.0, {"object layer": 6.0, "coordinator": 20.0}, start)
+    rows = [line.split() for line in processes_table({3: few, 5: more}).splitlines()]
+    assert rows[1] == ["3", "20", "20", "3", "1.00", "-", "-"]
+    assert rows[2] == ["5", "25", "26", "6", "1.30", "3", "15"]
 
 
 def test_the_empty_parts_send_the_engines_own_messages_for_every_frame() -> None:
@@ -247,7 +261,7 @@ def test_sizes_and_layers_have_a_row_for_each_and_the_engines_stages(tmp_path: P
     sizes = measure_sizes(setting(tmp_path), ((96, 64), (128, 96)))
     assert [line.split()[0] for line in sizes.tables[0].splitlines()] == ["size", "96×64", "128×96"]
     assert sizes.figures["96×64"]["stage_ms"]["flow"] > 0
-    layers = measure_layers(setting(tmp_path), (1,))
+    layers = measure_layers(setting(tmp_path), (1,), ())
     assert layers.figures["1"]["cpu_ms"] > 0
     assert layers.plots["layers"].x == [1]
 

@@ -48,9 +48,9 @@ _SHORT_BURST, _LONG_BURST = 8, 24
 #: Bursts of a stream that are short: processes are made ready for the next one between bursts.
 _SHORT_BURSTS = 6
 
-#: Bursts of a stream before processes are made ready for its return: its own have just been started, and
-#: later on they would hold up its frames, too.
-_BURSTS_ALONE = 1
+#: Bursts of a stream before processes are made ready for its return, three seconds or so: its own have just
+#: been started, most of what it shows is born in these, and frames take longer while a process starts.
+_BURSTS_ALONE = 10
 
 #: How long the ends of a stream that is stopped are waited for, s.
 _STOP_SECONDS = 10.0

@@ -43,7 +43,8 @@ EPILOG = """\
 what can be measured (on --sequences where no scene is named):
   methods   the engine beside OpenCV's subtractors, and the engine's stages
   sizes     wall and CPU time of a frame, and the stages, from 320×240 to 1920×1080 (scene demo)
-  layers    CPU time of a frame with 1 to 32 objects of 1 % of a 640×480 frame each (scene steady-crowd)
+  layers    CPU time of a frame with 1 to 32 objects of 1 % of a 640×480 frame each (scene steady-crowd),
+            and with 3 to 16 through Ray, of all processes
   births    the longest frame in which an object enters, in process and through Ray (traffic,
             late-entry, crowd)
   ray       the pipeline through Ray: rate, CPU time of all its processes, the share of Ray, start-up

@@ -1,22 +1,28 @@
-"""The cost of a frame by the number of objects in it: the engine in this process on a steady crowd."""
+"""What a frame of a steady crowd costs by the number of objects in it, in one process and through Ray."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from itertools import pairwise
 
 from orchestrator.benchmark.engine_run import EngineCost, play, steady_cost
 from orchestrator.benchmark.finding import Finding
+from orchestrator.benchmark.pipeline import record_in
+from orchestrator.benchmark.played_video import EndlessReader
 from orchestrator.benchmark.plots import Plot
+from orchestrator.benchmark.ray_cost import PipelineCost, pipeline_cost
 from orchestrator.benchmark.setting import Setting, say
 from orchestrator.evaluation.datasets import open_sequence
 from orchestrator.evaluation.figures import format_number, format_table
 
-__all__ = ["OBJECTS", "further_object_ms", "layers_table", "measure_layers"]
+__all__ = ["OBJECTS", "further_object_ms", "layers_table", "measure_layers", "processes_table"]
 
 OBJECTS = (1, 3, 8, 16, 32)
+#: Through Ray each takes a minute, of which most is the start of the processes.
+OBJECTS_THROUGH_RAY = (3, 8, 16)
 
 #: The number of objects of an ordinary frame, which the others are held against.
 ORDINARY = 3
@@ -24,66 +30,107 @@ ORDINARY = 3
 _SIZE = "width=640&height=480"
 
 
-def measure_layers(setting: Setting, objects: tuple[int, ...] = OBJECTS) -> Finding:
+def measure_layers(
+    setting: Setting,
+    objects: tuple[int, ...] = OBJECTS,
+    through_ray: tuple[int, ...] = OBJECTS_THROUGH_RAY,
+) -> Finding:
     """Play the scene ``steady-crowd`` at 640×480 with each number of objects."""
-    costs = {}
+    alone, together = {}, {}
     for number, count in enumerate(objects):
-        say(f"layers: {count} objects ({number + 1} of {len(objects)})")
-        uri = f"synthetic:steady-crowd?frames={setting.frames}&{_SIZE}&objects={count}"
-        costs[count] = steady_cost(
-            play(setting.played(open_sequence(uri, None)), setting.config), setting.warm
+        say(f"layers: {count} objects in this process ({number + 1} of {len(objects)})")
+        sequence = open_sequence(_scene(setting, count), None)
+        alone[count] = steady_cost(play(setting.played(sequence), setting.config), setting.warm)
+    for number, count in enumerate(through_ray):
+        say(f"layers: {count} objects through Ray ({number + 1} of {len(through_ray)})")
+        name = _scene(setting, count)
+        scene = replace(setting, sequences={name: open_sequence(name, None)})
+        together[count] = pipeline_cost(
+            scene, None, partial(EndlessReader, scene.endless_video(name)), record_in
         )
     plot = Plot(
         "A frame by the number of its objects (640×480, 1 % of the frame each), in one process",
         "objects",
         "ms a frame",
-        list(costs),
+        list(alone),
         {
-            "wall": [cost.wall_ms for cost in costs.values()],
-            "CPU": [cost.cpu_ms for cost in costs.values()],
+            "wall": [cost.wall_ms for cost in alone.values()],
+            "CPU": [cost.cpu_ms for cost in alone.values()],
         },
         "lines",
     )
-    further = further_object_ms(costs)
+    further = further_object_ms({count: cost.cpu_ms for count, cost in alone.items()})
     figures = {
-        str(count): asdict(cost) | {"further_object_ms": further[count]} for count, cost in costs.items()
+        str(count): asdict(cost) | {"further_object_ms": further[count]} for count, cost in alone.items()
     }
-    return Finding((layers_table(costs),), figures, {"layers": plot})
+    by_ray = {str(count): asdict(cost) | {"all_cpu_ms": cost.all_cpu_ms} for count, cost in together.items()}
+    tables = (layers_table(alone), *([processes_table(together)] if together else []))
+    return Finding(tables, figures | {"through_ray": by_ray}, {"layers": plot})
 
 
-def further_object_ms(costs: Mapping[int, EngineCost]) -> dict[int, float]:
+def _scene(setting: Setting, objects: int) -> str:
+    return f"synthetic:steady-crowd?frames={setting.frames}&{_SIZE}&objects={objects}"
+
+
+def further_object_ms(cpu_ms: Mapping[int, float]) -> dict[int, float]:
     """CPU time of one object more, ms a frame: the mean from the row before; NaN for the first."""
-    further = dict.fromkeys(costs, math.nan)
-    for (fewer, less), (count, more) in pairwise(costs.items()):
-        further[count] = (more.cpu_ms - less.cpu_ms) / (count - fewer)
+    further = dict.fromkeys(cpu_ms, math.nan)
+    for (fewer, less), (count, more) in pairwise(cpu_ms.items()):
+        further[count] = (more - less) / (count - fewer)
     return further
 
 
 def layers_table(costs: Mapping[int, EngineCost]) -> str:
-    """A row for each number of objects; the last three columns tell how the cost grows."""
-    ordinary = costs[ORDINARY].cpu_ms if ORDINARY in costs else math.nan
+    """A row for each number of objects in one process; the last three columns tell how the cost grows."""
+    growth = _growth({count: cost.cpu_ms for count, cost in costs.items()})
     rows = [
         [
             str(count),
             format_number(cost.objects),
             format_number(cost.wall_ms),
             format_number(cost.cpu_ms),
-            _ratio(cost.cpu_ms / ordinary),
+            *growth[count],
+        ]
+        for count, cost in costs.items()
+    ]
+    return format_table(["objects", "found", "wall ms", "cpu ms", *_GROWTH], rows)
+
+
+def processes_table(costs: Mapping[int, PipelineCost]) -> str:
+    """The same through Ray, with the CPU time of all processes, and of those that are objects."""
+    growth = _growth({count: cost.all_cpu_ms for count, cost in costs.items()})
+    rows = [
+        [
+            str(count),
+            format_number(cost.wall_ms),
+            format_number(cost.all_cpu_ms),
+            format_number(cost.cpu_ms.get("object layer", 0.0)),
+            *growth[count],
+        ]
+        for count, cost in costs.items()
+    ]
+    headings = ["objects through Ray", "wall ms", "cpu ms", "of it the objects' processes", *_GROWTH]
+    return format_table(headings, rows)
+
+
+#: How the cost grows with the objects.
+_GROWTH = (
+    f"× {ORDINARY} objects",
+    "cpu ms a further object",
+    f"% of a frame with {ORDINARY}",
+)
+
+
+def _growth(cpu_ms: Mapping[int, float]) -> dict[int, list[str]]:
+    ordinary = cpu_ms.get(ORDINARY, math.nan)
+    return {
+        count: [
+            _ratio(cpu_ms[count] / ordinary),
             format_number(further),
             format_number(100 * further / ordinary),
         ]
-        for (count, cost), further in zip(costs.items(), further_object_ms(costs).values(), strict=True)
-    ]
-    headings = [
-        "objects",
-        "found",
-        "wall ms",
-        "cpu ms",
-        f"× {ORDINARY} objects",
-        "cpu ms a further object",
-        f"% of a frame with {ORDINARY}",
-    ]
-    return format_table(headings, rows)
+        for count, further in further_object_ms(cpu_ms).items()
+    }
 
 
 def _ratio(value: float) -> str:

@@ -19,7 +19,7 @@ from orchestrator.benchmark.process_costs import cpu_growth, sum_by_kind
 from orchestrator.benchmark.setting import Setting, say
 from orchestrator.evaluation.figures import format_number, format_table
 
-__all__ = ["PipelineCost", "StartUp", "cpu_ms_by_kind", "measure_ray", "start_up"]
+__all__ = ["PipelineCost", "StartUp", "cpu_ms_by_kind", "measure_ray", "pipeline_cost", "start_up"]
 
 #: The rate is steady from the first frame on that begins this many frames in not much more than their time.
 _STEADY_FRAMES, _STEADY_RATIO = 8, 1.25
@@ -73,11 +73,11 @@ def measure_ray(setting: Setting) -> Finding:
     tables, figures, plots = [], {}, {}
     for number, (name, sequence) in enumerate(setting.sequences.items()):
         say(f"ray: {name}, the engine ({number + 1} of {len(setting.sequences)})")
-        engine = _cost(setting, None, partial(EndlessReader, setting.endless_video(name)), record_in)
+        engine = pipeline_cost(setting, None, partial(EndlessReader, setting.endless_video(name)), record_in)
         say(f"ray: {name}, the same calls with empty methods")
         frames = list(setting.played(sequence))
         parts = EmptyParts(last_messages(frames, setting.config))
-        empty = _cost(setting, parts, partial(EmptyReader, frames[-1]), _no_record)
+        empty = pipeline_cost(setting, parts, partial(EmptyReader, frames[-1]), _no_record)
         tables += [cost_table(name, engine, empty), start_table(name, engine)]
         figures[name] = {
             "engine": asdict(engine) | {"all_cpu_ms": engine.all_cpu_ms},
@@ -99,12 +99,22 @@ def measure_ray(setting: Setting) -> Finding:
     return Finding(tuple(tables), figures, plots)
 
 
-def _cost(
+def pipeline_cost(
     setting: Setting,
     parts: PartFactory | None,
     open_reader: Callable[[], FrameReader],
     open_record: Callable[[Path], StreamSink],
 ) -> PipelineCost:
+    """Run one stream in a session of its own until its steady window is over.
+
+    Parameters
+    ----------
+    setting : Setting
+    parts : PartFactory or None
+        What the actors run; None: the engine.
+    open_reader, open_record : callable
+        Where its frames come from, for ever, and where its results go.
+    """
     with pipeline(setting.config, setting.folder, parts) as session:
         stream = session.start(open_reader, open_record)
         window = session.steady_window(setting.warm, setting.steady)
