@@ -40,7 +40,7 @@ from orchestrator.stream_list import ListedStream
 from orchestrator.stream_state import StreamState, after_failure, stopped, with_record
 from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
-__all__ = ["run"]
+__all__ = ["run", "what_to_look_at"]
 
 
 def run(
@@ -307,7 +307,7 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
     ]
     begun = [state.name for state in states if state.committed]
     if begun:
-        lines.append(f"Look at {_what_to_look_at(folder.stream(begun[0]), arguments.save)}")
+        lines.append(f"Look at {what_to_look_at(folder.stream(begun[0]), arguments.save)}")
         lines.append(f"and at {folder.path / 'report.html'}")
     if any(state.interrupted for state in states):
         but = ", without --watch" if arguments.watch else ""
@@ -315,11 +315,13 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
     return "\n".join(lines)
 
 
-def _what_to_look_at(stream: Path, save: frozenset[str]) -> Path:
+def what_to_look_at(stream: Path, save: frozenset[str]) -> str:
+    """Which of a stream's results show its labels best: the videos, or the masks where none was saved."""
     videos = overlays(stream)
-    if videos:
-        return videos[-1][1]
-    return stream / "masks" if "masks" in save else stream
+    if not videos:
+        return str(stream / "masks" if "masks" in save else stream)
+    # A run that was gone on with has one for each start.
+    return f"{videos[0][1]}" if len(videos) == 1 else f"{stream / 'overlay*.mp4'} ({len(videos)} parts)"
 
 
 def _say(text: str) -> None:

@@ -15,6 +15,7 @@ from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator import durable_files
 from orchestrator.durable_files import append_line, replace_file
+from orchestrator.run import what_to_look_at
 from orchestrator.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.sinks.commit_log import CommitLog
 from orchestrator.sources.address import parse_address
@@ -269,3 +270,12 @@ def test_one_run_at_a_time_has_a_folder_and_a_killed_one_keeps_nobody_out(tmp_pa
         other.kill()
     with RunFolder(tmp_path).held():
         pass
+
+
+def test_a_user_is_sent_to_all_videos_of_a_stream_or_to_its_masks(tmp_path: Path) -> None:
+    assert what_to_look_at(tmp_path, frozenset({"parquet"})) == str(tmp_path)
+    assert what_to_look_at(tmp_path, frozenset({"masks"})) == str(tmp_path / "masks")
+    (tmp_path / "overlay.mp4").touch()
+    assert what_to_look_at(tmp_path, frozenset({"masks"})) == str(tmp_path / "overlay.mp4")
+    (tmp_path / "overlay-00000120.mp4").touch()
+    assert what_to_look_at(tmp_path, frozenset({"masks"})) == f"{tmp_path / 'overlay*.mp4'} (2 parts)"
