@@ -165,7 +165,7 @@ class MotionField:
             # As the field is linear between the nodes, the value in the middle of a cell is nearly its mean.
             return nodes, spacing // side
         means = mean_of_cells(to_pixels(nodes, spacing, *self.shape), side)
-        return means.reshape(*means.shape[:2], -1), 1
+        return means.reshape(*means.shape[:2], nodes.shape[2]), 1
 
 
 def motion_field(

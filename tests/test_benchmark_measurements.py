@@ -262,7 +262,7 @@ def test_sizes_and_layers_have_a_row_for_each_and_the_engines_stages(tmp_path: P
     assert [line.split()[0] for line in sizes.tables[0].splitlines()] == ["size", "96×64", "128×96"]
     assert sizes.figures["96×64"]["stage_ms"]["flow"] > 0
     layers = measure_layers(setting(tmp_path), (1,), ())
-    assert layers.figures["1"]["cpu_ms"] > 0
+    assert layers.figures["in_process"]["1"]["cpu_ms"] > 0
     assert layers.plots["layers"].x == [1]
 
 
@@ -295,6 +295,7 @@ from functools import partial
 from orchestrator.ray_session import ray_settings
 with ray_settings(None) as scratch:
     from orchestrator.benchmark import command
+    command.measure_layers = partial(command.measure_layers, objects=(1,), through_ray=(1,))
     command.measure_streams = partial(command.measure_streams, streams=(1,))
     command.measure_births = partial(command.measure_births, scenes=("late-entry",), size=(96, 64))
     sys.exit(command.main(sys.argv[1:], scratch))
@@ -320,6 +321,14 @@ def test_the_pipeline_is_measured_beside_empty_methods(tmp_path: Path) -> None:
     figures = measured("ray", tmp_path)[SMALL]
     assert figures["engine"]["all_cpu_ms"] > figures["empty"]["all_cpu_ms"] > 0
     assert 0 < figures["engine"]["start_up"]["ray"] < figures["engine"]["start_up"]["first"]
+
+
+@pytest.mark.ray
+@pytest.mark.long
+def test_a_crowd_is_measured_in_one_process_and_through_ray(tmp_path: Path) -> None:
+    figures = measured("layers", tmp_path)
+    assert figures["in_process"]["1"]["all_cpu_ms"] > 0
+    assert figures["through_ray"]["1"]["cpu_ms"]["object layer"] > 0
 
 
 @pytest.mark.ray

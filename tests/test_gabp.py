@@ -10,7 +10,7 @@ import pytest
 from mlbs_actors.errors import SolverError
 from mlbs_actors.gabp import MotionParameters, motion_field
 from mlbs_actors.messages import Array
-from mlbs_actors.node_grid import node_positions
+from mlbs_actors.node_grid import grid_shape, node_positions
 
 PLAIN = MotionParameters(robust_rounds=0, tolerance=1e-9)
 SAME_GRID = replace(PLAIN, variance_spacing_px=PLAIN.spacing_px)
@@ -210,6 +210,15 @@ def test_the_field_of_cells_is_the_mean_of_their_pixels(side: int) -> None:
     np.testing.assert_allclose(field.of_cells(side), expected, atol=0.1)
     expected = field.dense_variance().reshape(36 // side, side, 42 // side, side).mean(axis=(1, 3))
     np.testing.assert_allclose(field.variance_of_cells(side), expected, rtol=0.1)
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (20, 0), (0, 30)])
+@pytest.mark.parametrize("side", [1, 2, 3, 5])
+def test_a_region_without_pixels_has_a_field_of_no_cells(shape: tuple[int, int], side: int) -> None:
+    field = motion_field(np.zeros((0, 2)), np.zeros((0, 2)), shape, np.ones(2), PLAIN)
+    height, width = grid_shape(shape, side)
+    assert field.of_cells(side).shape == (height, width, 2)
+    assert field.variance_of_cells(side).shape == (height, width)
 
 
 def test_positions_may_be_those_in_the_frame_of_a_region_in_it() -> None:

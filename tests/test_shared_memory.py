@@ -42,11 +42,15 @@ def test_arrays_of_every_kind_come_back_with_type_shape_and_order() -> None:
         np.arange(6, dtype=np.float16).reshape(1, 2, 3),
         np.asfortranarray(np.arange(12.0).reshape(3, 4)),
         np.arange(20, dtype=np.uint16)[::3],  # not contiguous
+        np.array([None, "word"]),
     ]
     read = memory.taken(memory.share(arrays, slots.take("evidence")))
     for one, other in zip(read, arrays, strict=True):
         assert one.dtype == other.dtype
         assert np.array_equal(one, other)
+        if other.flags.forc and not other.dtype.hasobject:  # else it is no view of the memory
+            assert one.flags.f_contiguous == other.flags.f_contiguous
+            assert not one.flags.writeable
 
 
 def test_a_slot_grows_with_its_messages_and_what_was_read_before_stays() -> None:

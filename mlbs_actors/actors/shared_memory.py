@@ -188,7 +188,7 @@ class SharedMemory:
 
 def _reduced_array(array: Array) -> Any:
     """How an array is pickled: NumPy's own way runs through Python functions for each array that is read."""
-    if array.flags.c_contiguous and array.dtype.isbuiltin == 1:
+    if array.flags.c_contiguous and array.dtype.isbuiltin == 1 and not array.dtype.hasobject:
         return np.ndarray, (array.shape, array.dtype.str, pickle.PickleBuffer(array.data))
     return array.__reduce_ex__(5)
 

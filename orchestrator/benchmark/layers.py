@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 from orchestrator.benchmark.engine_run import EngineCost, play, steady_cost
 from orchestrator.benchmark.finding import Finding
@@ -59,13 +60,22 @@ def measure_layers(
         },
         "lines",
     )
-    further = further_object_ms({count: cost.cpu_ms for count, cost in alone.items()})
     figures = {
-        str(count): asdict(cost) | {"further_object_ms": further[count]} for count, cost in alone.items()
+        "in_process": _figures(alone, {count: cost.cpu_ms for count, cost in alone.items()}),
+        "through_ray": _figures(together, {count: cost.all_cpu_ms for count, cost in together.items()}),
     }
-    by_ray = {str(count): asdict(cost) | {"all_cpu_ms": cost.all_cpu_ms} for count, cost in together.items()}
     tables = (layers_table(alone), *([processes_table(together)] if together else []))
-    return Finding(tables, figures | {"through_ray": by_ray}, {"layers": plot})
+    return Finding(tables, figures, {"layers": plot})
+
+
+def _figures(
+    costs: Mapping[int, EngineCost] | Mapping[int, PipelineCost], cpu_ms: Mapping[int, float]
+) -> dict[str, Any]:
+    further = further_object_ms(cpu_ms)
+    return {
+        str(count): asdict(cost) | {"all_cpu_ms": cpu_ms[count], "further_object_ms": further[count]}
+        for count, cost in costs.items()
+    }
 
 
 def _scene(setting: Setting, objects: int) -> str:

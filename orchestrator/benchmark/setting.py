@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import hashlib
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ class Setting:
 
     def endless_video(self, name: str) -> Path:
         """A sequence once forth and back as a video file, which has no cut when it is played again."""
-        path = self.folder / f"{re.sub(r'[^0-9A-Za-z]+', '-', name)}.mp4"
+        path = self.folder / f"{hashlib.sha256(name.encode()).hexdigest()}.mp4"
         if not path.exists():
             say(f"{name}: writing it as a video")
             sequence = self.sequences[name]
