@@ -47,7 +47,7 @@ _MAX_LABEL_COST = 2**50
 
 #: So many pixels, blocks of 2×2 pixels (whose costs hardly differ), and larger blocks (legs are thinner)
 #: are cut as they are; more are labelled coarse to fine.
-LARGE = (2048, 4096, 16384)
+LARGE = (2048, 1024, 9216)
 
 
 @dataclass(frozen=True, slots=True)
