@@ -23,7 +23,7 @@ from mlbs_actors.compilation import compiled
 from mlbs_actors.label_cost_energy import UNDECIDED, LabelCostEnergy, UndecidedEnergy, undecided_energy
 from mlbs_actors.messages import Array
 
-__all__ = ["Band", "band_around_outlines", "halved"]
+__all__ = ["Band", "band_around_outlines", "halved", "of_blocks", "opened"]
 
 #: Largest unary cost of a block: what no sum of pair weights outweighs, and nine of which fit into 32 bits.
 MAX_BLOCK_COST = 2**24
@@ -81,13 +81,13 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
     -------
     Band
     """
-    labels, elsewhere = _opened(blocks, whole.label_costs.size, *whole.weights.shape[:2])
+    labels, elsewhere = opened(blocks, whole.label_costs.size, *whole.weights.shape[:2])
     rest = undecided_energy(whole, labels, elsewhere)
-    return Band(labels, rest, _of_blocks(blocks, rest.pixels, rest.row, labels.shape[1]))
+    return Band(labels, rest, of_blocks(blocks, rest.pixels, rest.row, labels.shape[1]))
 
 
 @compiled()
-def _opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
+def opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
     """The labels of the blocks' pixels, open beside the outlines; and which labels are elsewhere."""
     rows, columns = blocks.shape
     labels, elsewhere = np.empty((height, width), np.int16), np.zeros(label_count, np.bool_)
@@ -113,7 +113,7 @@ def _opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[A
 
 
 @compiled()
-def _of_blocks(blocks: Array, pixels: Array, row: Array, width: int) -> Array:
+def of_blocks(blocks: Array, pixels: Array, row: Array, width: int) -> Array:
     """Labels (n,) intp of the blocks that some pixels of an image lie in."""
     labels = np.empty(pixels.size, np.intp)
     for i in range(pixels.size):

@@ -22,6 +22,7 @@ __all__ = [
     "UndecidedEnergy",
     "cost_of_labels",
     "energy_of_labels",
+    "left_open",
     "neighbour_and_weight",
     "undecided_energy",
 ]
@@ -164,7 +165,7 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     -------
     UndecidedEnergy
     """
-    pixels, row, offers, neighbour, weight, label_costs = _left_open(
+    pixels, row, offers, neighbour, weight, label_costs = left_open(
         whole.unary,
         whole.side,
         whole.extras,
@@ -187,7 +188,7 @@ def neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, in
 
 
 @compiled()
-def _left_open(
+def left_open(
     unary: Array, side: int, extras: Array, places: Array, weights: Array, label_costs: Array, labels: Array,
     elsewhere: Array,
 ) -> tuple[Array, Array, tuple[Array, Array, Array], Array, Array, Array]:  # fmt: skip
@@ -254,7 +255,7 @@ def _offers(
 @compiled()
 def _open_before(y: int, x: int, position: Array, begins: Array) -> int:
     """How many undecided pixels come before a place in a row, or at its end, from what `_numbered` tells."""
-    return position[y, x] if x < position.shape[1] else begins[y + 1]
+    return int(position[y, x] if x < position.shape[1] else begins[y + 1])
 
 
 @compiled()
