@@ -23,7 +23,7 @@ from mlbs_actors.compilation import compiled
 from mlbs_actors.label_cost_energy import UNDECIDED, LabelCostEnergy, UndecidedEnergy, undecided_energy
 from mlbs_actors.messages import Array
 
-__all__ = ["Band", "band_around_outlines", "halved"]
+__all__ = ["Band", "band_around_outlines", "halved", "of_blocks", "opened"]
 
 #: Largest unary cost of a block: what no sum of pair weights outweighs, and nine of which fit into 32 bits.
 MAX_BLOCK_COST = 2**24
@@ -81,13 +81,13 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
     -------
     Band
     """
-    labels, elsewhere = _opened(blocks, whole.label_costs.size, *whole.weights.shape[:2])
+    labels, elsewhere = opened(blocks, whole.label_costs.size, *whole.weights.shape[:2])
     rest = undecided_energy(whole, labels, elsewhere)
-    return Band(labels, rest, _of_blocks(blocks, rest.pixels, rest.row, labels.shape[1]))
+    return Band(labels, rest, of_blocks(blocks, rest.pixels, rest.row, labels.shape[1]))
 
 
 @compiled()
-def _opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
+def opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
     """The labels of the blocks' pixels, open beside the outlines; and which labels are elsewhere."""
     rows, columns = blocks.shape
     labels, elsewhere = np.empty((height, width), np.int16), np.zeros(label_count, np.bool_)
@@ -103,18 +103,17 @@ def _opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[A
                 labels[max(y - 1, 0) : y + 3, x + 1 : x + 3] = UNDECIDED
             if v + 1 < rows and blocks[v, u] != blocks[v + 1, u]:
                 labels[y + 1 : y + 3, max(x - 1, 0) : x + 3] = UNDECIDED
+    seen = np.zeros(label_count + 1, np.bool_)
     for y in range(height):
-        own, last = labels[y], np.int16(UNDECIDED)
+        own = labels[y]
         for x in range(width):
-            if own[x] != last:
-                last = own[x]
-                if last != UNDECIDED:
-                    elsewhere[last] = True
+            seen[np.uint64(own[np.uint64(x)] - UNDECIDED)] = True
+    elsewhere[:] = seen[1:]
     return labels, elsewhere
 
 
 @compiled()
-def _of_blocks(blocks: Array, pixels: Array, row: Array, width: int) -> Array:
+def of_blocks(blocks: Array, pixels: Array, row: Array, width: int) -> Array:
     """Labels (n,) intp of the blocks that some pixels of an image lie in."""
     labels = np.empty(pixels.size, np.intp)
     for i in range(pixels.size):
@@ -174,73 +173,76 @@ def _halved_unary(unary: Array, side: int, extras: Array, places: Array, height:
 def _halved_weights(weights: Array) -> Array:
     """Pair weights (rows, columns, 4) int32 of blocks: those of their pixels, lowered to what the cheapest
     straight outline costs that lies within a pixel of the blocks' edge."""
-    joined = _joined_weights(weights)
-    beside, below = _shares_of_edges(weights)
-    for v in range(joined.shape[0]):
-        for u in range(joined.shape[1]):
-            own, left = joined[v, u], max(u - 1, 0)
-            own[0] = np.int32(own[0] * beside[v, u])
-            own[1] = np.int32(own[1] * below[v, u])
-            own[2] = np.int32(own[2] * min(beside[v, u], below[v, u]))
-            own[3] = np.int32(own[3] * min(beside[v, left], below[v, u]))
-    return joined
-
-
-@compiled()
-def _shares_of_edges(weights: Array) -> tuple[Array, Array]:
-    """What the cheapest outline near a block's edge costs of an outline there, (rows, columns) in [0, 1], of
-    its right edge and its lower one. Beyond the image is no outline."""
     height, width, _ = weights.shape
     rows, columns = (height + 1) // 2, (width + 1) // 2
-    # What an outline along a block costs to the right of a column, and below a row.
-    upright, level = np.zeros((rows, width), np.int32), np.zeros((height, columns), np.int32)
-    for y in range(height):
-        own, right_of, under = weights[y], upright[y // 2], level[y]
-        for x in range(width - 1):
-            right_of[x] += own[x, 0] + own[x, 2] + own[x + 1, 3]
-        for x in range(width):
-            under[x // 2] += own[x, 1] + own[x, 2] + own[x, 3]
-    beside, below = np.ones((rows, columns)), np.ones((rows, columns))
+    across, down = _outlines_along_blocks(weights)
+    halved = np.empty((rows, columns, 4), np.int32)
+    # Diagonal pairs of blocks share one pair of pixels each; to the left of the first block is none.
+    diagonal, anti = np.empty(columns, np.int32), np.zeros(columns + 1, np.int32)
+    beside, below = np.ones(columns + 1), np.ones(columns)
     for v in range(rows):
-        right_of, y = upright[v], 2 * v + 1
+        y, upright, own = 2 * v + 1, across[v], halved[v].reshape(-1)
+        _diagonal_pairs(weights, y, diagonal, anti)
         for u in range((width - 1) // 2):
-            x = 2 * u + 1
-            least = min(right_of[x - 1], right_of[min(x + 1, width - 2)])
-            if least < right_of[x]:
-                beside[v, u] = least / right_of[x]
-        if y < height - 1:
-            before, under, after = level[y - 1], level[y], level[min(y + 1, height - 2)]
-            for u in range(columns):
-                least = min(before[u], after[u])
-                if least < under[u]:
-                    below[v, u] = least / under[u]
-    return beside, below
+            at, first = np.uint64(u + 1), np.uint64(2 * u)
+            here = upright[first + np.uint64(1)]
+            least = min(upright[first], upright[first + np.uint64(2)])
+            beside[at] = least / here if least < here else 1.0
+        beside[0] = beside[1]
+        before, level, after = down[y - 1], down[y], down[max(min(y + 1, height - 2), 0)]
+        for u in range(columns):
+            at = np.uint64(u)
+            least = min(before[at], after[at])
+            below[at] = least / level[at] if least < level[at] else 1.0
+        for u in range(columns):
+            at, following, first = np.uint64(u), np.uint64(u + 1), np.uint64(4 * u)
+            right_side = upright[np.uint64(2 * u + 1)] - diagonal[at] - anti[following]
+            lower_side = level[at] - diagonal[at] - anti[at]
+            own[first] = np.int32(right_side * beside[following])
+            own[first + np.uint64(1)] = np.int32(lower_side * below[at])
+            own[first + np.uint64(2)] = np.int32(diagonal[at] * min(beside[following], below[at]))
+            own[first + np.uint64(3)] = np.int32(anti[at] * min(beside[at], below[at]))
+        halved[v, columns - 1, 0] = 0
+    return halved
 
 
 @compiled()
-def _joined_weights(weights: Array) -> Array:
-    """Sums over the pairs of pixels of two blocks, by block and direction."""
+def _outlines_along_blocks(weights: Array) -> tuple[Array, Array]:
+    """What an outline along one block costs: to the right of each column of pixels, (rows, 2 · columns + 1),
+    the last but one once more at the image's border; and below each row of pixels, (H + 1, columns)."""
     height, width, _ = weights.shape
     rows, columns = (height + 1) // 2, (width + 1) // 2
-    joined = np.zeros((rows, columns, 4), np.int32)
+    across, down = np.zeros((rows, 2 * columns + 1), np.int32), np.zeros((height + 1, columns), np.int32)
+    onward, back = np.empty(width, np.int32), np.empty(width, np.int32)
+    under = np.zeros(2 * columns, np.int32)
     for y in range(height):
-        for x in range(width):
-            v, u = y // 2, x // 2
-            odd_row, odd_column = y % 2 == 1, x % 2 == 1
-            if odd_column:
-                joined[v, u, 0] += weights[y, x, 0]
-            if odd_row:
-                joined[v, u, 1] += weights[y, x, 1]
-            if odd_row and odd_column:
-                joined[v, u, 2] += weights[y, x, 2]
-            elif odd_row:
-                joined[v, u, 1] += weights[y, x, 2]
-            elif odd_column:
-                joined[v, u, 0] += weights[y, x, 2]
-            if odd_row and not odd_column:
-                joined[v, u, 3] += weights[y, x, 3]
-            elif odd_row:
-                joined[v, u, 1] += weights[y, x, 3]
-            elif not odd_column and u > 0:
-                joined[v, u - 1, 0] += weights[y, x, 3]
-    return joined
+        own, upright, level = weights[y].reshape(-1), across[y // 2], down[y]
+        for x in range(width):  # one after the other: only so each is read once
+            at, first = np.uint64(x), np.uint64(4 * x)
+            diagonal, anti = own[first + np.uint64(2)], own[first + np.uint64(3)]
+            onward[at], back[at] = own[first] + diagonal, anti
+            under[at] = own[first + np.uint64(1)] + diagonal + anti
+        for x in range(width - 1):
+            at = np.uint64(x)
+            upright[at] += onward[at] + back[at + np.uint64(1)]
+        for u in range(columns):
+            first = np.uint64(2 * u)
+            level[np.uint64(u)] = under[first] + under[first + np.uint64(1)]
+    across[:, width - 1] = across[:, max(width - 2, 0)]
+    return across, down
+
+
+@compiled()
+def _diagonal_pairs(weights: Array, y: int, diagonal: Array, anti: Array) -> None:
+    """Weights from a block's last row of pixels to the blocks down right and down left, (columns,) of each;
+    0 where it has only one row."""
+    height, width, _ = weights.shape
+    diagonal[:] = 0
+    anti[:] = 0
+    if y < height:
+        own = weights[y].reshape(-1)
+        for u in range(width // 2):
+            at, first = np.uint64(u), np.uint64(8 * u)
+            diagonal[at], anti[at] = own[first + np.uint64(6)], own[first + np.uint64(3)]
+        if width % 2 == 1:
+            anti[width // 2] = own[4 * width - 1]

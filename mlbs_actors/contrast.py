@@ -80,25 +80,29 @@ def _contrast(planes: Array, table: Array) -> Array:
     height, width = planes.shape[1] - 2, planes.shape[2] - 2
     weights = np.empty((height, width, 4), np.int32)
     distances, last = np.empty((4, width), np.int32), np.int32(table.shape[1] - 1)
-    straight, diagonal = table
+    beside, below, diagonal, anti = distances
     for y in range(height):
         for k in range(4):  # without a branch: this runs in vector registers
             down, right = NEIGHBOUR_OFFSETS[k]
             distance = distances[k]
-            distance[:] = 0
-            for channel in range(3):
-                own = planes[channel, y + 1, 1 : width + 1]
-                other = planes[channel, y + 1 + down, 1 + right : 1 + right + width]
-                for x in range(width):
-                    step = np.int32(own[x]) - np.int32(other[x])
-                    distance[x] += np.int32(step * step)
+            blues, greens, reds = planes[0, y + 1], planes[1, y + 1], planes[2, y + 1]
+            those = planes[:, y + 1 + down]
+            other_blues, other_greens, other_reds = those[0], those[1], those[2]
             for x in range(width):
-                distance[x] = last if y + down == height else min(distance[x], last)
+                own, other = np.uint64(x + 1), np.uint64(x + 1 + right)
+                blue = np.int32(blues[own]) - np.int32(other_blues[other])
+                green = np.int32(greens[own]) - np.int32(other_greens[other])
+                red = np.int32(reds[own]) - np.int32(other_reds[other])
+                distance[np.uint64(x)] = min(np.int32(blue * blue + green * green + red * red), last)
+            if y + down == height:
+                distance[:] = last
             if right:
                 distance[width - 1 if right > 0 else 0] = last
+        row = weights[y].reshape(-1)
         for x in range(width):
-            weights[y, x, 0] = straight[np.uint64(distances[0, x])]
-            weights[y, x, 1] = straight[np.uint64(distances[1, x])]
-            weights[y, x, 2] = diagonal[np.uint64(distances[2, x])]
-            weights[y, x, 3] = diagonal[np.uint64(distances[3, x])]
+            at, first = np.uint64(x), np.uint64(4 * x)
+            row[first] = table[0, np.uint64(beside[at])]
+            row[first + np.uint64(1)] = table[0, np.uint64(below[at])]
+            row[first + np.uint64(2)] = table[1, np.uint64(diagonal[at])]
+            row[first + np.uint64(3)] = table[1, np.uint64(anti[at])]
     return weights

@@ -40,7 +40,7 @@ from mlbs_actors.label_cost_energy import (
 )
 from mlbs_actors.messages import Array
 
-__all__ = ["Pruning", "movable", "prune"]
+__all__ = ["Pruning", "decide", "movable", "prune"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,12 +69,12 @@ def prune(whole: LabelCostEnergy) -> Pruning:
     -------
     Pruning
     """
-    labels, certain = _decide(whole.unary, whole.boxes(), whole.weights, whole.label_costs)
+    labels, certain = decide(whole.unary, whole.boxes(), whole.weights, whole.label_costs)
     return Pruning(labels, undecided_energy(whole, labels, certain))
 
 
 @compiled()
-def _decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> tuple[Array, Array]:
+def decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> tuple[Array, Array]:
     """Labels, and which of them are certain."""
     label_count, height, width = unary.shape
     best = np.zeros((height, width), np.int32)

@@ -16,7 +16,7 @@ from mlbs_actors.expansion import free_expansion, freeing_expansion, may_free, p
 from mlbs_actors.label_cost_energy import UndecidedEnergy, cost_of_labels, energy_of_labels
 from mlbs_actors.messages import Array
 
-__all__ = ["Course"]
+__all__ = ["Course", "expand_in_turn", "started"]
 
 
 @dataclass(slots=True)
@@ -60,7 +60,7 @@ class Course:
     def starting(cls, rest: UndecidedEnergy, labels: Array) -> Course:
         """Before the first expansion of labels (n,) intp."""
         offers = rest.offers
-        chosen, used, energy, changed_at, news_at, came_from, expanded_at = _started(
+        chosen, used, energy, changed_at, news_at, came_from, expanded_at = started(
             offers.first, offers.pixel, offers.cost, rest.neighbour, rest.weight, rest.label_costs, labels
         )
         return cls(
@@ -80,7 +80,7 @@ class Course:
         """One sweep; a label is left out if nothing has changed since its last expansion."""
         turn = 0
         while True:
-            turn, self.step, self.energy, nodes, price, paid = _expand_in_turn(
+            turn, self.step, self.energy, nodes, price, paid = expand_in_turn(
                 alphas,
                 turn,
                 rest.offers.first,
@@ -128,7 +128,7 @@ class Course:
 
 
 @compiled()
-def _started(
+def started(
     first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array, label_costs: Array,
     labels: Array,
 ) -> tuple[Array, Array, int, Array, Array, Array, Array]:  # fmt: skip
@@ -144,7 +144,7 @@ def _started(
 
 
 @compiled()
-def _expand_in_turn(
+def expand_in_turn(
     alphas: Array, turn: int, first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array,
     label_costs: Array, labels: Array, chosen: Array, used: Array, lost_at: Array, changed_at: Array,
     news_at: Array, came_from: Array, expanded_at: Array, step: int, energy: int,

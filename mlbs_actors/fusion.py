@@ -111,6 +111,18 @@ class FusedCosts:
     fallback: Array
     places: Array
 
+    def part(self, layers: Sequence[int], box: Region, places: Array) -> FusedCosts:
+        """Some of the layers in a box of these cells, each only where its place of these (K, 4) is."""
+        rows, columns = box.slices
+        corner = np.array([box.y, box.y, box.x, box.x])
+        most = np.array([box.height, box.height, box.width, box.width])
+        return FusedCosts(
+            np.ascontiguousarray(self.cost[layers, rows, columns]),
+            np.ascontiguousarray(self.normaliser[rows, columns]),
+            np.ascontiguousarray(self.fallback[rows, columns]),
+            np.clip(places[layers] - corner, 0, most),
+        )
+
 
 def fused_costs(
     posteriors: Sequence[LayerPosterior], box: Region, weight: float, half_confidence: float

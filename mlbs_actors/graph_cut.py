@@ -35,6 +35,7 @@ from mlbs_actors.errors import ConfigError
 from mlbs_actors.expansion_course import Course
 from mlbs_actors.label_cost_energy import LabelCostEnergy, UndecidedEnergy
 from mlbs_actors.label_removal import remove_labels
+from mlbs_actors.level_cut import label_band, label_undecided
 from mlbs_actors.messages import Array
 
 __all__ = [
@@ -47,7 +48,7 @@ _MAX_LABEL_COST = 2**50
 
 #: So many pixels, blocks of 2×2 pixels (whose costs hardly differ), and larger blocks (legs are thinner)
 #: are cut as they are; more are labelled coarse to fine.
-LARGE = (2048, 4096, 16384)
+LARGE = (2048, 1024, 9216)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,15 +117,35 @@ def lowest_labels(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> Array:
 
     To look at all costs, and to tell the energies, takes time.
     """
-    return _minimise(whole, max_sweeps)[0]
+    return _lowest(whole, max_sweeps, 0)
+
+
+def _is_large(whole: LabelCostEnergy, level: int) -> bool:
+    """Whether this is labelled coarse to fine; level 0 are pixels."""
+    height, width = whole.weights.shape[:2]
+    return bool(height * width > LARGE[min(level, len(LARGE) - 1)])
+
+
+def _lowest(whole: LabelCostEnergy, max_sweeps: int, level: int) -> Array:
+    """The labels of :func:`_minimise`, in the fast way if there is one."""
+    if _is_large(whole, level):
+        blocks = _lowest(halved(whole), max_sweeps, level + 1)
+        labels, found = label_band(
+            whole.unary, whole.side, whole.extras, whole.boxes(), whole.weights, whole.label_costs, blocks
+        )
+    else:
+        pixels = whole.of_pixels()
+        labels, found = label_undecided(
+            pixels.unary, pixels.boxes(), pixels.weights, pixels.label_costs, max_sweeps
+        )
+    return labels if found else _minimise(whole, max_sweeps, level)[0]
 
 
 def _minimise(
     whole: LabelCostEnergy, max_sweeps: int, level: int = 0
 ) -> tuple[Array, list[int], bool, float]:
     """Labels, energies up to a constant, whether nothing lowers them, and the fraction decided."""
-    shape = whole.weights.shape[:2]
-    if shape[0] * shape[1] > LARGE[min(level, len(LARGE) - 1)]:
+    if _is_large(whole, level):
         band = band_around_outlines(whole, _minimise(halved(whole), max_sweeps, level + 1)[0])
         labels, rest, start = band.labels, band.rest, band.start
         # The outlines are nearly there: a second sweep over a band would move hardly a pixel.

@@ -22,6 +22,7 @@ __all__ = [
     "UndecidedEnergy",
     "cost_of_labels",
     "energy_of_labels",
+    "left_open",
     "neighbour_and_weight",
     "undecided_energy",
 ]
@@ -164,7 +165,7 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     -------
     UndecidedEnergy
     """
-    pixels, row, offers, neighbour, weight, label_costs = _left_open(
+    pixels, row, offers, neighbour, weight, label_costs = left_open(
         whole.unary,
         whole.side,
         whole.extras,
@@ -187,7 +188,7 @@ def neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, in
 
 
 @compiled()
-def _left_open(
+def left_open(
     unary: Array, side: int, extras: Array, places: Array, weights: Array, label_costs: Array, labels: Array,
     elsewhere: Array,
 ) -> tuple[Array, Array, tuple[Array, Array, Array], Array, Array, Array]:  # fmt: skip
@@ -227,11 +228,7 @@ def _offers(
     for label in range(unary.shape[0]):
         top, bottom, left, right = places[label] * side
         for y in range(top, min(bottom, height)):
-            begin, end = begins[y], begins[y + 1]
-            if left > 0:
-                begin += np.searchsorted(column[begin:end], left)
-            if right < width:
-                end = begin + np.searchsorted(column[begin:end], right)
+            begin, end = _open_before(y, left, position, begins), _open_before(y, right, position, begins)
             if count + end - begin > pixel.size:
                 more = np.empty(pixel.size + end - begin, np.int32)
                 pixel, cost = np.concatenate((pixel, more)), np.concatenate((cost, more))
@@ -253,6 +250,12 @@ def _offers(
             begin, end = first[extras[extra, 0]], first[extras[extra, 0] + 1]
             cost[begin + np.searchsorted(pixel[begin:end], i)] += extras[extra, 3]
     return first, pixel[:count], cost[:count]
+
+
+@compiled()
+def _open_before(y: int, x: int, position: Array, begins: Array) -> int:
+    """How many undecided pixels come before a place in a row, or at its end, from what `_numbered` tells."""
+    return int(position[y, x] if x < position.shape[1] else begins[y + 1])
 
 
 @compiled()
@@ -279,16 +282,17 @@ def cost_of_labels(first: Array, pixel: Array, cost: Array, labels: Array) -> Ar
 
 @compiled()
 def _numbered(labels: Array) -> tuple[Array, Array, Array]:
-    """Flat indices of the undecided pixels, ascending; how many of them come before each row, (H + 1,); and
-    the position of each among them, (H, W) int32, those of the others are never set."""
+    """Flat indices of the undecided pixels, ascending; how many of them come before each row, (H + 1,), and
+    before each pixel, (H, W) int32: that is the position of an undecided one."""
     height, width = labels.shape
     pixels, position = np.empty(labels.size, np.intp), np.empty((height, width), np.int32)
     begins, count = np.empty(height + 1, np.intp), 0
     for y in range(height):
         begins[y] = count
         for x in range(width):
+            position[y, x] = count
             if labels[y, x] == UNDECIDED:
-                pixels[count], position[y, x] = y * width + x, count
+                pixels[count] = y * width + x
                 count += 1
     begins[height] = count
     return pixels[:count], begins, position

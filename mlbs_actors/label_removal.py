@@ -14,7 +14,7 @@ from mlbs_actors.expansion_course import Course
 from mlbs_actors.label_cost_energy import UndecidedEnergy
 from mlbs_actors.messages import Array
 
-__all__ = ["removable_labels", "remove_labels"]
+__all__ = ["gains_by_removal", "removable_labels", "remove_labels"]
 
 
 def remove_labels(rest: UndecidedEnergy, course: Course) -> Course:
@@ -68,7 +68,7 @@ def removable_labels(rest: UndecidedEnergy, course: Course) -> tuple[Array, Arra
     """
     used = rest.elsewhere | (course.used > 0)
     offers = rest.offers
-    removable: Array = _removable(
+    removable: Array = gains_by_removal(
         offers.first,
         offers.pixel,
         offers.cost,
@@ -83,10 +83,11 @@ def removable_labels(rest: UndecidedEnergy, course: Course) -> tuple[Array, Arra
 
 
 @compiled()
-def _removable(
+def gains_by_removal(
     first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array, label_costs: Array,
     labels: Array, chosen: Array, used: Array,
 ) -> Array:  # fmt: skip
+    """``removable`` of :func:`removable_labels`, from the fields of its `Offers`, energy and course."""
     least = np.full(labels.size, 2**30, np.int32)
     for label in np.flatnonzero(used):
         for entry in range(first[label], first[label + 1]):

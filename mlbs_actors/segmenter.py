@@ -6,8 +6,9 @@ Differs from the paper: the trajectories' own data cost (there for new layers) i
 where samples are missing: trajectory labels decide, contrast draws the outline, appearance repairs. Cast
 shadows, which move with an object, are told from it (:mod:`mlbs_actors.shadows`). The published map is
 the cleaned one (specks, pinholes and contact shadows removed), and it is the one the layers learn from.
-A layer other than the background can own nothing outside its region, so each group of regions near each
-other is labelled by itself (:mod:`mlbs_actors.region_groups`).
+A layer other than the background can own nothing outside its region, so regions near each other are looked at
+together and by themselves (:mod:`mlbs_actors.region_groups`); in them what the layers claim is labelled
+(:mod:`mlbs_actors.claims`).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from time import perf_counter
 import numpy as np
 
 from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells
+from mlbs_actors.claims import claims_of_layers
 from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
@@ -32,17 +34,18 @@ from mlbs_actors.messages import (
     COST_STEP,
     Array,
     FrameEvidence,
-    LayerEvidence,
     LayerPosterior,
     LayerSummary,
     Region,
     Segmentation,
 )
 from mlbs_actors.region_groups import group_regions
-from mlbs_actors.shadows import Darkening, darkening, ground_colour, shadow_likelihood
+from mlbs_actors.shadows import darkening, ground_colour, shadow_likelihood
 
 __all__ = ["Segmenter", "SegmenterState"]
 
+#: Margin of a layer's claim, px of a 640×480 frame.
+CLAIM_MARGIN_PX = 8.0
 #: Quanta of the graph cut in one of the layers' costs.
 _QUANTA = np.int32(round(COST_STEP / COST_QUANTUM))
 
@@ -110,20 +113,18 @@ class Segmenter:
             self.state.labels = np.zeros((0, 0), np.uint16)
         settings = self.config.segmentation
         side = posteriors[0].cell
-        small = mean_of_cells(frame, side)
-        ground = None
+        means, ground = mean_of_cells(frame, side), None
         if settings.shadow > 0 or settings.contact_shadow > 0:
-            ground = ground_colour(small, evidence, self.state.labels, length_scale(*evidence.shape))
+            ground = ground_colour(means, evidence, self.state.labels, length_scale(*evidence.shape))
+        scene = _Scene(evidence, frame, means, ground)
         grid = in_cells(Region(0, 0, evidence.shape[1], evidence.shape[0]), side)
         result = _Maps.of_background(evidence.shape, (grid.height, grid.width))
         stage_ms = {"fusion": 1e3 * (perf_counter() - start), "cut": 0.0, "cleaning": 0.0}
-        layers = list(zip(posteriors, evidence.layers, strict=True))
         summaries: list[LayerSummary] = []
         regions = [in_cells(one.region, side) for one in posteriors[1:]]
         for group in group_regions(regions, (grid.height, grid.width)):
-            members = [layers[0], *(layers[1 + position] for position in group.members)]
-            dark = None if ground is None else darkening(small, ground, group.box, 1.0 / side)
-            summaries += self._label(group.box, members, frame, dark, result, stage_ms)
+            members = [posteriors[0], *(posteriors[1 + position] for position in group.members)]
+            summaries += self._label_group(group.box, members, scene, result, stage_ms)
         self.state = SegmenterState(evidence.frame_index + 1, result.labels)
         for shared in (result.labels, result.normaliser, result.fallback):  # the layers read them back
             shared.setflags(write=False)
@@ -139,47 +140,83 @@ class Segmenter:
             stage_ms={**evidence.stage_ms, **_slowest(posteriors), **stage_ms},
         )
 
-    def _label(
+    def _label_group(
         self,
         cells: Region,
-        members: list[tuple[LayerPosterior, LayerEvidence]],
-        frame: Array,
-        dark: Darkening | None,
+        members: list[LayerPosterior],
+        scene: _Scene,
         result: _Maps,
         stage_ms: dict[str, float],
     ) -> list[LayerSummary]:
         """Fill in one group's cells of the maps, in which only the background and its members live."""
+        start = perf_counter()
+        evidence, side = scene.evidence, members[0].cell
+        weight, half = self.config.posterior.appearance, self.config.appearance.half_confidence_samples
+        fused = fused_costs(members, cells, weight, half)
+        result.normaliser[cells.slices], result.fallback[cells.slices] = fused.normaliser, fused.fallback
+        tracks = np.array([evidence.part(one.layer) for one in members], np.int64)
+        claims = claims_of_layers(
+            fused.cost,
+            fused.places,
+            evidence.positions,
+            tracks,
+            (cells.x, cells.y),
+            side,
+            round(CLAIM_MARGIN_PX * length_scale(*evidence.shape) / side),
+        )
+        regions = [
+            Region(left, top, right - left, bottom - top) for top, bottom, left, right in claims[1:].tolist()
+        ]
+        groups = group_regions(regions, (cells.height, cells.width))
+        stage_ms["fusion"] += 1e3 * (perf_counter() - start)
+        summaries: list[LayerSummary] = []
+        for group in groups:
+            own = [0, *(1 + position for position in group.members)]
+            box = Region(cells.x + group.box.x, cells.y + group.box.y, group.box.width, group.box.height)
+            claimants, claimed = [members[position] for position in own], fused.part(own, group.box, claims)
+            summaries += self._label_claims(box, claimants, claimed, tracks[own], scene, result, stage_ms)
+        return summaries
+
+    def _label_claims(
+        self,
+        cells: Region,
+        members: list[LayerPosterior],
+        fused: FusedCosts,
+        tracks: Array,
+        scene: _Scene,
+        result: _Maps,
+        stage_ms: dict[str, float],
+    ) -> list[LayerSummary]:
+        """Fill in the label map in a box around claims that touch; ``tracks`` as of `claims_of_layers`."""
         config, scale = self.config.segmentation, length_scale(*result.labels.shape)
         start = perf_counter()
-        posteriors = [posterior for posterior, _ in members]
-        side = posteriors[0].cell
+        side = members[0].cell
         box = in_pixels(cells, side, result.labels.shape)
-        weight, half = self.config.posterior.appearance, self.config.appearance.half_confidence_samples
-        fused = fused_costs(posteriors, cells, weight, half)
+        dark = None if scene.ground is None else darkening(scene.means, scene.ground, cells, 1.0 / side)
         costs = _data_costs(fused.cost, fused.places)
         if dark is not None and config.shadow > 0:
             strength = np.float32(config.shadow / COST_QUANTUM)
             _discount_shadows(costs, fused.places, shadow_likelihood(dark), strength)
-        frame_shape = (frame.shape[0], frame.shape[1])
-        pulls = _track_pulls([evidence for _, evidence in members], box, frame_shape, config.track_cost)
+        pull = round(2.0 * config.track_cost / COST_QUANTUM)
+        positions, shape = scene.evidence.positions, scene.evidence.shape
+        pulls = _track_pulls(positions, tracks, fused.places * side, box.x, box.y, shape, pull)
         # Arrays of their own, though the box may be the frame: kernels are compiled for one kind of memory.
-        image = frame[box.slices].copy()
+        image = scene.frame[box.slices].copy()
         ready = perf_counter()
         label_costs = np.full(len(members), round(config.label_cost * scale**2 / COST_QUANTUM), np.int64)
         label_costs[0] = 0  # the background is always there
         weights = contrast_weights(image, config.contrast_strength, config.contrast_scale)
-        positions = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, fused.places))
+        labelling = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, fused.places))
         solved = perf_counter()
-        ids = np.array([one.layer for one in posteriors], np.uint16)
-        _put_ids(ids, positions, result.labels, box.x, box.y)
+        ids = np.array([one.layer for one in members], np.uint16)
+        _put_ids(ids, labelling, result.labels, box.x, box.y)
         speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
         clean_labels(result.labels, box, speck_px=speck_px, hole_px=hole_px)
         labels = result.labels[box.slices].copy()
         if dark is not None and config.contact_shadow > 0:
             labels[contact_shadow(labels, image, dark, side, scale, config.contact_shadow)] = BACKGROUND
             result.labels[box.slices] = labels
-        result.normaliser[cells.slices], result.fallback[cells.slices] = fused.normaliser, fused.fallback
-        summaries = _summaries(labels, ids, fused, posteriors, box)
+        summaries = _summaries(labels, ids, fused, members, box)
         done = perf_counter()
         for stage, duration in (
             ("fusion", ready - start),
@@ -188,6 +225,16 @@ class Segmenter:
         ):
             stage_ms[stage] += 1e3 * duration
         return summaries
+
+
+@dataclass(frozen=True, slots=True)
+class _Scene:
+    """A frame, what is known of it, the means of its cells, and the ground's colour if that is looked at."""
+
+    evidence: FrameEvidence
+    frame: Array
+    means: Array
+    ground: Array | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,36 +264,25 @@ def _data_costs(cost: Array, places: Array) -> Array:
     return costs
 
 
+@compiled()
 def _track_pulls(
-    layers: list[LayerEvidence], box: Region, frame_shape: tuple[int, int], strength: float
+    positions: Array, tracks: Array, places: Array, left: int, top: int, shape: tuple[int, int], pull: int
 ) -> Array:
     """The trajectories' data cost: −c for their own label at their pixel, +c for every other.
 
-    Up to a constant, which does not matter, that is −2c for their own: label, row, column, cost of each.
+    Up to a constant, which does not matter, that is −2c for their own: label, row, column, cost of each that
+    lies in its label's place, which is given in pixels.
     """
-    pull = round(2.0 * strength / COST_QUANTUM)
-    counts = [len(one.positions) for one in layers]
-    pulls = np.empty((sum(counts), 4), np.int64)
-    inside = 0
-    for own, layer in enumerate(layers):
-        inside = _pull(
-            layer.positions, own, pull, box.x, box.y, box.width, box.height, frame_shape, pulls, inside
-        )
-    return pulls[:inside]
-
-
-@compiled()
-def _pull(
-    positions: Array, label: int, pull: int, left: int, top: int, width: int, height: int,
-    shape: tuple[int, int], pulls: Array, count: int,
-) -> int:  # fmt: skip
-    for point in range(positions.shape[0]):
-        x = min(max(int(np.rint(positions[point, 0])), 0), shape[1] - 1) - left
-        y = min(max(int(np.rint(positions[point, 1])), 0), shape[0] - 1) - top
-        if 0 <= x < width and 0 <= y < height:
-            pulls[count, 0], pulls[count, 1], pulls[count, 2], pulls[count, 3] = label, y, x, -pull
-            count += 1
-    return count
+    pulls = np.empty(((tracks[:, 1] - tracks[:, 0]).sum(), 4), np.int64)
+    count = 0
+    for label in range(len(tracks)):
+        for point in range(tracks[label, 0], tracks[label, 1]):
+            x = min(max(int(np.rint(positions[point, 0])), 0), shape[1] - 1) - left
+            y = min(max(int(np.rint(positions[point, 1])), 0), shape[0] - 1) - top
+            if places[label, 0] <= y < places[label, 1] and places[label, 2] <= x < places[label, 3]:
+                pulls[count, 0], pulls[count, 1], pulls[count, 2], pulls[count, 3] = label, y, x, -pull
+                count += 1
+    return pulls[:count]
 
 
 @compiled()

@@ -1,0 +1,99 @@
+"""One level of the graph cut in one compiled function, from an energy to labels (§7).
+
+Groups of claims are small, and each is cut on several levels: handing a dozen arrays from one kernel to the
+next by way of Python took a sixth of the time. What seldom happens is left to :mod:`mlbs_actors.graph_cut`,
+which begins again: one label could be done without, or one expansion could free several of their costs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mlbs_actors.coarse_cut import of_blocks, opened
+from mlbs_actors.compilation import compiled
+from mlbs_actors.cut_pruning import decide
+from mlbs_actors.expansion_course import expand_in_turn, started
+from mlbs_actors.label_cost_energy import left_open
+from mlbs_actors.label_removal import gains_by_removal
+from mlbs_actors.messages import Array
+
+__all__ = ["label_band", "label_undecided"]
+
+
+@compiled()
+def label_band(
+    unary: Array, side: int, extras: Array, places: Array, weights: Array, label_costs: Array, blocks: Array
+) -> tuple[Array, bool]:
+    """Label the pixels near the outlines of blocks, by one sweep.
+
+    Parameters
+    ----------
+    unary, side, extras, places, weights, label_costs
+        Of a :class:`~mlbs_actors.label_cost_energy.LabelCostEnergy`, ``places`` of all labels.
+    blocks : (⌈H/2⌉, ⌈W/2⌉) int16
+        Labels.
+
+    Returns
+    -------
+    labels : (H, W) int16
+    found : bool
+        False if this has to be done in the general way.
+    """
+    labels, elsewhere = opened(blocks, label_costs.size, weights.shape[0], weights.shape[1])
+    pixels, row, offers, neighbour, weight, costs = left_open(
+        unary, side, extras, places, weights, label_costs, labels, elsewhere
+    )
+    start = of_blocks(blocks, pixels, row, labels.shape[1])
+    return labels, _search(labels, elsewhere, pixels, offers, neighbour, weight, costs, start, 1)
+
+
+@compiled()
+def label_undecided(
+    unary: Array, places: Array, weights: Array, label_costs: Array, max_sweeps: int
+) -> tuple[Array, bool]:
+    """Label all pixels: those that can be decided at once, and the others by some sweeps.
+
+    Parameters and results are those of :func:`label_band`, for costs of single pixels.
+    """
+    labels, certain = decide(unary, places, weights, label_costs)
+    extras = np.zeros((0, 4), np.int64)
+    pixels, _, offers, neighbour, weight, costs = left_open(
+        unary, 1, extras, places, weights, label_costs, labels, certain
+    )
+    start = np.zeros(pixels.size, np.intp)
+    return labels, _search(labels, certain, pixels, offers, neighbour, weight, costs, start, max_sweeps)
+
+
+@compiled()
+def _search(
+    labels: Array, elsewhere: Array, pixels: Array, offers: tuple[Array, Array, Array], neighbour: Array,
+    weight: Array, label_costs: Array, own: Array, max_sweeps: int,
+) -> bool:  # fmt: skip
+    """Expand in turn until nothing helps, and put the open pixels' labels into the map."""
+    first, pixel, cost = offers
+    chosen, used, energy, changed_at, news_at, came_from, expanded_at = started(
+        first, pixel, cost, neighbour, weight, label_costs, own
+    )
+    if not own.any():
+        expanded_at[0] = 0
+    lost_at, alphas, step = np.zeros_like(used), np.arange(used.size), 0
+    for _ in range(max_sweeps):
+        turn, step, energy, _, _, _ = expand_in_turn(
+            alphas, 0, first, pixel, cost, neighbour, weight, label_costs, own, chosen, used, lost_at,
+            changed_at, news_at, came_from, expanded_at, step, energy,
+        )  # fmt: skip
+        if turn < alphas.size:
+            return False
+        if (expanded_at == step).all():
+            if (
+                label_costs.any()
+                and gains_by_removal(
+                    first, pixel, cost, neighbour, weight, label_costs, own, chosen, elsewhere | (used > 0)
+                ).any()
+            ):
+                return False
+            break
+    flat = labels.reshape(-1)
+    for i in range(pixels.size):
+        flat[pixels[i]] = own[i]
+    return True
