@@ -72,6 +72,7 @@ def to_occupied(occupied: Array, side: int) -> Array:
     room = -(-width // LANES) * LANES
     stride, told = room + 2 * _BORDER, np.empty(occupied.shape, np.float32)
     cells = np.full((height + 2 * _BORDER) * stride, np.float32(np.inf))
+    # Cells past the right border, up to a whole register, are told too: no way is shorter by way of them.
     own, results, infinite = occupied.reshape(-1), told.reshape(-1), spread(np.float32(np.inf), LANES)
     for y in range(height):
         first = (y + _BORDER) * stride + _BORDER
