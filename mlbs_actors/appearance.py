@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.image_rows import padded_planes, read_row
+from mlbs_actors.image_rows import padded_planes, read_row, row_room
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.warp import nearest_sources
 
@@ -194,17 +194,19 @@ def learn_colours(
     """:func:`update` of a model's arrays."""
     capacity, width = samples.shape[3], mask.shape[1]
     half, third, rate = np.float32(0.5), np.float32(1 / (3 * SPREAD_STEP)), np.float32(_SPREAD_RATE)
-    planes, colours = padded_planes(image), np.empty((3, width), np.float32)
+    planes, colours, won = padded_planes(image), row_room(width), np.empty(width, np.int64)
     for y in range(mask.shape[0]):
-        if not mask[y].any():
+        found, told = 0, mask[y]
+        for x in range(width):
+            won[found] = x  # kept if it counts: a branch would be mispredicted
+            found += int(told[np.uint64(x)])
+        if found == 0:
             continue
-        for x in range(width):
-            if mask[y, x] and count[y, x] == 0:
+        for x in won[:found]:
+            if count[y, x] == 0:
                 residual[y, x, 0], residual[y, x, 1] = 0, 0
-        read_row(planes, y, residual[y], colours)
-        for x in range(width):
-            if not mask[y, x]:
-                continue
+        read_row(planes, y, residual[y], won[0], won[found - 1] + 1, colours)
+        for x in won[:found]:
             stack, known, slot = samples[y, x], int(count[y, x]), 0
             blue, green, red = colours[0, x], colours[1, x], colours[2, x]
             if known > 0:

@@ -27,7 +27,20 @@ from numpy.polynomial import Chebyshev, Polynomial
 
 from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, warp_model
 from mlbs_actors.compilation import compiled
-from mlbs_actors.image_rows import padded_planes, read_row
+from mlbs_actors.image_rows import LANES, padded_planes, read_row, row_room
+from mlbs_actors.lanes import (
+    larger,
+    load,
+    magnitude,
+    nearest_whole,
+    power_of_two,
+    root,
+    smaller,
+    spread,
+    store,
+    total,
+    whole_part,
+)
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.row_log import row_log
 
@@ -42,6 +55,8 @@ __all__ = [
 
 #: Least logarithm of a kernel to base 2.
 _LEAST = np.float32(-40.0 / np.log(2.0))
+#: From the place on that as many lanes are left as there are samples, 1 for each of them.
+_VALID = np.repeat(np.array([1, 0], np.float32), LANES)
 #: 2^z for −1 ≤ z ≤ 0.
 _P0, _P1, _P2, _P3, _P4 = (
     np.float32(one)
@@ -160,47 +175,58 @@ def density_tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
 
 @compiled()
 def _least_spreads(
-    planes: Array, y: int, floor: np.float32, registration: np.float32, steepest: Array, least: Array
+    planes: Array, y: int, first: int, end: int, floor: np.float32, registration: np.float32, least: Array
 ) -> None:
-    """Least bandwidths of a row for the registration error, (w,) in units of ``SPREAD_STEP``.
+    """Least bandwidths of a part of a row for the registration error, in units of ``SPREAD_STEP``.
 
-    Slopes are Sobel's, of the image mirrored at its border; in each direction that of the steepest channel,
-    for which ``steepest`` (2, w) has room.
+    Slopes are Sobel's, of the image mirrored at its border; in each direction that of the steepest channel.
+    ``least`` has room for whole registers.
     """
     height, width = planes.shape[1] - 2, planes.shape[2] - 2
     above = y - 1 if y > 0 else min(1, height - 1)
     below = y + 1 if y + 1 < height else max(height - 2, 0)
-    steepest[:] = 0
+    flat, row, one, two = planes.reshape(-1), np.uint64(planes.shape[2]), np.uint64(1), np.uint64(2)
+    for start in range(first // LANES * LANES, end, LANES):
+        across, down = spread(np.float32(0), LANES), spread(np.float32(0), LANES)
+        for channel in range(3):
+            place = np.uint64(channel * (height + 2)) * row + np.uint64(start)
+            upper, middle = place + np.uint64(above + 1) * row, place + np.uint64(y + 1) * row
+            lower = place + np.uint64(below + 1) * row
+            top_left, top_right = load(flat, upper, LANES), load(flat, upper + two, LANES)
+            low_left, low_right = load(flat, lower, LANES), load(flat, lower + two, LANES)
+            level = load(flat, middle + two, LANES) - load(flat, middle, LANES)
+            upright = load(flat, lower + one, LANES) - load(flat, upper + one, LANES)
+            across = larger(across, magnitude(top_right - top_left + low_right - low_left + level + level))
+            down = larger(down, magnitude(low_left - top_left + low_right - top_right + upright + upright))
+        store(least, np.uint64(start), across * across + down * down)
+    for x in (0, width - 1):
+        left, right = x - 1 if x > 0 else min(1, width - 1), x + 1 if x + 1 < width else max(width - 2, 0)
+        squared = _squared_slope(planes, above, y, below, x, left, right)
+        least[x] = squared if first <= x < end else least[x]
+    for start in range(first // LANES * LANES, end, LANES):
+        x = np.uint64(start)
+        slope = spread(registration * registration, LANES) * (
+            load(least, x, LANES) / spread(np.float32(64), LANES)
+        )
+        width_of = root(spread(floor * floor, LANES) + slope) / spread(np.float32(SPREAD_STEP), LANES)
+        store(least, x, smaller(nearest_whole(width_of), spread(np.float32(255), LANES)))
+
+
+@compiled()
+def _squared_slope(
+    planes: Array, above: int, y: int, below: int, x: int, left: int, right: int
+) -> np.float32:
+    """Of a pixel, whose neighbours are those of these rows and columns."""
+    across, down = np.int32(0), np.int32(0)
     for channel in range(3):
         upper, middle, lower = planes[channel, above + 1], planes[channel, y + 1], planes[channel, below + 1]
-        for x in range(1, width - 1):  # without a branch: this runs in vector registers
-            across, down = _slopes(upper, middle, lower, x, x - 1, x + 1)
-            steepest[0, x], steepest[1, x] = max(steepest[0, x], across), max(steepest[1, x], down)
-        for x in (0, width - 1):
-            left, right = x - 1 if x > 0 else min(1, width - 1), x + 1 if x + 1 < width else max(width - 2, 0)
-            across, down = _slopes(upper, middle, lower, x, left, right)
-            steepest[0, x], steepest[1, x] = max(steepest[0, x], across), max(steepest[1, x], down)
-    for x in range(width):
-        across, down = steepest[0, x], steepest[1, x]
-        squared = np.float32(across * across + down * down) / np.float32(64)
-        spread = np.sqrt(floor * floor + registration * registration * squared) / np.float32(SPREAD_STEP)
-        least[x] = np.int32(min(np.rint(spread), np.float32(255)))
-
-
-@compiled(inline="always")
-def _slopes(
-    upper: Array, middle: Array, lower: Array, x: int, left: int, right: int
-) -> tuple[np.int32, np.int32]:
-    """Absolute slopes across and down of padded rows."""
-    here, before, after = np.uint64(x + 1), np.uint64(left + 1), np.uint64(right + 1)
-    top_left, top_right = np.int32(upper[before]), np.int32(upper[after])
-    low_left, low_right = np.int32(lower[before]), np.int32(lower[after])
-    across = np.int32(middle[after]) - np.int32(middle[before])
-    down = np.int32(lower[here]) - np.int32(upper[here])
-    return (
-        abs(np.int32(top_right - top_left + low_right - low_left + 2 * across)),
-        abs(np.int32(low_left - top_left + low_right - top_right + 2 * down)),
-    )
+        top_left, top_right = np.int32(upper[left + 1]), np.int32(upper[right + 1])
+        low_left, low_right = np.int32(lower[left + 1]), np.int32(lower[right + 1])
+        level = np.int32(middle[right + 1]) - np.int32(middle[left + 1])
+        upright = np.int32(lower[x + 1]) - np.int32(upper[x + 1])
+        across = max(across, abs(top_right - top_left + low_right - low_left + 2 * level))
+        down = max(down, abs(low_left - top_left + low_right - top_right + 2 * upright))
+    return np.float32(across * across + down * down)
 
 
 @compiled()
@@ -209,61 +235,65 @@ def log_densities(
     floor: np.float32, registration: np.float32, exponent: Array, norm: Array, result: Array,
 ) -> None:  # fmt: skip
     """:func:`log_likelihood` into NaNs, with the model's arrays and :func:`density_tables`."""
-    width, slots, stacks = result.shape[1], samples.shape[3], samples.reshape(-1)
-    lanes = -(-slots // 4) * 4  # slots of a pixel among the kernels, of which four are summed at once
-    planes, colours = padded_planes(image), np.empty((3, width), np.float32)
-    steepest, bandwidth = np.empty((2, width), np.int32), np.empty(width, np.int32)
-    asked = np.empty(width, np.int32)
-    # A float's bits hold its exponent, so 2^n is an integer's shift. All slots of a row, valid or not, and
-    # loops of nothing but arithmetic: these run in vector registers.
-    kernels, bits = np.zeros(width * lanes, np.float32), np.empty(width * lanes, np.int32)
-    powers = bits.view(np.float32)
-    density, logs = np.empty(width, np.float32), np.empty(width, np.float32)
-    for y in range(result.shape[0]):
-        found = 0
+    height, width = result.shape
+    slots = samples.shape[3]
+    whole = -(-slots // LANES) * LANES
+    stacks, stack = samples.reshape(-1), np.empty(3 * whole, np.uint8)
+    planes, colours = padded_planes(image), row_room(width)
+    least, asked = np.zeros(colours.shape[1], np.float32), np.empty(width, np.int64)
+    density, places, told = np.empty(result.size, np.float32), np.empty(result.size, np.int64), 0
+    for y in range(height):
+        found, wanted, known = 0, needed[y], count[y]
         for x in range(width):
             asked[found] = x  # kept if it counts: a branch would be mispredicted
-            found += int(needed[y, x] and count[y, x] > 0)
+            found += int(wanted[np.uint64(x)] & (known[np.uint64(x)] > 0))
         if found == 0:
             continue
-        read_row(planes, y, residual[y], colours)
+        first, end = asked[0], asked[found - 1] + 1
+        read_row(planes, y, residual[y], first, end, colours)
         if registration > 0:
-            _least_spreads(planes, y, floor, registration, steepest, bandwidth)
-        else:
-            bandwidth[:] = 0
+            _least_spreads(planes, y, first, end, floor, registration, least)
         for pixel in range(found):
-            x = asked[pixel]
-            bandwidth[x] = max(bandwidth[x], np.int32(spread[y, x]))
-            scale = exponent[bandwidth[x]]
-            blue, green, red = colours[0, x], colours[1, x], colours[2, x]
-            blues = np.uint64((y * width + x) * 3 * slots)
-            greens, reds = blues + np.uint64(slots), blues + np.uint64(2 * slots)
-            first = np.uint64(pixel * lanes)
-            for number in range(slots):
-                place = np.uint64(number)
-                off_blue = np.float32(stacks[blues + place]) - blue
-                off_green = np.float32(stacks[greens + place]) - green
-                off_red = np.float32(stacks[reds + place]) - red
-                squared = off_blue * off_blue + off_green * off_green + off_red * off_red
-                kernels[first + place] = max(squared * scale, _LEAST)
-        for i in range(found * lanes):
-            bits[i] = np.int32(kernels[i])
-        for i in range(found * lanes):
-            z = kernels[i] - np.float32(bits[i])
-            kernels[i] = _P0 + z * (_P1 + z * (_P2 + z * (_P3 + z * _P4)))
-        for i in range(found * lanes):
-            bits[i] = (bits[i] + np.int32(127)) << np.int32(23)
-        for i in range(found * lanes):
-            kernels[i] *= powers[i]
-        for pixel in range(found):
-            x = asked[pixel]
-            known, own = int(count[y, x]), kernels[pixel * lanes : (pixel + 1) * lanes]
-            own[known:] = 0
-            one, two, three, four = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-            for slot in range(0, lanes, 4):
-                one, two = one + own[slot], two + own[slot + 1]
-                three, four = three + own[slot + 2], four + own[slot + 3]
-            density[pixel] = norm[bandwidth[x]] * ((one + two) + (three + four)) / np.float32(known)
-        row_log(density[:found], logs[:found])
-        for pixel in range(found):
-            result[y, asked[pixel]] = logs[pixel]
+            cell = np.uint64(asked[pixel])
+            bandwidth = np.uint64(max(np.int32(least[cell]), np.int32(spread[y, cell])))
+            scale, number, place = exponent[bandwidth], np.int64(known[cell]), y * width + np.int64(cell)
+            blue, green, red = colours[0, cell], colours[1, cell], colours[2, cell]
+            if slots == whole:
+                at = np.uint64(3 * slots * place)
+                kernels = _sum_of_kernels(stacks, at, whole, blue, green, red, scale, number)
+            else:
+                for channel in range(3):
+                    stack[channel * whole : channel * whole + slots] = samples[y, cell, channel]
+                kernels = _sum_of_kernels(stack, np.uint64(0), whole, blue, green, red, scale, number)
+            density[told], places[told] = norm[bandwidth] * kernels / np.float32(number), place
+            told += 1
+    logs, results = np.empty(told, np.float32), result.reshape(-1)
+    row_log(density[:told], logs)
+    for pixel in range(told):
+        results[np.uint64(places[pixel])] = logs[pixel]
+
+
+@compiled()
+def _sum_of_kernels(
+    stacks: Array, at: np.uint64, slots: int, blue: np.float32, green: np.float32, red: np.float32,
+    scale: np.float32, known: np.int64,
+) -> np.float32:  # fmt: skip
+    """Of a colour under the first samples of a stack, of which each channel has so many slots."""
+    sums = spread(np.float32(0), LANES)
+    for first in range(0, slots, LANES):
+        blues = at + np.uint64(first)
+        greens, reds = blues + np.uint64(slots), blues + np.uint64(2 * slots)
+        off_blue = load(stacks, blues, LANES) - spread(blue, LANES)
+        off_green = load(stacks, greens, LANES) - spread(green, LANES)
+        off_red = load(stacks, reds, LANES) - spread(red, LANES)
+        squared = off_blue * off_blue + off_green * off_green + off_red * off_red
+        exponent = larger(squared * spread(scale, LANES), spread(_LEAST, LANES))
+        whole = whole_part(exponent)
+        z = exponent - whole
+        power = spread(_P3, LANES) + z * spread(_P4, LANES)
+        power = spread(_P1, LANES) + z * (spread(_P2, LANES) + z * power)
+        power = (spread(_P0, LANES) + z * power) * power_of_two(whole)
+        missing = min(max(np.int64(LANES + first) - known, np.int64(0)), np.int64(LANES))
+        sums = sums + power * load(_VALID, np.uint64(missing), LANES)
+    together: np.float32 = total(sums)
+    return together

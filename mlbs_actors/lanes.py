@@ -11,14 +11,29 @@ In kernels, lanes of the same count can be added, subtracted, multiplied and div
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, models, overload, register_model
 
-__all__ = ["Lanes", "larger", "load", "magnitude", "root", "spread", "store"]
+__all__ = [
+    "Lanes",
+    "larger",
+    "load",
+    "magnitude",
+    "nearest_whole",
+    "power_of_two",
+    "root",
+    "shifted",
+    "smaller",
+    "spread",
+    "spread_lane",
+    "store",
+    "total",
+    "whole_part",
+]
 
 #: Numbers of lanes that there are: half a register of the widest kind, and one.
 COUNTS = (8, 16)
@@ -111,10 +126,50 @@ def spread(typing: Any, value: Any, count: Any) -> Any:
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
         nothing = ir.Constant(ir.VectorType(_FLOAT, lanes.count), ir.Undefined)
         first = builder.insert_element(nothing, values[0], ir.Constant(_INT, 0))
-        places = ir.Constant(ir.VectorType(_INT, lanes.count), [0] * lanes.count)
-        return builder.shuffle_vector(first, nothing, places)
+        return _taken(builder, first, first, [0] * lanes.count)
 
     return lanes(types.float32, count), build
+
+
+@_in_kernels
+def spread_lane(typing: Any, value: Any, lane: Any) -> Any:
+    """One lane's number in all of them."""
+
+    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
+        return _taken(builder, values[0], values[0], [lane.literal_value] * value.count)
+
+    return value(value, lane), build
+
+
+@_in_kernels
+def shifted(typing: Any, one: Any, other: Any, lanes: Any) -> Any:
+    """The first lanes of two side by side after so many."""
+
+    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
+        first = lanes.literal_value
+        return _taken(builder, values[0], values[1], range(first, first + one.count))
+
+    return one(one, other, lanes), build
+
+
+@_in_kernels
+def total(typing: Any, value: Any) -> Any:
+    """Sum of all lanes: of every fourth one after the other, then of these four by pairs."""
+
+    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
+        numbers = values[0]
+        sums = _taken(builder, numbers, numbers, range(4))
+        for first in range(4, value.count, 4):
+            sums = builder.fadd(sums, _taken(builder, numbers, numbers, range(first, first + 4)))
+        one, two, three, four = (builder.extract_element(sums, ir.Constant(_INT, i)) for i in range(4))
+        return builder.fadd(builder.fadd(one, two), builder.fadd(three, four))
+
+    return types.float32(value), build
+
+
+def _taken(builder: Any, one: Any, other: Any, places: Sequence[int]) -> Any:
+    """Those lanes of two side by side."""
+    return builder.shuffle_vector(one, other, ir.Constant(ir.VectorType(_INT, len(places)), list(places)))
 
 
 def _of_each(name: str) -> _Build:
@@ -146,3 +201,38 @@ def magnitude(typing: Any, value: Any) -> Any:
 def larger(typing: Any, one: Any, other: Any) -> Any:
     """The larger ones of two numbers."""
     return one(one, other), _of_each("maxnum")
+
+
+@_in_kernels
+def smaller(typing: Any, one: Any, other: Any) -> Any:
+    """The smaller ones of two numbers, the second of a pair of which one is NaN: a single instruction."""
+
+    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
+        return builder.select(builder.fcmp_ordered("<", *values), *values)
+
+    return one(one, other), build
+
+
+@_in_kernels
+def whole_part(typing: Any, value: Any) -> Any:
+    """Numbers rounded towards 0."""
+    return value(value), _of_each("trunc")
+
+
+@_in_kernels
+def nearest_whole(typing: Any, value: Any) -> Any:
+    """Numbers rounded to the nearest whole one, halves to the even one."""
+    return value(value), _of_each("rint")
+
+
+@_in_kernels
+def power_of_two(typing: Any, exponent: Any) -> Any:
+    """Two to the power of whole numbers from -126 to 127: a float's bits hold its exponent."""
+
+    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
+        whole = ir.VectorType(_INT, exponent.count)
+        bits = builder.add(builder.fptosi(values[0], whole), ir.Constant(whole, [127] * exponent.count))
+        bits = builder.shl(bits, ir.Constant(whole, [23] * exponent.count))
+        return builder.bitcast(bits, values[0].type)
+
+    return exponent(exponent), build

@@ -57,12 +57,15 @@ def near_trajectories(
     others = to_occupied(occupied, side)
     own = to_occupied(occupied_cells(positions[start:end], side, left, top, width, height), side)
     body = closed_distance(own, close, side)
-    zero, one = np.float32(0), np.float32(1)
+    zero, one, columns = np.float32(0), np.float32(1), unexplained.shape[1]
+    to_own, to_others, to_body = own.reshape(-1), others.reshape(-1), body.reshape(-1)
+    errors, sure, far = unexplained.reshape(-1), trusted.reshape(-1), away.reshape(-1)
     for y in range(height):
         for x in range(width):
-            closest = own[y, x] <= learn and own[y, x] < others[y, x]
-            trusted[y, x] = closest and unexplained[top + y, left + x] >= least
-            away[y, x] = min(max((body[y, x] - near) / fade, zero), one)
+            cell, place = np.uint64(y * width + x), np.uint64((top + y) * columns + left + x)
+            closest = (to_own[cell] <= learn) & (to_own[cell] < to_others[cell])
+            sure[cell] = closest & (errors[place] >= least)
+            far[cell] = min(max((to_body[cell] - near) / fade, zero), one)
 
 
 def trusted_background(

@@ -67,9 +67,8 @@ def photometric_advantage(
     last = np.zeros((before.shape[0] + 3, before.shape[1] + 3), np.uint8)
     newest = np.empty(now.shape[:2], np.uint8)
     for y in range(before.shape[0]):
-        _grey_row(before[y].reshape(-1), last[y + 1, 1:-2])
-    for y in range(now.shape[0]):
-        _grey_row(now[y].reshape(-1), newest[y])
+        _write_grey(before[y].reshape(-1), last[y + 1, 1:-2])
+    _write_grey(now.reshape(-1), newest.reshape(-1))
     known = np.empty(newest.shape, np.bool_)
     own_misfit, camera_misfit = _misfits(
         last, newest, motion, shrunk_homography(camera, (side, side)), corner, last_corner, known
@@ -79,8 +78,8 @@ def photometric_advantage(
 
 
 @compiled()
-def _grey_row(colours: Array, grey: Array) -> None:
-    """Brightness of a row of BGR pixels, rounded as cv2 does."""
+def _write_grey(colours: Array, grey: Array) -> None:
+    """Brightness of BGR pixels, rounded as cv2 does."""
     for x in range(grey.size):
         pixel = np.uint64(3 * x)
         blue, green, red = colours[pixel], colours[pixel + np.uint64(1)], colours[pixel + np.uint64(2)]
@@ -101,16 +100,17 @@ def _misfits(
     """By how much each pixel differs from where either motion takes it from, and whether both are known."""
     height, width = newest.shape
     bottom, right = last.shape[0] - 4, last.shape[1] - 4
-    own_misfit, camera_misfit = np.empty(newest.shape, np.int32), np.empty(newest.shape, np.int32)
-    sources = np.empty((4, width), np.float32)
+    # In one row each: from one short row to the next it takes as long as the row itself.
+    sources, moves = np.empty((4, newest.size), np.float32), motion.reshape(-1)
     own_x, own_y, camera_x, camera_y = sources[0], sources[1], sources[2], sources[3]
+    inside, cells = known.reshape(-1), newest.reshape(-1)
     for v in range(height):
-        moves, inside, y = motion[v].reshape(-1), known[v], np.float64(v + corner[1])
+        y = np.float64(v + corner[1])
         for u in range(width):
-            place, x = np.uint64(u), np.float64(u + corner[0])
+            place, x = np.uint64(v * width + u), np.float64(u + corner[0])
             depth = camera[2, 0] * x + camera[2, 1] * y + camera[2, 2]
-            x_own = x + moves[np.uint64(2 * u)] - last_corner[0]
-            y_own = y + moves[np.uint64(2 * u + 1)] - last_corner[1]
+            x_own = x + moves[np.uint64(2) * place] - last_corner[0]
+            y_own = y + moves[np.uint64(2) * place + np.uint64(1)] - last_corner[1]
             x_camera = (camera[0, 0] * x + camera[0, 1] * y + camera[0, 2]) / depth - last_corner[0]
             y_camera = (camera[1, 0] * x + camera[1, 1] * y + camera[1, 2]) / depth - last_corner[1]
             own_x[place], own_y[place], camera_x[place], camera_y[place] = x_own, y_own, x_camera, y_camera
@@ -118,36 +118,52 @@ def _misfits(
                 (x_own >= 0) & (x_own <= right) & (y_own >= 0) & (y_own <= bottom)
                 & (x_camera >= 0) & (x_camera <= right) & (y_camera >= 0) & (y_camera <= bottom)
             )  # fmt: skip
-        _row_misfit(last, newest[v], own_x, own_y, own_misfit[v])
-        _row_misfit(last, newest[v], camera_x, camera_y, camera_misfit[v])
-    return own_misfit, camera_misfit
+    quads = _quads(last)
+    own_misfit, camera_misfit = _misfit(quads, cells, own_x, own_y), _misfit(quads, cells, camera_x, camera_y)
+    return own_misfit.reshape(newest.shape), camera_misfit.reshape(newest.shape)
 
 
 @compiled()
-def _row_misfit(last: Array, newest: Array, source_x: Array, source_y: Array, misfit: Array) -> None:
-    """Absolute difference of a row to its sources in the bordered last image, interpolated bilinearly.
+def _quads(image: Array) -> Array:
+    """All that is interpolated from a pixel on: its byte, and those of the pixels right, below and both."""
+    quads, shift = np.zeros(image.shape, np.uint32), np.uint32(8)
+    for y in range(image.shape[0] - 1):
+        row, below, result = image[y], image[y + 1], quads[y]
+        for x in range(image.shape[1] - 1):
+            place, right = np.uint64(x), np.uint64(x + 1)
+            pair, lower = np.uint32(row[right]) << shift, np.uint32(below[right]) << shift
+            pair, lower = pair | np.uint32(row[place]), lower | np.uint32(below[place])
+            result[place] = pair | (lower << np.uint32(16))
+    return quads
+
+
+@compiled()
+def _misfit(quads: Array, newest: Array, source_x: Array, source_y: Array) -> Array:
+    """Absolute difference of pixels to their sources in the bordered last image, interpolated bilinearly.
 
     Of the sources only their parts of a pixel are left.
     """
-    flat, stride = last.reshape(-1), np.int32(last.shape[1])
-    outside, right, bottom = np.float32(-1), np.float32(last.shape[1] - 3), np.float32(last.shape[0] - 3)
-    places = np.empty(newest.size, np.int32)
+    flat, stride, byte = quads.reshape(-1), np.int32(quads.shape[1]), np.int32(255)
+    outside, right, bottom = np.float32(-1), np.float32(quads.shape[1] - 3), np.float32(quads.shape[0] - 3)
+    around, misfit = np.empty(newest.size, np.int32), np.empty(newest.size, np.int32)
     # Loops without a branch run in vector registers: out of the image a source stays on its border.
-    for u in range(newest.size):
-        x = min(source_x[u], right) if source_x[u] > outside else outside
-        y = min(source_y[u], bottom) if source_y[u] > outside else outside
+    for i in range(newest.size):
+        x = min(source_x[i], right) if source_x[i] > outside else outside
+        y = min(source_y[i], bottom) if source_y[i] > outside else outside
         left, top = np.floor(x), np.floor(y)
-        source_x[u], source_y[u] = x - left, y - top
-        places[u] = (np.int32(top) + np.int32(1)) * stride + np.int32(left) + np.int32(1)
-    for u in range(newest.size):
-        along, down = source_x[u], source_y[u]
-        first = np.uint64(np.uint32(places[u]))
-        second = first + np.uint64(stride)
-        a, b = np.float32(flat[first]), np.float32(flat[first + np.uint64(1)])
-        c, d = np.float32(flat[second]), np.float32(flat[second + np.uint64(1)])
+        source_x[i], source_y[i] = x - left, y - top
+        around[i] = (np.int32(top) + np.int32(1)) * stride + np.int32(left) + np.int32(1)
+    for i in range(newest.size):
+        place = np.uint64(i)
+        around[place] = np.int32(flat[np.uint64(np.uint32(around[place]))])
+    for i in range(newest.size):
+        along, down, quad = source_x[i], source_y[i], around[i]
+        a, b = np.float32(quad & byte), np.float32((quad >> np.int32(8)) & byte)
+        c, d = np.float32((quad >> np.int32(16)) & byte), np.float32((quad >> np.int32(24)) & byte)
         above, below = a + along * (b - a), c + along * (d - c)
         moved = np.rint(above + down * (below - above))
-        misfit[u] = abs(np.int32(newest[u]) - np.int32(moved))
+        misfit[i] = abs(np.int32(newest[i]) - np.int32(moved))
+    return misfit
 
 
 @compiled()

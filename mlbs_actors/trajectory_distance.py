@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.lanes import Lanes, load, shifted, smaller, spread, spread_lane, store
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["closed_distance", "occupied_cells", "occupy", "to_occupied", "trajectory_distance"]
@@ -17,7 +18,12 @@ __all__ = ["closed_distance", "occupied_cells", "occupy", "to_occupied", "trajec
 #: Lengths of the steps, cells.
 _STRAIGHT, _DIAGONAL, _KNIGHT = np.float32(1), np.float32(1.4), np.float32(2.1969)
 #: Infinite cells around all others, so that no step asks for the border.
-_BORDER = 4
+_BORDER = 2
+#: Cells of a row that are told at once.
+LANES = 16
+#: From the cell before those to each of them, and from the one after them.
+_STEPS = np.arange(1, LANES + 1).astype(np.float32)
+_STEPS_BACK = _STEPS[::-1].copy()
 
 
 def trajectory_distance(positions: Array, cells: Region, side: int) -> Array:
@@ -63,66 +69,72 @@ def occupy(occupied: Array, positions: Array, side: int, left: int, top: int) ->
 def to_occupied(occupied: Array, side: int) -> Array:
     """Distance of cells of this side to the nearest of some: (h, w) float32, px; infinite without any."""
     height, width = occupied.shape
-    distance = np.full((height + 2 * _BORDER, width + 2 * _BORDER), np.float32(np.inf))
-    nearby, told = np.empty(width + 2 * _BORDER, np.float32), np.empty(occupied.shape, np.float32)
+    room = -(-width // LANES) * LANES
+    stride, told = room + 2 * _BORDER, np.empty(occupied.shape, np.float32)
+    cells = np.full((height + 2 * _BORDER) * stride, np.float32(np.inf))
+    # Cells past the right border, up to a whole register, are told too: no way is shorter by way of them.
+    own, results, infinite = occupied.reshape(-1), told.reshape(-1), spread(np.float32(np.inf), LANES)
     for y in range(height):
+        first = (y + _BORDER) * stride + _BORDER
         for x in range(width):
-            if occupied[y, x]:
-                distance[y + _BORDER, x + _BORDER] = 0
+            free = np.float32(0) if own[np.uint64(y * width + x)] else np.float32(np.inf)
+            cells[np.uint64(first + x)] = free
     for y in range(_BORDER, height + _BORDER):
-        _step_from(distance[y - 1], distance[y - 2], distance[y])
-        _step_right(distance[y], nearby)
+        before = infinite
+        for x in range(_BORDER, room + _BORDER, LANES):
+            place = np.uint64(y * stride + x)
+            before = _stepped_right(_stepped_from(cells, place, place - np.uint64(stride), -stride), before)
+            store(cells, place, before)
     for y in range(height + _BORDER - 1, _BORDER - 1, -1):
-        row, result = distance[y], told[y - _BORDER]
-        _step_from(distance[y + 1], distance[y + 2], row)
-        _step_left(row, nearby)
+        after = infinite
+        for x in range(room + _BORDER - LANES, 0, -LANES):
+            place = np.uint64(y * stride + x)
+            after = _stepped_left(_stepped_from(cells, place, place + np.uint64(stride), stride), after)
+            store(cells, place, after)
+    for y in range(height):
+        first = (y + _BORDER) * stride + _BORDER
         for x in range(width):
-            result[x] = row[x + _BORDER] * np.float32(side)
+            results[np.uint64(y * width + x)] = cells[np.uint64(first + x)] * np.float32(side)
     return told
 
 
-@compiled()
-def _step_from(near: Array, further: Array, row: Array) -> None:
-    """Steps to a row from the next one and the one behind it."""
-    one, two = np.uint64(1), np.uint64(2)
-    for x in range(_BORDER, row.size - _BORDER):
-        here = np.uint64(x)
-        by_knight = min(
-            min(further[here - one], further[here + one]), min(near[here - two], near[here + two])
-        )
-        by_corner = min(near[here - one], near[here + one])
-        beside = min(by_knight + _KNIGHT, by_corner + _DIAGONAL)
-        row[here] = min(row[here], min(beside, near[here] + _STRAIGHT))
+@compiled(inline="always")
+def _stepped_from(cells: Array, place: np.uint64, near: np.uint64, stride: int) -> Lanes:
+    """Some cells of a row after steps to them from the next row and the one behind it."""
+    one, two, further = np.uint64(1), np.uint64(2), np.uint64(np.int64(near) + stride)
+    by_knight = smaller(
+        smaller(load(cells, further - one, LANES), load(cells, further + one, LANES)),
+        smaller(load(cells, near - two, LANES), load(cells, near + two, LANES)),
+    )
+    by_corner = smaller(load(cells, near - one, LANES), load(cells, near + one, LANES))
+    beside = smaller(by_knight + spread(_KNIGHT, LANES), by_corner + spread(_DIAGONAL, LANES))
+    straight = load(cells, near, LANES) + spread(_STRAIGHT, LANES)
+    stepped: Lanes = smaller(load(cells, place, LANES), smaller(beside, straight))
+    return stepped
 
 
-@compiled()
-def _step_right(row: Array, nearby: Array) -> None:
-    """Steps along a row. From four cells on one looks four back, so that four of them are told at once."""
-    one, two, three, four = np.float32(1), np.float32(2), np.float32(3), np.float32(4)
-    for x in range(_BORDER, row.size - _BORDER):
-        here = np.uint64(x)
-        nearby[here] = min(
-            min(row[here], row[here - np.uint64(1)] + one),
-            min(row[here - np.uint64(2)] + two, row[here - np.uint64(3)] + three),
-        )
-    for x in range(_BORDER, row.size - _BORDER):
-        here = np.uint64(x)
-        row[here] = min(nearby[here], row[here - np.uint64(4)] + four)
+@compiled(inline="always")
+def _stepped_right(row: Lanes, before: Lanes) -> Lanes:
+    """Some cells after steps along their row, from those left of them too: of 1, of up to 3, 7 and 15."""
+    infinite = spread(np.float32(np.inf), LANES)
+    row = smaller(row, shifted(infinite, row, 15) + spread(np.float32(1), LANES))
+    row = smaller(row, shifted(infinite, row, 14) + spread(np.float32(2), LANES))
+    row = smaller(row, shifted(infinite, row, 12) + spread(np.float32(4), LANES))
+    row = smaller(row, shifted(infinite, row, 8) + spread(np.float32(8), LANES))
+    stepped: Lanes = smaller(row, spread_lane(before, 15) + load(_STEPS, np.uint64(0), LANES))
+    return stepped
 
 
-@compiled()
-def _step_left(row: Array, nearby: Array) -> None:
-    """:func:`_step_right` from the row's other end."""
-    one, two, three, four = np.float32(1), np.float32(2), np.float32(3), np.float32(4)
-    for x in range(_BORDER, row.size - _BORDER):
-        here = np.uint64(x)
-        nearby[here] = min(
-            min(row[here], row[here + np.uint64(1)] + one),
-            min(row[here + np.uint64(2)] + two, row[here + np.uint64(3)] + three),
-        )
-    for x in range(row.size - _BORDER - 1, _BORDER - 1, -1):
-        here = np.uint64(x)
-        row[here] = min(nearby[here], row[here + np.uint64(4)] + four)
+@compiled(inline="always")
+def _stepped_left(row: Lanes, after: Lanes) -> Lanes:
+    """:func:`_stepped_right` from the row's other end."""
+    infinite = spread(np.float32(np.inf), LANES)
+    row = smaller(row, shifted(row, infinite, 1) + spread(np.float32(1), LANES))
+    row = smaller(row, shifted(row, infinite, 2) + spread(np.float32(2), LANES))
+    row = smaller(row, shifted(row, infinite, 4) + spread(np.float32(4), LANES))
+    row = smaller(row, shifted(row, infinite, 8) + spread(np.float32(8), LANES))
+    stepped: Lanes = smaller(row, spread_lane(after, 0) + load(_STEPS_BACK, np.uint64(0), LANES))
+    return stepped
 
 
 @compiled()

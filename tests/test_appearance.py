@@ -13,7 +13,7 @@ from mlbs_actors.appearance import (
     update,
     warp_model,
 )
-from mlbs_actors.image_rows import padded_planes, read_row
+from mlbs_actors.image_rows import padded_planes, read_row, row_room
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.warp import nearest_sources
 
@@ -128,9 +128,9 @@ def test_a_row_is_read_as_by_bilinear_interpolation_held_inside_the_image(shape:
     rng = np.random.default_rng(sum(shape))
     image = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
     residual = rng.uniform(-0.99, 0.99, (*shape, 2)).astype(np.float32)
-    found = np.empty((3, shape[1]), np.float32)
+    found = row_room(shape[1])
     for y in range(shape[0]):
-        read_row(padded_planes(image), y, residual[y], found)
+        read_row(padded_planes(image), y, residual[y], 0, shape[1], found)
         for x in range(shape[1]):
             right, down = x + float(residual[y, x, 0]), y + float(residual[y, x, 1])
             left, top = int(np.floor(right)), int(np.floor(down))
@@ -139,7 +139,7 @@ def test_a_row_is_read_as_by_bilinear_interpolation_held_inside_the_image(shape:
                 for column, share in ((left, 1 - (right - left)), (left + 1, right - left)):
                     inside = image[np.clip(row, 0, shape[0] - 1), np.clip(column, 0, shape[1] - 1)]
                     expected += row_share * share * inside
-            np.testing.assert_allclose(found[:, x], expected, atol=1e-3)
+            np.testing.assert_allclose(found[:3, x], expected, atol=1e-3)
 
 
 def test_a_part_of_a_picture_may_be_given_and_one_without_rows() -> None:

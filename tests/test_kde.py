@@ -52,11 +52,13 @@ def plain_colour(image: Array, y: float, x: float) -> Array:
     return colour
 
 
-def test_the_density_is_that_of_the_formula() -> None:
-    model, image = model_with_gaps(0), smooth_image(1)
+@pytest.mark.parametrize("capacity", [7, 16, 20, 32])
+@pytest.mark.parametrize("region", [REGION, Region(0, 0, 37, 5)])
+def test_the_density_is_that_of_the_formula(region: Region, capacity: int) -> None:
+    model, image = model_with_gaps(0, region, capacity), smooth_image(1, region)
     result = log_likelihood(model, image, PARAMETERS)
-    for y in range(REGION.height):
-        for x in range(REGION.width):
+    for y in range(region.height):
+        for x in range(region.width):
             if model.count[y, x] == 0:
                 assert np.isnan(result[y, x])
                 continue

@@ -6,7 +6,21 @@ import numpy as np
 import pytest
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.lanes import larger, load, magnitude, root, spread, store
+from mlbs_actors.lanes import (
+    larger,
+    load,
+    magnitude,
+    nearest_whole,
+    power_of_two,
+    root,
+    shifted,
+    smaller,
+    spread,
+    spread_lane,
+    store,
+    total,
+    whole_part,
+)
 from mlbs_actors.messages import Array
 
 
@@ -19,6 +33,19 @@ def _of_sixteen(values: Array, result: Array) -> None:
     store(result, np.uint64(48), one / other)
     store(result, np.uint64(64), root(magnitude(one)) + spread(np.float32(0.1), 16))
     store(result, np.uint64(80), larger(one, other))
+    store(result, np.uint64(96), smaller(one, other))
+    store(result, np.uint64(112), whole_part(one))
+    store(result, np.uint64(128), nearest_whole(one))
+    store(result, np.uint64(144), power_of_two(whole_part(one)))
+
+
+@compiled()
+def _between_lanes(values: Array, result: Array) -> np.float32:
+    one, other = load(values, np.uint64(0), 16), load(values, np.uint64(16), 16)
+    store(result, np.uint64(0), shifted(one, other, 5))
+    store(result, np.uint64(16), spread_lane(other, 3))
+    together: np.float32 = total(one)
+    return together
 
 
 @compiled()
@@ -28,12 +55,23 @@ def _of_eight_bytes(values: Array, result: Array) -> None:
 
 def test_operations_are_those_on_single_numbers() -> None:
     values = np.random.default_rng(0).normal(0, 10, 20).astype(np.float32)
+    values[[2, 5]] = 0.5, -2.5  # halves are rounded to the even number
     one, other = values[1:17], values[4:20]
-    result = np.zeros(96, np.float32)
+    result = np.zeros(160, np.float32)
     _of_sixteen(values, result)
     expected = [one + other, one - other, one * other, one / other]
-    expected += [np.sqrt(abs(one)) + np.float32(0.1), np.maximum(one, other)]
+    expected += [np.sqrt(abs(one)) + np.float32(0.1), np.maximum(one, other), np.minimum(one, other)]
+    expected += [np.trunc(one), np.rint(one), np.exp2(np.trunc(one))]
     np.testing.assert_array_equal(result, np.concatenate(expected))
+
+
+def test_lanes_are_moved_and_added() -> None:
+    values, result = np.random.default_rng(1).normal(0, 10, 32).astype(np.float32), np.zeros(32, np.float32)
+    by_fours = values[:16].reshape(4, 4)
+    one, two, three, four = by_fours[0] + by_fours[1] + by_fours[2] + by_fours[3]
+    assert _between_lanes(values, result) == (one + two) + (three + four)
+    np.testing.assert_array_equal(result[:16], values[5:21])
+    assert (result[16:] == values[19]).all()
 
 
 @pytest.mark.parametrize("most", [1, 255])
