@@ -5,7 +5,8 @@ what is read, gives up where too many rows are read, and does what is left over 
 With these types a kernel tells itself what is done side by side, and what is in between stays in registers.
 Each operation is that of IEEE 754 in every lane: the result is that of a loop over single numbers.
 
-In kernels, lanes of the same count can be added, subtracted, multiplied and divided.
+In kernels, lanes of the same kind and count can be added, subtracted and multiplied, and those of float32
+divided.
 """
 
 from __future__ import annotations
@@ -18,7 +19,18 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, models, overload, register_model
 
-__all__ = ["Lanes", "larger", "load", "magnitude", "root", "spread", "store"]
+__all__ = [
+    "Lanes",
+    "cut_off",
+    "larger",
+    "load",
+    "load_whole",
+    "magnitude",
+    "root",
+    "spread",
+    "store",
+    "total",
+]
 
 #: Numbers of lanes that there are: half a register of the widest kind, and one.
 COUNTS = (8, 16)
@@ -27,31 +39,42 @@ COUNTS = (8, 16)
 _in_kernels: Any = intrinsic(prefer_literal=True)
 
 _FLOAT, _INT = ir.FloatType(), ir.IntType(32)
+_ITEMS: dict[Any, Any] = {types.float32: _FLOAT, types.int32: _INT}
+_WIDENED: dict[Any, str] = {
+    (types.uint8, types.float32): "uitofp",
+    (types.uint8, types.int32): "zext",
+    (types.int16, types.int32): "sext",
+}
 #: Makes the instructions, from Numba's context, LLVM's builder, the signature and the values.
 _Build = Callable[[Any, Any, Any, Any], Any]
 
 
 class Lanes(types.Type):
-    """Numba's type of some float32 side by side."""
+    """Numba's type of some float32 or int32 side by side."""
 
-    def __init__(self, count: int) -> None:
-        super().__init__(name=f"Lanes({count})")
-        self.count = count
+    def __init__(self, count: int, kind: types.Type) -> None:
+        super().__init__(name=f"Lanes({count}, {kind})")
+        self.count, self.kind = count, kind
 
 
 @register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, lanes: Lanes) -> None:
-        super().__init__(manager, lanes, ir.VectorType(_FLOAT, lanes.count))  # type: ignore[no-untyped-call]
+        super().__init__(manager, lanes, _register(lanes))  # type: ignore[no-untyped-call]
 
 
-def _use(operation: Callable[..., Any], instruction: str) -> None:
+def _register(lanes: Lanes) -> ir.VectorType:
+    return ir.VectorType(_ITEMS[lanes.kind], lanes.count)
+
+
+def _use(operation: Callable[..., Any], of_floats: str, of_ints: str | None = None) -> None:
     """Let kernels use an operator on lanes."""
+    instructions: dict[Any, str | None] = {types.float32: of_floats, types.int32: of_ints}
 
     @_in_kernels
     def each(typing: Any, one: Any, other: Any) -> Any:
         def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-            return getattr(builder, instruction)(*values)
+            return getattr(builder, str(instructions[one.kind]))(*values)
 
         return one(one, other), build
 
@@ -60,28 +83,35 @@ def _use(operation: Callable[..., Any], instruction: str) -> None:
 
     @overload(operation, inline="always")
     def known(one: Any, other: Any) -> Any:
-        return of_lanes if isinstance(one, Lanes) and one == other else None
+        return of_lanes if isinstance(one, Lanes) and one == other and instructions[one.kind] else None
 
 
-_use(operator.add, "fadd")
-_use(operator.sub, "fsub")
-_use(operator.mul, "fmul")
+_use(operator.add, "fadd", "add")
+_use(operator.sub, "fsub", "sub")
+_use(operator.mul, "fmul", "mul")
 _use(operator.truediv, "fdiv")
 
 
 @_in_kernels
 def load(typing: Any, array: Any, at: Any, count: Any) -> Any:
     """Some numbers of a flat array, float32 or uint8, from a place (uint64) on; there must be as many."""
-    lanes = Lanes(count.literal_value)
+    return _loaded(Lanes(count.literal_value, types.float32), array, count)
 
+
+@_in_kernels
+def load_whole(typing: Any, array: Any, at: Any, count: Any) -> Any:
+    """The same of an array of uint8 or int16, as int32."""
+    return _loaded(Lanes(count.literal_value, types.int32), array, count)
+
+
+def _loaded(lanes: Lanes, array: Any, count: Any) -> Any:
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        kind = called.args[0]
-        item = context.get_data_type(kind.dtype)
-        place = _place(context, builder, kind, values[0], values[1], ir.VectorType(item, lanes.count))
-        numbers = builder.load(place, align=kind.dtype.bitwidth // 8)
-        if kind.dtype is types.uint8:
-            return builder.uitofp(numbers, ir.VectorType(_FLOAT, lanes.count))
-        return numbers
+        vector = ir.VectorType(context.get_data_type(array.dtype), lanes.count)
+        place = _place(context, builder, array, values[0], values[1], vector)
+        numbers = builder.load(place, align=array.dtype.bitwidth // 8)
+        if array.dtype is lanes.kind:
+            return numbers
+        return getattr(builder, _WIDENED[array.dtype, lanes.kind])(numbers, _register(lanes))
 
     return lanes(array, types.uint64, count), build
 
@@ -105,16 +135,41 @@ def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any, vector: i
 
 @_in_kernels
 def spread(typing: Any, value: Any, count: Any) -> Any:
-    """The same float32 in all lanes."""
-    lanes = Lanes(count.literal_value)
+    """The same float32 or int32 in all lanes."""
+    lanes = Lanes(count.literal_value, value)
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        nothing = ir.Constant(ir.VectorType(_FLOAT, lanes.count), ir.Undefined)
+        nothing = ir.Constant(_register(lanes), ir.Undefined)
         first = builder.insert_element(nothing, values[0], ir.Constant(_INT, 0))
         places = ir.Constant(ir.VectorType(_INT, lanes.count), [0] * lanes.count)
         return builder.shuffle_vector(first, nothing, places)
 
-    return lanes(types.float32, count), build
+    return lanes(value, count), build
+
+
+@_in_kernels
+def cut_off(typing: Any, value: Any) -> Any:
+    """float32 without what is behind the point, as int32."""
+    whole = Lanes(value.count, types.int32)
+
+    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
+        return builder.fptosi(values[0], _register(whole))
+
+    return whole(value), build
+
+
+@_in_kernels
+def total(typing: Any, value: Any) -> Any:
+    """Sum of all lanes of int32."""
+
+    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
+        kind = values[0].type
+        function = builder.module.declare_intrinsic(
+            f"llvm.vector.reduce.add.v{kind.count}i32", (), ir.FunctionType(_INT, [kind])
+        )
+        return builder.call(function, values)
+
+    return types.int32(value), build
 
 
 def _of_each(name: str) -> _Build:

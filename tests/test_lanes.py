@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.lanes import larger, load, magnitude, root, spread, store
+from mlbs_actors.lanes import cut_off, larger, load, load_whole, magnitude, root, spread, store, total
 from mlbs_actors.messages import Array
 
 
@@ -43,3 +43,19 @@ def test_bytes_become_numbers_and_nothing_beside_is_written(most: int) -> None:
     _of_eight_bytes(values, result)
     np.testing.assert_array_equal(result[2:10], values[3:].astype(np.float32) / np.float32(3))
     assert not result[[0, 1, 10, 11]].any()
+
+
+@compiled()
+def _sums_of_whole_numbers(numbers: Array, shorts: Array, bytes_: Array) -> tuple[int, int, int]:
+    one, other = load_whole(shorts, np.uint64(1), 8), load_whole(bytes_, np.uint64(2), 8)
+    cut = cut_off(load(numbers, np.uint64(0), 8)) - spread(np.int32(3), 8)
+    return total(one * other), total(one + other), total(cut)
+
+
+def test_whole_numbers_are_summed_exactly() -> None:
+    rng = np.random.default_rng(0)
+    numbers = rng.normal(0, 10, 8).astype(np.float32)
+    shorts, bytes_ = rng.integers(-32768, 32768, 9, np.int16), rng.integers(0, 256, 10, np.uint8)
+    one, other = shorts[1:].astype(int), bytes_[2:].astype(int)
+    expected = ((one * other).sum(), (one + other).sum(), (np.trunc(numbers) - 3).sum())
+    assert _sums_of_whole_numbers(numbers, shorts, bytes_) == expected
