@@ -30,6 +30,8 @@ LEAST_CELLS = 3
 GROWN = 2
 #: Column of OpenCV's statistics of a component.
 _AREA = int(cv2.CC_STAT_AREA)
+#: What a seam between two boxes costs for each pair of cells that it parts, in cells.
+SEAM = 4.0
 #: Above this share of the frame, boxes are not worth their seams.
 MOST = 0.7
 
@@ -86,6 +88,9 @@ def _cells(
 def focus_boxes(cells: Array, shape: tuple[int, int]) -> list[Region]:
     """Boxes around the cells, disjoint; the whole frame if they would be most of it.
 
+    Flow is better in one box around neighbours than in several with seams. Only where such boxes would be
+    most of the frame, as in a crowd, they are parted.
+
     Parameters
     ----------
     cells : (rows, columns) bool
@@ -97,13 +102,80 @@ def focus_boxes(cells: Array, shape: tuple[int, int]) -> list[Region]:
     -------
     list of Region
     """
-    height, width = shape
     _, _, stats, _ = cv2.connectedComponentsWithStats(cells.view(np.uint8), connectivity=8)
-    pieces = [
+    boxes = [group.box for group in group_regions(_in_pixels(stats[1:, :4], shape), shape)]
+    if _most(boxes, shape):
+        boxes = _in_pixels(_parts(cells), shape)
+    return [Region(0, 0, shape[1], shape[0])] if _most(boxes, shape) else boxes
+
+
+def _in_pixels(rectangles: Array, shape: tuple[int, int]) -> list[Region]:
+    """Rectangles of cells (n, 4), left, top, width and height, as far as they lie in the frame."""
+    height, width = shape
+    return [
         Region(x * CELL, y * CELL, min(w * CELL, width - x * CELL), min(h * CELL, height - y * CELL))
-        for x, y, w, h in stats[1:, :4].tolist()
+        for x, y, w, h in rectangles.tolist()
     ]
-    boxes = [group.box for group in group_regions(pieces, shape)]
-    if sum(box.area for box in boxes) > MOST * height * width:
-        return [Region(0, 0, width, height)]
-    return boxes
+
+
+def _most(boxes: list[Region], shape: tuple[int, int]) -> bool:
+    return sum(box.area for box in boxes) > MOST * shape[0] * shape[1]
+
+
+@compiled()
+def _parts(cells: Array) -> Array:
+    """Disjoint rectangles around all cells, (n, 4) int64: left, top, width and height.
+
+    One around all of them is cut in two as long as two around what is on either side cost less.
+    """
+    waiting, parts = [(0, cells.shape[0], 0, cells.shape[1])], []
+    while waiting:
+        top, bottom, left, right = _shrunk(cells, waiting.pop())
+        if top == bottom:
+            continue
+        part = cells[top:bottom, left:right]
+        between_rows, between_columns = _cut_costs(part), _cut_costs(part.T)
+        row, column = int(np.argmin(between_rows)), int(np.argmin(between_columns))
+        if min(between_rows[row], between_columns[column]) >= part.size:
+            parts.append((left, top, right - left, bottom - top))
+        elif between_rows[row] <= between_columns[column]:
+            waiting.append((top, top + row, left, right))
+            waiting.append((top + row, bottom, left, right))
+        else:
+            waiting.append((top, bottom, left, left + column))
+            waiting.append((top, bottom, left + column, right))
+    found = np.empty((len(parts), 4), np.int64)
+    for place in range(len(parts)):
+        found[place] = parts[place]
+    return found
+
+
+@compiled()
+def _shrunk(cells: Array, part: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """The smallest rectangle around the cells of a part; without height if there are none."""
+    top, bottom, left, right = part[1], part[0], part[3], part[2]
+    for y in range(part[0], part[1]):
+        for x in range(part[2], part[3]):
+            if cells[y, x]:
+                top, bottom = min(top, y), max(bottom, y + 1)
+                left, right = min(left, x), max(right, x + 1)
+    return min(top, bottom), bottom, left, right
+
+
+@compiled()
+def _cut_costs(cells: Array) -> Array:
+    """Cost of a cut above each row: the cells of the rectangles on both sides, and the seam."""
+    rows, columns = cells.shape
+    costs = np.zeros(rows)
+    for turn in range(2):
+        left, right, height = columns, 0, 0
+        for place in range(rows - 1):
+            row = place if turn == 0 else rows - 1 - place
+            for x in range(columns):
+                if cells[row, x]:
+                    left, right, height = min(left, x), max(right, x + 1), place + 1
+            costs[row + 1 - turn] += height * (right - left)
+    costs[0] = np.inf
+    for row in range(1, rows):
+        costs[row] += SEAM * (cells[row - 1] & cells[row]).sum()
+    return costs

@@ -18,8 +18,8 @@ Differs from the paper:
 * The start is label 0 everywhere: every labelling with one more label is one expansion away, and with two
   labels the first one ends in a global optimum. An expansion is tried again only where something has
   changed: the last one was the best there.
-* Of more than ``LARGE`` pixels, only those near the outlines of a coarser solution are cut (``coarse_cut``),
-  in one sweep; how many are too many depends on how coarse they are already.
+* Of more than some thousand pixels (``MOST_CUT_WHOLE``), only those near the outlines of a coarser solution
+  are cut (``coarse_cut``), in one sweep.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ __all__ = [
 
 _MAX_LABEL_COST = 2**50
 
-#: So many pixels, blocks of 2×2 pixels (whose costs hardly differ), and larger blocks (legs are thinner)
-#: are cut as they are; more are labelled coarse to fine.
-LARGE = (2048, 1024, 9216)
+#: Most pixels that are cut without a coarser level, by how often they have been halved; the last counts for
+#: all further ones. Costs hardly differ within blocks of 2×2 pixels, but legs are thinner than larger ones.
+MOST_CUT_WHOLE = (2048, 1024, 9216)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ def minimise(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> CutResult:
 
     With two labels it is a global optimum. Else no expansion of the whole image lowers it, although only
     undecided pixels are cut (``cut_pruning`` says why), and of those only the parts around which something
-    has changed. An image of more than ``LARGE`` pixels is labelled coarse to fine, near to that.
+    has changed. An image of more than ``MOST_CUT_WHOLE[0]`` pixels is labelled coarse to fine, near to that.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def lowest_labels(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> Array:
 def _is_large(whole: LabelCostEnergy, level: int) -> bool:
     """Whether this is labelled coarse to fine; level 0 are pixels."""
     height, width = whole.weights.shape[:2]
-    return bool(height * width > LARGE[min(level, len(LARGE) - 1)])
+    return bool(height * width > MOST_CUT_WHOLE[min(level, len(MOST_CUT_WHOLE) - 1)])
 
 
 def _lowest(whole: LabelCostEnergy, max_sweeps: int, level: int) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.lanes import Lanes, larger, load, spread, store
+from mlbs_actors.lanes import Lanes, broadcast, load, maximum, store
 from mlbs_actors.messages import Array
 
 __all__ = ["LANES", "padded_planes", "read_row", "row_room"]
@@ -67,13 +67,13 @@ def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room:
     first = first // LANES * LANES
     for pixel in range(first, min(end, residual.shape[0])):
         room[3, pixel], room[4, pixel] = rests[np.uint64(2 * pixel)], rests[np.uint64(2 * pixel + 1)]
-    zero, one = spread(np.float32(0), LANES), spread(np.float32(1), LANES)
+    zero, one = broadcast(np.float32(0), LANES), broadcast(np.float32(1), LANES)
     for start in range(first, end, LANES):
         x = np.uint64(start)
         right, down = load(row, np.uint64(3) * length + x, LANES), load(row, np.uint64(4) * length + x, LANES)
-        left_share, right_share = larger(zero - right, zero), larger(right, zero)
+        left_share, right_share = maximum(zero - right, zero), maximum(right, zero)
         share = one - left_share - right_share
-        upper, lower = larger(zero - down, zero), larger(down, zero)
+        upper, lower = maximum(zero - down, zero), maximum(down, zero)
         level = one - upper - lower
         for channel in range(3):
             above = np.uint64(channel * height + y) * width + x

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.lanes import larger, load, magnitude, spread, store
+from mlbs_actors.lanes import absolute, broadcast, load, load_int32, maximum, store, sum_of_lanes, to_int32
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.variational_refinement import refine_flow
 
@@ -265,27 +265,6 @@ def _source_place(
 
 
 @compiled(inline="always")
-def _moved(
-    around: Array,
-    there: np.uint64,
-    width: int,
-    row: int,
-    column: int,
-    w00: np.float32,
-    w01: np.float32,
-    w10: np.float32,
-    w11: np.float32,
-) -> np.float32:
-    """What the continued frame shows at a pixel of a moved patch, by :func:`_source_place`."""
-    one, stride = np.uint64(1), np.uint64(width + 2 * MARGIN)
-    upper = there + np.uint64(row) * stride + np.uint64(column)
-    lower = there + np.uint64(row + 1) * stride + np.uint64(column)
-    moved: np.float32 = w00 * around[upper] + w01 * around[upper + one]
-    moved += w10 * around[lower] + w11 * around[lower + one]
-    return moved
-
-
-@compiled(inline="always")
 def _place(width: int, y: int, x: int, row: int, column: int) -> np.uint64:
     """Place of a patch's pixel in a flat frame."""
     return (
@@ -322,16 +301,15 @@ def _mismatch(
 ) -> np.float32:
     """Sum of squared differences of a patch and its place in the target, but for their mean."""
     there, w00, w01, w10, w11 = _source_place(shape, y, x, u, v)
-    total, squares = np.int32(0), np.int32(0)
-    for column in range(PATCH):
-        for row in range(PATCH):
-            moved = _moved(around, there, shape[1], row, column, w00, w01, w10, w11)
-            shown = np.int32(np.int32(gray[_place(shape[1], y, x, row, column)]) * np.int32(SHADES))
-            difference = np.int32(moved) - shown
-            total = np.int32(total + difference)
-            squares = np.int32(squares + np.int32(difference * difference))
-    mean = np.float32(total) / np.float32(PATCH * PATCH)
-    return np.float32(squares) - mean * np.float32(total)
+    here, none = _place(shape[1], y, x, 0, 0), broadcast(np.int32(0), PATCH)
+    summed, squares = none, none
+    for _ in range(PATCH):
+        difference = _row_difference(gray, around, here, there, shape[1], w00, w01, w10, w11)
+        summed, squares = summed + difference, squares + difference * difference
+        here, there = here + np.uint64(shape[1]), there + np.uint64(shape[1] + 2 * MARGIN)
+    plain = np.float32(sum_of_lanes(summed))
+    mean = plain / np.float32(PATCH * PATCH)
+    return np.float32(sum_of_lanes(squares)) - mean * plain
 
 
 @compiled(inline="always")
@@ -341,17 +319,26 @@ def _differences(
 ) -> tuple[np.int32, np.int32, np.int32, np.int32]:  # fmt: skip
     """Sums of a patch's differences: plain, squared, times its slope along x, and along y."""
     there, w00, w01, w10, w11 = _source_place(shape, y, x, u, v)
-    total, squares, along, below = np.int32(0), np.int32(0), np.int32(0), np.int32(0)
-    for column in range(PATCH):
-        for row in range(PATCH):
-            moved = _moved(around, there, shape[1], row, column, w00, w01, w10, w11)
-            at = _place(shape[1], y, x, row, column)
-            difference = np.int32(moved) - np.int32(np.int32(gray[at]) * np.int32(SHADES))
-            total = np.int32(total + difference)
-            squares = np.int32(squares + np.int32(difference * difference))
-            along = np.int32(along + np.int32(difference * np.int32(slope_x[at])))
-            below = np.int32(below + np.int32(difference * np.int32(slope_y[at])))
-    return total, squares, along, below
+    here, none = _place(shape[1], y, x, 0, 0), broadcast(np.int32(0), PATCH)
+    summed, squares, along, below = none, none, none, none
+    for _ in range(PATCH):
+        difference = _row_difference(gray, around, here, there, shape[1], w00, w01, w10, w11)
+        summed, squares = summed + difference, squares + difference * difference
+        along = along + difference * load_int32(slope_x, here, PATCH)
+        below = below + difference * load_int32(slope_y, here, PATCH)
+        here, there = here + np.uint64(shape[1]), there + np.uint64(shape[1] + 2 * MARGIN)
+    return sum_of_lanes(summed), sum_of_lanes(squares), sum_of_lanes(along), sum_of_lanes(below)
+
+
+@compiled(inline="always")
+def _row_difference(
+    gray: Array, around: Array, here: np.uint64, there: np.uint64, width: int, w00: np.float32,
+    w01: np.float32, w10: np.float32, w11: np.float32,
+) -> Any:  # fmt: skip
+    """What the continued frame shows more than a patch's row does, in whole shades."""
+    below = there + np.uint64(width + 2 * MARGIN)
+    moved = _between(around, there, w00, w01) + _between(around, below, w10, w11)
+    return to_int32(moved) - load_int32(gray, here, PATCH) * broadcast(np.int32(SHADES), PATCH)
 
 
 @compiled()
@@ -372,7 +359,7 @@ def _densify(
     shape, width = gray.shape, window.shape[2]
     stride, continued = np.uint64(shape[1]), np.uint64(shape[1] + 2 * MARGIN)
     gray, around, sums = gray.reshape(-1), around.reshape(-1), window.reshape(-1)
-    one, shades = spread(np.float32(1), PATCH), spread(np.float32(SHADES), PATCH)
+    one, shades = broadcast(np.float32(1), PATCH), broadcast(np.float32(SHADES), PATCH)
     for row in range(down.size):
         for column in range(across.size):
             y, x = down[row], across[column]
@@ -380,13 +367,12 @@ def _densify(
             there, w00, w01, w10, w11 = _source_place(shape, y, x, u, v)
             here, to = _place(shape[1], y, x, 0, 0), _place(width, y - top, x - left, 0, 0)
             for _ in range(PATCH):
-                moved = _several(around, there, w00) + _several(around, there + np.uint64(1), w01)
                 below = there + continued
-                moved = moved + (_several(around, below, w10) + _several(around, below + np.uint64(1), w11))
-                error = magnitude(moved - load(gray, here, PATCH) * shades) / shades
-                weight, place = one / larger(one, error), to
+                moved = _between(around, there, w00, w01) + _between(around, below, w10, w11)
+                error = absolute(moved - load(gray, here, PATCH) * shades) / shades
+                weight, place = one / maximum(one, error), to
                 for factor in (u, v, np.float32(1)):
-                    summed = load(sums, place, PATCH) + weight * spread(factor, PATCH)
+                    summed = load(sums, place, PATCH) + weight * broadcast(factor, PATCH)
                     store(sums, place, summed)
                     place += np.uint64(window.shape[1] * width)
                 there, here, to = below, here + stride, to + np.uint64(width)
@@ -397,6 +383,7 @@ def _densify(
 
 
 @compiled(inline="always")
-def _several(values: Array, at: np.uint64, weight: np.float32) -> Any:
-    """A patch's row of some values, times a weight."""
-    return spread(weight, PATCH) * load(values, at, PATCH)
+def _between(values: Array, at: np.uint64, left: np.float32, right: np.float32) -> Any:
+    """A patch's row of some values and the one a pixel further, weighted."""
+    one = broadcast(left, PATCH) * load(values, at, PATCH)
+    return one + broadcast(right, PATCH) * load(values, at + np.uint64(1), PATCH)

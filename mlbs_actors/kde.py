@@ -29,17 +29,17 @@ from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, warp_model
 from mlbs_actors.compilation import compiled
 from mlbs_actors.image_rows import LANES, padded_planes, read_row, row_room
 from mlbs_actors.lanes import (
-    larger,
+    absolute,
+    broadcast,
+    exp2_of_whole,
     load,
-    magnitude,
-    nearest_whole,
-    power_of_two,
-    root,
-    smaller,
-    spread,
+    maximum,
+    minimum,
+    rounded,
+    square_root,
     store,
-    total,
-    whole_part,
+    sum_of_lanes,
+    truncated,
 )
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.row_log import row_log
@@ -187,7 +187,7 @@ def _least_spreads(
     below = y + 1 if y + 1 < height else max(height - 2, 0)
     flat, row, one, two = planes.reshape(-1), np.uint64(planes.shape[2]), np.uint64(1), np.uint64(2)
     for start in range(first // LANES * LANES, end, LANES):
-        across, down = spread(np.float32(0), LANES), spread(np.float32(0), LANES)
+        across, down = broadcast(np.float32(0), LANES), broadcast(np.float32(0), LANES)
         for channel in range(3):
             place = np.uint64(channel * (height + 2)) * row + np.uint64(start)
             upper, middle = place + np.uint64(above + 1) * row, place + np.uint64(y + 1) * row
@@ -196,8 +196,8 @@ def _least_spreads(
             low_left, low_right = load(flat, lower, LANES), load(flat, lower + two, LANES)
             level = load(flat, middle + two, LANES) - load(flat, middle, LANES)
             upright = load(flat, lower + one, LANES) - load(flat, upper + one, LANES)
-            across = larger(across, magnitude(top_right - top_left + low_right - low_left + level + level))
-            down = larger(down, magnitude(low_left - top_left + low_right - top_right + upright + upright))
+            across = maximum(across, absolute(top_right - top_left + low_right - low_left + level + level))
+            down = maximum(down, absolute(low_left - top_left + low_right - top_right + upright + upright))
         store(least, np.uint64(start), across * across + down * down)
     for x in (0, width - 1):
         left, right = x - 1 if x > 0 else min(1, width - 1), x + 1 if x + 1 < width else max(width - 2, 0)
@@ -205,11 +205,13 @@ def _least_spreads(
         least[x] = squared if first <= x < end else least[x]
     for start in range(first // LANES * LANES, end, LANES):
         x = np.uint64(start)
-        slope = spread(registration * registration, LANES) * (
-            load(least, x, LANES) / spread(np.float32(64), LANES)
+        slope = broadcast(registration * registration, LANES) * (
+            load(least, x, LANES) / broadcast(np.float32(64), LANES)
         )
-        width_of = root(spread(floor * floor, LANES) + slope) / spread(np.float32(SPREAD_STEP), LANES)
-        store(least, x, smaller(nearest_whole(width_of), spread(np.float32(255), LANES)))
+        width_of = square_root(broadcast(floor * floor, LANES) + slope) / broadcast(
+            np.float32(SPREAD_STEP), LANES
+        )
+        store(least, x, minimum(rounded(width_of), broadcast(np.float32(255), LANES)))
 
 
 @compiled()
@@ -279,21 +281,21 @@ def _sum_of_kernels(
     scale: np.float32, known: np.int64,
 ) -> np.float32:  # fmt: skip
     """Of a colour under the first samples of a stack, of which each channel has so many slots."""
-    sums = spread(np.float32(0), LANES)
+    sums = broadcast(np.float32(0), LANES)
     for first in range(0, slots, LANES):
         blues = at + np.uint64(first)
         greens, reds = blues + np.uint64(slots), blues + np.uint64(2 * slots)
-        off_blue = load(stacks, blues, LANES) - spread(blue, LANES)
-        off_green = load(stacks, greens, LANES) - spread(green, LANES)
-        off_red = load(stacks, reds, LANES) - spread(red, LANES)
+        off_blue = load(stacks, blues, LANES) - broadcast(blue, LANES)
+        off_green = load(stacks, greens, LANES) - broadcast(green, LANES)
+        off_red = load(stacks, reds, LANES) - broadcast(red, LANES)
         squared = off_blue * off_blue + off_green * off_green + off_red * off_red
-        exponent = larger(squared * spread(scale, LANES), spread(_LEAST, LANES))
-        whole = whole_part(exponent)
+        exponent = maximum(squared * broadcast(scale, LANES), broadcast(_LEAST, LANES))
+        whole = truncated(exponent)
         z = exponent - whole
-        power = spread(_P3, LANES) + z * spread(_P4, LANES)
-        power = spread(_P1, LANES) + z * (spread(_P2, LANES) + z * power)
-        power = (spread(_P0, LANES) + z * power) * power_of_two(whole)
+        power = broadcast(_P3, LANES) + z * broadcast(_P4, LANES)
+        power = broadcast(_P1, LANES) + z * (broadcast(_P2, LANES) + z * power)
+        power = (broadcast(_P0, LANES) + z * power) * exp2_of_whole(whole)
         missing = min(max(np.int64(LANES + first) - known, np.int64(0)), np.int64(LANES))
         sums = sums + power * load(_VALID, np.uint64(missing), LANES)
-    together: np.float32 = total(sums)
+    together: np.float32 = sum_of_lanes(sums)
     return together

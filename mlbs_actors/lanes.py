@@ -5,7 +5,8 @@ what is read, gives up where too many rows are read, and does what is left over 
 With these types a kernel tells itself what is done side by side, and what is in between stays in registers.
 Each operation is that of IEEE 754 in every lane: the result is that of a loop over single numbers.
 
-In kernels, lanes of the same count can be added, subtracted, multiplied and divided.
+In kernels, lanes of the same kind and count can be added, subtracted and multiplied, and those of float32
+divided. What is no such call does not compile: an array that is not flat and contiguous, say.
 """
 
 from __future__ import annotations
@@ -20,53 +21,69 @@ from numba.extending import intrinsic, models, overload, register_model
 
 __all__ = [
     "Lanes",
-    "larger",
+    "absolute",
+    "broadcast",
+    "broadcast_lane",
+    "exp2_of_whole",
     "load",
-    "magnitude",
-    "nearest_whole",
-    "power_of_two",
-    "root",
+    "load_int32",
+    "maximum",
+    "minimum",
+    "rounded",
     "shifted",
-    "smaller",
-    "spread",
-    "spread_lane",
+    "square_root",
     "store",
-    "total",
-    "whole_part",
+    "sum_of_lanes",
+    "to_int32",
+    "truncated",
 ]
 
 #: Numbers of lanes that there are: half a register of the widest kind, and one.
 COUNTS = (8, 16)
 
-#: Decorator of a function that only kernels can call: it tells its result's type, and makes its instructions.
+#: Decorator of a function that only kernels can call: it tells its result's type, and makes its instructions;
+#: without a type there is no such function.
 _in_kernels: Any = intrinsic(prefer_literal=True)
 
 _FLOAT, _INT = ir.FloatType(), ir.IntType(32)
+_ITEMS: dict[Any, Any] = {types.float32: _FLOAT, types.int32: _INT}
+#: What lanes are loaded from, and the instruction that makes their kind of it.
+_WIDENED: dict[Any, str | None] = {
+    (types.float32, types.float32): None,
+    (types.uint8, types.float32): "uitofp",
+    (types.uint8, types.int32): "zext",
+    (types.int16, types.int32): "sext",
+}
 #: Makes the instructions, from Numba's context, LLVM's builder, the signature and the values.
 _Build = Callable[[Any, Any, Any, Any], Any]
 
 
 class Lanes(types.Type):
-    """Numba's type of some float32 side by side."""
+    """Numba's type of some float32 or int32 side by side."""
 
-    def __init__(self, count: int) -> None:
-        super().__init__(name=f"Lanes({count})")
-        self.count = count
+    def __init__(self, count: int, kind: types.Type) -> None:
+        super().__init__(name=f"Lanes({count}, {kind})")
+        self.count, self.kind = count, kind
 
 
 @register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, lanes: Lanes) -> None:
-        super().__init__(manager, lanes, ir.VectorType(_FLOAT, lanes.count))  # type: ignore[no-untyped-call]
+        super().__init__(manager, lanes, _register(lanes))  # type: ignore[no-untyped-call]
 
 
-def _use(operation: Callable[..., Any], instruction: str) -> None:
+def _register(lanes: Lanes) -> ir.VectorType:
+    return ir.VectorType(_ITEMS[lanes.kind], lanes.count)
+
+
+def _use(operation: Callable[..., Any], of_floats: str, of_ints: str | None = None) -> None:
     """Let kernels use an operator on lanes."""
+    instructions: dict[Any, str | None] = {types.float32: of_floats, types.int32: of_ints}
 
     @_in_kernels
     def each(typing: Any, one: Any, other: Any) -> Any:
         def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-            return getattr(builder, instruction)(*values)
+            return getattr(builder, str(instructions[one.kind]))(*values)
 
         return one(one, other), build
 
@@ -75,35 +92,46 @@ def _use(operation: Callable[..., Any], instruction: str) -> None:
 
     @overload(operation, inline="always")
     def known(one: Any, other: Any) -> Any:
-        return of_lanes if isinstance(one, Lanes) and one == other else None
+        return of_lanes if isinstance(one, Lanes) and one == other and instructions[one.kind] else None
 
 
-_use(operator.add, "fadd")
-_use(operator.sub, "fsub")
-_use(operator.mul, "fmul")
+_use(operator.add, "fadd", "add")
+_use(operator.sub, "fsub", "sub")
+_use(operator.mul, "fmul", "mul")
 _use(operator.truediv, "fdiv")
 
 
 @_in_kernels
 def load(typing: Any, array: Any, at: Any, count: Any) -> Any:
-    """Some numbers of a flat array, float32 or uint8, from a place (uint64) on; there must be as many."""
-    lanes = Lanes(count.literal_value)
+    """Some numbers of an array of float32 or uint8, from a place (uint64) on; there must be as many."""
+    return _loaded(array, count, types.float32)
+
+
+@_in_kernels
+def load_int32(typing: Any, array: Any, at: Any, count: Any) -> Any:
+    """The same of an array of uint8 or int16, as int32."""
+    return _loaded(array, count, types.int32)
+
+
+def _loaded(array: Any, count: Any, kind: types.Type) -> Any:
+    if not (_is_flat(array) and _is_count(count) and (array.dtype, kind) in _WIDENED):
+        return None
+    lanes, widened = Lanes(count.literal_value, kind), _WIDENED[array.dtype, kind]
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        kind = called.args[0]
-        item = context.get_data_type(kind.dtype)
-        place = _place(context, builder, kind, values[0], values[1], ir.VectorType(item, lanes.count))
-        numbers = builder.load(place, align=kind.dtype.bitwidth // 8)
-        if kind.dtype is types.uint8:
-            return builder.uitofp(numbers, ir.VectorType(_FLOAT, lanes.count))
-        return numbers
+        vector = ir.VectorType(context.get_data_type(array.dtype), lanes.count)
+        place = _place(context, builder, array, values[0], values[1], vector)
+        numbers = builder.load(place, align=array.dtype.bitwidth // 8)
+        return numbers if widened is None else getattr(builder, widened)(numbers, _register(lanes))
 
     return lanes(array, types.uint64, count), build
 
 
 @_in_kernels
 def store(typing: Any, array: Any, at: Any, lanes: Any) -> Any:
-    """Write lanes into a flat array of float32 from a place (uint64) on; there must be room for all."""
+    """Write lanes into an array of their kind from a place (uint64) on; there must be room for all."""
+    if not (_is_flat(array) and array.mutable and isinstance(lanes, Lanes) and array.dtype is lanes.kind):
+        return None
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
         array, at, numbers = values
@@ -113,26 +141,36 @@ def store(typing: Any, array: Any, at: Any, lanes: Any) -> Any:
     return types.void(array, types.uint64, lanes), build
 
 
+def _is_flat(array: Any) -> bool:
+    return isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C"
+
+
+def _is_count(count: Any) -> bool:
+    return isinstance(count, types.IntegerLiteral) and count.literal_value in COUNTS
+
+
 def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any, vector: ir.VectorType) -> Any:
     data = context.make_array(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [at]), vector.as_pointer())
 
 
 @_in_kernels
-def spread(typing: Any, value: Any, count: Any) -> Any:
-    """The same float32 in all lanes."""
-    lanes = Lanes(count.literal_value)
+def broadcast(typing: Any, value: Any, count: Any) -> Any:
+    """The same float32 or int32 in all lanes."""
+    if not (value in _ITEMS and _is_count(count)):
+        return None
+    lanes = Lanes(count.literal_value, value)
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        nothing = ir.Constant(ir.VectorType(_FLOAT, lanes.count), ir.Undefined)
+        nothing = ir.Constant(_register(lanes), ir.Undefined)
         first = builder.insert_element(nothing, values[0], ir.Constant(_INT, 0))
         return _taken(builder, first, first, [0] * lanes.count)
 
-    return lanes(types.float32, count), build
+    return lanes(value, count), build
 
 
 @_in_kernels
-def spread_lane(typing: Any, value: Any, lane: Any) -> Any:
+def broadcast_lane(typing: Any, value: Any, lane: Any) -> Any:
     """One lane's number in all of them."""
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
@@ -153,18 +191,19 @@ def shifted(typing: Any, one: Any, other: Any, lanes: Any) -> Any:
 
 
 @_in_kernels
-def total(typing: Any, value: Any) -> Any:
-    """Sum of all lanes: of every fourth one after the other, then of these four by pairs."""
+def sum_of_lanes(typing: Any, value: Any) -> Any:
+    """Sum of all lanes; of float32 that of every fourth one after the other, then of these four by pairs."""
+    whole = value.kind is types.int32
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        numbers = values[0]
+        numbers, add = values[0], builder.add if whole else builder.fadd
         sums = _taken(builder, numbers, numbers, range(4))
         for first in range(4, value.count, 4):
-            sums = builder.fadd(sums, _taken(builder, numbers, numbers, range(first, first + 4)))
+            sums = add(sums, _taken(builder, numbers, numbers, range(first, first + 4)))
         one, two, three, four = (builder.extract_element(sums, ir.Constant(_INT, i)) for i in range(4))
-        return builder.fadd(builder.fadd(one, two), builder.fadd(three, four))
+        return add(add(one, two), add(three, four))
 
-    return types.float32(value), build
+    return value.kind(value), build
 
 
 def _taken(builder: Any, one: Any, other: Any, places: Sequence[int]) -> Any:
@@ -186,25 +225,25 @@ def _of_each(name: str) -> _Build:
 
 
 @_in_kernels
-def root(typing: Any, value: Any) -> Any:
+def square_root(typing: Any, value: Any) -> Any:
     """Square roots."""
     return value(value), _of_each("sqrt")
 
 
 @_in_kernels
-def magnitude(typing: Any, value: Any) -> Any:
+def absolute(typing: Any, value: Any) -> Any:
     """Absolute values."""
     return value(value), _of_each("fabs")
 
 
 @_in_kernels
-def larger(typing: Any, one: Any, other: Any) -> Any:
-    """The larger ones of two numbers."""
+def maximum(typing: Any, one: Any, other: Any) -> Any:
+    """The larger ones of two numbers; of a pair of which one is NaN, the other."""
     return one(one, other), _of_each("maxnum")
 
 
 @_in_kernels
-def smaller(typing: Any, one: Any, other: Any) -> Any:
+def minimum(typing: Any, one: Any, other: Any) -> Any:
     """The smaller ones of two numbers, the second of a pair of which one is NaN: a single instruction."""
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
@@ -214,19 +253,30 @@ def smaller(typing: Any, one: Any, other: Any) -> Any:
 
 
 @_in_kernels
-def whole_part(typing: Any, value: Any) -> Any:
+def truncated(typing: Any, value: Any) -> Any:
     """Numbers rounded towards 0."""
     return value(value), _of_each("trunc")
 
 
 @_in_kernels
-def nearest_whole(typing: Any, value: Any) -> Any:
+def rounded(typing: Any, value: Any) -> Any:
     """Numbers rounded to the nearest whole one, halves to the even one."""
     return value(value), _of_each("rint")
 
 
 @_in_kernels
-def power_of_two(typing: Any, exponent: Any) -> Any:
+def to_int32(typing: Any, value: Any) -> Any:
+    """Numbers rounded towards 0, as int32."""
+    whole = Lanes(value.count, types.int32)
+
+    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
+        return builder.fptosi(values[0], _register(whole))
+
+    return whole(value), build
+
+
+@_in_kernels
+def exp2_of_whole(typing: Any, exponent: Any) -> Any:
     """Two to the power of whole numbers from -126 to 127: a float's bits hold its exponent."""
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:

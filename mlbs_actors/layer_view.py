@@ -1,6 +1,6 @@
 """How a layer sees a new frame: its colours, costs and trust there, and its model moved to it (§6).
 
-:mod:`mlbs_actors.layer` says what the terms are.
+:mod:`mlbs_actors.layer` says what the terms are, and how they differ from the paper's.
 """
 
 from __future__ import annotations
@@ -98,7 +98,9 @@ class LayerView:
         )
         # Plain tuples: Numba would ask for the type of any other one anew in each call.
         self._parameters = tuple(object_parameters(config, self._density, shape))
-        self._tables = tuple(object_tables(config, self._density))
+        tables = object_tables(config, self._density)
+        self._tables = tuple(tables)
+        self._trust = tables.trust
 
     def of_object(
         self,
@@ -181,7 +183,5 @@ class LayerView:
             none,
             none,
         )
-        trust = self._tables[-1]
-        return SeenFrame(
-            model, image, trusted, cost, log_ratio, samples, float(mean_trust(model.count, trust))
-        )
+        confidence = float(mean_trust(model.count, self._trust))
+        return SeenFrame(model, image, trusted, cost, log_ratio, samples, confidence)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from mlbs_actors.errors import MlbsError
+from mlbs_actors.errors import LayerError, MlbsError
 from mlbs_actors.pickling import pickled_by_values
 
 if TYPE_CHECKING:
@@ -96,7 +96,10 @@ class LayerEvidence:
 
 
 class LayerTracks(NamedTuple):
-    """Which of a frame's trajectories are a layer's: those from ``start`` to ``end``; the rest as there."""
+    """Which of a frame's trajectories are a layer's: those from ``start`` to ``end``.
+
+    ``layer``, ``kind`` and ``last_frame`` are those of :class:`LayerEvidence`.
+    """
 
     layer: int
     kind: LayerKind
@@ -162,8 +165,14 @@ class FrameEvidence:
         return tuple(map(self._evidence, self.tracks))
 
     def of(self, layer: int) -> LayerEvidence:
-        """What concerns one live layer."""
-        return self._evidence(next(one for one in self.tracks if one.layer == layer))
+        """What concerns one live layer; raises LayerError if it has no part in the frame."""
+        for one in self.tracks:
+            if one.layer == layer:
+                return self._evidence(one)
+        raise LayerError(
+            f"Frame {self.frame_index} has no evidence of layer {layer}; "
+            "restart the stream from its last snapshot."
+        )
 
     def part(self, layer: int) -> tuple[int, int]:
         """Where the trajectories of a layer start and end among those of all; none if it has no part."""

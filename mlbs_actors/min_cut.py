@@ -26,9 +26,8 @@ __all__ = ["min_cut"]
 
 #: What a pixel's parent can be besides one of its eight neighbours: the sink, or lost.
 _TO_SINK, _LOST = 8, 9
-#: Edges are numbered, those of a pixel from eight times its own number on. Of an edge's last three bits the
-#: first is the other one on the way back.
-_EIGHT, _OPPOSITE = np.uint64(3), np.uint64(4)
+#: The edge from pixel p to its k-th neighbour has the number 8 p + k; the way back has k with this bit flipped.
+_EDGE_BITS, _OPPOSITE = np.uint64(3), np.uint64(4)
 
 
 @compiled()
@@ -76,11 +75,11 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
             for k in range(8):
                 if level[pixel] != depth:
                     break
-                edge = pixel << _EIGHT | np.uint64(k)
+                edge = pixel << _EDGE_BITS | np.uint64(k)
                 if ends[edge] < 0 or level[np.uint64(ends[edge])] > 0:
                     continue
                 other = np.uint64(ends[edge])
-                back = other << _EIGHT | (np.uint64(k) ^ _OPPOSITE)
+                back = other << _EDGE_BITS | (np.uint64(k) ^ _OPPOSITE)
                 while surplus[other] > 0 and room[back] > 0 and level[pixel] == depth:
                     amount = min(surplus[other], room[back])
                     amount, lost = _send(amount, pixel, ends, room, parent, surplus, orphans)
@@ -107,15 +106,15 @@ def _send(
     their parent by that; the one nearest to the sink is noted last."""
     place = pixel
     while parent[place] != _TO_SINK:
-        up = place << _EIGHT | np.uint64(parent[place])
+        up = place << _EDGE_BITS | np.uint64(parent[place])
         amount = min(amount, room[up])
         place = np.uint64(ends[up])
     amount = min(amount, -surplus[place])
     lost, place = 0, pixel
     while parent[place] != _TO_SINK:
-        up = place << _EIGHT | np.uint64(parent[place])
+        up = place << _EDGE_BITS | np.uint64(parent[place])
         above = np.uint64(ends[up])
-        room[above << _EIGHT | (np.uint64(parent[place]) ^ _OPPOSITE)] += amount
+        room[above << _EDGE_BITS | (np.uint64(parent[place]) ^ _OPPOSITE)] += amount
         room[up] -= amount
         if room[up] == 0:
             parent[place], orphans[lost] = _LOST, place
@@ -138,7 +137,7 @@ def _adopt(
     while lost > 0:
         lost -= 1
         orphan = np.uint64(orphans[lost])
-        first = orphan << _EIGHT
+        first = orphan << _EDGE_BITS
         nearest, least, wanted = _LOST, depth + 1, level[orphan] - 1
         for k in range(8):
             edge = first | np.uint64(k)

@@ -45,50 +45,30 @@ def node_positions(shape: tuple[int, int], spacing: int) -> Array:
 def to_pixels(values: Array, spacing: int, height: int, width: int) -> Array:
     """The nodes' values (gh, gw, c) at the pixels of an (h, w) region, (h, w, c), bilinear, float32.
 
-    To the last bit what cv2 makes of them, which rounds a single component once an axis, and several thrice.
+    Past the outer nodes they go on as they are.
     """
     rows, columns, components = values.shape
     pixels = np.empty((height, width, components), np.float32)
     if pixels.size == 0:
         return pixels
-    once = components == 1 and min(rows, columns) > 1
     left, right, along = _pixel_taps(width, columns, spacing)
     top, bottom, down = _pixel_taps(height, rows, spacing)
-    one = np.float32(1)
-    wide, flat, length = (
-        np.empty((rows, width * components), np.float32),
-        pixels.reshape(-1),
-        width * components,
-    )
+    length = width * components
+    wide, flat, one = np.empty((rows, length), np.float32), pixels.reshape(-1), np.float32(1)
     for v in range(rows):
         nodes, line = values[v].reshape(-1), wide[v]
         for x in range(width):
-            share = along[x] if left[x] < right[x] else np.float32(0)
+            share = along[x]
             for component in range(components):
-                a = nodes[np.uint64(components * left[x] + component)]
-                b = nodes[np.uint64(components * right[x] + component)]
-                between = _between(a, b, share) if once else a * (one - share) + b * share
-                line[np.uint64(components * x + component)] = between
+                before = nodes[np.uint64(components * left[x] + component)]
+                after = nodes[np.uint64(components * right[x] + component)]
+                line[np.uint64(components * x + component)] = before * (one - share) + after * share
     for y in range(height):
-        above, below, share, line = (
-            wide[top[y]],
-            wide[bottom[y]],
-            down[y],
-            flat[y * length : (y + 1) * length],
-        )
-        if once:
-            for i in range(length):
-                line[i] = _between(above[i], below[i], share)
-        else:
-            for i in range(length):
-                line[i] = above[i] * (one - share) + below[i] * share
+        above, below, share = wide[top[y]], wide[bottom[y]], down[y]
+        line = flat[y * length : (y + 1) * length]
+        for i in range(length):
+            line[i] = above[i] * (one - share) + below[i] * share
     return pixels
-
-
-@compiled(inline="always")
-def _between(a: np.float32, b: np.float32, share: np.float32) -> np.float32:
-    """a + share (b − a), the product as exact as a fused multiplication and addition has it."""
-    return np.float32(np.float64(a) + np.float64(share) * np.float64(b - a))
 
 
 @compiled()

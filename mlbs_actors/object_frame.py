@@ -1,7 +1,8 @@
 """One frame of an object in two compiled functions: what it learns of the last one, and how it sees the new.
 
 They call, one after the other, the kernels that :mod:`mlbs_actors.layer` calls for the background by way of
-the functions around them. An object is small: those functions would take longer than its kernels do.
+the functions around them. An object is small: those functions would take longer than its kernels do. How
+they differ from the paper is said there.
 """
 
 from __future__ import annotations

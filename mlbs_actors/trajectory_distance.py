@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.lanes import Lanes, load, shifted, smaller, spread, spread_lane, store
+from mlbs_actors.lanes import Lanes, broadcast, broadcast_lane, load, minimum, shifted, store
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["closed_distance", "occupied_cells", "occupy", "to_occupied", "trajectory_distance"]
@@ -73,7 +73,7 @@ def to_occupied(occupied: Array, side: int) -> Array:
     stride, told = room + 2 * _BORDER, np.empty(occupied.shape, np.float32)
     cells = np.full((height + 2 * _BORDER) * stride, np.float32(np.inf))
     # Cells past the right border, up to a whole register, are told too: no way is shorter by way of them.
-    own, results, infinite = occupied.reshape(-1), told.reshape(-1), spread(np.float32(np.inf), LANES)
+    own, results, infinite = occupied.reshape(-1), told.reshape(-1), broadcast(np.float32(np.inf), LANES)
     for y in range(height):
         first = (y + _BORDER) * stride + _BORDER
         for x in range(width):
@@ -102,38 +102,38 @@ def to_occupied(occupied: Array, side: int) -> Array:
 def _stepped_from(cells: Array, place: np.uint64, near: np.uint64, stride: int) -> Lanes:
     """Some cells of a row after steps to them from the next row and the one behind it."""
     one, two, further = np.uint64(1), np.uint64(2), np.uint64(np.int64(near) + stride)
-    by_knight = smaller(
-        smaller(load(cells, further - one, LANES), load(cells, further + one, LANES)),
-        smaller(load(cells, near - two, LANES), load(cells, near + two, LANES)),
+    by_knight = minimum(
+        minimum(load(cells, further - one, LANES), load(cells, further + one, LANES)),
+        minimum(load(cells, near - two, LANES), load(cells, near + two, LANES)),
     )
-    by_corner = smaller(load(cells, near - one, LANES), load(cells, near + one, LANES))
-    beside = smaller(by_knight + spread(_KNIGHT, LANES), by_corner + spread(_DIAGONAL, LANES))
-    straight = load(cells, near, LANES) + spread(_STRAIGHT, LANES)
-    stepped: Lanes = smaller(load(cells, place, LANES), smaller(beside, straight))
+    by_corner = minimum(load(cells, near - one, LANES), load(cells, near + one, LANES))
+    beside = minimum(by_knight + broadcast(_KNIGHT, LANES), by_corner + broadcast(_DIAGONAL, LANES))
+    straight = load(cells, near, LANES) + broadcast(_STRAIGHT, LANES)
+    stepped: Lanes = minimum(load(cells, place, LANES), minimum(beside, straight))
     return stepped
 
 
 @compiled(inline="always")
 def _stepped_right(row: Lanes, before: Lanes) -> Lanes:
     """Some cells after steps along their row, from those left of them too: of 1, of up to 3, 7 and 15."""
-    infinite = spread(np.float32(np.inf), LANES)
-    row = smaller(row, shifted(infinite, row, 15) + spread(np.float32(1), LANES))
-    row = smaller(row, shifted(infinite, row, 14) + spread(np.float32(2), LANES))
-    row = smaller(row, shifted(infinite, row, 12) + spread(np.float32(4), LANES))
-    row = smaller(row, shifted(infinite, row, 8) + spread(np.float32(8), LANES))
-    stepped: Lanes = smaller(row, spread_lane(before, 15) + load(_STEPS, np.uint64(0), LANES))
+    infinite = broadcast(np.float32(np.inf), LANES)
+    row = minimum(row, shifted(infinite, row, 15) + broadcast(np.float32(1), LANES))
+    row = minimum(row, shifted(infinite, row, 14) + broadcast(np.float32(2), LANES))
+    row = minimum(row, shifted(infinite, row, 12) + broadcast(np.float32(4), LANES))
+    row = minimum(row, shifted(infinite, row, 8) + broadcast(np.float32(8), LANES))
+    stepped: Lanes = minimum(row, broadcast_lane(before, 15) + load(_STEPS, np.uint64(0), LANES))
     return stepped
 
 
 @compiled(inline="always")
 def _stepped_left(row: Lanes, after: Lanes) -> Lanes:
     """:func:`_stepped_right` from the row's other end."""
-    infinite = spread(np.float32(np.inf), LANES)
-    row = smaller(row, shifted(row, infinite, 1) + spread(np.float32(1), LANES))
-    row = smaller(row, shifted(row, infinite, 2) + spread(np.float32(2), LANES))
-    row = smaller(row, shifted(row, infinite, 4) + spread(np.float32(4), LANES))
-    row = smaller(row, shifted(row, infinite, 8) + spread(np.float32(8), LANES))
-    stepped: Lanes = smaller(row, spread_lane(after, 0) + load(_STEPS_BACK, np.uint64(0), LANES))
+    infinite = broadcast(np.float32(np.inf), LANES)
+    row = minimum(row, shifted(row, infinite, 1) + broadcast(np.float32(1), LANES))
+    row = minimum(row, shifted(row, infinite, 2) + broadcast(np.float32(2), LANES))
+    row = minimum(row, shifted(row, infinite, 4) + broadcast(np.float32(4), LANES))
+    row = minimum(row, shifted(row, infinite, 8) + broadcast(np.float32(8), LANES))
+    stepped: Lanes = minimum(row, broadcast_lane(after, 0) + load(_STEPS_BACK, np.uint64(0), LANES))
     return stepped
 
 

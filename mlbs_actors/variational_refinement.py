@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.lanes import load, root, spread, store
+from mlbs_actors.lanes import broadcast, load, square_root, store
 from mlbs_actors.messages import Array
 
 __all__ = ["refine_flow"]
@@ -119,7 +119,7 @@ def _lanes(rows: Array, kind: int, y: int, width: int, x: int) -> Any:
 
 @compiled(inline="always")
 def _alike(value: np.float32) -> Any:
-    return spread(value, LANES)
+    return broadcast(value, LANES)
 
 
 @compiled(inline="always")
@@ -238,7 +238,7 @@ def _bind(rows: Array, y: int, width: int, last: int) -> None:
         across_u, across_v = _lanes(rows, _U, y, width, x + 1) - u, _lanes(rows, _V, y, width, x + 1) - v
         down_u, down_v = _lanes(rows, _U, following, width, x) - u, _lanes(rows, _V, following, width, x) - v
         across, down = across_u * across_u + across_v * across_v, down_u * down_u + down_v * down_v
-        bond = strength / root(across + down + _alike(_EPSILON2))
+        bond = strength / square_root(across + down + _alike(_EPSILON2))
         store(rows, right + at, bond)
         store(rows, below + at, share * bond)
     rows[right + np.uint64(width)] = 0
@@ -259,10 +259,10 @@ def _fit(rows: Array, y: int, width: int, last: int) -> None:
         along_yy = _lanes(rows, _Y, under, width, x) - _lanes(rows, _Y, over, width, x)
         xx, xy, yy = along_xx * along_xx, along_xy * along_xy, along_yy * along_yy
         norm = along_x * along_x + along_y * along_y + zeta2
-        colour = _alike(_HALF * COLOUR) / (root(along_t * along_t / norm + epsilon2) * norm)
+        colour = _alike(_HALF * COLOUR) / (square_root(along_t * along_t / norm + epsilon2) * norm)
         x_weight, y_weight = _alike(_ONE) / (xx + xy + zeta2), _alike(_ONE) / (yy + xy + zeta2)
         error = along_xt * along_xt * x_weight + along_yt * along_yt * y_weight
-        weight = _alike(_HALF * GRADIENT) / root(error + epsilon2)
+        weight = _alike(_HALF * GRADIENT) / square_root(error + epsilon2)
         x_weight, y_weight = x_weight * weight, y_weight * weight
 
         at, bound = np.uint64(x), _FIRST + _RIGHT

@@ -51,8 +51,9 @@ def test_a_stack_keeps_the_newest_samples_of_its_own_pixel() -> None:
     assert (model.count[never] == 0).all()
 
 
-def test_a_move_takes_whole_stacks_along() -> None:
-    model = learnt_model(9)
+@pytest.mark.parametrize("capacity", [5, 8, 16, 20])
+def test_a_move_takes_whole_stacks_along(capacity: int) -> None:
+    model = learnt_model(9, capacity)
     target = Region(2, 7, 15, 12)
     motion = np.random.default_rng(1).normal(0, 1, (target.height, target.width, 2)).astype(np.float32)
     moved = warp_model(model, target, motion)

@@ -197,7 +197,7 @@ def test_a_label_that_can_only_be_in_its_place_costs_too_much_elsewhere(
         labels = minimise(plain).labels
         assert placed.energy(labels) == slow_energy(labels, plain.of_pixels())
         for large in ((10**6,), (20,)):
-            monkeypatch.setattr(graph_cut, "LARGE", large)
+            monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", large)
             np.testing.assert_array_equal(lowest_labels(placed), lowest_labels(plain))
             np.testing.assert_array_equal(minimise(placed).labels, minimise(plain).labels)
 
@@ -208,7 +208,7 @@ def test_coarse_to_fine_finds_nearly_the_labels_of_the_whole_cut(
 ) -> None:
     problem = moving_scene(seed)
     exact = minimise(problem)
-    monkeypatch.setattr(graph_cut, "LARGE", (2000,))
+    monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", (2000,))
     found = minimise(problem)
     assert found.energy == slow_energy(found.labels, problem)
     blank = slow_energy(np.zeros((80, 96), np.intp), problem)
@@ -225,7 +225,7 @@ def test_smooth_costs_give_the_very_same_labels(monkeypatch: pytest.MonkeyPatch)
     image = np.full((64, 64, 3), 90, np.uint8)
     problem = LabelCostEnergy(in_quanta(unary), contrast_weights(image), np.zeros(2, np.int64))
     exact = minimise(problem).labels
-    monkeypatch.setattr(graph_cut, "LARGE", (2000,))
+    monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", (2000,))
     np.testing.assert_array_equal(minimise(problem).labels, exact)
 
 
@@ -234,7 +234,7 @@ def test_every_coarser_level_has_its_own_bound(monkeypatch: pytest.MonkeyPatch) 
 
     def in_bands(whole: LabelCostEnergy, levels: int) -> Array:
         if levels == 0:
-            monkeypatch.setattr(graph_cut, "LARGE", (10**6,))
+            monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", (10**6,))
             return lowest_labels(whole)
         band = band_around_outlines(whole, in_bands(halved(whole), levels - 1))
         labels = band.labels.copy()
@@ -245,7 +245,7 @@ def test_every_coarser_level_has_its_own_bound(monkeypatch: pytest.MonkeyPatch) 
     found = {}
     for levels, large in bounds.items():
         expected = in_bands(problem, levels)
-        monkeypatch.setattr(graph_cut, "LARGE", large)
+        monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", large)
         found[levels] = lowest_labels(problem)
         np.testing.assert_array_equal(found[levels], expected)
     assert len({labels.tobytes() for labels in found.values()}) == len(bounds)

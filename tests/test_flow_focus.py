@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from mlbs_actors.flow_focus import CELL, GROWN, LEAST_CELLS, focus_boxes, focus_cells
+from mlbs_actors import flow_focus
+from mlbs_actors.flow_focus import CELL, GROWN, LEAST_CELLS, SEAM, focus_boxes, focus_cells
 from mlbs_actors.messages import Array, Region
 
 SHAPE = (60, 100)
@@ -71,3 +72,51 @@ def test_boxes_that_would_be_most_of_the_frame_are_the_frame() -> None:
     advantage = np.zeros(SHAPE, np.float32)
     advantage[:, 10:90] = 2.0
     assert focus_boxes(cells_around(advantage, NOBODY), SHAPE) == [Region(0, 0, 100, 60)]
+
+
+Part = tuple[int, int, int, int]
+
+
+def parted_by_numpy(cells: Array, top: int = 0, left: int = 0) -> list[Part]:
+    """The same by trying each cut."""
+    if not cells.any():
+        return []
+    rows, columns = (np.flatnonzero(cells.any(axis)) for axis in (1, 0))
+    cells = cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    top, left = top + int(rows[0]), left + int(columns[0])
+
+    def rectangle(side: Array) -> int:
+        return int(np.ptp(np.flatnonzero(side.any(1))) + 1) * int(np.ptp(np.flatnonzero(side.any(0))) + 1)
+
+    cuts = [(float(cells.size), -1, -1)]
+    for axis, part in enumerate((cells, cells.T)):
+        for at in range(1, len(part)):
+            sides = sum(rectangle(side) for side in (part[:at], part[at:]))
+            cuts.append((sides + SEAM * int((part[at - 1] & part[at]).sum()), axis, at))
+    _, axis, at = min(cuts, key=lambda cut: cut[0])
+    if axis < 0:
+        return [(left, top, cells.shape[1], cells.shape[0])]
+    if axis == 0:
+        return parted_by_numpy(cells[:at], top, left) + parted_by_numpy(cells[at:], top + at, left)
+    return parted_by_numpy(cells[:, :at], top, left) + parted_by_numpy(cells[:, at:], top, left + at)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_cells_are_parted_where_it_costs_least(seed: int) -> None:
+    seeds = (np.random.default_rng(seed).random((30, 40)) < 0.002 * (seed + 1)).astype(np.uint8)
+    cells = cv2.dilate(seeds, np.ones((5, 5), np.uint8)) > 0
+    found = flow_focus._parts(cells).tolist()
+    assert sorted(map(tuple, found)) == sorted(parted_by_numpy(cells))
+    count = np.zeros(cells.shape, int)
+    for left, top, width, height in found:
+        count[top : top + height, left : left + width] += 1
+    assert count.max(initial=0) <= 1
+    assert (count[cells] == 1).all()
+
+
+def test_boxes_that_would_be_most_of_the_frame_are_parted_if_that_helps() -> None:
+    cells = np.zeros((12, 16), bool)
+    cells[:6, :6] = cells[6:, 6:] = True
+    boxes = focus_boxes(cells, (12 * CELL, 16 * CELL))
+    expected = [Region(0, 0, 6 * CELL, 6 * CELL), Region(6 * CELL, 6 * CELL, 10 * CELL, 6 * CELL)]
+    assert sorted(boxes, key=lambda box: box.x) == expected

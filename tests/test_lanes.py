@@ -7,19 +7,21 @@ import pytest
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.lanes import (
-    larger,
+    absolute,
+    broadcast,
+    broadcast_lane,
+    exp2_of_whole,
     load,
-    magnitude,
-    nearest_whole,
-    power_of_two,
-    root,
+    load_int32,
+    maximum,
+    minimum,
+    rounded,
     shifted,
-    smaller,
-    spread,
-    spread_lane,
+    square_root,
     store,
-    total,
-    whole_part,
+    sum_of_lanes,
+    to_int32,
+    truncated,
 )
 from mlbs_actors.messages import Array
 
@@ -31,26 +33,26 @@ def _of_sixteen(values: Array, result: Array) -> None:
     store(result, np.uint64(16), one - other)
     store(result, np.uint64(32), one * other)
     store(result, np.uint64(48), one / other)
-    store(result, np.uint64(64), root(magnitude(one)) + spread(np.float32(0.1), 16))
-    store(result, np.uint64(80), larger(one, other))
-    store(result, np.uint64(96), smaller(one, other))
-    store(result, np.uint64(112), whole_part(one))
-    store(result, np.uint64(128), nearest_whole(one))
-    store(result, np.uint64(144), power_of_two(whole_part(one)))
+    store(result, np.uint64(64), square_root(absolute(one)) + broadcast(np.float32(0.1), 16))
+    store(result, np.uint64(80), maximum(one, other))
+    store(result, np.uint64(96), minimum(one, other))
+    store(result, np.uint64(112), truncated(one))
+    store(result, np.uint64(128), rounded(one))
+    store(result, np.uint64(144), exp2_of_whole(truncated(one)))
 
 
 @compiled()
 def _between_lanes(values: Array, result: Array) -> np.float32:
     one, other = load(values, np.uint64(0), 16), load(values, np.uint64(16), 16)
     store(result, np.uint64(0), shifted(one, other, 5))
-    store(result, np.uint64(16), spread_lane(other, 3))
-    together: np.float32 = total(one)
+    store(result, np.uint64(16), broadcast_lane(other, 3))
+    together: np.float32 = sum_of_lanes(one)
     return together
 
 
 @compiled()
 def _of_eight_bytes(values: Array, result: Array) -> None:
-    store(result, np.uint64(2), load(values, np.uint64(3), 8) / spread(np.float32(3), 8))
+    store(result, np.uint64(2), load(values, np.uint64(3), 8) / broadcast(np.float32(3), 8))
 
 
 def test_operations_are_those_on_single_numbers() -> None:
@@ -81,3 +83,19 @@ def test_bytes_become_numbers_and_nothing_beside_is_written(most: int) -> None:
     _of_eight_bytes(values, result)
     np.testing.assert_array_equal(result[2:10], values[3:].astype(np.float32) / np.float32(3))
     assert not result[[0, 1, 10, 11]].any()
+
+
+@compiled()
+def _sums_of_whole_numbers(numbers: Array, shorts: Array, bytes_: Array) -> tuple[int, int, int]:
+    one, other = load_int32(shorts, np.uint64(1), 8), load_int32(bytes_, np.uint64(2), 8)
+    cut = to_int32(load(numbers, np.uint64(0), 8)) - broadcast(np.int32(3), 8)
+    return sum_of_lanes(one * other), sum_of_lanes(one + other), sum_of_lanes(cut)
+
+
+def test_whole_numbers_are_summed_exactly() -> None:
+    rng = np.random.default_rng(0)
+    numbers = rng.normal(0, 10, 8).astype(np.float32)
+    shorts, bytes_ = rng.integers(-32768, 32768, 9, np.int16), rng.integers(0, 256, 10, np.uint8)
+    one, other = shorts[1:].astype(int), bytes_[2:].astype(int)
+    expected = ((one * other).sum(), (one + other).sum(), (np.trunc(numbers) - 3).sum())
+    assert _sums_of_whole_numbers(numbers, shorts, bytes_) == expected

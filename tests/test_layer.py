@@ -133,8 +133,10 @@ def test_a_region_holds_the_moved_pixels_of_the_frame_before_too() -> None:
     assert region.y + region.height >= pixels.y + pixels.height
 
 
-def test_a_layer_without_trajectories_and_pixels_has_an_empty_region() -> None:
-    config = configured(appearance=1.0, motion=1.0, prior=1.0, distance=1.0)
+@pytest.mark.parametrize("side", [1, 3, 5])
+def test_a_layer_without_trajectories_and_pixels_has_an_empty_region(side: int) -> None:
+    weights = {**SILENT, "appearance": 1.0, "motion": 1.0, "prior": 1.0, "distance": 1.0}
+    config = Config.model_validate({"posterior": weights, "appearance": {"cell_px": side / SCALE}})
     layer = Layer(config, 1, "object")
     nothing = np.zeros((0, 2), np.float32)
     for t in range(3):

@@ -49,7 +49,7 @@ def test_what_the_fast_way_cannot_do_is_done_in_the_general_one(general_ways: li
 def test_so_it_does_coarse_to_fine(
     large: tuple[int, ...], monkeypatch: pytest.MonkeyPatch, general_ways: list[int]
 ) -> None:
-    monkeypatch.setattr(graph_cut, "LARGE", large)
+    monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", large)
     fast = [lowest_labels(moving_scene(seed)) for seed in range(8)]
     assert len(general_ways) < 8
     for seed, labels in enumerate(fast):

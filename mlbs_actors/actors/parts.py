@@ -151,7 +151,8 @@ class EngineParts:
     def warm_stream(self) -> None:
         """Label a small scene with objects, so that the kernels of all parts are compiled or loaded.
 
-        What a scene holds by accident only, a label that may be removed or a contact shadow, comes after it.
+        What a scene holds by accident only, a label that may be removed, a contact shadow or a crowd, comes
+        after it.
         Else those that only objects need are loaded at a stream's first birth: a quarter of a second.
         """
         import mlbs_actors.coordinator
@@ -161,6 +162,7 @@ class EngineParts:
             self._label_small_scene()
             _cut_small_image()
             _find_contact_shadow()
+            _focus_on_crowd()
 
     def _run_two_layers(self) -> None:
         config = Config()
@@ -302,3 +304,12 @@ def _find_contact_shadow() -> None:
 def _read_only(array: Array) -> Array:
     array.setflags(write=False)
     return array
+
+
+def _focus_on_crowd() -> None:
+    """Part cells in two corners, one box around which would be most of the frame."""
+    from mlbs_actors.flow_focus import CELL, focus_boxes
+
+    cells = np.zeros((12, 16), bool)
+    cells[:6, :6] = cells[6:, 6:] = True
+    focus_boxes(cells, (12 * CELL, 16 * CELL))
