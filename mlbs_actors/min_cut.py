@@ -26,7 +26,7 @@ __all__ = ["min_cut"]
 
 #: What a pixel's parent can be besides one of its eight neighbours: the sink, or lost.
 _TO_SINK, _LOST = 8, 9
-#: The edge from pixel p to its k-th neighbour has the number 8 p + k; the way back has k with this bit flipped.
+#: Edge k of pixel p has the number 8 p + k; the way back has k with this bit flipped.
 _EDGE_BITS, _OPPOSITE = np.uint64(3), np.uint64(4)
 
 
