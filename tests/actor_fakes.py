@@ -464,7 +464,7 @@ def run_to_end(*streams: RunningStream) -> list[StreamProgress]:
     last: dict[int, StreamProgress] = {}
     while asked:
         for index, answer in list(asked.items()):
-            last[index] = answer.result(timeout=120)
+            last[index] = answer.result(timeout=200)
             if last[index].done:
                 streams[index].stop(drain=False)
                 del asked[index]

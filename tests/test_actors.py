@@ -75,7 +75,7 @@ def test_a_layer_moves_to_a_process_of_its_own_as_soon_as_there_is_one_with_the_
     pictures = [picture(t) for t in range(4)] + [picture(t, live=[1, 2, 3]) for t in range(4, 400)]
     stream = node.start(spec("three", FakeReader([*pictures], tmp_path, slow_seconds=0.02)))
     busy = []
-    while not stream.advance().result(timeout=120).done:
+    while not stream.advance().result(timeout=200).done:
         busy.append(node.census().busy)
     stream.stop(drain=False)
     assert busy[0] == 1
@@ -149,7 +149,7 @@ def test_drops_and_gaps_are_rows_and_counted_and_a_silent_camera_is_told_at_once
         given += [image] if status == "ok" else []
     stream = node.start(spec("camera", FakeCamera(answers, tmp_path), max_frames=10))
     said = []
-    while not (progress := stream.advance().result(timeout=120)).done:
+    while not (progress := stream.advance().result(timeout=200)).done:
         if progress.silence is not None:
             said.append((progress.read, progress.silence.state))
     stream.stop(drain=False)
@@ -223,7 +223,7 @@ def test_a_burst_ends_where_its_file_is_slow(node: Node, parts: FakeParts, tmp_p
     pictures = crowd(10, 1)  # of which a burst takes eight
     stream = node.start(spec("slow", FakeReader([*pictures], tmp_path, slow_seconds=0.5)))
     bursts = 1
-    while not stream.advance().result(timeout=120).done:
+    while not stream.advance().result(timeout=200).done:
         bursts += 1
     stream.stop(drain=False)
     assert bursts >= 6
@@ -237,7 +237,7 @@ def test_frames_that_are_done_leave_the_object_store(
     frames = 2 * ray_session.object_store_bytes // (picture(0).nbytes * enlarged)
     reader = FakeReader([picture(t, live=[1]) for t in range(frames)], tmp_path, enlarged=enlarged)
     stream = node.start(spec("big", reader))
-    while not stream.advance().result(timeout=120).done:
+    while not stream.advance().result(timeout=200).done:
         # What is forgotten fills the store, and a full one is moved to disk.
         assert not [*ray_session.folder.glob("ray_spilled_objects*/*")]
     stream.stop(drain=False)
@@ -285,7 +285,7 @@ def test_a_stream_whose_segmenter_dies_before_it_begins_says_so(
         os.kill(pid, signal.SIGKILL)
     stream = node.start(spec("bad", FakeReader([*crowd(9, 1)], tmp_path)))
     with pytest.raises(ActorLostError, match="'bad' lost the process of its segmenter"):
-        stream.advance().result(timeout=120)
+        stream.advance().result(timeout=200)
     stream.stop(drain=False)
 
 
@@ -320,7 +320,7 @@ def test_a_source_that_gives_no_frame_fails_the_stream(
     stream = node.start(replace(spec("none", replace(reader, folder=tmp_path)), last_try=True))
     for _ in range(2):
         with pytest.raises(SourceError, match=says):
-            stream.advance().result(timeout=120)
+            stream.advance().result(timeout=200)
     stream.stop(drain=True)
 
 
@@ -350,7 +350,7 @@ def test_a_drained_stop_labels_and_commits_exactly_what_was_read(
 ) -> None:
     pictures = crowd(100, 2)
     stream = node.start(spec("stopped", FakeReader([*pictures], tmp_path)))
-    read = stream.advance().result(timeout=120).read
+    read = stream.advance().result(timeout=200).read
     final = stream.stop(drain=True)
     assert final is not None
     assert final.done
@@ -364,7 +364,7 @@ def test_stopping_and_closing_leaves_no_process(
 ) -> None:
     node = Node(parts=parts, policy=PoolPolicy(spare=2))
     stream = node.start(spec("gone", FakeReader([*crowd(60, 3)], tmp_path)))
-    stream.advance().result(timeout=120)
+    stream.advance().result(timeout=200)
     wait_until(lambda: len(parts.processes()) >= 4, 60.0)
     stream.advance()
     stream.stop(drain=False)

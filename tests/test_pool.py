@@ -57,7 +57,7 @@ def test_released_processes_become_other_layers_and_idle_ones_beyond_the_spare_a
 
 def test_the_pool_is_refilled_in_the_background(node: Node, tmp_path: Path) -> None:
     stream = node.start(spec("two", FakeReader([picture(t, live=[1]) for t in range(500)], tmp_path)))
-    stream.advance().result(timeout=120)
+    stream.advance().result(timeout=200)
     wait_until(lambda: node.census() == PoolCensus(idle=1, busy=2))
     stream.stop(drain=False)
     assert node.census().busy == 0
@@ -117,7 +117,7 @@ def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
     node = Node(parts=FakeParts(parts.folder, cannot_start=True))
     stream = node.start(spec("poor", FakeReader([*crowd(9, 1)], tmp_path)))
     with pytest.raises(ActorLostError, match=r"No process could be started for a layer: .*no memory left"):
-        stream.advance().result(timeout=120)
+        stream.advance().result(timeout=200)
     stream.stop(drain=False)
     node.close()
 
@@ -208,7 +208,7 @@ def test_a_stream_starts_in_processes_that_were_warm_before(
 ) -> None:
     first = node.start(spec("first", FakeReader([*crowd(60, 1)], tmp_path / "first")))
     for _ in range(5):
-        first.advance().result(timeout=120)
+        first.advance().result(timeout=200)
     wait_until(node.prepare, 60.0)
     warm = parts.processes()
     pictures = crowd(12, 1)

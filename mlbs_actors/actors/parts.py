@@ -274,15 +274,20 @@ def _small_scene(frames: int = 7) -> Iterator[Array]:
 
 
 def _cut_small_image() -> None:
-    """Cut what is too small for blocks, and so full of noise that labels are hardly worth their cost."""
+    """Cut what is too small for blocks: a label that saves two others, and one that two others share out."""
     from mlbs_actors.graph_cut import lowest_labels
     from mlbs_actors.label_cost_energy import LabelCostEnergy
 
     side, cells = 2, 16
-    costs = np.random.default_rng(0).integers(0, 50, (3, cells, cells), dtype=np.int32)
+    saving, shared = np.full((2, 4, cells, cells), 100, np.int32)
+    saving[1, :, :8] = saving[2, :, 8:] = 0
+    saving[3] = 1
+    shared[1, :, 6:10] = shared[2, :, :6] = shared[3, :, 10:] = 0
+    shared[2, :, 6:8] = shared[3, :, 8:10] = 1
     weights = np.full((side * cells, side * cells, 4), 5, np.int32)
     weights[:, -1, 0] = weights[-1, :, 1:] = weights[:, -1, 2] = weights[:, 0, 3] = 0
-    lowest_labels(LabelCostEnergy(costs, weights, np.array([0, 1000, 1000]), side))
+    for costs in (saving, shared):
+        lowest_labels(LabelCostEnergy(costs, weights, np.array([0, 2000, 2000, 2000]), side))
 
 
 def _find_contact_shadow() -> None:
