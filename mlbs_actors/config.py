@@ -260,7 +260,12 @@ class PosteriorConfig(_Section):
     learn_px: float = Field(6.0, ge=0, description="An object learns only this near to its trajectories, px.")
     offset: float = Field(4.0, ge=0, description="Added to every cost so that it is not negative, nats.")
     region_margin_px: float = Field(
-        32.0, ge=0, description="Margin of an object's region around its trajectories, px."
+        32.0, ge=0, description="Margin of an object's region around its trajectories and pixels, px."
+    )
+    covered_margin_px: float = Field(
+        16.0,
+        ge=0,
+        description="The same, if it is less, where trajectories cover an object that touches no border, px.",
     )
 
 

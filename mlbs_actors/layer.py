@@ -191,16 +191,17 @@ class Layer:
         view = self._view
         if view is None or view.shape != frame_evidence.shape:
             view = self._view = LayerView(self.config, self.kind, frame_evidence.shape)
-        side, margin = view.side, self.config.posterior.region_margin_px
+        side, weights = view.side, self.config.posterior
+        margins = (weights.region_margin_px, weights.covered_margin_px)
         last = LastFrame(state.region, state.model, state.image, posterior)
         if self.kind == "background":
             home = Region(0, 0, frame.shape[1], frame.shape[0])
-            region, needed = contested(frame_evidence, previous, margin, side)
+            region, needed = contested(frame_evidence, previous, margins, side)
             field = self.motion_field(evidence, frame_evidence, home)
             moved = perf_counter()
             seen = view.of_background(frame, evidence, frame_evidence, last, region, needed, field)
         else:
-            home = region = object_region(evidence, previous, frame_evidence.shape, margin, side)
+            home = region = object_region(evidence, previous, frame_evidence.shape, margins, side)
             field = self.motion_field(evidence, frame_evidence, home)
             moved = perf_counter()
             seen = view.of_object(frame, evidence, frame_evidence, last, region, field)

@@ -1,9 +1,13 @@
 """Where the objects are looked for in a frame: the one rule by which every part of the engine knows it.
 
 An object is evaluated inside its *region* only: the box of its trajectories and of its pixels in the last
-published map, moved by its own motion, with a margin. What lies outside every object's region is background
-without a question, so that the background's own posterior matters inside these regions only. The regions
-follow from what every layer is sent, so that the layers agree on them without another message.
+published map, moved by its own motion, with a margin. It is wide around what can turn out to be far larger:
+an object that is new, enters at the frame's border, or comes back from behind something, where trajectories
+get lost. An object in full view, whose trajectories cover its pixels, needs half of it.
+
+What lies outside every object's region is background without a question, so that the background's own
+posterior matters inside these regions only. The regions follow from what every layer is sent, so that the
+layers agree on them without another message.
 
 Differs from the paper, in which every layer is evaluated on the whole frame.
 """
@@ -26,6 +30,9 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 
+#: Pixels for each trajectory, of a 640×480 frame, up to which an object's trajectories cover it.
+_COVERED_PX = 100.0
+
 __all__ = ["bounds", "box_of", "box_within", "contested", "median_motion", "object_region"]
 
 
@@ -33,7 +40,7 @@ def object_region(
     evidence: LayerEvidence,
     previous: Segmentation | None,
     shape: tuple[int, int],
-    margin_px: float,
+    margins_px: tuple[float, float],
     cell: int = 1,
 ) -> Region:
     """Region of one object in frame t.
@@ -46,8 +53,8 @@ def object_region(
         Published result of t−1; None for the first frame.
     shape : (H, W)
         Size of the frame, px.
-    margin_px : float
-        Margin around trajectories and pixels, px of a 640×480 frame.
+    margins_px : (float, float)
+        Margins around trajectories and pixels, px of a 640×480 frame: of any object, and of one in full view.
     cell : int
         The region is made of whole cells of this side, px.
 
@@ -58,22 +65,24 @@ def object_region(
     """
     summaries = previous.layers if previous is not None else ()
     told = np.array(_told(next((one for one in summaries if one.layer == evidence.layer), None)), np.float64)
-    margin = margin_px * length_scale(*shape)
-    x, y, width, height = _region(told, evidence.positions, evidence.motions, margin, cell, *shape)
+    x, y, width, height = _region(
+        told, evidence.positions, evidence.motions, margins_px, length_scale(*shape), cell, *shape
+    )
     return Region(x, y, width, height)
 
 
 def _told(one: LayerSummary | None) -> tuple[float, ...]:
-    """What is known of a layer's pixels: whether it had any, their box, their velocity."""
+    """What is known of a layer's pixels: their number, their box, their velocity."""
     if one is None:
         return 0, 0, 0, 0, 0, 0, 0
-    return 1, *box_of(one.region), *one.velocity
+    return one.area, *box_of(one.region), *one.velocity
 
 
 @compiled()
 def _region(
-    told: Array, positions: Array, motions: Array, margin: float, cell: int, height: int, width: int
-) -> tuple[int, int, int, int]:
+    told: Array, positions: Array, motions: Array, margins_px: tuple[float, float], scale: float, cell: int,
+    height: int, width: int,
+) -> tuple[int, int, int, int]:  # fmt: skip
     """Left, top, width and height of the region of one object of :func:`_told`."""
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     move_x, move_y = told[5], told[6]
@@ -89,6 +98,9 @@ def _region(
         moved_x, moved_y = told[1] + move_x, told[2] + move_y
         left, top = min(left, moved_x), min(top, moved_y)
         right, bottom = max(right, moved_x + told[3]), max(bottom, moved_y + told[4])
+    inside = told[1] > 0 and told[2] > 0 and told[1] + told[3] < width and told[2] + told[4] < height
+    in_full_view = told[0] and inside and told[0] <= len(positions) * _COVERED_PX * scale**2
+    margin = scale * (min(margins_px) if in_full_view else margins_px[0])
     x, y, wide, high = box_within(left, top, right, bottom, margin, height, width)
     if wide * high == 0:
         return x, y, wide, high
@@ -137,7 +149,7 @@ def _within(place: int, length: int) -> int:
 
 
 def contested(
-    evidence: FrameEvidence, previous: Segmentation | None, margin_px: float, cell: int = 1
+    evidence: FrameEvidence, previous: Segmentation | None, margins_px: tuple[float, float], cell: int = 1
 ) -> tuple[Region, Array]:
     """Where a pixel can be an object's: the union of the objects' regions.
 
@@ -146,7 +158,7 @@ def contested(
     evidence : FrameEvidence
     previous : Segmentation or None
         Published result of the frame before.
-    margin_px, cell
+    margins_px, cell
         As for :func:`object_region`.
 
     Returns
@@ -162,17 +174,17 @@ def contested(
     counts = np.array([one.end - one.start for one in objects])
     published = {one.layer: one for one in previous.layers} if previous is not None else {}
     told = np.array([_told(published.get(one.layer)) for one in objects], np.float64)
-    margin = margin_px * length_scale(*evidence.shape)
+    shape, scale = evidence.shape, length_scale(*evidence.shape)
     box, inside = _contested(
-        told, evidence.positions, evidence.motions, counts, margin, cell, *evidence.shape
+        told, evidence.positions, evidence.motions, counts, margins_px, scale, cell, *shape
     )
     return Region(*box), inside
 
 
 @compiled()
 def _contested(
-    told: Array, positions: Array, motions: Array, counts: Array, margin: float, cell: int, height: int,
-    width: int,
+    told: Array, positions: Array, motions: Array, counts: Array, margins_px: tuple[float, float],
+    scale: float, cell: int, height: int, width: int,
 ) -> tuple[tuple[int, int, int, int], Array]:  # fmt: skip
     """The box and its cells of the objects of :func:`_told`, whose trajectories are the last of all."""
     regions = np.empty((len(told), 4), np.int64)
@@ -181,7 +193,7 @@ def _contested(
     for one in range(len(told)):
         end = start + counts[one]
         x, y, wide, high = _region(
-            told[one], positions[start:end], motions[start:end], margin, cell, height, width
+            told[one], positions[start:end], motions[start:end], margins_px, scale, cell, height, width
         )
         if wide * high:
             left, top, right, bottom = (
