@@ -180,7 +180,7 @@ class LayersConfig(_Section):
 class MotionConfig(_Section):
     """Motion field of a layer: Gaussian belief propagation (§5)."""
 
-    grid_px: int = Field(12, ge=1, description="Spacing of the field's grid, px (not scaled with the frame).")
+    grid_px: int = Field(18, ge=1, description="Spacing of the field's grid, px (not scaled with the frame).")
     variance_grid_px: int = Field(
         32, ge=1, description="Spacing of the grid on which marginal variances hold, px."
     )

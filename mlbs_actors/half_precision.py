@@ -14,14 +14,20 @@ _SCALE = np.float32(2.0**112)
 
 
 @compiled()
-def single_precision(bits: Array) -> Array:
-    """Finite numbers (h, w, c) in half precision, told by their bits as uint16, as float32."""
-    flat = bits.copy().reshape(-1)
-    moved = np.empty(flat.size, np.int32)
-    for i in range(flat.size):
-        one = np.int32(flat[i])
-        moved[i] = ((one & np.int32(0x7FFF)) << np.int32(13)) | ((one & np.int32(0x8000)) << np.int32(16))
+def single_precision(bits: Array, top: int, bottom: int, left: int, right: int) -> Array:
+    """Part of an array (h, w, c) of finite numbers in half precision, told by their bits as uint16, as
+    float32: rows from top to bottom, columns from left to right."""
+    channels = bits.shape[2]
+    length = (right - left) * channels
+    moved = np.empty((bottom - top) * length, np.int32)
+    for y in range(top, bottom):
+        row = bits[y].reshape(-1)[left * channels : right * channels]
+        result = moved[(y - top) * length : (y - top + 1) * length]
+        for i in range(length):
+            one = np.int32(row[i])
+            size, sign = (one & np.int32(0x7FFF)) << np.int32(13), (one & np.int32(0x8000)) << np.int32(16)
+            result[i] = size | sign
     singles = moved.view(np.float32)
-    for i in range(flat.size):
+    for i in range(singles.size):
         singles[i] *= _SCALE
-    return singles.reshape(bits.shape)
+    return singles.reshape((bottom - top, right - left, channels))

@@ -187,7 +187,7 @@ def sum_terms(
     left, right, along = _taps(first_column, needed.shape[1], width_in_cells, unexplained.shape[1])
     # The part of the flow that is read, in single precision.
     first, start = top[0], left[0]
-    flow = single_precision(flow_bits[first : bottom[-1] + 1, start : right[-1] + 1])
+    flow = single_precision(flow_bits, first, bottom[-1] + 1, start, right[-1] + 1)
     flows, row_length = flow.reshape(-1), flow.shape[1]
     one, half, step = np.float32(1), np.float32(0.5), np.float32(COST_STEP)
     width, columns = needed.shape[1], unexplained.shape[1]

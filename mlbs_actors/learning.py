@@ -52,20 +52,27 @@ def near_trajectories(
         Room for the two results.
     """
     height, width = trusted.shape
-    occupied = occupied_cells(positions[:start], side, left, top, width, height)
-    occupy(occupied, positions[end:], side, left, top)
-    others = to_occupied(occupied, side)
-    own = to_occupied(occupied_cells(positions[start:end], side, left, top, width, height), side)
-    body = closed_distance(own, close, side)
-    zero, one, columns = np.float32(0), np.float32(1), unexplained.shape[1]
-    to_own, to_others, to_body = own.reshape(-1), others.reshape(-1), body.reshape(-1)
-    errors, sure, far = unexplained.reshape(-1), trusted.reshape(-1), away.reshape(-1)
+    # Distances are told for 2×2 cells of the frame at once.
+    coarse, first_column, first_row = 2 * side, left // 2, top // 2
+    columns, rows = -(-(left + width) // 2) - first_column, -(-(top + height) // 2) - first_row
+    occupied = occupied_cells(positions[:start], coarse, first_column, first_row, columns, rows)
+    occupy(occupied, positions[end:], coarse, first_column, first_row)
+    others = to_occupied(occupied, coarse)
+    occupied = occupied_cells(positions[start:end], coarse, first_column, first_row, columns, rows)
+    own = to_occupied(occupied, coarse)
+    body = closed_distance(own, close, coarse)
+    closest, zero, one = np.empty(own.shape, np.bool_), np.float32(0), np.float32(1)
+    for v in range(rows):
+        for u in range(columns):
+            closest[v, u] = (own[v, u] <= learn) & (own[v, u] < others[v, u])
+            body[v, u] = min(max((body[v, u] - near) / fade, zero), one)
     for y in range(height):
+        v = (top + y) // 2 - first_row
+        mine, far, errors = closest[v], body[v], unexplained[top + y, left : left + width]
+        sure, cost = trusted[y], away[y]
         for x in range(width):
-            cell, place = np.uint64(y * width + x), np.uint64((top + y) * columns + left + x)
-            closest = (to_own[cell] <= learn) & (to_own[cell] < to_others[cell])
-            sure[cell] = closest & (errors[place] >= least)
-            far[cell] = min(max((to_body[cell] - near) / fade, zero), one)
+            four = np.uint64(((left + x) >> 1) - first_column)
+            sure[x], cost[x] = mine[four] & (errors[x] >= least), far[four]
 
 
 def trusted_background(

@@ -226,7 +226,7 @@ def test_a_layer_learns_only_the_pixels_that_it_won() -> None:
     step(layer, 0, picture(), grid(CAR))
     step(layer, 1, picture(), grid(CAR), published(0, owned(won)))
     counts = np.zeros(SHAPE, int)
-    counts[layer.state.region.slices] = layer.state.model.count
+    counts[layer.state.model.region.slices] = layer.state.model.count
     assert (counts[won.slices] == 1).all()
     assert counts.sum() == won.area
 
@@ -307,7 +307,8 @@ def test_a_pixel_costs_more_the_farther_it_is_from_the_trajectories() -> None:
         for x in range(result.region.width):
             away = np.hypot(x + result.region.x - 80, y + result.region.y - 60) / SCALE
             expected = 2.0 * min(max((away - 20.0) / 40.0, 0.0), 1.0)
-            assert abs(nats(result)[y, x] - 4.0 - expected) < 0.1  # distances are good to 2 %
+            # Distances are told for four cells at once, and good to 2 %.
+            assert abs(nats(result)[y, x] - 4.0 - expected) < 0.1 + 2.0 * 2**0.5 / (40.0 * SCALE)
 
 
 def test_a_gap_between_the_trajectories_belongs_to_the_object() -> None:
