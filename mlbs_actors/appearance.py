@@ -26,7 +26,7 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.image_rows import padded_planes, read_row, row_room
 from mlbs_actors.messages import Array, Region
-from mlbs_actors.warp import MAX_REACH_PX, nearest_sources
+from mlbs_actors.warp import nearest_sources
 
 __all__ = [
     "SPREAD_STEP",
@@ -35,7 +35,6 @@ __all__ = [
     "learn_colours",
     "median_colours",
     "moved_stacks",
-    "stacks_box",
     "update",
     "warp_model",
 ]
@@ -142,62 +141,6 @@ def moved_stacks(
     else:
         _take_over(told, old, size, room, new)
     return new_samples, new_count, new_newest, new_spread, new_residual
-
-
-@compiled()
-def stacks_box(
-    count: Array, shift_x: int, shift_y: int, motion: Array, scale: np.float32, learnt: Array
-) -> tuple[int, int, int, int]:
-    """Part of a region that can have samples when a model has moved there and learnt.
-
-    Parameters
-    ----------
-    count : (old h, old w) uint8
-        Of the model.
-    shift_x, shift_y : int
-        Where the region begins, from where the model does, px.
-    motion : (gh, gw, 2) float32
-        Backward motion at nodes between which the region's is interpolated.
-    scale : float32
-        px of one of its units.
-    learnt : (h, w) bool
-        Pixels of the region that may be learnt.
-
-    Returns
-    -------
-    left, top, width, height : int
-        Of a box inside the region: around its pixels lies another one, to read the image and to move to.
-    """
-    height, width = learnt.shape
-    left, top, right, bottom = _box_of(learnt.view(np.uint8))
-    x, y, end_x, end_y = _box_of(count)
-    if x < end_x and motion.size > 0:
-        along, down, reach = motion[:, :, 0], motion[:, :, 1], MAX_REACH_PX
-        left = min(left, int(np.floor(x - shift_x - along.max() * scale - reach)))
-        top = min(top, int(np.floor(y - shift_y - down.max() * scale - reach)))
-        right = max(right, int(np.ceil(end_x - shift_x - along.min() * scale + reach)))
-        bottom = max(bottom, int(np.ceil(end_y - shift_y - down.min() * scale + reach)))
-    left, top = max(left - 1, 0), max(top - 1, 0)
-    return left, top, max(min(right + 1, width) - left, 0), max(min(bottom + 1, height) - top, 0)
-
-
-@compiled()
-def _box_of(values: Array) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom of what is not 0; without any, left and top lie behind the others."""
-    height, width = values.shape
-    top, bottom, columns = height, 0, np.zeros(width, np.uint8)
-    for y in range(height):
-        row, found = values[y], np.uint8(0)
-        for x in range(width):
-            columns[x] |= row[x]
-            found |= row[x]
-        if found:
-            top, bottom = min(top, y), y + 1
-    left, right = width, 0
-    for x in range(width):
-        if columns[x]:
-            left, right = min(left, x), x + 1
-    return left, top, right, bottom
 
 
 @compiled()

@@ -80,8 +80,7 @@ class LayerState:
     cell : int
         Side of the cells of which all these arrays are made, px.
     model : AppearanceModel
-        Samples at ``last_frame``, without that frame's own colours, cell by cell of the part of ``home`` that
-        has any or may learn them.
+        Samples at ``last_frame``, without that frame's own colours, cell by cell of ``home``.
     cost : (rows, columns) uint8
         Unnormalised posterior of ``last_frame`` without the colours, as sent to the segmenter.
     log_ratio : (rows, columns) int8
@@ -246,12 +245,9 @@ class Layer:
     def appearance(self) -> LayerAppearance:
         """What is remembered at the frame evaluated last; nothing is changed."""
         state = self.state
-        shape, cells = (state.home.height, state.home.width), in_cells(state.home, state.cell)
-        colours = np.zeros((cells.height, cells.width, 3), np.uint8)
-        known = np.zeros(colours.shape[:2], np.bool_)
-        part = slices_in(state.model.region, cells)
-        colours[part], known[part] = median_colours(state.model), state.model.count > 0
-        colours, known = (spread_over_cells(one, state.cell, shape) for one in (colours, known))
+        shape = (state.home.height, state.home.width)
+        colours = spread_over_cells(median_colours(state.model), state.cell, shape)
+        known = spread_over_cells(state.model.count > 0, state.cell, shape)
         return LayerAppearance(self.layer, state.last_frame, state.home, colours, known)
 
     def motion_field(
@@ -298,7 +294,6 @@ class Layer:
                     np.uint16(self.layer),
                     box_of(state.region),
                     state.cell,
-                    box_of(state.model.region),
                     state.model.arrays,
                     state.image,
                     state.trusted,

@@ -17,7 +17,7 @@ from mlbs_actors.kde import AppearanceParameters, warp_and_evaluate
 from mlbs_actors.layer_cost import layer_cost, quantised_colours
 from mlbs_actors.learning import trusted_background, unexplained_cells
 from mlbs_actors.messages import Array, FrameEvidence, LayerEvidence, LayerKind, Region
-from mlbs_actors.object_frame import evaluated_object, object_parameters, object_tables, total_trust
+from mlbs_actors.object_frame import evaluated_object, mean_trust, object_parameters, object_tables
 from mlbs_actors.object_regions import box_of
 from mlbs_actors.warp import warp_map
 
@@ -113,7 +113,7 @@ class LayerView:
     ) -> SeenFrame:
         """Evaluate an object in its region, on which it has a motion field."""
         side = self.side
-        held, model, image, trusted, cost, log_ratio, samples, confidence = evaluated_object(
+        model, image, trusted, cost, log_ratio, samples, confidence = evaluated_object(
             self._parameters,
             self._tables,
             frame,
@@ -122,7 +122,6 @@ class LayerView:
             box_of(last.region),
             last.image,
             last.posterior,
-            box_of(last.model.region),
             last.model.arrays,
             *field.mean_nodes(side),
             *field.variance_nodes(side),
@@ -134,7 +133,7 @@ class LayerView:
             frame_evidence.unexplained,
             unexplained_cells(frame_evidence, side),
         )
-        moved = AppearanceModel(Region(*held), *model)
+        moved = AppearanceModel(in_cells(region, side), *model)
         return SeenFrame(moved, image, trusted, cost, log_ratio, samples, confidence)
 
     def of_background(
@@ -184,5 +183,5 @@ class LayerView:
             none,
             none,
         )
-        confidence = float(total_trust(model.count, self._trust)) / model.count.size
+        confidence = float(mean_trust(model.count, self._trust))
         return SeenFrame(model, image, trusted, cost, log_ratio, samples, confidence)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mlbs_actors.appearance import learn_colours, moved_stacks, stacks_box
+from mlbs_actors.appearance import learn_colours, moved_stacks
 from mlbs_actors.cells import count_won, mean_colours
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
@@ -34,15 +34,13 @@ __all__ = [
     "ObjectTables",
     "evaluated_object",
     "finished_object",
+    "mean_trust",
     "object_parameters",
     "object_tables",
-    "total_trust",
 ]
 
 #: Left, top, width and height.
 Box = tuple[int, int, int, int]
-#: Samples, count, newest, spread and residual.
-Stacks = tuple[Array, Array, Array, Array, Array]
 
 
 class ObjectParameters(NamedTuple):
@@ -138,9 +136,9 @@ def object_tables(config: Config, density: AppearanceParameters) -> ObjectTables
 
 @compiled()
 def finished_object(
-    labels: Array, normaliser: Array, fallback: Array, layer: np.uint16, region: Box, side: int, held: Box,
-    model: Stacks, image: Array, trusted: Array, cost: Array, log_ratio: Array, samples: Array,
-    trust: Array, ratio_of: Array, strength: np.float32, likelihood: Array,
+    labels: Array, normaliser: Array, fallback: Array, layer: np.uint16, region: Box, side: int,
+    model: tuple[Array, Array, Array, Array, Array], image: Array, trusted: Array, cost: Array,
+    log_ratio: Array, samples: Array, trust: Array, ratio_of: Array, strength: np.float32, likelihood: Array,
 ) -> Array:  # fmt: skip
     """Learn a published frame, and make the object's normalised posterior of it.
 
@@ -153,8 +151,6 @@ def finished_object(
         The object's, px.
     side : int
         Of a cell, px.
-    held : (x, y, width, height)
-        Where the model is, inside the region, cells of the frame.
     model : samples, count, newest, spread and residual
         Of its :class:`~mlbs_actors.appearance.AppearanceModel`.
     image, trusted, cost, log_ratio, samples : Array
@@ -174,8 +170,7 @@ def finished_object(
     won, learnt = np.empty(trusted.shape, np.uint8), np.empty(trusted.shape, np.bool_)
     count_won(labels, layer, x, y, width, height, side, trusted, won, learnt)
     stacks, count, newest, spread, residual = model
-    part = _slices(held, x // side, y // side)
-    learn_colours(stacks, count, newest, spread, residual, image[part].copy(), learnt[part].copy())
+    learn_colours(stacks, count, newest, spread, residual, image, learnt)
     posterior = np.empty(cost.shape, np.float32)
     finish_posterior(
         cost, log_ratio.view(np.uint8), samples, fallback.view(np.uint8), normaliser, x // side, y // side,
@@ -187,10 +182,10 @@ def finished_object(
 @compiled()
 def evaluated_object(
     parameters: tuple[float, ...], tables: tuple[Array, ...], frame: Array, region: Box, side: int,
-    last_region: Box, last_image: Array, posterior: Array, held: Box, model: Stacks, mean: Array,
-    spacing: int, variance: Array, variance_spacing: int, positions: Array, own: tuple[int, int],
+    last_region: Box, last_image: Array, posterior: Array, model: tuple[Array, Array, Array, Array, Array],
+    mean: Array, spacing: int, variance: Array, variance_spacing: int, positions: Array, own: tuple[int, int],
     camera: Array, flow: Array, reliable: Array, unexplained: Array, unexplained_cells: Array,
-) -> tuple[Box, Stacks, Array, Array, Array, Array, Array, float]:  # fmt: skip
+) -> tuple[tuple[Array, Array, Array, Array, Array], Array, Array, Array, Array, Array, float]:  # fmt: skip
     """Predict and evaluate an object in a new frame.
 
     Parameters
@@ -206,8 +201,6 @@ def evaluated_object(
     last_image : (last h, last w, 3) uint8
     posterior : (last h, last w) float32
         Normalised, of the last frame; empty if there is none.
-    held : (x, y, width, height)
-        Where the model is, inside the last region, cells of the frame.
     model : samples, count, newest, spread and residual
         Of its :class:`~mlbs_actors.appearance.AppearanceModel`.
     mean, spacing, variance, variance_spacing
@@ -221,8 +214,6 @@ def evaluated_object(
 
     Returns
     -------
-    held : (x, y, width, height)
-        Where the model now is.
     model : samples, count, newest, spread and residual
     image : (h, w, 3) uint8
     trusted : (h, w) bool
@@ -243,31 +234,24 @@ def evaluated_object(
     spread_variance = to_pixels(variance, variance_spacing, shape[0], shape[1]).reshape(shape)
     image = mean_colours(frame, x, y, height, width, side)
 
+    stacks, count, newest, spread, residual = model
+    moved = moved_stacks(stacks, count, newest, spread, residual, shift_x, shift_y, motion)
+    log_density = np.full(shape, np.float32(np.nan))
+    log_densities(
+        moved[0], moved[1], moved[3], moved[4], image, needed, np.float32(those.bandwidth_floor),
+        np.float32(those.registration), by.exponent, by.norm, log_density,
+    )  # fmt: skip
+    log_ratio, samples = np.zeros(shape, np.int8), np.zeros(shape, np.uint8)
+    quantise_colours(log_density, moved[1], needed, np.float32(those.appearance_cap), log_ratio, samples)
+
+    prior, share = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    interpolate_map(posterior, motion, shift_x, shift_y, needed, prior, share)
     trusted, away = np.empty(shape, np.bool_), np.empty(shape, np.float32)
     near_trajectories(
         positions, own[0], own[1], side, left, top, unexplained_cells, those.unexplained,
         np.float32(those.close), np.float32(those.learn), np.float32(those.near), np.float32(those.fade),
         trusted, away,
     )  # fmt: skip
-    stacks, count, newest, spread, residual = model
-    now_held = stacks_box(count, left - held[0], top - held[1], mean, in_cells, trusted)
-    now_held = (left + now_held[0], top + now_held[1], now_held[2], now_held[3])
-    part = _slices(now_held, left, top)
-    moved = moved_stacks(
-        stacks, count, newest, spread, residual, now_held[0] - held[0], now_held[1] - held[1],
-        motion[part].copy(),
-    )  # fmt: skip
-    asked, log_density = np.ones(moved[1].shape, np.bool_), np.full(moved[1].shape, np.float32(np.nan))
-    log_densities(
-        moved[0], moved[1], moved[3], moved[4], image[part].copy(), asked, np.float32(those.bandwidth_floor),
-        np.float32(those.registration), by.exponent, by.norm, log_density,
-    )  # fmt: skip
-    log_ratio, samples = np.zeros(shape, np.int8), np.zeros(shape, np.uint8)
-    cap = np.float32(those.appearance_cap)
-    quantise_colours(log_density, moved[1], asked, cap, log_ratio[part], samples[part])
-
-    prior, share = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    interpolate_map(posterior, motion, shift_x, shift_y, needed, prior, share)
     advantage = photometric_advantage(
         last_image, image, motion, camera, float(side), (left, top), (last_left, last_top),
         prior >= np.float32(0.5), np.float32(those.photometric_cap),
@@ -279,22 +263,14 @@ def evaluated_object(
         np.float32(those.distance), np.float32(those.photometric), np.float32(those.flow_variance),
         np.float32(those.neutral_prior), by.disagreement, by.surprise, np.float32(those.offset), cost,
     )  # fmt: skip
-    confidence = total_trust(moved[1], by.trust) / max(cost.size, 1)
-    return now_held, moved, image, trusted, cost, log_ratio, samples, confidence
-
-
-@compiled(inline="always")
-def _slices(box: Box, left: int, top: int) -> tuple[slice, slice]:
-    """Rows and columns of a box in an array that begins at a corner."""
-    x, y = box[0] - left, box[1] - top
-    return slice(y, y + box[3]), slice(x, x + box[2])
+    return moved, image, trusted, cost, log_ratio, samples, mean_trust(moved[1], by.trust)
 
 
 @compiled()
-def total_trust(count: Array, trust: Array) -> float:
-    """Sum of a table's values at some numbers of samples."""
+def mean_trust(count: Array, trust: Array) -> float:
+    """Mean of a table's values at some numbers of samples, 0 of none."""
     total = 0.0
     for y in range(count.shape[0]):
         for x in range(count.shape[1]):
             total += trust[count[y, x]]
-    return total
+    return total / max(count.size, 1)

@@ -27,12 +27,10 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["MAX_MISS_PX", "MAX_REACH_PX", "interpolate_map", "nearest_sources", "warp_map"]
+__all__ = ["MAX_MISS_PX", "interpolate_map", "nearest_sources", "warp_map"]
 
 #: A stack that describes a point this far from the source, px, is not taken over.
 MAX_MISS_PX = 1.0
-#: No stack that is stored farther than this from the source along either axis, px, is looked for.
-MAX_REACH_PX = 1.5
 
 
 @compiled()

@@ -10,13 +10,11 @@ from mlbs_actors.appearance import (
     AppearanceModel,
     empty_model,
     median_colours,
-    stacks_box,
     update,
     warp_model,
 )
 from mlbs_actors.image_rows import padded_planes, read_row, row_room
 from mlbs_actors.messages import Array, Region
-from mlbs_actors.node_grid import to_pixels
 from mlbs_actors.warp import nearest_sources
 
 REGION = Region(4, 6, 14, 11)
@@ -51,44 +49,6 @@ def test_a_stack_keeps_the_newest_samples_of_its_own_pixel() -> None:
         np.testing.assert_array_equal(model.samples[y, x, :, model.newest[y, x]], colours[-1])
     never = np.array([[(y, x) not in kept for x in range(REGION.width)] for y in range(REGION.height)])
     assert (model.count[never] == 0).all()
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_a_part_of_a_region_holds_all_samples_that_move_into_it_or_may_be_learnt(seed: int) -> None:
-    rng, old = np.random.default_rng(seed), Region(20, 30, 50, 40)
-    model, target = empty_model(old, 8), Region(16, 33, 60, 45)
-    known, learnt = np.zeros((40, 50), bool), np.zeros((45, 60), bool)
-    known[15:25, 20:30] = rng.random((10, 10)) < 0.5
-    learnt[18:26, 24 + seed : 38] = rng.random((8, 14 - seed)) < 0.1
-    model.residual[:] = rng.uniform(-0.7, 0.7, model.residual.shape)
-    update(model, rng.integers(0, 256, (40, 50, 3)).astype(np.uint8), known)
-    nodes = rng.normal([3, -2], 2, (4, 4, 2)).astype(np.float32)
-    motion = to_pixels(nodes, 16, *learnt.shape)
-    shift = target.x - old.x, target.y - old.y
-    x, y, width, height = stacks_box(model.count, *shift, nodes, np.float32(1), learnt)
-    inside = np.zeros(learnt.shape, bool)
-    inside[y : y + height, x : x + width] = True
-    whole = warp_model(model, target, motion)
-    part = warp_model(
-        model,
-        Region(target.x + x, target.y + y, width, height),
-        np.ascontiguousarray(motion[y : y + height, x : x + width]),
-    )
-    for one, other in zip(part.arrays, whole.arrays, strict=True):
-        np.testing.assert_array_equal(one, other[y : y + height, x : x + width])
-    assert whole.count.any()
-    assert not whole.count[~inside].any()
-    assert not learnt[~inside].any()
-    assert inside.mean() < 0.5
-
-
-@pytest.mark.parametrize("known", [False, True])
-def test_without_samples_there_is_only_the_part_that_may_be_learnt(known: bool) -> None:
-    learnt, nodes = np.zeros((11, 14), bool), np.zeros((2, 2, 2), np.float32)
-    learnt[4, 5:8] = known
-    box = stacks_box(np.zeros((3, 4), np.uint8), 0, 0, nodes, np.float32(1), learnt)
-    assert box[2:] == ((5, 3) if known else (0, 0))
-    assert not known or box[:2] == (4, 3)
 
 
 @pytest.mark.parametrize("capacity", [5, 8, 16, 20])

@@ -226,7 +226,7 @@ def test_a_layer_learns_only_the_pixels_that_it_won() -> None:
     step(layer, 0, picture(), grid(CAR))
     step(layer, 1, picture(), grid(CAR), published(0, owned(won)))
     counts = np.zeros(SHAPE, int)
-    counts[layer.state.model.region.slices] = layer.state.model.count
+    counts[layer.state.region.slices] = layer.state.model.count
     assert (counts[won.slices] == 1).all()
     assert counts.sum() == won.area
 
