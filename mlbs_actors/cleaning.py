@@ -13,32 +13,27 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.label_runs import label_runs
-from mlbs_actors.messages import BACKGROUND, Array, Region
+from mlbs_actors.messages import BACKGROUND, Array
 
 __all__ = ["clean_labels"]
 
 
-def clean_labels(labels: Array, box: Region, speck_px: float, hole_px: float) -> None:
+@compiled()
+def clean_labels(labels: Array, box: tuple[int, int, int, int], speck_px: float, hole_px: float) -> None:
     """Remove small components of every label in a box, in place.
 
     Parameters
     ----------
     labels : (H, W) unsigned integer
         Label map, 0 = background.
-    box : Region
+    box : (x, y, width, height)
         Around objects; along its sides there is only background, except on the border of the frame.
     speck_px : float
         Components of a label > 0 below this area are removed, except each label's largest, px².
     hole_px : float
         Components of the background below this area are filled, px².
     """
-    _clean(labels, box.x, box.y, box.width, box.height, speck_px, hole_px)
-
-
-@compiled()
-def _clean(
-    labels: Array, left: int, top: int, width: int, height: int, speck_px: float, hole_px: float
-) -> None:
+    left, top, width, height = box
     bottom, right = top + height, left + width
     cleaned = labels[top:bottom, left:right]
     rows, starts, ends, of_run = label_runs(cleaned, False)

@@ -23,7 +23,7 @@ from mlbs_actors.compilation import compiled
 from mlbs_actors.label_cost_energy import UNDECIDED, LabelCostEnergy, UndecidedEnergy, undecided_energy
 from mlbs_actors.messages import Array
 
-__all__ = ["Band", "band_around_outlines", "halved", "of_blocks", "opened"]
+__all__ = ["Band", "band_around_outlines", "costs_of_blocks", "halved", "of_blocks", "opened"]
 
 #: Largest unary cost of a block: what no sum of pair weights outweighs, and nine of which fit into 32 bits.
 MAX_BLOCK_COST = 2**24
@@ -64,7 +64,9 @@ def halved(whole: LabelCostEnergy) -> LabelCostEnergy:
     """
     if whole.side != 2:
         whole = whole.of_pixels()
-    unary, weights, places = _halved(whole.unary, whole.side, whole.extras, whole.boxes(), whole.weights)
+    unary, weights, places = costs_of_blocks(
+        whole.unary, whole.side, whole.extras, whole.boxes(), whole.weights
+    )
     return LabelCostEnergy(unary, weights, whole.label_costs, places=places)
 
 
@@ -100,9 +102,11 @@ def opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Ar
         for u in range(columns):
             y, x = 2 * v, 2 * u
             if u + 1 < columns and blocks[v, u] != blocks[v, u + 1]:
-                labels[max(y - 1, 0) : y + 3, x + 1 : x + 3] = UNDECIDED
+                for row in range(max(y - 1, 0), min(y + 3, height)):
+                    labels[row, x + 1] = labels[row, x + 2] = UNDECIDED
             if v + 1 < rows and blocks[v, u] != blocks[v + 1, u]:
-                labels[y + 1 : y + 3, max(x - 1, 0) : x + 3] = UNDECIDED
+                for column in range(max(x - 1, 0), min(x + 3, width)):
+                    labels[y + 1, column] = labels[y + 2, column] = UNDECIDED
     seen = np.zeros(label_count + 1, np.bool_)
     for y in range(height):
         own = labels[y]
@@ -122,9 +126,11 @@ def of_blocks(blocks: Array, pixels: Array, row: Array, width: int) -> Array:
 
 
 @compiled()
-def _halved(
+def costs_of_blocks(
     unary: Array, side: int, extras: Array, places: Array, weights: Array
 ) -> tuple[Array, Array, Array]:
+    """``unary``, ``weights`` and ``places`` of :func:`halved`; ``side`` is 1 or 2, ``places`` are of all
+    labels."""
     height, width = weights.shape[:2]
     boxes = np.empty_like(places)
     for label in range(len(places)):
@@ -146,18 +152,24 @@ def _halved_unary(unary: Array, side: int, extras: Array, places: Array, height:
     most = np.int32(MAX_BLOCK_COST)
     for label in range(unary.shape[0]):
         top, bottom, left, right = places[label]
+        whole = min(right, width // 2)
         for v in range(top, bottom):
-            down = min(2, height - 2 * v)
             total = sums[label, v]
-            for u in range(left, right):
-                across = min(2, width - 2 * u)
-                if side == 1:
-                    total[u] = 0
-                    for y in range(2 * v, 2 * v + down):
-                        for x in range(2 * u, 2 * u + across):
-                            total[u] += unary[label, y, x]
-                else:
-                    total[u] = unary[label, v, u] * np.int32(down * across)
+            if side == 2:
+                down, own = np.int32(min(2, height - 2 * v)), unary[label, v]
+                for u in range(left, whole):
+                    total[u] = np.int32(2) * down * own[u]
+                if whole < right:
+                    total[whole] = down * own[whole]
+                continue
+            total[left:right] = 0
+            for y in range(2 * v, min(2 * v + 2, height)):
+                own = unary[label, y]
+                for u in range(left, whole):
+                    first = np.uint64(2 * u)
+                    total[np.uint64(u)] += own[first] + own[first + np.uint64(1)]
+                if whole < right:
+                    total[whole] += own[width - 1]
     for extra in range(extras.shape[0]):
         sums[extras[extra, 0], extras[extra, 1] // 2, extras[extra, 2] // 2] += extras[extra, 3]
     for label in range(unary.shape[0]):
@@ -183,17 +195,18 @@ def _halved_weights(weights: Array) -> Array:
     for v in range(rows):
         y, upright, own = 2 * v + 1, across[v], halved[v].reshape(-1)
         _diagonal_pairs(weights, y, diagonal, anti)
+        # Without a branch: this runs in vector registers. What costs nothing has no share to lose.
         for u in range((width - 1) // 2):
             at, first = np.uint64(u + 1), np.uint64(2 * u)
             here = upright[first + np.uint64(1)]
-            least = min(upright[first], upright[first + np.uint64(2)])
-            beside[at] = least / here if least < here else 1.0
+            least = min(upright[first], here, upright[first + np.uint64(2)])
+            beside[at] = np.float64(least) / np.float64(max(here, 1))
         beside[0] = beside[1]
         before, level, after = down[y - 1], down[y], down[max(min(y + 1, height - 2), 0)]
         for u in range(columns):
             at = np.uint64(u)
-            least = min(before[at], after[at])
-            below[at] = least / level[at] if least < level[at] else 1.0
+            least = min(before[at], level[at], after[at])
+            below[at] = np.float64(least) / np.float64(max(level[at], 1))
         for u in range(columns):
             at, following, first = np.uint64(u), np.uint64(u + 1), np.uint64(4 * u)
             right_side = upright[np.uint64(2 * u + 1)] - diagonal[at] - anti[following]

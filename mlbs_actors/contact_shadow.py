@@ -51,13 +51,11 @@ def contact_shadow(
     -------
     (h, w) bool
     """
+    unlit, runs, pieces = _looked_over(labels, dark.mean, dark.spread, dark.brightness, side)
     found = np.zeros(labels.shape, np.bool_)
-    unlit = _unlit(dark.mean, dark.spread, dark.brightness)
     edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
     steepest, gap = np.float32(CONTACT_SMOOTH / scale), CONTACT_GAP_PX * scale
-    runs = label_runs(labels, diagonal=True)
-    for piece, x, y, width, height in _unlit_pieces(labels, *runs, unlit, side).tolist():
+    for piece, x, y, width, height in pieces.tolist():
         feet, least = Region(x, y + height // 2, width, height - height // 2), CONTACT_WIDTH * height
         body, above, foot, (left, top, right, bottom) = _foot(
             labels, *runs, piece, feet.x, feet.y, feet.width, feet.height, unlit, side, rise * height, least
@@ -66,8 +64,18 @@ def contact_shadow(
             continue
         wide = Region(feet.x + left, feet.y + top, right - left, bottom - top)
         core = _resting(foot, above, _steepness(frame, wide), left, top, steepest, least, gap)
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
         _take_strip(cv2.dilate(core, disc), foot, body, found, feet.x, feet.y)
     return found
+
+
+@compiled()
+def _looked_over(
+    labels: Array, mean: Array, spread: Array, brightness: Array, side: int
+) -> tuple[Array, tuple[Array, Array, Array, Array], Array]:
+    """The cells without light, the label map's runs, and the pieces of objects to look at more closely."""
+    unlit, runs = _unlit(mean, spread, brightness), label_runs(labels, True)
+    return unlit, runs, _unlit_pieces(labels, runs[0], runs[1], runs[2], runs[3], unlit, side)
 
 
 @compiled()

@@ -60,7 +60,7 @@ def contrast_weights(image: Array, strength: float = 0.8, scale: float = 200.0) 
         )
     if not 0 < scale < math.inf:
         raise ConfigError(f"The contrast scale is {scale}; give a positive number of squared grey levels.")
-    return _contrast(padded_planes(np.ascontiguousarray(image)), _weights_by_distance(strength, scale))
+    return _contrast(np.ascontiguousarray(image), _weights_by_distance(strength, scale))
 
 
 @functools.lru_cache(maxsize=16)
@@ -75,9 +75,10 @@ def _weights_by_distance(strength: float, scale: float) -> Array:
 
 
 @compiled()
-def _contrast(planes: Array, table: Array) -> Array:
+def _contrast(image: Array, table: Array) -> Array:
     """Weights to the first four neighbours by their squared colour distance."""
-    height, width = planes.shape[1] - 2, planes.shape[2] - 2
+    height, width = image.shape[:2]
+    planes = padded_planes(image)
     weights = np.empty((height, width, 4), np.int32)
     distances, last = np.empty((4, width), np.int32), np.int32(table.shape[1] - 1)
     beside, below, diagonal, anti = distances

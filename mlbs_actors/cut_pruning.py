@@ -35,9 +35,9 @@ from mlbs_actors.label_cost_energy import (
     UNDECIDED,
     LabelCostEnergy,
     UndecidedEnergy,
-    neighbour_and_weight,
     undecided_energy,
 )
+from mlbs_actors.lanes import broadcast, gathered, load_int32, sum_of_lanes, where_equal
 from mlbs_actors.messages import Array
 
 __all__ = ["Pruning", "decide", "movable", "prune"]
@@ -101,55 +101,56 @@ def decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> t
                 if w > 0:
                     open_weight[y, x] += w
                     open_weight[y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]] += w
-    evidence = np.zeros(label_count, np.int64)
-    for y in range(height):
-        for x in range(width):
-            evidence[best[y, x]] += max(second[y, x] - least[y, x] - open_weight[y, x], 0)
 
     labels = np.full((height, width), UNDECIDED, np.int16)
     certain = np.zeros(label_count, np.bool_)
     queue = np.empty(height * width, np.int32)
+    label_of, best_of, open_weight_of = labels.reshape(-1), best.reshape(-1), open_weight.reshape(-1)
+    least_of, second_of, weights_of = least.reshape(-1), second.reshape(-1), weights.reshape(-1, 4)
     while True:
+        evidence = np.zeros(label_count, np.int64)
+        for pixel in range(labels.size):
+            evidence[best_of[pixel]] += max(second_of[pixel] - least_of[pixel] - open_weight_of[pixel], 0)
         newly_certain = ~certain & (evidence > label_costs)
         if not newly_certain.any():
             break
         certain |= newly_certain
         head = tail = 0
-        for y in range(height):
-            for x in range(width):
-                margin = second[y, x] - least[y, x] - open_weight[y, x]
-                if labels[y, x] == UNDECIDED and margin > 0 and certain[best[y, x]]:
-                    labels[y, x] = best[y, x]
-                    queue[tail] = y * width + x
-                    tail += 1
+        for pixel in range(labels.size):
+            margin = second_of[pixel] - least_of[pixel] - open_weight_of[pixel]
+            if label_of[pixel] == UNDECIDED and margin > 0 and certain[best_of[pixel]]:
+                label_of[pixel], queue[tail] = best_of[pixel], pixel
+                tail += 1
         while head < tail:
-            y, x = queue[head] // width, queue[head] % width
+            pixel = int(queue[head])
+            y = pixel // width
+            x = pixel - y * width
             head += 1
-            label = labels[y, x]
+            label = label_of[pixel]
+            top, bottom, left, right = places[label]
+            inside = 0 < y < height - 1 and 0 < x < width - 1
             for k in range(8):
-                v, u, row, column, direction = neighbour_and_weight(y, x, k)
-                if not (0 <= v < height and 0 <= u < width) or labels[v, u] != UNDECIDED:
+                down, across = NEIGHBOUR_OFFSETS[k]
+                v, u = y + down, x + across
+                if not inside and not (0 <= v < height and 0 <= u < width):
                     continue
-                w = weights[row, column, direction]
-                if w == 0:
+                other = np.uint64(pixel + down * width + across)
+                if label_of[other] != UNDECIDED:
                     continue
-                evidence[best[v, u]] -= max(second[v, u] - least[v, u] - open_weight[v, u], 0)
-                open_weight[v, u] -= w
-                top, bottom, left, right = places[label]
+                w = weights_of[np.uint64(pixel), k] if k < 4 else weights_of[other, k - 4]
+                open_weight_of[other] -= w
                 if top <= v < bottom and left <= u < right:
                     folded[label, v, u] -= w
                     cost = folded[label, v, u]
-                    if label == best[v, u]:
-                        least[v, u] = cost
-                    elif cost < least[v, u]:
-                        best[v, u], least[v, u], second[v, u] = label, cost, least[v, u]
-                    elif cost < second[v, u]:
-                        second[v, u] = cost
-                margin = second[v, u] - least[v, u] - open_weight[v, u]
-                evidence[best[v, u]] += max(margin, 0)
-                if margin > 0 and certain[best[v, u]]:
-                    labels[v, u] = best[v, u]
-                    queue[tail] = v * width + u
+                    if label == best_of[other]:
+                        least_of[other] = cost
+                    elif cost < least_of[other]:
+                        best_of[other], second_of[other], least_of[other] = label, least_of[other], cost
+                    elif cost < second_of[other]:
+                        second_of[other] = cost
+                margin = second_of[other] - least_of[other] - open_weight_of[other]
+                if margin > 0 and certain[best_of[other]]:
+                    label_of[other], queue[tail] = best_of[other], other
                     tail += 1
 
     return labels, certain
@@ -200,55 +201,55 @@ def movable(
     kept : (K,) bool
         Labels that keep a pixel in every best move, or cost nothing; alpha's own entry has no meaning.
     """
-    kept = label_costs == 0
-    if not kept.all():
-        kept |= _offered(candidates, labels, used.size) < used
-    free = np.zeros(labels.size, np.bool_)
-    price = np.empty(candidates.size, np.int64)
-    pixels = np.empty(candidates.size, np.intp)
-    count, others = 0, 0
-    # A first look with all neighbours at alpha mostly leaves few pixels to look at closely.
+    # What is saved if none of a label's pixels stays; 0 as soon as one does.
+    refund = label_costs.copy()
+    charged = refund.any()
+    if charged:
+        refund[_offered(candidates, labels, used.size) < used] = 0
+    ends, weights = neighbour.reshape(-1), weight.reshape(-1)
+    nothing, moving = broadcast(np.int32(0), 8), broadcast(np.int32(alpha), 8)
+    # The labels if all move that still may.
+    moved = labels.astype(np.int32)
+    price, pixels = np.empty(candidates.size, np.int64), np.empty(candidates.size, np.intp)
+    count = 0
+    # A first look, as if all neighbours were at alpha. Nobody can foretell which pixels may move, so that is
+    # no branch, here and below, but a choice of values.
     for i in range(candidates.size):
-        p = candidates[i]
+        at = np.uint64(i)
+        p = np.uint64(candidates[at])
         label = labels[p]
-        if label == alpha:
-            continue
-        others += 1
-        cost = np.int64(costs[i]) - chosen[p]
-        refund = np.int64(0) if kept[label] else label_costs[label]
-        if cost > refund:
-            for k in range(8):
-                refund += weight[p, k]
-            if cost > refund:
-                kept[label] = True
-                continue
-        free[p] = True
-        price[count] = cost
-        pixels[count] = p
-        count += 1
-    if 16 * (others - count) <= others:  # a closer look hardly leaves fewer
-        return pixels[:count].copy(), price[:count].copy(), kept
+        cost = np.int64(costs[at]) - chosen[p]
+        gain = np.int64(sum_of_lanes(load_int32(weights, np.uint64(8) * p, 8)))
+        if charged:
+            gain += refund[label]
+        other = label != alpha
+        moves = other & (cost <= gain)
+        if charged and other and not moves:
+            refund[label] = 0
+        moved[p] = alpha if moves else label
+        pixels[np.uint64(count)], price[np.uint64(count)] = p, cost
+        count += moves
     while True:
         left = 0
         for i in range(count):
-            p = pixels[i]
-            label = labels[p]
+            at = np.uint64(i)
+            p, cost = np.uint64(pixels[at]), price[at]
+            label, first = labels[p], np.uint64(8) * p
             # Beside a neighbour at alpha moving saves w; beside one that keeps p's own label it costs w.
-            gain = np.int64(0) if kept[label] else label_costs[label]
-            for k in range(8):
-                q = neighbour[p, k]
-                if q >= 0:
-                    if free[q] or labels[q] == alpha:
-                        gain += weight[p, k]
-                    elif labels[q] == label:
-                        gain -= weight[p, k]
-            if price[i] > gain:
-                free[p] = False
-                kept[label] = True
-            else:
-                pixels[left], price[left] = p, price[i]
-                left += 1
+            w = load_int32(weights, first, 8)
+            beside = gathered(moved, where_equal(w, nothing, nothing, load_int32(ends, first, 8)))
+            own = broadcast(np.int32(label), 8)
+            saved = where_equal(beside, moving, w, where_equal(beside, own, nothing - w, nothing))
+            gain = np.int64(sum_of_lanes(saved))
+            if charged:
+                gain += refund[label]
+            moves = cost <= gain
+            if charged and not moves:
+                refund[label] = 0
+            moved[p] = alpha if moves else label
+            pixels[np.uint64(left)], price[np.uint64(left)] = p, cost
+            left += moves
         # A round that leaves out few is not worth another; stopping early only makes the graph larger.
         if 4 * (count - left) <= count:
-            return pixels[:left].copy(), price[:left].copy(), kept
+            return pixels[:left].copy(), price[:left].copy(), refund == 0
         count = left

@@ -18,6 +18,15 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.label_cost_energy import UndecidedEnergy
+from mlbs_actors.lanes import (
+    broadcast,
+    gathered,
+    load_int32,
+    shifted,
+    store,
+    sum_of_lanes,
+    where_equal,
+)
 from mlbs_actors.messages import Array
 from mlbs_actors.min_cut import min_cut
 
@@ -214,26 +223,27 @@ def _move_graph(
         local[nodes[i]] = i
     surplus = np.empty(nodes.size, np.int32)
     near, capacity = np.empty((nodes.size, 8), np.int32), np.empty((nodes.size, 8), np.int32)
+    ends, weights = neighbour.reshape(-1), weight.reshape(-1)
+    near_of, capacity_of = near.reshape(-1), capacity.reshape(-1)
+    nothing, outside = broadcast(np.int32(0), 8), broadcast(np.int32(-1), 8)
+    moving = broadcast(np.int32(alpha), 8)
+    naming = shifted(broadcast(np.int32(1), 8), nothing, 4)  # the first four neighbours name each pair once
     unmoved = np.int64(0)
+    # All neighbours of a pixel at once: which of them are nodes or have its label, nobody can foretell.
     for i in range(nodes.size):
-        p = nodes[i]
-        stay, move = np.int64(0), price[i]
-        for k in range(8):
-            q = neighbour[p, k]
-            near[i, k], capacity[i, k] = -1, 0
-            if q < 0:
-                continue
-            w = weight[p, k]
-            same = labels[q] == labels[p]
-            near[i, k] = local[q]
-            if local[q] < 0:
-                stay += 0 if same else w
-                move += w if labels[q] != alpha else 0
-            elif k < 4:
-                capacity[i, k] = w if same else 0
-                stay += 0 if same else w
-            else:
-                capacity[i, k] = w
+        p = np.uint64(nodes[i])
+        first, to = np.uint64(8) * p, np.uint64(8 * i)
+        w = load_int32(weights, first, 8)
+        others = where_equal(w, nothing, nothing, load_int32(ends, first, 8))
+        beside = gathered(labels, others)
+        inside = where_equal(w, nothing, outside, gathered(local, others))
+        apart = where_equal(beside, broadcast(np.int32(labels[p]), 8), nothing, w)
+        directed = apart * naming
+        store(near_of, to, inside)
+        store(capacity_of, to, where_equal(inside, outside, nothing, w - directed))
+        stay = np.int64(sum_of_lanes(where_equal(inside, outside, apart, directed)))
+        alone = where_equal(inside, outside, where_equal(beside, moving, nothing, w), nothing)
+        move = price[i] + sum_of_lanes(alone)
         surplus[i] = move - stay
         unmoved += max(stay - move, 0)
     return surplus, near, capacity, unmoved

@@ -13,7 +13,7 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.cut_pruning import movable
 from mlbs_actors.expansion import free_expansion, freeing_expansion, may_free, paid_expansion, paid_for
-from mlbs_actors.label_cost_energy import UndecidedEnergy, cost_of_labels, energy_of_labels
+from mlbs_actors.label_cost_energy import UndecidedEnergy, cost_of_labels
 from mlbs_actors.messages import Array
 
 __all__ = ["Course", "expand_in_turn", "started"]
@@ -60,15 +60,15 @@ class Course:
     def starting(cls, rest: UndecidedEnergy, labels: Array) -> Course:
         """Before the first expansion of labels (n,) intp."""
         offers = rest.offers
-        chosen, used, energy, changed_at, news_at, came_from, expanded_at = started(
-            offers.first, offers.pixel, offers.cost, rest.neighbour, rest.weight, rest.label_costs, labels
+        chosen, used, changed_at, news_at, came_from, expanded_at = started(
+            offers.first, offers.pixel, offers.cost, rest.label_costs.size, labels
         )
         return cls(
             labels=labels,
             chosen=chosen,
             used=used,
             lost_at=np.zeros_like(used),
-            energy=energy,
+            energy=rest.energy(labels),
             step=0,
             changed_at=changed_at,
             news_at=news_at,
@@ -129,18 +129,16 @@ class Course:
 
 @compiled()
 def started(
-    first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array, label_costs: Array,
-    labels: Array,
-) -> tuple[Array, Array, int, Array, Array, Array, Array]:  # fmt: skip
-    """The fields of `Course` but the labels, which are given, and the step."""
+    first: Array, pixel: Array, cost: Array, label_count: int, labels: Array
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """The fields of `Course` but the labels, which are given, ``lost_at``, the energy and the step."""
     chosen = cost_of_labels(first, pixel, cost, labels)
-    energy = int(energy_of_labels(chosen, neighbour, weight, label_costs, labels))
-    used = np.zeros(label_costs.size, np.int64)
+    used = np.zeros(label_count, np.int64)
     for label in labels:
         used[label] += 1
     changed_at, news_at = np.zeros(labels.size, np.int32), np.zeros(labels.size, np.int32)
-    came_from, expanded_at = np.full(labels.size, -1), np.full(label_costs.size, -1)
-    return chosen, used, energy, changed_at, news_at, came_from, expanded_at
+    came_from, expanded_at = np.full(labels.size, -1), np.full(label_count, -1)
+    return chosen, used, changed_at, news_at, came_from, expanded_at
 
 
 @compiled()

@@ -111,18 +111,6 @@ class FusedCosts:
     fallback: Array
     places: Array
 
-    def part(self, layers: Sequence[int], box: Region, places: Array) -> FusedCosts:
-        """Some of the layers in a box of these cells, each only where its place of these (K, 4) is."""
-        rows, columns = box.slices
-        corner = np.array([box.y, box.y, box.x, box.x])
-        most = np.array([box.height, box.height, box.width, box.width])
-        return FusedCosts(
-            np.ascontiguousarray(self.cost[layers, rows, columns]),
-            np.ascontiguousarray(self.normaliser[rows, columns]),
-            np.ascontiguousarray(self.fallback[rows, columns]),
-            np.clip(places[layers] - corner, 0, most),
-        )
-
 
 def fused_costs(
     posteriors: Sequence[LayerPosterior], box: Region, weight: float, half_confidence: float
@@ -194,10 +182,12 @@ def _add_known(
     place[1] = max(min(samples.shape[0] - down, known.shape[0]), place[0])
     place[3] = max(min(samples.shape[1] - right, known.shape[1]), place[2])
     for y in range(place[0], place[1]):
+        counts, ratios, knowing, matching = samples[y + down], log_ratio[y + down], known[y], matched[y]
         for x in range(place[2], place[3]):
-            own = trust[samples[y + down, x + right]]
-            known[y, x] += own
-            matched[y, x] += own * ratio_of[log_ratio[y + down, x + right]]
+            at, place_of_own = np.uint64(x), np.uint64(x + right)
+            own = trust[counts[place_of_own]]
+            knowing[at] += own
+            matching[at] += own * ratio_of[ratios[place_of_own]]
 
 
 @compiled()
@@ -231,9 +221,11 @@ def add_appearance(
     ratio, logs = np.empty(width, np.float32), np.empty(width, np.float32)
     one, least, most = np.float32(1), np.float32(0), np.float32(255)
     for y in range(height):
+        counts, ratios, fallbacks = samples[y], log_ratio[y], fallback[y]
         for x in range(width):
-            own = trust[samples[y, x]]
-            ratio[x] = own * ratio_of[log_ratio[y, x]] + (one - own) * ratio_of[fallback[y, x]]
+            at = np.uint64(x)
+            own = trust[counts[at]]
+            ratio[at] = own * ratio_of[ratios[at]] + (one - own) * ratio_of[fallbacks[at]]
         row_log(ratio, logs)
         for x in range(width):
             value = np.rint(np.float32(cost[y, x]) - strength * logs[x])

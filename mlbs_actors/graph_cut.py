@@ -35,7 +35,7 @@ from mlbs_actors.errors import ConfigError
 from mlbs_actors.expansion_course import Course
 from mlbs_actors.label_cost_energy import LabelCostEnergy, UndecidedEnergy
 from mlbs_actors.label_removal import remove_labels
-from mlbs_actors.level_cut import label_band, label_undecided
+from mlbs_actors.level_cut import label_levels
 from mlbs_actors.messages import Array
 
 __all__ = [
@@ -117,28 +117,23 @@ def lowest_labels(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> Array:
 
     To look at all costs, and to tell the energies, takes time.
     """
-    return _lowest(whole, max_sweeps, 0)
+    labels, found = label_levels(
+        whole.unary,
+        whole.side,
+        whole.extras,
+        whole.boxes(),
+        whole.weights,
+        whole.label_costs,
+        MOST_CUT_WHOLE,
+        max_sweeps,
+    )
+    return labels if found else _minimise(whole, max_sweeps)[0]
 
 
 def _is_large(whole: LabelCostEnergy, level: int) -> bool:
     """Whether this is labelled coarse to fine; level 0 are pixels."""
     height, width = whole.weights.shape[:2]
     return bool(height * width > MOST_CUT_WHOLE[min(level, len(MOST_CUT_WHOLE) - 1)])
-
-
-def _lowest(whole: LabelCostEnergy, max_sweeps: int, level: int) -> Array:
-    """The labels of :func:`_minimise`, in the fast way if there is one."""
-    if _is_large(whole, level):
-        blocks = _lowest(halved(whole), max_sweeps, level + 1)
-        labels, found = label_band(
-            whole.unary, whole.side, whole.extras, whole.boxes(), whole.weights, whole.label_costs, blocks
-        )
-    else:
-        pixels = whole.of_pixels()
-        labels, found = label_undecided(
-            pixels.unary, pixels.boxes(), pixels.weights, pixels.label_costs, max_sweeps
-        )
-    return labels if found else _minimise(whole, max_sweeps, level)[0]
 
 
 def _minimise(

@@ -21,6 +21,7 @@ __all__ = [
     "Offers",
     "UndecidedEnergy",
     "cost_of_labels",
+    "costs_of_pixels",
     "energy_of_labels",
     "left_open",
     "neighbour_and_weight",
@@ -79,10 +80,7 @@ class LabelCostEnergy:
         if self.side == 1 and len(self.extras) == 0:
             return self
         height, width = self.weights.shape[:2]
-        places = np.minimum(self.boxes() * self.side, np.array([height, height, width, width]))
-        unary = np.empty((len(self.unary), height, width), np.int32)
-        _spread(self.unary, self.side, places, unary)
-        np.add.at(unary, tuple(self.extras[:, :3].T), self.extras[:, 3].astype(np.int32))
+        unary, places = costs_of_pixels(self.unary, self.side, self.extras, self.boxes(), height, width)
         return LabelCostEnergy(unary, self.weights, self.label_costs, places=places)
 
     def energy(self, labels: Array) -> int:
@@ -204,14 +202,22 @@ def left_open(
 
 
 @compiled()
-def _spread(unary: Array, side: int, places: Array, spread: Array) -> None:
-    """Every pixel of a label's place, which is given in pixels, takes its cell's cost."""
+def costs_of_pixels(
+    unary: Array, side: int, extras: Array, places: Array, height: int, width: int
+) -> tuple[Array, Array]:
+    """``unary`` and ``places`` of :meth:`LabelCostEnergy.of_pixels`, of (H, W) pixels."""
+    boxes = places * side
+    spread = np.empty((unary.shape[0], height, width), np.int32)
     for label in range(unary.shape[0]):
-        top, bottom, left, right = places[label]
-        for y in range(top, bottom):
+        box = boxes[label]
+        box[:2], box[2:] = np.minimum(box[:2], height), np.minimum(box[2:], width)
+        for y in range(box[0], box[1]):
             own, costs = unary[label, y // side], spread[label, y]
-            for x in range(left, right):
+            for x in range(box[2], box[3]):
                 costs[x] = own[x // side]
+    for extra in range(extras.shape[0]):
+        spread[extras[extra, 0], extras[extra, 1], extras[extra, 2]] += extras[extra, 3]
+    return spread, boxes
 
 
 @compiled()
@@ -236,9 +242,8 @@ def _offers(
             for i in range(begin, end):
                 total = own[cell_of[column[i]]]
                 # Up to a constant, agreeing with a neighbour of known label saves the weight.
-                if known[i] == label:
-                    total -= saved[i]
-                elif known[i] == _SEVERAL:
+                total -= saved[i] if known[i] == label else np.int32(0)
+                if known[i] == _SEVERAL:
                     total -= _saved_by(label, labels, weights, y, column[i])
                 pixel[count], cost[count] = i, total
                 count += 1
@@ -275,8 +280,8 @@ def cost_of_labels(first: Array, pixel: Array, cost: Array, labels: Array) -> Ar
     chosen = np.empty(labels.size, np.int32)
     for label in range(first.size - 1):
         for entry in range(first[label], first[label + 1]):
-            if labels[pixel[entry]] == label:
-                chosen[pixel[entry]] = cost[entry]
+            p = np.uint64(pixel[entry])
+            chosen[p] = cost[entry] if labels[p] == label else chosen[p]
     return chosen
 
 

@@ -30,17 +30,17 @@ def label_runs(labels: Array, diagonal: bool) -> tuple[Array, Array, Array, Arra
     height, width = labels.shape
     count, reach = 0, int(diagonal)
     for y in range(height):
-        count += 1
+        count, row = count + 1, labels[y]
         for x in range(1, width):
-            count += labels[y, x] != labels[y, x - 1]
+            count += row[np.uint64(x)] != row[np.uint64(x - 1)]
     rows, starts, ends = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
     parent = np.empty(count, np.int64)
     run, above, above_end = 0, 0, 0
     for y in range(height):
-        row_begin, x = run, 0
+        row, row_begin, x = labels[y], run, 0
         while x < width:
-            label, start = labels[y, x], x
-            while x < width and labels[y, x] == label:
+            label, start = row[np.uint64(x)], x
+            while x < width and row[np.uint64(x)] == label:
                 x += 1
             rows[run], starts[run], ends[run], parent[run] = y, start, x, run
             while above < above_end and ends[above] + reach <= start:

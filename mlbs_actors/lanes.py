@@ -25,6 +25,7 @@ __all__ = [
     "broadcast",
     "broadcast_lane",
     "exp2_of_whole",
+    "gathered",
     "load",
     "load_int32",
     "maximum",
@@ -36,6 +37,7 @@ __all__ = [
     "sum_of_lanes",
     "to_int32",
     "truncated",
+    "where_equal",
 ]
 
 #: Numbers of lanes that there are: half a register of the widest kind, and one.
@@ -53,7 +55,10 @@ _WIDENED: dict[Any, str | None] = {
     (types.uint8, types.float32): "uitofp",
     (types.uint8, types.int32): "zext",
     (types.int16, types.int32): "sext",
+    (types.int32, types.int32): None,
 }
+#: Integers that can be gathered, and the instruction that makes int32 of them.
+_GATHERED: dict[Any, str | None] = {types.int16: "sext", types.int32: None, types.int64: "trunc"}
 #: Makes the instructions, from Numba's context, LLVM's builder, the signature and the values.
 _Build = Callable[[Any, Any, Any, Any], Any]
 
@@ -109,8 +114,29 @@ def load(typing: Any, array: Any, at: Any, count: Any) -> Any:
 
 @_in_kernels
 def load_int32(typing: Any, array: Any, at: Any, count: Any) -> Any:
-    """The same of an array of uint8 or int16, as int32."""
+    """The same of an array of uint8, int16 or int32, as int32."""
     return _loaded(array, count, types.int32)
+
+
+@_in_kernels
+def gathered(typing: Any, array: Any, places: Any) -> Any:
+    """What an array of integers, which fit into int32, has at some places (int32, none of them negative)."""
+    if not (_is_flat(array) and array.dtype in _GATHERED and places.kind is types.int32):
+        return None
+    narrowed = _GATHERED[array.dtype]
+
+    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
+        data = context.make_array(array)(context, builder, values[0]).data
+        numbers = ir.Constant(_register(places), ir.Undefined)
+        for lane in range(places.count):
+            place = builder.extract_element(values[1], ir.Constant(_INT, lane))
+            number = builder.load(builder.gep(data, [builder.zext(place, ir.IntType(64))]))
+            if narrowed is not None:
+                number = getattr(builder, narrowed)(number, _INT)
+            numbers = builder.insert_element(numbers, number, ir.Constant(_INT, lane))
+        return numbers
+
+    return places(array, places), build
 
 
 def _loaded(array: Any, count: Any, kind: types.Type) -> Any:
@@ -250,6 +276,18 @@ def minimum(typing: Any, one: Any, other: Any) -> Any:
         return builder.select(builder.fcmp_ordered("<", *values), *values)
 
     return one(one, other), build
+
+
+@_in_kernels
+def where_equal(typing: Any, one: Any, other: Any, then: Any, otherwise: Any) -> Any:
+    """Of two values the first where two lanes of int32 are the same, else the second."""
+    if not (one == other and then == otherwise and one.kind is types.int32 and one.count == then.count):
+        return None
+
+    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
+        return builder.select(builder.icmp_signed("==", values[0], values[1]), values[2], values[3])
+
+    return then(one, other, then, otherwise), build
 
 
 @_in_kernels

@@ -1,4 +1,4 @@
-"""One level of the graph cut in one compiled function, from an energy to labels (§7).
+"""All levels of the graph cut in one compiled function, from an energy to labels (§7).
 
 Groups of claims are small, and each is cut on several levels: handing a dozen arrays from one kernel to the
 next by way of Python took a sixth of the time. What seldom happens is left to :mod:`mlbs_actors.graph_cut`,
@@ -9,29 +9,32 @@ from __future__ import annotations
 
 import numpy as np
 
-from mlbs_actors.coarse_cut import of_blocks, opened
+from mlbs_actors.coarse_cut import costs_of_blocks, of_blocks, opened
 from mlbs_actors.compilation import compiled
 from mlbs_actors.cut_pruning import decide
 from mlbs_actors.expansion_course import expand_in_turn, started
-from mlbs_actors.label_cost_energy import left_open
+from mlbs_actors.label_cost_energy import costs_of_pixels, left_open
 from mlbs_actors.label_removal import gains_by_removal
 from mlbs_actors.messages import Array
 
-__all__ = ["label_band", "label_undecided"]
+__all__ = ["label_levels"]
 
 
 @compiled()
-def label_band(
-    unary: Array, side: int, extras: Array, places: Array, weights: Array, label_costs: Array, blocks: Array
-) -> tuple[Array, bool]:
-    """Label the pixels near the outlines of blocks, by one sweep.
+def label_levels(
+    unary: Array, side: int, extras: Array, places: Array, weights: Array, label_costs: Array,
+    most_cut_whole: tuple[int, ...], max_sweeps: int,
+) -> tuple[Array, bool]:  # fmt: skip
+    """Label all pixels, coarse to fine if there are many.
 
     Parameters
     ----------
     unary, side, extras, places, weights, label_costs
         Of a :class:`~mlbs_actors.label_cost_energy.LabelCostEnergy`, ``places`` of all labels.
-    blocks : (⌈H/2⌉, ⌈W/2⌉) int16
-        Labels.
+    most_cut_whole : tuple of int
+        Most pixels that are cut without a coarser level, as of :mod:`~mlbs_actors.graph_cut`.
+    max_sweeps : int
+        On the coarsest level; on the others it is one.
 
     Returns
     -------
@@ -39,6 +42,32 @@ def label_band(
     found : bool
         False if this has to be done in the general way.
     """
+    height, width = weights.shape[:2]
+    none = np.zeros((0, 4), np.int64)
+    costs, boxes, rest, cell = unary, places, extras, side
+    if side != 2 or height * width <= most_cut_whole[0]:
+        costs, boxes = costs_of_pixels(unary, side, extras, places, height, width)
+        rest, cell = none, 1
+    levels = [(costs, boxes, weights)]
+    while weights.shape[0] * weights.shape[1] > most_cut_whole[min(len(levels), len(most_cut_whole)) - 1]:
+        costs, weights, boxes = costs_of_blocks(costs, cell, rest, boxes, weights)
+        rest, cell = none, 1
+        levels.append((costs, boxes, weights))
+    labels, found = _label_undecided(costs, boxes, weights, label_costs, max_sweeps)
+    for level in range(len(levels) - 2, -1, -1):
+        costs, boxes, weights = levels[level]
+        if level == 0:
+            costs, boxes, rest, cell = unary, places, extras, side
+        if found:
+            labels, found = _label_band(costs, cell, rest, boxes, weights, label_costs, labels)
+    return labels, found
+
+
+@compiled()
+def _label_band(
+    unary: Array, side: int, extras: Array, places: Array, weights: Array, label_costs: Array, blocks: Array
+) -> tuple[Array, bool]:
+    """Label the pixels near the outlines of blocks (⌈H/2⌉, ⌈W/2⌉), by one sweep; as `label_levels` says."""
     labels, elsewhere = opened(blocks, label_costs.size, weights.shape[0], weights.shape[1])
     pixels, row, offers, neighbour, weight, costs = left_open(
         unary, side, extras, places, weights, label_costs, labels, elsewhere
@@ -48,13 +77,11 @@ def label_band(
 
 
 @compiled()
-def label_undecided(
+def _label_undecided(
     unary: Array, places: Array, weights: Array, label_costs: Array, max_sweeps: int
 ) -> tuple[Array, bool]:
-    """Label all pixels: those that can be decided at once, and the others by some sweeps.
-
-    Parameters and results are those of :func:`label_band`, for costs of single pixels.
-    """
+    """Label all pixels: those that can be decided at once, and the others by some sweeps; of costs of single
+    pixels, as `label_levels` says."""
     labels, certain = decide(unary, places, weights, label_costs)
     extras = np.zeros((0, 4), np.int64)
     pixels, _, offers, neighbour, weight, costs = left_open(
@@ -71,12 +98,13 @@ def _search(
 ) -> bool:  # fmt: skip
     """Expand in turn until nothing helps, and put the open pixels' labels into the map."""
     first, pixel, cost = offers
-    chosen, used, energy, changed_at, news_at, came_from, expanded_at = started(
-        first, pixel, cost, neighbour, weight, label_costs, own
+    chosen, used, changed_at, news_at, came_from, expanded_at = started(
+        first, pixel, cost, label_costs.size, own
     )
     if not own.any():
         expanded_at[0] = 0
     lost_at, alphas, step = np.zeros_like(used), np.arange(used.size), 0
+    energy = 0  # from here on; nobody asks for that of the start
     for _ in range(max_sweeps):
         turn, step, energy, _, _, _ = expand_in_turn(
             alphas, 0, first, pixel, cost, neighbour, weight, label_costs, own, chosen, used, lost_at,

@@ -52,12 +52,12 @@ def group_regions(regions: Sequence[Region], shape: tuple[int, int]) -> list[Reg
     list of RegionGroup
         In the order of their first members.
     """
-    members = [position for position, region in enumerate(regions) if region.area]
-    boxes = [grown(regions[position], 1, shape) for position in members]
-    corners = np.array([(one.x, one.y, one.x + one.width, one.y + one.height) for one in boxes], np.int64)
+    corners = np.array([(one.x, one.y, one.x + one.width, one.y + one.height) for one in regions], np.int64)
+    corners = corners.reshape(-1, 4)
     groups: dict[int, list[int]] = {}
-    for position, group in zip(members, _merged(corners.reshape(-1, 4)).tolist(), strict=True):
-        groups.setdefault(group, []).append(position)
+    for position, group in enumerate(_merged(corners, *shape).tolist()):
+        if group >= 0:
+            groups.setdefault(group, []).append(position)
     merged = [corners[group].tolist() for group in groups]
     return [
         RegionGroup(Region(left, top, right - left, bottom - top), tuple(positions))
@@ -66,10 +66,16 @@ def group_regions(regions: Sequence[Region], shape: tuple[int, int]) -> list[Reg
 
 
 @compiled()
-def _merged(corners: Array) -> Array:
-    """Merge boxes (n, 4: left, top, right, bottom) until none overlap: the first of each one's group, whose
-    corners become those of the whole group."""
+def _merged(corners: Array, height: int, width: int) -> Array:
+    """Grow boxes (n, 4: left, top, right, bottom) by a pixel and merge them until none overlap: the first of
+    each one's group, whose corners become those of the whole group; -1 for empty ones."""
     group = np.arange(len(corners))
+    for one in range(len(corners)):
+        box = corners[one]
+        if box[0] == box[2] or box[1] == box[3]:
+            group[one] = -1
+        box[0], box[1] = max(box[0] - 1, 0), max(box[1] - 1, 0)
+        box[2], box[3] = min(box[2] + 1, width), min(box[3] + 1, height)
     changed = True
     while changed:
         changed = False

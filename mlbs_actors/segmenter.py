@@ -48,6 +48,8 @@ __all__ = ["Segmenter", "SegmenterState"]
 CLAIM_MARGIN_PX = 8.0
 #: Quanta of the graph cut in one of the layers' costs.
 _QUANTA = np.int32(round(COST_STEP / COST_QUANTUM))
+#: Where shadows are not looked for.
+_NO_SHADOW = np.zeros((0, 0), np.float32)
 
 
 @dataclass(slots=True)
@@ -171,52 +173,61 @@ class Segmenter:
         stage_ms["fusion"] += 1e3 * (perf_counter() - start)
         summaries: list[LayerSummary] = []
         for group in groups:
-            own = [0, *(1 + position for position in group.members)]
-            box = Region(cells.x + group.box.x, cells.y + group.box.y, group.box.width, group.box.height)
-            claimants, claimed = [members[position] for position in own], fused.part(own, group.box, claims)
-            summaries += self._label_claims(box, claimants, claimed, tracks[own], scene, result, stage_ms)
+            own = np.array([0, *(1 + position for position in group.members)])
+            claimants = [members[position] for position in own]
+            claimed = _Claimed(fused, cells, own, group.box, claims, tracks)
+            summaries += self._label_claims(claimants, claimed, scene, result, stage_ms)
         return summaries
 
     def _label_claims(
         self,
-        cells: Region,
         members: list[LayerPosterior],
-        fused: FusedCosts,
-        tracks: Array,
+        claimed: _Claimed,
         scene: _Scene,
         result: _Maps,
         stage_ms: dict[str, float],
     ) -> list[LayerSummary]:
-        """Fill in the label map in a box around claims that touch; ``tracks`` as of `claims_of_layers`."""
+        """Fill in the label map in a box around claims that touch."""
         config, scale = self.config.segmentation, length_scale(*result.labels.shape)
         start = perf_counter()
-        side = members[0].cell
+        side, fused, within = members[0].cell, claimed.fused, claimed.box
+        cells = Region(claimed.cells.x + within.x, claimed.cells.y + within.y, within.width, within.height)
         box = in_pixels(cells, side, result.labels.shape)
         dark = None if scene.ground is None else darkening(scene.means, scene.ground, cells, 1.0 / side)
-        costs = _data_costs(fused.cost, fused.places)
+        shadow, strength = _NO_SHADOW, 0.0
         if dark is not None and config.shadow > 0:
-            strength = np.float32(config.shadow / COST_QUANTUM)
-            _discount_shadows(costs, fused.places, shadow_likelihood(dark), strength)
-        pull = round(2.0 * config.track_cost / COST_QUANTUM)
-        positions, shape = scene.evidence.positions, scene.evidence.shape
-        pulls = _track_pulls(positions, tracks, fused.places * side, box.x, box.y, shape, pull)
+            shadow, strength = shadow_likelihood(dark), config.shadow / COST_QUANTUM
+        costs, places, pulls = _claimed_costs(
+            fused.cost,
+            claimed.own,
+            (within.x, within.y, within.width, within.height),
+            claimed.claims,
+            shadow,
+            np.float32(strength),
+            scene.evidence.positions,
+            claimed.tracks,
+            (box.x, box.y),
+            scene.evidence.shape,
+            side,
+            round(2.0 * config.track_cost / COST_QUANTUM),
+        )
         # Arrays of their own, though the box may be the frame: kernels are compiled for one kind of memory.
         image = scene.frame[box.slices].copy()
         ready = perf_counter()
         label_costs = np.full(len(members), round(config.label_cost * scale**2 / COST_QUANTUM), np.int64)
         label_costs[0] = 0  # the background is always there
         weights = contrast_weights(image, config.contrast_strength, config.contrast_scale)
-        labelling = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, fused.places))
+        labelling = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, places))
         solved = perf_counter()
         ids = np.array([one.layer for one in members], np.uint16)
-        _put_ids(ids, labelling, result.labels, box.x, box.y)
         speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
-        clean_labels(result.labels, box, speck_px=speck_px, hole_px=hole_px)
-        labels = result.labels[box.slices].copy()
+        labels = _cleaned(ids, labelling, result.labels, box.x, box.y, speck_px, hole_px)
         if dark is not None and config.contact_shadow > 0:
-            labels[contact_shadow(labels, image, dark, side, scale, config.contact_shadow)] = BACKGROUND
-            result.labels[box.slices] = labels
-        summaries = _summaries(labels, ids, fused, members, box)
+            strip = contact_shadow(labels, image, dark, side, scale, config.contact_shadow)
+            if strip.any():
+                labels[strip] = BACKGROUND
+                result.labels[box.slices] = labels
+        summaries = _summaries(labels, ids, claimed, members, box)
         done = perf_counter()
         for stage, duration in (
             ("fusion", ready - start),
@@ -225,6 +236,32 @@ class Segmenter:
         ):
             stage_ms[stage] += 1e3 * duration
         return summaries
+
+
+@dataclass(frozen=True, slots=True)
+class _Claimed:
+    """Claims that touch, in a group of regions that does.
+
+    Attributes
+    ----------
+    fused : FusedCosts
+        Of all layers of the group.
+    cells : Region
+        Where that lies.
+    own : (k,) int64
+        Which of the layers make the claims, the background first.
+    box : Region
+        Around the claims, within ``cells``.
+    claims, tracks : Array
+        Of all layers of the group; see :func:`~mlbs_actors.claims.claims_of_layers`.
+    """
+
+    fused: FusedCosts
+    cells: Region
+    own: Array
+    box: Region
+    claims: Array
+    tracks: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,21 +289,31 @@ class _Maps:
 
 
 @compiled()
-def _data_costs(cost: Array, places: Array) -> Array:
-    """Costs (K, rows, columns) int32, ``COST_QUANTUM`` a pixel; only where a layer can own a cell."""
-    costs = np.empty(cost.shape, np.int32)
-    for own in range(cost.shape[0]):
-        top, bottom, left, right = places[own]
-        for y in range(top, bottom):
-            fused, row = cost[own, y], costs[own, y]
-            for x in range(left, right):
-                row[x] = np.int32(fused[x]) * _QUANTA
-    return costs
+def _claimed_costs(
+    cost: Array, own: Array, box: tuple[int, int, int, int], claims: Array, shadow: Array,
+    strength: np.float32, positions: Array, tracks: Array, corner: tuple[int, int], shape: tuple[int, int],
+    side: int, pull: int,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Costs (k, rows, columns) int32 of some layers in a box of cells, ``COST_QUANTUM`` a pixel; the places
+    (k, 4) where they are made, as a layer owns nothing outside its claim; and the trajectories' pulls."""
+    left, top, width, height = box
+    costs, places = np.empty((own.size, height, width), np.int32), np.empty((own.size, 4), np.int64)
+    for label in range(own.size):
+        place, claim = places[label], claims[own[label]]
+        place[0], place[1] = max(claim[0] - top, 0), min(claim[1] - top, height)
+        place[2], place[3] = max(claim[2] - left, 0), min(claim[3] - left, width)
+        for y in range(place[0], place[1]):
+            fused, row = cost[own[label], top + y], costs[label, y]
+            for x in range(place[2], place[3]):
+                row[x] = np.int32(fused[left + x]) * _QUANTA
+    if strength > 0:
+        _discount_shadows(costs, places, shadow, strength)
+    return costs, places, _track_pulls(positions, tracks[own], places * side, corner, shape, pull)
 
 
 @compiled()
 def _track_pulls(
-    positions: Array, tracks: Array, places: Array, left: int, top: int, shape: tuple[int, int], pull: int
+    positions: Array, tracks: Array, places: Array, corner: tuple[int, int], shape: tuple[int, int], pull: int
 ) -> Array:
     """The trajectories' data cost: −c for their own label at their pixel, +c for every other.
 
@@ -277,8 +324,8 @@ def _track_pulls(
     count = 0
     for label in range(len(tracks)):
         for point in range(tracks[label, 0], tracks[label, 1]):
-            x = min(max(int(np.rint(positions[point, 0])), 0), shape[1] - 1) - left
-            y = min(max(int(np.rint(positions[point, 1])), 0), shape[0] - 1) - top
+            x = min(max(int(np.rint(positions[point, 0])), 0), shape[1] - 1) - corner[0]
+            y = min(max(int(np.rint(positions[point, 1])), 0), shape[0] - 1) - corner[1]
             if places[label, 0] <= y < places[label, 1] and places[label, 2] <= x < places[label, 3]:
                 pulls[count, 0], pulls[count, 1], pulls[count, 2], pulls[count, 3] = label, y, x, -pull
                 count += 1
@@ -288,28 +335,42 @@ def _track_pulls(
 @compiled()
 def _discount_shadows(costs: Array, places: Array, shadow: Array, strength: np.float32) -> None:
     """Take away, as far as a cell is a shadow, what an object has over the background, and a little more."""
-    background = costs[0]
     for label in range(1, costs.shape[0]):
-        own = costs[label]
         top, bottom, left, right = places[label]
         for y in range(top, bottom):
+            own, background, darker = costs[label, y], costs[0, y], shadow[y]
             for x in range(left, right):
-                lead = np.float32(max(background[y, x] - own[y, x], 0))
-                own[y, x] += np.int32(np.rint(shadow[y, x] * (lead + strength)))
+                at = np.uint64(x)
+                lead = np.float32(max(background[at] - own[at], 0))
+                own[at] += np.int32(np.rint(darker[at] * (lead + strength)))
 
 
 @compiled()
-def _put_ids(ids: Array, positions: Array, labels: Array, left: int, top: int) -> None:
-    for y in range(positions.shape[0]):
-        row, own = positions[y], labels[top + y]
-        for x in range(row.size):
-            own[left + x] = ids[row[x]]
+def _cleaned(
+    ids: Array, positions: Array, labels: Array, left: int, top: int, speck_px: float, hole_px: float
+) -> Array:
+    """Put the ids of some label positions into a box of the label map, clean it there, and copy it."""
+    height, width = positions.shape
+    for y in range(height):
+        row, own = positions[y], labels[top + y, left : left + width]
+        for x in range(width):
+            own[x] = ids[row[x]]
+    clean_labels(labels, (left, top, width, height), speck_px, hole_px)
+    return labels[top : top + height, left : left + width].copy()
 
 
 def _summaries(
-    labels: Array, ids: Array, fused: FusedCosts, posteriors: list[LayerPosterior], box: Region
+    labels: Array, ids: Array, claimed: _Claimed, posteriors: list[LayerPosterior], box: Region
 ) -> list[LayerSummary]:
-    bounds, sums, likelihood = _tally(labels, ids, fused.cost, fused.normaliser, posteriors[0].cell)
+    bounds, sums, likelihood = _tally(
+        labels,
+        ids,
+        claimed.fused.cost,
+        claimed.own,
+        claimed.fused.normaliser,
+        (claimed.box.x, claimed.box.y),
+        posteriors[0].cell,
+    )
     rows = []
     for own, one in enumerate(posteriors):
         (left, top, right, bottom), (area, x, y) = bounds[own].tolist(), sums[own].tolist()
@@ -331,10 +392,11 @@ def _summaries(
 
 @compiled()
 def _tally(
-    labels: Array, ids: Array, cost: Array, normaliser: Array, side: int
-) -> tuple[Array, Array, Array]:
+    labels: Array, ids: Array, cost: Array, layers: Array, normaliser: Array, corner: tuple[int, int],
+    side: int,
+) -> tuple[Array, Array, Array]:  # fmt: skip
     """Of every id but that of the background: least and largest x and y, number of pixels and sums of x and
-    y, and the sum of its posteriors."""
+    y, and the sum of its posteriors, from the costs of these layers in cells from a corner on."""
     bounds, sums = np.empty((ids.size, 4), np.int64), np.zeros((ids.size, 3), np.int64)
     bounds[:, :2], bounds[:, 2:] = 2**31, -1
     likelihood = np.zeros(ids.size, np.float64)
@@ -343,7 +405,7 @@ def _tally(
     for own in range(ids.size):
         position[ids[own]] = own
     for y in range(labels.shape[0]):
-        row, floor, x = labels[y], normaliser[y // side], 0
+        row, floor, x = labels[y], normaliser[corner[1] + y // side, corner[0] :], 0
         while x < row.size:
             label, start = row[x], x
             while x < row.size and row[x] == label:
@@ -356,7 +418,7 @@ def _tally(
             sums[own, 0] += length
             sums[own, 1] += (start + x - 1) * length // 2
             sums[own, 2] += y * length
-            costs = cost[own, y // side]
+            costs = cost[layers[own], corner[1] + y // side, corner[0] :]
             for cell in range(start // side, (x - 1) // side + 1):
                 posterior = certain[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
                 for _ in range(max(start, cell * side), min(x, (cell + 1) * side)):

@@ -206,29 +206,29 @@ def _compared(
     mean, spread = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     brightness, variance = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     columns = ground.shape[1]
-    before, after = np.empty(width, np.intp), np.empty(width, np.intp)
+    before, after = np.empty(width, np.uint64), np.empty(width, np.uint64)
     right = np.empty(width, np.float32)
     for x in range(width):
         before[x], after[x], right[x] = _between(x + left, columns / frame_shape[1], columns)
     row = np.empty((columns, 4), np.float32)
-    third, here = np.float32(1.0 / 3.0), np.empty(4, np.float32)
+    third = np.float32(1.0 / 3.0)
     for y in range(height):
         above, below, down = _between(y + top, ground.shape[0] / frame_shape[0], ground.shape[0])
-        for column in range(before[0], after[width - 1] + 1):
+        for column in range(int(before[0]), int(after[width - 1]) + 1):
             for c in range(4):
                 step = ground[below, column, c] - ground[above, column, c]
                 row[column, c] = ground[above, column, c] + down * step
         for x in range(width):
-            for c in range(4):
-                here[c] = row[before[x], c] + right[x] * (row[after[x], c] - row[before[x], c])
-            blue = log_of[smooth[y, x, 0]] - here[0]
-            green = log_of[smooth[y, x, 1]] - here[1]
-            red = log_of[smooth[y, x, 2]] - here[2]
-            mean[y, x] = (blue + green + red) * third
-            spread[y, x] = max(blue, green, red) - min(blue, green, red)
-            total = np.int32(smooth[y, x, 0]) + np.int32(smooth[y, x, 1]) + np.int32(smooth[y, x, 2])
-            brightness[y, x] = np.float32(total) * third + np.float32(1.0)
-            variance[y, x] = here[3]
+            at = np.uint64(x)
+            one, other, share, colour = row[before[at]], row[after[at]], right[at], smooth[y, at]
+            blue = log_of[colour[0]] - (one[0] + share * (other[0] - one[0]))
+            green = log_of[colour[1]] - (one[1] + share * (other[1] - one[1]))
+            red = log_of[colour[2]] - (one[2] + share * (other[2] - one[2]))
+            mean[y, at] = (blue + green + red) * third
+            spread[y, at] = max(blue, green, red) - min(blue, green, red)
+            total = np.int32(colour[0]) + np.int32(colour[1]) + np.int32(colour[2])
+            brightness[y, at] = np.float32(total) * third + np.float32(1.0)
+            variance[y, at] = one[3] + share * (other[3] - one[3])
     return mean, spread, brightness, variance
 
 

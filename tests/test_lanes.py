@@ -11,6 +11,7 @@ from mlbs_actors.lanes import (
     broadcast,
     broadcast_lane,
     exp2_of_whole,
+    gathered,
     load,
     load_int32,
     maximum,
@@ -22,6 +23,7 @@ from mlbs_actors.lanes import (
     sum_of_lanes,
     to_int32,
     truncated,
+    where_equal,
 )
 from mlbs_actors.messages import Array
 
@@ -99,3 +101,24 @@ def test_whole_numbers_are_summed_exactly() -> None:
     one, other = shorts[1:].astype(int), bytes_[2:].astype(int)
     expected = ((one * other).sum(), (one + other).sum(), (np.trunc(numbers) - 3).sum())
     assert _sums_of_whole_numbers(numbers, shorts, bytes_) == expected
+
+
+@compiled()
+def _gathered_and_chosen(numbers: Array, places: Array, result: Array) -> None:
+    found = gathered(numbers, load_int32(places, np.uint64(1), 8))
+    store(result, np.uint64(0), found)
+    seven, none = broadcast(np.int32(7), 8), broadcast(np.int32(0), 8)
+    store(result, np.uint64(8), where_equal(found, seven, found * found, none - found))
+
+
+@pytest.mark.parametrize("kind", [np.int16, np.int32, np.int64])
+def test_numbers_are_gathered_and_chosen_by_what_is_equal(kind: type) -> None:
+    rng = np.random.default_rng(0)
+    numbers: Array = rng.integers(-9, 10, 50).astype(kind)
+    places: Array = rng.integers(0, 50, 9).astype(np.int32)
+    numbers[places[3]] = 7
+    result = np.zeros(16, np.int32)
+    _gathered_and_chosen(numbers, places, result)
+    found = numbers[places[1:]]
+    np.testing.assert_array_equal(result[:8], found)
+    np.testing.assert_array_equal(result[8:], np.where(found == 7, found**2, -found))

@@ -274,20 +274,23 @@ def _small_scene(frames: int = 7) -> Iterator[Array]:
 
 
 def _cut_small_image() -> None:
-    """Cut what is too small for blocks: a label that saves two others, and one that two others share out."""
+    """Cut an image whole and one by blocks: a label that saves two others, and one that two share out."""
     from mlbs_actors.graph_cut import lowest_labels
     from mlbs_actors.label_cost_energy import LabelCostEnergy
 
-    side, cells = 2, 16
-    saving, shared = np.full((2, 4, cells, cells), 100, np.int32)
-    saving[1, :, :8] = saving[2, :, 8:] = 0
-    saving[3] = 1
-    shared[1, :, 6:10] = shared[2, :, :6] = shared[3, :, 10:] = 0
-    shared[2, :, 6:8] = shared[3, :, 8:10] = 1
-    weights = np.full((side * cells, side * cells, 4), 5, np.int32)
-    weights[:, -1, 0] = weights[-1, :, 1:] = weights[:, -1, 2] = weights[:, 0, 3] = 0
-    for costs in (saving, shared):
-        lowest_labels(LabelCostEnergy(costs, weights, np.array([0, 2000, 2000, 2000]), side))
+    side = 2
+    for cells in (16, 32):
+        eighth = cells // 8
+        saving, shared = np.full((2, 4, cells, cells), 100, np.int32)
+        saving[1, :, : 4 * eighth] = saving[2, :, 4 * eighth :] = 0
+        saving[3] = 1
+        shared[1, :, 3 * eighth : 5 * eighth] = shared[2, :, : 3 * eighth] = shared[3, :, 5 * eighth :] = 0
+        shared[2, :, 3 * eighth : 4 * eighth] = shared[3, :, 4 * eighth : 5 * eighth] = 1
+        weights = np.full((side * cells, side * cells, 4), 5, np.int32)
+        weights[:, -1, 0] = weights[-1, :, 1:] = weights[:, -1, 2] = weights[:, 0, 3] = 0
+        label_costs = np.array([0, 2000, 2000, 2000]) * (cells // 16) ** 2
+        for costs in (saving, shared):
+            lowest_labels(LabelCostEnergy(costs, weights, label_costs, side))
 
 
 def _find_contact_shadow() -> None:
