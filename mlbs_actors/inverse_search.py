@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.lanes import absolute, broadcast, load, load_int32, maximum, store, sum_of_lanes, to_int32
+from mlbs_actors.lanes import absolute, broadcast, load, maximum, multiply_add, store, sum_of_lanes
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.variational_refinement import refine_flow
 
@@ -38,10 +38,10 @@ __all__ = [
 PATCH = 8
 #: Pixels by which a frame is continued past its sides: a patch may leave it altogether.
 MARGIN = 16
-#: Grey levels are counted in sixteenths: sums of squares over a patch still fit into 32 bits.
-SHADES = 16
 #: Sweeps of the variational refinement's solver: more make no flow that is told apart better.
 SWEEPS = 3
+#: Rows of patches that are searched together: what their diagonals look at stays in the innermost cache.
+STRIP = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class FlowLevel:
     ----------
     gray : (h, w) uint8
     around : (h + 2 MARGIN, w + 2 MARGIN) float32
-        The same × ``SHADES``, continued past its sides.
+        The same, continued past its sides.
     slope_x, slope_y : (h, w) int16
         Sobel gradients.
     """
@@ -99,13 +99,13 @@ def flow_levels(gray: Array, count: int) -> list[FlowLevel]:
 
 @compiled()
 def _continued(gray: Array) -> Array:
-    """A frame × ``SHADES`` as float32, its outermost pixels repeated ``MARGIN`` times."""
+    """A frame as float32, its outermost pixels repeated ``MARGIN`` times."""
     height, width = gray.shape
     around = np.empty((height + 2 * MARGIN, width + 2 * MARGIN), np.float32)
     for y in range(around.shape[0]):
         known, row = gray[min(max(y - MARGIN, 0), height - 1)], around[y]
         for x in range(width):
-            row[x + MARGIN] = np.int32(known[x]) * np.int32(SHADES)
+            row[x + MARGIN] = known[x]
         row[:MARGIN], row[width + MARGIN :] = row[MARGIN], row[width + MARGIN - 1]
     return around
 
@@ -158,7 +158,7 @@ def _improve(
         window = np.zeros((3, height, width), np.float32)
         _densify(gray, around, motions, across, down, left, top, window)
         for _ in range(refinements):
-            refine_flow(gray, around, left, top, window, MARGIN, SHADES, SWEEPS)
+            refine_flow(gray, around, left, top, window, MARGIN, SWEEPS)
         for axis in range(2):  # the last of the window is the sum of weights
             for y in range(height):
                 flow[axis, top + y, left : left + width] = window[axis, y]
@@ -192,29 +192,65 @@ def _search(
             slopes[row, column] = _slopes(slope_x, slope_y, shape, y, x)
             for axis in range(2):
                 motions[row, column, axis] = flow[axis, y + PATCH // 2, x + PATCH // 2]
-    for turn in range(2):
-        step = 1 - 2 * turn
-        for place in range(rows * columns):
-            row, column = divmod(place if turn == 0 else rows * columns - 1 - place, columns)
-            y, x = down[row], across[column]
-            u, v, least = np.float32(0), np.float32(0), np.float32(np.inf)
-            for other_row, other_column in ((row, column), (row, column - step), (row - step, column)):
-                if 0 <= other_row < rows and 0 <= other_column < columns:
-                    other_u, other_v = (
-                        motions[other_row, other_column, 0],
-                        motions[other_row, other_column, 1],
-                    )
-                    other = _mismatch(gray, around, shape, y, x, other_u, other_v)
-                    if other < least:
-                        least, u, v = other, other_u, other_v
-            found_u, found_v = _descend(
-                gray, around, slope_x, slope_y, shape, y, x, u, v, slopes[row, column], iterations
-            )
-            # What ends far from where it began has lost its way.
-            if (found_u - u) ** 2 + (found_v - v) ** 2 <= np.float32(PATCH * PATCH):
-                u, v = found_u, found_v
-            motions[row, column, 0], motions[row, column, 1] = u, v
+    for turn in (1, -1):
+        _pass(
+            gray, around, slope_x, slope_y, shape, motions[::turn, ::turn], slopes[::turn, ::turn],
+            across[::turn], down[::turn], iterations,
+        )  # fmt: skip
     return motions
+
+
+@compiled()
+def _pass(
+    gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], motions: Array,
+    slopes: Array, across: Array, down: Array, iterations: int,
+) -> None:  # fmt: skip
+    """Search every patch from what it or the one before it in its row or column knows, in place.
+
+    Those on a diagonal do not wait for each other, and take turns with every step: a single one would leave
+    the processor idle for most of the time that its sums take.
+    """
+    rows, columns = motions.shape[:2]
+    us, vs, mismatch = np.empty(STRIP, np.float32), np.empty(STRIP, np.float32), np.empty(STRIP, np.float32)
+    descending = np.empty(STRIP, np.int64)
+    for top in range(0, rows, STRIP):
+        height = min(STRIP, rows - top)
+        for diagonal in range(height + columns - 1):
+            first, end = max(0, diagonal - columns + 1), min(diagonal + 1, height)
+            for k in range(first, end):
+                row, column = top + k, diagonal - k
+                y, x = down[row], across[column]
+                u, v = motions[row, column, 0], motions[row, column, 1]
+                least = _mismatch(gray, around, shape, y, x, u, v)
+                for other_row, other_column in ((row, max(column - 1, 0)), (max(row - 1, 0), column)):
+                    other_u = motions[other_row, other_column, 0]
+                    other_v = motions[other_row, other_column, 1]
+                    other = _mismatch(gray, around, shape, y, x, other_u, other_v)
+                    better = other < least  # no branch, for it could not be foretold
+                    least = other if better else least
+                    u = other_u if better else u
+                    v = other_v if better else v
+                motions[row, column, 0], motions[row, column, 1] = u, v
+                us[k], vs[k], mismatch[k], descending[k - first] = u, v, np.float32(np.inf), k
+            left = end - first
+            for _ in range(iterations):
+                count, left = left, 0
+                for place in range(count):
+                    k = descending[place]
+                    row, column = top + k, diagonal - k
+                    u, v, now = _descended(
+                        gray, around, slope_x, slope_y, shape, down[row], across[column], us[k], vs[k],
+                        slopes[row, column],
+                    )  # fmt: skip
+                    descending[left] = k
+                    left += now < mismatch[k]
+                    us[k], vs[k], mismatch[k] = u, v, now
+            for k in range(first, end):
+                row, column = top + k, diagonal - k
+                away_u, away_v = us[k] - motions[row, column, 0], vs[k] - motions[row, column, 1]
+                # What ends far from where it began has lost its way.
+                if away_u**2 + away_v**2 <= np.float32(PATCH * PATCH):
+                    motions[row, column, 0], motions[row, column, 1] = us[k], vs[k]
 
 
 # What follows works on flat arrays, where a pixel's place is one sum, and is put where it is called from:
@@ -222,46 +258,38 @@ def _search(
 
 
 @compiled(inline="always")
-def _descend(
+def _descended(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
-    u: np.float32, v: np.float32, slopes: Array, iterations: int,
-) -> tuple[np.float32, np.float32]:  # fmt: skip
-    """Inverse-compositional descent of a patch, brightness aside, until the image is explained no better.
+    u: np.float32, v: np.float32, slopes: Array,
+) -> tuple[np.float32, np.float32, np.float32]:  # fmt: skip
+    """A patch's motion after a step of inverse-compositional descent, brightness aside; its mismatch before.
 
     Sobel's slopes are eight times the derivatives, so that a step is an eighth of Gauss and Newton's. With
     whole ones more patches lose their way.
     """
     xx, xy, yy, sum_x, sum_y = slopes[0], slopes[1], slopes[2], slopes[3], slopes[4]
     determinant = max(xx * yy - xy * xy, np.float32(1e-3))
-    before = np.float32(np.inf)
-    for _ in range(iterations):
-        total, squares, along, below = _differences(gray, around, slope_x, slope_y, shape, y, x, u, v)
-        mean = np.float32(total) / np.float32(PATCH * PATCH)
-        gradient_x = (np.float32(along) - mean * sum_x) / np.float32(SHADES)
-        gradient_y = (np.float32(below) - mean * sum_y) / np.float32(SHADES)
-        u -= (yy * gradient_x - xy * gradient_y) / determinant
-        v -= (xx * gradient_y - xy * gradient_x) / determinant
-        mismatch = np.float32(squares) - mean * np.float32(total)
-        if mismatch >= before:
-            break
-        before = mismatch
-    return u, v
+    total, squares, along, below = _differences(gray, around, slope_x, slope_y, shape, y, x, u, v)
+    mean = total / np.float32(PATCH * PATCH)
+    gradient_x, gradient_y = along - mean * sum_x, below - mean * sum_y
+    u -= (yy * gradient_x - xy * gradient_y) / determinant
+    v -= (xx * gradient_y - xy * gradient_x) / determinant
+    return u, v, squares - mean * total
 
 
 @compiled(inline="always")
 def _source_place(
     shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
-) -> tuple[np.uint64, np.float32, np.float32, np.float32, np.float32]:
-    """Where a moved patch begins in the continued frame, and the weights of a pixel's four neighbours."""
+) -> tuple[np.uint64, np.float32, np.float32]:
+    """Where a moved patch begins in the continued frame, and by what share of a pixel it lies off."""
     least = np.float32(MARGIN - PATCH + 1)
     bottom, right = np.float32(shape[0] + MARGIN - 1), np.float32(shape[1] + MARGIN - 1)
     at_y = min(max(np.float32(y + MARGIN) + v, least), bottom)
     at_x = min(max(np.float32(x + MARGIN) + u, least), right)
     top, left = np.int32(at_y), np.int32(at_x)
     down, across = at_y - np.float32(top), at_x - np.float32(left)
-    up, back = np.float32(1) - down, np.float32(1) - across
     there = np.uint64(top * (shape[1] + 2 * MARGIN) + left)
-    return there, up * back, up * across, down * back, down * across
+    return there, across, down
 
 
 @compiled(inline="always")
@@ -272,8 +300,8 @@ def _place(width: int, y: int, x: int, row: int, column: int) -> np.uint64:
     )
 
 
-# The loops over a patch go over columns outside: LLVM unrolls the rows, and does all columns at once. Sums
-# are of whole numbers, which may be added in any order.
+# The loops over a patch go over columns outside: LLVM unrolls the rows, and does all columns at once. These
+# sums are of whole numbers, which may be added in any order.
 
 
 @compiled(inline="always")
@@ -300,45 +328,47 @@ def _mismatch(
     gray: Array, around: Array, shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
 ) -> np.float32:
     """Sum of squared differences of a patch and its place in the target, but for their mean."""
-    there, w00, w01, w10, w11 = _source_place(shape, y, x, u, v)
-    here, none = _place(shape[1], y, x, 0, 0), broadcast(np.int32(0), PATCH)
-    summed, squares = none, none
+    there, across, down = _source_place(shape, y, x, u, v)
+    here, upper = _place(shape[1], y, x, 0, 0), _between(around, there, across)
+    summed = broadcast(np.float32(0), PATCH)
+    squares = summed
     for _ in range(PATCH):
-        difference = _row_difference(gray, around, here, there, shape[1], w00, w01, w10, w11)
-        summed, squares = summed + difference, squares + difference * difference
-        here, there = here + np.uint64(shape[1]), there + np.uint64(shape[1] + 2 * MARGIN)
-    plain = np.float32(sum_of_lanes(summed))
+        there += np.uint64(shape[1] + 2 * MARGIN)
+        lower = _between(around, there, across)
+        difference = _row_difference(gray, here, upper, lower, down)
+        summed, squares = summed + difference, multiply_add(difference, difference, squares)
+        here, upper = here + np.uint64(shape[1]), lower
+    plain, squared = np.float32(sum_of_lanes(summed)), np.float32(sum_of_lanes(squares))
     mean = plain / np.float32(PATCH * PATCH)
-    return np.float32(sum_of_lanes(squares)) - mean * plain
+    return squared - mean * plain
 
 
 @compiled(inline="always")
 def _differences(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
     u: np.float32, v: np.float32,
-) -> tuple[np.int32, np.int32, np.int32, np.int32]:  # fmt: skip
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:  # fmt: skip
     """Sums of a patch's differences: plain, squared, times its slope along x, and along y."""
-    there, w00, w01, w10, w11 = _source_place(shape, y, x, u, v)
-    here, none = _place(shape[1], y, x, 0, 0), broadcast(np.int32(0), PATCH)
-    summed, squares, along, below = none, none, none, none
+    there, across, down = _source_place(shape, y, x, u, v)
+    here, upper = _place(shape[1], y, x, 0, 0), _between(around, there, across)
+    summed = broadcast(np.float32(0), PATCH)
+    squares, along, below = summed, summed, summed
     for _ in range(PATCH):
-        difference = _row_difference(gray, around, here, there, shape[1], w00, w01, w10, w11)
-        summed, squares = summed + difference, squares + difference * difference
-        along = along + difference * load_int32(slope_x, here, PATCH)
-        below = below + difference * load_int32(slope_y, here, PATCH)
-        here, there = here + np.uint64(shape[1]), there + np.uint64(shape[1] + 2 * MARGIN)
+        there += np.uint64(shape[1] + 2 * MARGIN)
+        lower = _between(around, there, across)
+        difference = _row_difference(gray, here, upper, lower, down)
+        summed, squares = summed + difference, multiply_add(difference, difference, squares)
+        along = multiply_add(difference, load(slope_x, here, PATCH), along)
+        below = multiply_add(difference, load(slope_y, here, PATCH), below)
+        here, upper = here + np.uint64(shape[1]), lower
     return sum_of_lanes(summed), sum_of_lanes(squares), sum_of_lanes(along), sum_of_lanes(below)
 
 
 @compiled(inline="always")
-def _row_difference(
-    gray: Array, around: Array, here: np.uint64, there: np.uint64, width: int, w00: np.float32,
-    w01: np.float32, w10: np.float32, w11: np.float32,
-) -> Any:  # fmt: skip
-    """What the continued frame shows more than a patch's row does, in whole shades."""
-    below = there + np.uint64(width + 2 * MARGIN)
-    moved = _between(around, there, w00, w01) + _between(around, below, w10, w11)
-    return to_int32(moved) - load_int32(gray, here, PATCH) * broadcast(np.int32(SHADES), PATCH)
+def _row_difference(gray: Array, here: np.uint64, upper: Any, lower: Any, down: np.float32) -> Any:
+    """What lies between two rows of the continued frame more than in a patch's row."""
+    moved = multiply_add(broadcast(down, PATCH), lower - upper, upper)
+    return moved - load(gray, here, PATCH)
 
 
 @compiled()
@@ -359,23 +389,24 @@ def _densify(
     shape, width = gray.shape, window.shape[2]
     stride, continued = np.uint64(shape[1]), np.uint64(shape[1] + 2 * MARGIN)
     gray, around, sums = gray.reshape(-1), around.reshape(-1), window.reshape(-1)
-    one, shades = broadcast(np.float32(1), PATCH), broadcast(np.float32(SHADES), PATCH)
+    one = broadcast(np.float32(1), PATCH)
     for row in range(down.size):
         for column in range(across.size):
             y, x = down[row], across[column]
             u, v = motions[row, column, 0], motions[row, column, 1]
-            there, w00, w01, w10, w11 = _source_place(shape, y, x, u, v)
+            there, right, lower = _source_place(shape, y, x, u, v)
+            upper = _between(around, there, right)
             here, to = _place(shape[1], y, x, 0, 0), _place(width, y - top, x - left, 0, 0)
             for _ in range(PATCH):
-                below = there + continued
-                moved = _between(around, there, w00, w01) + _between(around, below, w10, w11)
-                error = absolute(moved - load(gray, here, PATCH) * shades) / shades
+                there += continued
+                below = _between(around, there, right)
+                error = absolute(_row_difference(gray, here, upper, below, lower))
                 weight, place = one / maximum(one, error), to
                 for factor in (u, v, np.float32(1)):
                     summed = load(sums, place, PATCH) + weight * broadcast(factor, PATCH)
                     store(sums, place, summed)
                     place += np.uint64(window.shape[1] * width)
-                there, here, to = below, here + stride, to + np.uint64(width)
+                upper, here, to = below, here + stride, to + np.uint64(width)
     for y in range(window.shape[1]):
         for axis in range(2):
             for x in range(width):
@@ -383,7 +414,7 @@ def _densify(
 
 
 @compiled(inline="always")
-def _between(values: Array, at: np.uint64, left: np.float32, right: np.float32) -> Any:
-    """A patch's row of some values and the one a pixel further, weighted."""
-    one = broadcast(left, PATCH) * load(values, at, PATCH)
-    return one + broadcast(right, PATCH) * load(values, at + np.uint64(1), PATCH)
+def _between(values: Array, at: np.uint64, share: np.float32) -> Any:
+    """As many values as a patch has columns, by a share of a pixel further to the right."""
+    left = load(values, at, PATCH)
+    return multiply_add(broadcast(share, PATCH), load(values, at + np.uint64(1), PATCH) - left, left)

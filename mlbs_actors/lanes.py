@@ -3,7 +3,8 @@
 LLVM puts a loop into vector registers by itself, but it asks before each whether what is written overlaps
 what is read, gives up where too many rows are read, and does what is left over of a short row one by one.
 With these types a kernel tells itself what is done side by side, and what is in between stays in registers.
-Each operation is that of IEEE 754 in every lane: the result is that of a loop over single numbers.
+Each operation is that of IEEE 754 in every lane: the result is that of a loop over single numbers. Only what
+:func:`multiply_add` gives can depend on the processor, by its last bit.
 
 In kernels, lanes of the same kind and count can be added, subtracted and multiplied, and those of float32
 divided. What is no such call does not compile: an array that is not flat and contiguous, say.
@@ -30,12 +31,12 @@ __all__ = [
     "load_int32",
     "maximum",
     "minimum",
+    "multiply_add",
     "rounded",
     "shifted",
     "square_root",
     "store",
     "sum_of_lanes",
-    "to_int32",
     "truncated",
     "where_equal",
 ]
@@ -53,6 +54,7 @@ _ITEMS: dict[Any, Any] = {types.float32: _FLOAT, types.int32: _INT}
 _WIDENED: dict[Any, str | None] = {
     (types.float32, types.float32): None,
     (types.uint8, types.float32): "uitofp",
+    (types.int16, types.float32): "sitofp",
     (types.uint8, types.int32): "zext",
     (types.int16, types.int32): "sext",
     (types.int32, types.int32): None,
@@ -108,7 +110,7 @@ _use(operator.truediv, "fdiv")
 
 @_in_kernels
 def load(typing: Any, array: Any, at: Any, count: Any) -> Any:
-    """Some numbers of an array of float32 or uint8, from a place (uint64) on; there must be as many."""
+    """Some numbers of an array of float32, int16 or uint8 from a place (uint64) on; there must be as many."""
     return _loaded(array, count, types.float32)
 
 
@@ -263,6 +265,12 @@ def absolute(typing: Any, value: Any) -> Any:
 
 
 @_in_kernels
+def multiply_add(typing: Any, one: Any, other: Any, added: Any) -> Any:
+    """Products of two numbers and a third one, rounded once where the processor can."""
+    return one(one, other, added), _of_each("fmuladd")
+
+
+@_in_kernels
 def maximum(typing: Any, one: Any, other: Any) -> Any:
     """The larger ones of two numbers; of a pair of which one is NaN, the other."""
     return one(one, other), _of_each("maxnum")
@@ -300,17 +308,6 @@ def truncated(typing: Any, value: Any) -> Any:
 def rounded(typing: Any, value: Any) -> Any:
     """Numbers rounded to the nearest whole one, halves to the even one."""
     return value(value), _of_each("rint")
-
-
-@_in_kernels
-def to_int32(typing: Any, value: Any) -> Any:
-    """Numbers rounded towards 0, as int32."""
-    whole = Lanes(value.count, types.int32)
-
-    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        return builder.fptosi(values[0], _register(whole))
-
-    return whole(value), build
 
 
 @_in_kernels

@@ -37,6 +37,9 @@ EVIDENCE_KEPT = np.float32(0.95)
 EVIDENCE_BOUNDS = (-2.0, 8.0)
 #: Least spacing of seeds, steps of the flow's grid, and where they are dense.
 LEAST_SPACING, LEAST_DENSE_SPACING = 3.0, 2.0
+#: A square of that grid with this side takes so many trajectories: a small mover needs all that the dense
+#: grid has, but of a large one fewer tell as much.
+SQUARE, MOST_IN_SQUARE = 8, 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,21 +247,41 @@ def _seeds(
     shape: tuple[int, int], step: tuple[float, float], spacings: tuple[float, float],
 ) -> Array:  # fmt: skip
     """The seeds of the grid and of the dense one, (n, 2) float32."""
-    taken = np.zeros(structure.shape, np.bool_)
+    taken, room = np.zeros(structure.shape, np.bool_), _room(structure.shape, positions, step)
     _take(taken, positions, step)
-    seeds = _grid_seeds(structure, mean, wanted, advantage, -np.inf, taken, shape, step, spacings[0])
+    seeds = _grid_seeds(structure, mean, wanted, advantage, -np.inf, taken, room, shape, step, spacings[0])
     _take(taken, seeds, step)
-    more = _grid_seeds(structure, mean, wanted, advantage, least_advantage, taken, shape, step, spacings[1])
+    more = _grid_seeds(
+        structure, mean, wanted, advantage, least_advantage, taken, room, shape, step, spacings[1]
+    )
     return np.concatenate((seeds, more))
+
+
+@compiled()
+def _room(shape: tuple[int, int], positions: Array, step: tuple[float, float]) -> Array:
+    """How many more trajectories each square of the shrunk frame takes."""
+    room = np.full((-(-shape[0] // SQUARE), -(-shape[1] // SQUARE)), MOST_IN_SQUARE)
+    for point in range(positions.shape[0]):
+        y, x = _pixel(positions, point, shape, step)
+        room[y // SQUARE, x // SQUARE] -= 1
+    return room
 
 
 @compiled()
 def _take(taken: Array, positions: Array, step: tuple[float, float]) -> None:
     """Mark the pixels of the shrunk frame where points are."""
     for point in range(positions.shape[0]):
-        x = min(max(int(positions[point, 0] / step[0]), 0), taken.shape[1] - 1)
-        y = min(max(int(positions[point, 1] / step[1]), 0), taken.shape[0] - 1)
-        taken[y, x] = True
+        taken[_pixel(positions, point, taken.shape, step)] = True
+
+
+@compiled(inline="always")
+def _pixel(
+    positions: Array, point: int, shape: tuple[int, int], step: tuple[float, float]
+) -> tuple[int, int]:
+    """Row and column of the pixel of the shrunk frame where a point is, or the nearest."""
+    x = min(max(int(positions[point, 0] / step[0]), 0), shape[1] - 1)
+    y = min(max(int(positions[point, 1] / step[1]), 0), shape[0] - 1)
+    return y, x
 
 
 @compiled()
@@ -269,11 +292,15 @@ def _grid_seeds(
     advantage: Array,
     least_advantage: float,
     taken: Array,
+    room: Array,
     shape: tuple[int, int],
     step: tuple[float, float],
     spacing: float,
 ) -> Array:
-    """The points of a grid in raster order that are wanted, structured and free, (n, 2) float32."""
+    """The points of a grid in raster order that are wanted, structured and free, (n, 2) float32.
+
+    Each takes some of its square's room.
+    """
     height, width = shape
     rows, columns = max(1, int(height / spacing)), max(1, int(width / spacing))
     # A trajectory covers a disc around it; a pixel at its very radius is free.
@@ -289,13 +316,15 @@ def _grid_seeds(
         for column in range(columns):
             x = np.float32((column + 0.5) * width / columns)
             u = min(int(x / step[0]), wanted.shape[1] - 1)
-            if not (wanted[v, u] and advantage[v, u] > least_advantage):
+            square = v // SQUARE, u // SQUARE
+            if not (wanted[v, u] and advantage[v, u] > least_advantage and room[square] > 0):
                 continue
             border = min(min(x, y), min(width - 1 - x, height - 1 - y))
             structured = structure[v, u] > mean * (0.1 + np.exp(-0.1 * border))
             if structured and not _covered(taken, v, u, half_width):
                 points[count, 0], points[count, 1] = x, y
                 count += 1
+                room[square] -= 1
     return points[:count].copy()
 
 

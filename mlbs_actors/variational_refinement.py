@@ -51,7 +51,7 @@ _FIRST, _ABOVE = 7, 14  # spare rows of the system, and of what binds the pixels
 
 @compiled()
 def refine_flow(
-    source: Array, target: Array, left: int, top: int, flow: Array, margin: int, shades: int, sweeps: int
+    source: Array, target: Array, left: int, top: int, flow: Array, margin: int, sweeps: int
 ) -> None:
     """Refine the flow in a part of a frame, in place.
 
@@ -60,12 +60,12 @@ def refine_flow(
     source : (h, w) uint8
         Grey levels.
     target : (h + 2 margin, w + 2 margin) float32
-        Grey levels × ``shades``, continued past its sides.
+        Grey levels, continued past its sides.
     left, top : int
         Where the part begins in ``source``, px.
     flow : (2 or more, height, width) float32
         x and y of the motion from ``source`` to ``target``, px; 2 pixels a side at least.
-    margin, shades : int
+    margin : int
     sweeps : int
         Of the solver, at most 5.
     """
@@ -76,7 +76,7 @@ def refine_flow(
     for newest in range(height + 2 + half_sweeps):
         if newest < height:
             _read_flow(rows, newest, width, flow)
-            _warp(rows, newest, width, source, target, left, top, margin, np.int32(shades), places)
+            _warp(rows, newest, width, source, target, left, top, margin, places)
         y = newest - 1
         if 0 <= y < height:
             _derive(rows, y, width, last, _MEAN, _X, _Y)
@@ -157,7 +157,7 @@ def _write_flow(rows: Array, y: int, width: int, flow: Array) -> None:
 @compiled()
 def _warp(
     rows: Array, y: int, width: int, source: Array, target: Array, left: int, top: int, margin: int,
-    shades: np.int32, places: Array,
+    places: Array,
 ) -> None:  # fmt: skip
     """Mean and difference of the source and of what the flow leads to in the target, grey levels."""
     one, zero = np.uint64(1), np.float32(0)
@@ -185,16 +185,16 @@ def _warp(
         lower = shown[place] + share * (shown[place + one] - shown[place])
         rows[difference + at] = upper + rows[down + at] * (lower - upper)
     gray, first = source.reshape(-1), np.uint64((y + top) * source.shape[1] + left)
-    own, unit = _row(_SPARE, 2, width), np.float32(1.0 / shades)
+    own = _row(_SPARE, 2, width)
     for x in range(width):
         at = np.uint64(x)
-        rows[own + at] = np.float32(np.int32(gray[first + at]) * shades)
+        rows[own + at] = np.float32(gray[first + at])
     for x in range(width):
         at = np.uint64(x)
-        rows[mean + at] = _HALF * unit * (rows[own + at] + rows[difference + at])
+        rows[mean + at] = _HALF * (rows[own + at] + rows[difference + at])
     for x in range(width):
         at = np.uint64(x)
-        rows[difference + at] = unit * (rows[difference + at] - rows[own + at])
+        rows[difference + at] -= rows[own + at]
     _continue(rows, mean - one, width)
     _continue(rows, difference - one, width)
 

@@ -16,12 +16,12 @@ from mlbs_actors.lanes import (
     load_int32,
     maximum,
     minimum,
+    multiply_add,
     rounded,
     shifted,
     square_root,
     store,
     sum_of_lanes,
-    to_int32,
     truncated,
     where_equal,
 )
@@ -88,19 +88,32 @@ def test_bytes_become_numbers_and_nothing_beside_is_written(most: int) -> None:
 
 
 @compiled()
-def _sums_of_whole_numbers(numbers: Array, shorts: Array, bytes_: Array) -> tuple[int, int, int]:
+def _sums_of_whole_numbers(shorts: Array, bytes_: Array) -> tuple[int, int, int]:
     one, other = load_int32(shorts, np.uint64(1), 8), load_int32(bytes_, np.uint64(2), 8)
-    cut = to_int32(load(numbers, np.uint64(0), 8)) - broadcast(np.int32(3), 8)
-    return sum_of_lanes(one * other), sum_of_lanes(one + other), sum_of_lanes(cut)
+    return sum_of_lanes(one * other), sum_of_lanes(one + other), sum_of_lanes(one - broadcast(np.int32(3), 8))
 
 
 def test_whole_numbers_are_summed_exactly() -> None:
     rng = np.random.default_rng(0)
-    numbers = rng.normal(0, 10, 8).astype(np.float32)
     shorts, bytes_ = rng.integers(-32768, 32768, 9, np.int16), rng.integers(0, 256, 10, np.uint8)
     one, other = shorts[1:].astype(int), bytes_[2:].astype(int)
-    expected = ((one * other).sum(), (one + other).sum(), (np.trunc(numbers) - 3).sum())
-    assert _sums_of_whole_numbers(numbers, shorts, bytes_) == expected
+    expected = ((one * other).sum(), (one + other).sum(), (one - 3).sum())
+    assert _sums_of_whole_numbers(shorts, bytes_) == expected
+
+
+@compiled()
+def _product_and_third(numbers: Array, shorts: Array, result: Array) -> None:
+    one, other = load(numbers, np.uint64(0), 8), load(shorts, np.uint64(1), 8)
+    store(result, np.uint64(0), multiply_add(one, other, one))
+
+
+def test_a_product_and_a_third_number_are_added_with_the_error_of_one_or_two_roundings() -> None:
+    rng = np.random.default_rng(0)
+    numbers, result = rng.normal(0, 10, 8).astype(np.float32), np.empty(8, np.float32)
+    shorts = rng.integers(-32768, 32768, 9, np.int16)
+    _product_and_third(numbers, shorts, result)
+    exact = numbers.astype(float) * (shorts[1:].astype(float) + 1)
+    np.testing.assert_allclose(result, exact, rtol=3e-7)
 
 
 @compiled()

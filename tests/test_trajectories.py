@@ -16,6 +16,8 @@ from mlbs_actors.messages import Array
 from mlbs_actors.trajectories import (
     EVIDENCE_BOUNDS,
     EVIDENCE_KEPT,
+    MOST_IN_SQUARE,
+    SQUARE,
     TrajectoryState,
     _seeds,
     advance_trajectories,
@@ -128,6 +130,12 @@ def test_seeds_keep_their_distance_and_leave_no_gap_in_a_textured_frame() -> Non
     assert np.quantile(gap, 0.95) <= 1.5 * SPACING
 
 
+def squares_of(positions: Array, shape: tuple[int, int], step: tuple[float, float]) -> list[tuple[int, int]]:
+    """The square of the shrunk frame that each point is in."""
+    pixels = np.clip((positions / step).astype(int), 0, [shape[1] - 1, shape[0] - 1])
+    return [(int(y) // SQUARE, int(x) // SQUARE) for x, y in pixels]
+
+
 def seeds_by_masks(
     positions: Array,
     structure: Array,
@@ -136,11 +144,12 @@ def seeds_by_masks(
     shape: tuple[int, int],
     spacings: list[float],
 ) -> Array:
-    """Seeds of two grids: every pixel's distance to the nearest point is known."""
+    """Seeds of two grids: how far each pixel is from the nearest point is known, and what a square holds."""
     height, width = shape
     step = (width / structure.shape[1], height / structure.shape[0])
     mean, seeds = float(structure.mean()), np.zeros((0, 2), np.float32)
     v, u = np.indices(structure.shape)
+    inside = squares_of(positions, structure.shape, step)
     for spacing, chosen in zip(spacings, (wanted, wanted & dense), strict=True):
         cells = (np.concatenate([positions, seeds]) / step).astype(int)
         cells = np.clip(cells, 0, [structure.shape[1] - 1, structure.shape[0] - 1])
@@ -155,8 +164,11 @@ def seeds_by_masks(
                 x, y = (np.float32((column + 0.5) * width / columns), np.float32((row + 0.5) * height / rows))
                 at = int(y / step[1]), int(x / step[0])
                 border = min(x, y, width - 1 - x, height - 1 - y)
-                if chosen[at] and free[at] and structure[at] > mean * (0.1 + np.exp(-0.1 * border)):
+                structured = structure[at] > mean * (0.1 + np.exp(-0.1 * border))
+                square = at[0] // SQUARE, at[1] // SQUARE
+                if chosen[at] and free[at] and structured and inside.count(square) < MOST_IN_SQUARE:
                     found.append((x, y))
+                    inside.append(square)
         seeds = np.concatenate([seeds, np.array(found, np.float32).reshape(-1, 2)])
     return seeds
 
@@ -173,6 +185,8 @@ def test_seeds_are_the_points_of_two_grids_that_are_wanted_structured_and_far_fr
     found = _seeds(positions, structure, mean, wanted, advantage, 2.0, shape, step, (10.0, 4.5))
     assert len(found) > 50
     np.testing.assert_array_equal(found, expected)
+    inside = squares_of(np.concatenate([positions, found]), structure.shape, step)
+    assert max(map(inside.count, inside)) == MOST_IN_SQUARE
 
 
 @pytest.mark.parametrize("shape", [(16, 16), (40, 56), (72, 96)])

@@ -9,7 +9,7 @@ import pytest
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.variational_refinement import refine_flow
 
-MARGIN, SHADES, OMEGA = 16, 16, 1.6
+MARGIN, OMEGA = 16, 1.6
 
 
 def textures(shape: tuple[int, int], seed: int) -> tuple[Array, Array]:
@@ -23,11 +23,11 @@ def textures(shape: tuple[int, int], seed: int) -> tuple[Array, Array]:
 
 def refined(source: Array, target: Array, part: Region, flow: Array, sweeps: int, steps: int = 1) -> Array:
     around = cv2.copyMakeBorder(
-        (target.astype(np.float32) * SHADES), MARGIN, MARGIN, MARGIN, MARGIN, cv2.BORDER_REPLICATE
+        target.astype(np.float32), MARGIN, MARGIN, MARGIN, MARGIN, cv2.BORDER_REPLICATE
     )
     flow = flow.copy()
     for _ in range(steps):
-        refine_flow(source, around, part.x, part.y, flow, MARGIN, SHADES, sweeps)
+        refine_flow(source, around, part.x, part.y, flow, MARGIN, sweeps)
     return flow
 
 
