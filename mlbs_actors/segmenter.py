@@ -45,7 +45,7 @@ from mlbs_actors.shadows import darkening, ground_colour, shadow_likelihood
 __all__ = ["Segmenter", "SegmenterState"]
 
 #: Margin of a layer's claim, px of a 640×480 frame.
-CLAIM_MARGIN_PX = 8.0
+CLAIM_MARGIN_PX = 4.0
 #: Quanta of the graph cut in one of the layers' costs.
 _QUANTA = np.int32(round(COST_STEP / COST_QUANTUM))
 #: Where shadows are not looked for.
