@@ -48,10 +48,6 @@ _SHORT_BURST, _LONG_BURST = 8, 24
 #: Bursts of a stream that are short: processes are made ready for the next one between bursts.
 _SHORT_BURSTS = 6
 
-#: Bursts of a stream before processes are made ready for its return, three seconds or so: its own have just
-#: been started, most of what it shows is born in these, and frames take longer while a process starts.
-_BURSTS_ALONE = 10
-
 #: How long the ends of a stream that is stopped are waited for, s.
 _STOP_SECONDS = 10.0
 
@@ -289,7 +285,7 @@ class StreamActors:
         at_once = self._live or self._bursts == 0 or self._kept_waiting
         progress = self._ask_for_burst() if at_once else self._turns.take(self._ask_for_burst)
         self._bursts += 1
-        if self._bursts > _BURSTS_ALONE:  # while the stream works: starting processes takes some time here
+        if self._bursts > 1:  # while the stream works: starting processes takes some time here
             self._under_way()
         return progress
 
