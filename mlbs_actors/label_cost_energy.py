@@ -327,9 +327,10 @@ def _around(
             other = np.uint64(pixel + down * width + right)
             w = weights_of[np.uint64(pixel), k] if k < 4 else weights_of[other, k - 4]
             label = label_of[other]
-            if label == UNDECIDED:
-                neighbour[i, k], weight[i, k] = position_of[other] if w > 0 else -1, w
+            if label == UNDECIDED and w > 0:
+                neighbour[i, k], weight[i, k] = position_of[other], w
                 continue
+            # Expansions look up no neighbour whose weight is 0.
             neighbour[i, k], weight[i, k] = -1, 0
             if w > 0:
                 if only == UNDECIDED:

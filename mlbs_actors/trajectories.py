@@ -37,8 +37,8 @@ EVIDENCE_KEPT = np.float32(0.95)
 EVIDENCE_BOUNDS = (-2.0, 8.0)
 #: Least spacing of seeds, steps of the flow's grid, and where they are dense.
 LEAST_SPACING, LEAST_DENSE_SPACING = 3.0, 2.0
-#: A square of that grid with this side takes so many trajectories: a small mover needs all that the dense
-#: grid has, but of a large one fewer tell as much.
+#: A square of that grid with this side takes so many trajectories, about half of what the dense grid has in
+#: it: of a large mover fewer tell as much, and a small one reaches into several squares.
 SQUARE, MOST_IN_SQUARE = 8, 7
 
 
