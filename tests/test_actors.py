@@ -8,6 +8,7 @@ import subprocess
 import sys
 import zlib
 from collections.abc import Sequence
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,6 +39,7 @@ from mlbs_actors.actors.processes import end, spawn
 from mlbs_actors.actors.shared_memory import Slot, SlotPool
 from mlbs_actors.actors.sink import GapRow, SinkActor
 from mlbs_actors.actors.stream_protocol import SourceFrame, SourceSilence, SourceStatus, StreamProgress
+from mlbs_actors.actors.turns import Turns
 from mlbs_actors.errors import ActorLostError, LayerError, SinkError, SourceError
 from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import scene
@@ -357,6 +359,30 @@ def test_a_drained_stop_labels_and_commits_exactly_what_was_read(
     assert final.read == final.committed == read < 100
     assert rows(tmp_path) == rows_in_one_process(parts, pictures[:read])
     assert stream.stop(drain=True) == final
+
+
+def test_a_stream_that_waits_for_its_turn_goes_on_with_it_and_can_be_drained_before(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    node._turns = Turns(1, 600.0)
+    held = Future[None]()
+    node._turns.take(lambda: held)
+    pictures = crowd(40, 2)
+    started = [
+        node.start(spec(name, FakeReader([*pictures], tmp_path / name))) for name in ("drained", "goes on")
+    ]
+    for stream in started:
+        stream.advance().result(timeout=200)  # the first burst takes no turn
+    waiting = [stream.advance() for stream in started]
+    final = started[0].stop(drain=True)
+    assert final is not None
+    assert final.done
+    assert rows(tmp_path / "drained") == rows_in_one_process(parts, pictures[: final.read])
+    assert not waiting[1].done()
+    held.set_result(None)
+    assert waiting[1].result(timeout=200).read > final.read
+    run_to_end(started[1])
+    assert rows(tmp_path / "goes on") == rows_in_one_process(parts, pictures)
 
 
 def test_stopping_and_closing_leaves_no_process(

@@ -39,6 +39,14 @@ def test_so_many_are_under_way_and_the_others_follow_in_their_order() -> None:
     assert not again.done()
 
 
+def test_who_has_to_wait_is_told_so_before_it_begins() -> None:
+    turns, calls = Turns(1, 60.0), Calls()
+    turns.take(lambda: calls.begin("a"), lambda: calls.begun.append("a waits"))
+    turns.take(lambda: calls.begin("b"), lambda: calls.begun.append("b waits"))
+    calls.futures["a"].set_result("A")
+    assert calls.begun == ["a", "b waits", "b"]
+
+
 def test_one_that_fails_gives_its_turn_to_the_next() -> None:
     turns, calls = Turns(1, 60.0), Calls()
 

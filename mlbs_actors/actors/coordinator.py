@@ -21,8 +21,10 @@ import ray
 from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.account import StreamAccount
+from mlbs_actors.actors.bell import BellRope, await_bell
 from mlbs_actors.actors.channels import ChannelClosedError
 from mlbs_actors.actors.failures import POOL, SEGMENTER, SINK, explain, is_loss, reader_lost, source_failure
+from mlbs_actors.actors.idle_threads import look_round_seldom
 from mlbs_actors.actors.layers_at_work import Housed
 from mlbs_actors.actors.live_layers import LiveLayers
 from mlbs_actors.actors.live_reader import LiveReadAhead
@@ -106,6 +108,7 @@ class CoordinatorActor:
 
     def __init__(self, spec: StreamSpec, parts: PartFactory, links: StreamLinks, run: int) -> None:
         limit_process()
+        look_round_seldom()
         self._spec = spec
         self._links = links
         self._coordinator = parts.coordinator(spec.config)
@@ -141,6 +144,10 @@ class CoordinatorActor:
             If the stream failed, now or in an earlier call. What was labelled before is committed.
         """
         return self._guarded(frames)
+
+    def doze(self, rope: BellRope) -> None:
+        """Wait for the bell: between its bursts the process takes no time so."""
+        await_bell(rope)
 
     def finish(self) -> StreamProgress:
         """Read no more, label and commit what was read, close the record; raises as :meth:`advance`."""

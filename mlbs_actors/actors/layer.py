@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mlbs_actors.actors.channels import ChannelOffer, OfferedChannel
+from mlbs_actors.actors.idle_threads import look_round_seldom
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import LayerPart, PartFactory
 from mlbs_actors.actors.priority import stepping_back
@@ -126,6 +127,7 @@ class LayerActor:
 
     def __init__(self, parts: PartFactory, awaited: bool) -> None:
         limit_process()
+        look_round_seldom()
         with stepping_back(awaited=awaited):
             parts.warm_layer()
         settle_memory()

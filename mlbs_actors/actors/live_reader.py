@@ -17,6 +17,7 @@ import ray
 from ray.exceptions import GetTimeoutError
 
 from mlbs_actors.actors.channels import ChannelOffer, OfferedChannel
+from mlbs_actors.actors.idle_threads import look_round_seldom
 from mlbs_actors.actors.processes import Handle
 from mlbs_actors.actors.reader import LEAST_ASKED, Answer, ReadAhead, ReadNext, answer
 from mlbs_actors.actors.shared_memory import SharedMemory, Slot, SlotPool
@@ -98,6 +99,7 @@ class LiveReaderActor:
 
     def __init__(self, open_reader: Callable[[], FrameReader]) -> None:
         limit_process()
+        look_round_seldom()
         self._open_reader = open_reader
         self._reader: FrameReader | None = None
         self._ring = FrameRing()

@@ -16,6 +16,7 @@ from typing import Any
 import ray
 from ray.exceptions import GetTimeoutError, RayError
 
+from mlbs_actors.actors.bell import Bell
 from mlbs_actors.actors.coordinator import CoordinatorActor, StreamLinks
 from mlbs_actors.actors.failures import COORDINATOR, POOL, SEGMENTER, explain
 from mlbs_actors.actors.live_reader import LiveReaderActor
@@ -97,7 +98,9 @@ class Node:
         parts: PartFactory | None = None,
         policy: PoolPolicy | None = None,
     ) -> None:
-        self._node = ray.get_runtime_context().get_node_id() if node is None else node
+        drivers = ray.get_runtime_context().get_node_id()
+        self._node = drivers if node is None else node
+        self._beside_driver = self._node == drivers
         self._parts = parts or EngineParts()
         self._policy = policy or PoolPolicy()
         self._pool = self._new_pool()
@@ -126,6 +129,7 @@ class Node:
             sink=self._sinks[run % len(self._sinks)],
             turns=self._turns,
             under_way=self.prepare,
+            bell=Bell() if self._beside_driver else None,
         )
 
     def prepare(self) -> bool:
@@ -224,6 +228,8 @@ class StreamActors:
         Of the node.
     under_way : callable
         Called again and again once the stream has some frames behind it.
+    bell : Bell, optional
+        For the coordinator between its turns; only on the driver's own node.
 
     Attributes
     ----------
@@ -243,6 +249,7 @@ class StreamActors:
         sink: Handle,
         turns: Turns,
         under_way: Callable[[], object],
+        bell: Bell | None,
     ) -> None:
         self._name = spec.name
         self._live = not spec.replayable
@@ -267,6 +274,8 @@ class StreamActors:
         self._begun: Future[None] = begun.future()
         self._turns = turns
         self._under_way = under_way
+        self._bell = bell
+        self._dozing = False
         self._bursts = 0
         self._kept_waiting = False
         self.living_reader: Handle | None = None
@@ -283,7 +292,7 @@ class StreamActors:
         """
         # A camera's stream waits for its pictures, one that starts for its processes, another for its file.
         at_once = self._live or self._bursts == 0 or self._kept_waiting
-        progress = self._ask_for_burst() if at_once else self._turns.take(self._ask_for_burst)
+        progress = self._ask_for_burst() if at_once else self._turns.take(self._ask_for_burst, self._doze)
         self._bursts += 1
         if self._bursts > 1:  # while the stream works: starting processes takes some time here
             self._under_way()
@@ -307,6 +316,7 @@ class StreamActors:
         if self._stopped:
             return self._final
         self._stopped = True
+        self._wake()
         if drain:
             with suppress(MlbsError):
                 self._final = self._explained(self._coordinator.finish.remote()).result()
@@ -321,9 +331,24 @@ class StreamActors:
         for last in (self._pool.end.remote(self._run), self._sink.close.remote(self._run)):
             with suppress(RayError, GetTimeoutError):
                 ray.get(last, timeout=_STOP_SECONDS)
+        if self._bell is not None:
+            self._bell.close()
         return self._final
 
+    def _doze(self) -> None:
+        """Have the coordinator wait for its next call inside one."""
+        if self._bell is not None:
+            self._coordinator.doze.remote(self._bell.rope)
+            self._dozing = True
+
+    def _wake(self) -> None:
+        if self._dozing:
+            assert self._bell is not None
+            self._bell.ring()
+            self._dozing = False
+
     def _ask_for_burst(self) -> Future[StreamProgress]:
+        self._wake()
         frames = _SHORT_BURST if self._live or self._bursts < _SHORT_BURSTS else _LONG_BURST
         return self._explained(self._coordinator.advance.remote(frames))
 

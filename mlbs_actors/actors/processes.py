@@ -10,6 +10,7 @@ import ray
 from ray.exceptions import GetTimeoutError, OutOfMemoryError, RayActorError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+from mlbs_actors.actors.idle_threads import look_round_seldom
 from mlbs_actors.actors.priority import stepping_back
 
 __all__ = [
@@ -83,6 +84,7 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node
     """
 
     def wait(self: object) -> None:
+        look_round_seldom()
         with stepping_back(awaited=awaited):
             warm()
 

@@ -12,6 +12,7 @@ import ray
 from ray.exceptions import GetTimeoutError
 
 from mlbs_actors.actors.channels import Channel, ChannelClosedError, ChannelOffer, OfferedChannel, take
+from mlbs_actors.actors.idle_threads import look_round_seldom
 from mlbs_actors.actors.processes import NOTICE_SECONDS, Handle, Reference
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourceSilence
@@ -57,6 +58,7 @@ class ReaderActor:
 
     def __init__(self, open_reader: Callable[[], FrameReader]) -> None:
         limit_process()
+        look_round_seldom()
         self._open_reader = open_reader
         self._reader: FrameReader | None = None
         self._memory = SharedMemory()

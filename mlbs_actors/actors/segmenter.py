@@ -14,6 +14,7 @@ from pathlib import Path
 import ray
 
 from mlbs_actors.actors.channels import Channel, ChannelOffer, OfferedChannel, take
+from mlbs_actors.actors.idle_threads import look_round_seldom
 from mlbs_actors.actors.layer import LayerStep
 from mlbs_actors.actors.layers_at_work import Housed, LayersAtWork
 from mlbs_actors.actors.order import FrameOrder
@@ -94,6 +95,7 @@ class SegmenterActor:
 
     def __init__(self, parts: PartFactory, config: Config) -> None:
         limit_process()
+        look_round_seldom()
         self._segmenter = parts.segmenter(config)
         settle_memory()
         self._memory = SharedMemory()

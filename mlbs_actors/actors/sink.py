@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import ray
 from ray.exceptions import RayError
 
+from mlbs_actors.actors.idle_threads import look_round_seldom
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.processes import Handle, Reference
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotPool
@@ -75,6 +76,7 @@ class SinkActor:
 
     def __init__(self) -> None:
         limit_process()
+        look_round_seldom()
         self._records: dict[int, tuple[StreamSink, FrameOrder, SharedMemory]] = {}
 
     def open(self, run: int, open_sink: Callable[[], StreamSink]) -> Opening:

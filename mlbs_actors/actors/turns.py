@@ -39,10 +39,13 @@ class Turns:
         self._waiting: deque[Callable[[], None]] = deque()
         self._lock = Lock()
 
-    def take(self, begin: Callable[[], Future[Answer]]) -> Future[Answer]:
+    def take(
+        self, begin: Callable[[], Future[Answer]], while_waiting: Callable[[], None] | None = None
+    ) -> Future[Answer]:
         """Have ``begin`` called as soon as it is its turn; return what its future will have.
 
-        The turn is over when that future is done, or after ``patience``.
+        The turn is over when that future is done, or after ``patience``. Where it is not its turn yet,
+        ``while_waiting`` is called before, once.
         """
         answer: Future[Answer] = Future()
 
@@ -68,6 +71,8 @@ class Turns:
         with self._lock:
             if self._free == 0:
                 self._waiting.append(start)
+                if while_waiting is not None:
+                    while_waiting()  # while nobody can pass the turn on
                 return answer
             self._free -= 1
         start()

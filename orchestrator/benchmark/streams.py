@@ -6,9 +6,10 @@ rates of several at once, it is believed for nodes that are not there: how many 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from statistics import fmean
 
 from orchestrator.admission import STREAM_BYTES, cores
 from orchestrator.benchmark.finding import Finding
@@ -51,23 +52,36 @@ class StreamsCost:
         seconds = sum(cpu_growth(window.before, window.after).values())
         return StreamsCost(window.frames_a_second, 1e3 * seconds / window.frames)
 
+    @staticmethod
+    def mean(costs: Sequence[StreamsCost]) -> StreamsCost:
+        """Of several runs."""
+        return StreamsCost(fmean(one.frames_a_second for one in costs), fmean(one.cpu_ms for one in costs))
+
 
 def measure_streams(setting: Setting, streams: tuple[int, ...] = STREAMS) -> Finding:
-    """Run each sequence through Ray once, twice … at once; none waits for a place, as in a run it might."""
+    """Run each sequence through Ray once, twice … at once; none waits for a place, as in a run it might.
+
+    Each number of streams is run twice, there and back (1, 2, 4, 8, 8, 4, 2, 1), and the means count: where
+    the machine's own speed changes meanwhile, it does so for all of them.
+    """
     tables, figures, plots = [], {}, {}
     for number, name in enumerate(setting.sequences):
         video = setting.endless_video(name)
-        costs = {}
-        for step, count in enumerate(streams):
-            say(f"streams: {name}, {count} at once ({step + 1} of {len(streams)})")
+        runs: dict[int, list[StreamsCost]] = {count: [] for count in streams}
+        alone: list[Mapping[str, float]] = []
+        there_and_back = (*streams, *reversed(streams))
+        for step, count in enumerate(there_and_back):
+            say(f"streams: {name}, {count} at once ({step + 1} of {len(there_and_back)})")
             with pipeline(setting.config, setting.folder) as session:
                 for _ in range(count):
                     session.start(partial(EndlessReader, video))
                 window = session.steady_window(setting.warm, setting.steady)
-            costs[count] = StreamsCost.of(window)
-            if step == 0:
+            runs[count].append(StreamsCost.of(window))
+            if count == streams[0]:
                 objects = sum(kind == "object layer" for kind in window.kinds.values()) // count
-                one = StageCosts.of(cpu_ms_by_kind(window), objects)
+                alone.append(cpu_ms_by_kind(window))
+        one = StageCosts.of(_mean_of_kinds(alone), objects)
+        costs = {count: StreamsCost.mean(of_count) for count, of_count in runs.items()}
         most = most_frames_a_second(cores(), costs[streams[0]].cpu_ms)
         say(f"streams: {name}, the model of nodes")
         modelled = {count: simulate(one, count, cores()).frames_a_second for count in streams}
@@ -90,6 +104,12 @@ def measure_streams(setting: Setting, streams: tuple[int, ...] = STREAMS) -> Fin
             "lines",
         )
     return Finding(tuple(tables), figures, plots)
+
+
+def _mean_of_kinds(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """CPU time a frame of each kind of process, over several runs."""
+    kinds = sorted({kind for run in runs for kind in run})
+    return {kind: fmean(run.get(kind, 0.0) for run in runs) for kind in kinds}
 
 
 def most_frames_a_second(core_count: int, cpu_ms: float) -> float:
