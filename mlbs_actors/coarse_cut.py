@@ -64,9 +64,7 @@ def halved(whole: LabelCostEnergy) -> LabelCostEnergy:
     """
     if whole.side != 2:
         whole = whole.of_pixels()
-    unary, weights, places = costs_of_blocks(
-        whole.unary, whole.side, whole.extras, whole.boxes(), whole.weights
-    )
+    unary, weights, places = costs_of_blocks(*whole.arrays[:5])
     return LabelCostEnergy(unary, weights, whole.label_costs, places=places)
 
 
@@ -92,7 +90,7 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
 def opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
     """The labels of the blocks' pixels, open beside the outlines; and which labels are elsewhere."""
     rows, columns = blocks.shape
-    labels, elsewhere = np.empty((height, width), np.int16), np.zeros(label_count, np.bool_)
+    labels = np.empty((height, width), np.int16)
     for y in range(height):
         own, above = labels[y], blocks[y // 2]
         for u in range(width // 2):
@@ -112,8 +110,7 @@ def opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Ar
         own = labels[y]
         for x in range(width):
             seen[np.uint64(own[np.uint64(x)] - UNDECIDED)] = True
-    elsewhere[:] = seen[1:]
-    return labels, elsewhere
+    return labels, seen[1:].copy()
 
 
 @compiled()

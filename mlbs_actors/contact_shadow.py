@@ -54,6 +54,7 @@ def contact_shadow(
     unlit, runs, pieces = _looked_over(labels, dark.mean, dark.spread, dark.brightness, side)
     found = np.zeros(labels.shape, np.bool_)
     edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
     steepest, gap = np.float32(CONTACT_SMOOTH / scale), CONTACT_GAP_PX * scale
     for piece, x, y, width, height in pieces.tolist():
         feet, least = Region(x, y + height // 2, width, height - height // 2), CONTACT_WIDTH * height
@@ -64,7 +65,6 @@ def contact_shadow(
             continue
         wide = Region(feet.x + left, feet.y + top, right - left, bottom - top)
         core = _resting(foot, above, _steepness(frame, wide), left, top, steepest, least, gap)
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
         _take_strip(cv2.dilate(core, disc), foot, body, found, feet.x, feet.y)
     return found
 

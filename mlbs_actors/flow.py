@@ -16,7 +16,6 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
 from mlbs_actors.inverse_search import (
-    PATCH,
     FlowLevel,
     SearchEffort,
     coarsest_level,
@@ -25,6 +24,7 @@ from mlbs_actors.inverse_search import (
     resized_flow,
 )
 from mlbs_actors.messages import Array, Region
+from mlbs_actors.patch_search import PATCH
 
 __all__ = ["DenseFlow", "dense_flow", "flow_gray", "reliable_at"]
 

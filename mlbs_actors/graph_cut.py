@@ -35,7 +35,7 @@ from mlbs_actors.errors import ConfigError
 from mlbs_actors.expansion_course import Course
 from mlbs_actors.label_cost_energy import LabelCostEnergy, UndecidedEnergy
 from mlbs_actors.label_removal import remove_labels
-from mlbs_actors.level_cut import label_levels
+from mlbs_actors.level_cut import is_large, label_levels
 from mlbs_actors.messages import Array
 
 __all__ = [
@@ -117,30 +117,15 @@ def lowest_labels(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> Array:
 
     To look at all costs, and to tell the energies, takes time.
     """
-    labels, found = label_levels(
-        whole.unary,
-        whole.side,
-        whole.extras,
-        whole.boxes(),
-        whole.weights,
-        whole.label_costs,
-        MOST_CUT_WHOLE,
-        max_sweeps,
-    )
+    labels, found = label_levels(*whole.arrays, MOST_CUT_WHOLE, max_sweeps)
     return labels if found else _minimise(whole, max_sweeps)[0]
-
-
-def _is_large(whole: LabelCostEnergy, level: int) -> bool:
-    """Whether this is labelled coarse to fine; level 0 are pixels."""
-    height, width = whole.weights.shape[:2]
-    return bool(height * width > MOST_CUT_WHOLE[min(level, len(MOST_CUT_WHOLE) - 1)])
 
 
 def _minimise(
     whole: LabelCostEnergy, max_sweeps: int, level: int = 0
 ) -> tuple[Array, list[int], bool, float]:
     """Labels, energies up to a constant, whether nothing lowers them, and the fraction decided."""
-    if _is_large(whole, level):
+    if is_large(whole.weights, level, MOST_CUT_WHOLE):
         band = band_around_outlines(whole, _minimise(halved(whole), max_sweeps, level + 1)[0])
         labels, rest, start = band.labels, band.rest, band.start
         # The outlines are nearly there: a second sweep over a band would move hardly a pixel.

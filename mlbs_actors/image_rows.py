@@ -5,13 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.lanes import Lanes, broadcast, load, maximum, store
+from mlbs_actors.lanes import LANES, Lanes, broadcast, load, maximum, store
 from mlbs_actors.messages import Array
 
-__all__ = ["LANES", "padded_planes", "read_row", "row_room"]
-
-#: Pixels of a row that are done at once.
-LANES = 16
+__all__ = ["padded_planes", "read_row", "row_room"]
 
 
 @compiled()

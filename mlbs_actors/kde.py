@@ -27,8 +27,9 @@ from numpy.polynomial import Chebyshev, Polynomial
 
 from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, warp_model
 from mlbs_actors.compilation import compiled
-from mlbs_actors.image_rows import LANES, padded_planes, read_row, row_room
+from mlbs_actors.image_rows import padded_planes, read_row, row_room
 from mlbs_actors.lanes import (
+    LANES,
     absolute,
     broadcast,
     exp2_of_whole,

@@ -24,7 +24,6 @@ __all__ = [
     "costs_of_pixels",
     "energy_of_labels",
     "left_open",
-    "neighbour_and_weight",
     "undecided_energy",
 ]
 
@@ -74,6 +73,12 @@ class LabelCostEnergy:
         return np.tile(
             np.array([0, self.unary.shape[1], 0, self.unary.shape[2]], np.int64), (len(self.unary), 1)
         )
+
+    @property
+    def arrays(self) -> tuple[Array, int, Array, Array, Array, Array]:
+        """What kernels take of an energy, in their order: ``unary``, ``side``, ``extras``, ``places`` of all
+        labels, ``weights`` and ``label_costs``."""
+        return self.unary, self.side, self.extras, self.boxes(), self.weights, self.label_costs
 
     def of_pixels(self) -> LabelCostEnergy:
         """The same energy with a unary cost for each pixel, (K, H, W)."""
@@ -163,21 +168,12 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     -------
     UndecidedEnergy
     """
-    pixels, row, offers, neighbour, weight, label_costs = left_open(
-        whole.unary,
-        whole.side,
-        whole.extras,
-        whole.boxes(),
-        whole.weights,
-        whole.label_costs,
-        labels,
-        elsewhere,
-    )
+    pixels, row, offers, neighbour, weight, label_costs = left_open(*whole.arrays, labels, elsewhere)
     return UndecidedEnergy(pixels, row, Offers(*offers), neighbour, weight, label_costs, elsewhere)
 
 
 @compiled()
-def neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, int]:
+def _neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, int]:
     """Row and column of a neighbour, and where the weight to it is found: row, column and direction."""
     v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
     if k < 4:
@@ -268,7 +264,7 @@ def _saved_by(label: int, labels: Array, weights: Array, y: int, x: int) -> int:
     """Sum of the weights to a pixel's neighbours of one label."""
     saved = 0
     for k in range(8):
-        v, u, row, column, direction = neighbour_and_weight(y, x, k)
+        v, u, row, column, direction = _neighbour_and_weight(y, x, k)
         if 0 <= v < labels.shape[0] and 0 <= u < labels.shape[1] and labels[v, u] == label:
             saved += weights[row, column, direction]
     return saved

@@ -21,6 +21,7 @@ from numba import types
 from numba.extending import intrinsic, models, overload, register_model
 
 __all__ = [
+    "LANES",
     "Lanes",
     "absolute",
     "broadcast",
@@ -43,6 +44,8 @@ __all__ = [
 
 #: Numbers of lanes that there are: half a register of the widest kind, and one.
 COUNTS = (8, 16)
+#: Of a register of the widest kind: so much of a row is done at once.
+LANES = 16
 
 #: Decorator of a function that only kernels can call: it tells its result's type, and makes its instructions;
 #: without a type there is no such function.

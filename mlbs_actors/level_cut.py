@@ -2,7 +2,9 @@
 
 Groups of claims are small, and each is cut on several levels: handing a dozen arrays from one kernel to the
 next by way of Python took a sixth of the time. What seldom happens is left to :mod:`mlbs_actors.graph_cut`,
-which begins again: one label could be done without, or one expansion could free several of their costs.
+which begins all levels again: one label could be done without on the coarsest level, or one expansion could
+free several of their costs on any. Whether a label could be done without is not asked on the finer levels, by
+neither way: they have one sweep.
 """
 
 from __future__ import annotations
@@ -17,7 +19,14 @@ from mlbs_actors.label_cost_energy import costs_of_pixels, left_open
 from mlbs_actors.label_removal import gains_by_removal
 from mlbs_actors.messages import Array
 
-__all__ = ["label_levels"]
+__all__ = ["is_large", "label_levels"]
+
+
+@compiled()
+def is_large(weights: Array, level: int, most_cut_whole: tuple[int, ...]) -> bool:
+    """Whether pixels with these pair weights are labelled coarse to fine; level 0 are the image's."""
+    most = most_cut_whole[min(level, len(most_cut_whole) - 1)]
+    return bool(weights.shape[0] * weights.shape[1] > most)
 
 
 @compiled()
@@ -42,14 +51,13 @@ def label_levels(
     found : bool
         False if this has to be done in the general way.
     """
-    height, width = weights.shape[:2]
     none = np.zeros((0, 4), np.int64)
     costs, boxes, rest, cell = unary, places, extras, side
-    if side != 2 or height * width <= most_cut_whole[0]:
-        costs, boxes = costs_of_pixels(unary, side, extras, places, height, width)
+    if side != 2 or not is_large(weights, 0, most_cut_whole):
+        costs, boxes = costs_of_pixels(unary, side, extras, places, weights.shape[0], weights.shape[1])
         rest, cell = none, 1
     levels = [(costs, boxes, weights)]
-    while weights.shape[0] * weights.shape[1] > most_cut_whole[min(len(levels), len(most_cut_whole)) - 1]:
+    while is_large(weights, len(levels) - 1, most_cut_whole):
         costs, weights, boxes = costs_of_blocks(costs, cell, rest, boxes, weights)
         rest, cell = none, 1
         levels.append((costs, boxes, weights))

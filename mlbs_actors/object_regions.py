@@ -30,10 +30,10 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 
+__all__ = ["bounds", "box_of", "box_within", "contested", "median_motion", "object_region"]
+
 #: Pixels for each trajectory, of a 640×480 frame, up to which an object's trajectories cover it.
 _COVERED_PX = 100.0
-
-__all__ = ["bounds", "box_of", "box_within", "contested", "median_motion", "object_region"]
 
 
 def object_region(

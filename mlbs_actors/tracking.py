@@ -17,11 +17,11 @@ from mlbs_actors.epipolar import explains, forward_motion, static_motion
 from mlbs_actors.flow import DenseFlow
 from mlbs_actors.messages import Array
 from mlbs_actors.sampling import sample_map
+from mlbs_actors.seeding import seed_trajectories
 from mlbs_actors.trajectories import (
     TrajectoryState,
     advance_trajectories,
     evenly_spread,
-    seed_trajectories,
     selected,
     with_residuals,
 )

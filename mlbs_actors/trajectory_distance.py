@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.lanes import Lanes, broadcast, broadcast_lane, load, minimum, shifted, store
+from mlbs_actors.lanes import LANES, Lanes, broadcast, broadcast_lane, load, minimum, shifted, store
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["closed_distance", "occupied_cells", "occupy", "to_occupied", "trajectory_distance"]
@@ -19,9 +19,7 @@ __all__ = ["closed_distance", "occupied_cells", "occupy", "to_occupied", "trajec
 _STRAIGHT, _DIAGONAL, _KNIGHT = np.float32(1), np.float32(1.4), np.float32(2.1969)
 #: Infinite cells around all others, so that no step asks for the border.
 _BORDER = 2
-#: Cells of a row that are told at once.
-LANES = 16
-#: From the cell before those to each of them, and from the one after them.
+#: From the cell before those of a register to each of them, and from the one after them.
 _STEPS = np.arange(1, LANES + 1).astype(np.float32)
 _STEPS_BACK = _STEPS[::-1].copy()
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.lanes import broadcast, load, square_root, store
+from mlbs_actors.lanes import LANES, broadcast, load, square_root, store
 from mlbs_actors.messages import Array
 
 __all__ = ["refine_flow"]
@@ -29,9 +29,6 @@ RELAXATION = np.float32(1.6)
 
 _ZETA2, _EPSILON2 = np.float32(0.1**2), np.float32(0.001**2)
 _HALF, _ONE = np.float32(0.5), np.float32(1)
-
-#: Pixels of a row that are done side by side; the last ones of them may lie past its end.
-LANES = 16
 
 # Kinds of rows, of which the last 16 are kept; each has a pixel more at both ends.
 _ROWS = 16

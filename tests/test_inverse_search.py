@@ -6,10 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from mlbs_actors import inverse_search
+from mlbs_actors import patch_search
 from mlbs_actors.inverse_search import (
-    MARGIN,
-    PATCH,
     FlowLevel,
     SearchEffort,
     coarsest_level,
@@ -18,6 +16,7 @@ from mlbs_actors.inverse_search import (
     resized_flow,
 )
 from mlbs_actors.messages import Array, Region
+from mlbs_actors.patch_search import MARGIN, PATCH
 
 EFFORT = SearchEffort(iterations=6, refinements=1, stride=5)
 
@@ -71,19 +70,19 @@ def test_differences_and_mismatch_of_a_patch_are_those_summed_pixel_by_pixel(
     place = (source.shape, y, x, np.float32(u), np.float32(v))
     gray, around = before.gray.ravel(), after.around.ravel()
     slopes = before.slope_x.ravel(), before.slope_y.ravel()
-    found = inverse_search._differences(gray, around, slopes[0], slopes[1], *place)
+    found = patch_search._differences(gray, around, slopes[0], slopes[1], *place)
     sums = (difference, difference**2, difference * slope_x, difference * slope_y)
     for one, plain in zip(found, sums, strict=True):
         assert abs(one - plain.sum()) <= 1e-4 * abs(plain).sum()
     expected = np.square(difference - difference.mean()).sum()
-    mismatch = inverse_search._mismatch(gray, around, *place)
+    mismatch = patch_search._mismatch(gray, around, *place)
     np.testing.assert_allclose(mismatch, expected, rtol=1e-3)
 
 
 def test_slopes_are_summed_over_the_patch() -> None:
     [level] = flow_levels(texture(48, 64), 0)
     x, y = (one[11 : 11 + PATCH, 7 : 7 + PATCH].astype(float) for one in (level.slope_x, level.slope_y))
-    found = inverse_search._slopes(level.slope_x.ravel(), level.slope_y.ravel(), (48, 64), 11, 7)
+    found = patch_search._slopes(level.slope_x.ravel(), level.slope_y.ravel(), (48, 64), 11, 7)
     np.testing.assert_allclose(
         found, [(x * x).sum(), (x * y).sum(), (y * y).sum(), x.sum(), y.sum()], rtol=1e-6
     )
@@ -93,10 +92,10 @@ def test_a_pixels_motion_is_the_weighted_mean_of_the_patches_over_it() -> None:
     source, target = texture(40, 48, 1), texture(40, 48, 2)
     [before], [after] = flow_levels(source, 0), flow_levels(target, 0)
     part = Region(4, 6, 29, 23)
-    across, down = (inverse_search._patch_places(*one, 5) for one in ((4, 29), (6, 23)))
+    across, down = (patch_search.patch_places(*one, 5) for one in ((4, 29), (6, 23)))
     motions = np.random.default_rng(0).normal(0, 3, (len(down), len(across), 2)).astype(np.float32)
     window = np.zeros((3, part.height, part.width), np.float32)
-    inverse_search._densify(before.gray, after.around, motions, across, down, part.x, part.y, window)
+    patch_search.densify(before.gray, after.around, motions, across, down, part.x, part.y, window)
     sums = np.zeros((3, *source.shape))
     for row, y in enumerate(down):
         for column, x in enumerate(across):
@@ -111,7 +110,7 @@ def test_a_pixels_motion_is_the_weighted_mean_of_the_patches_over_it() -> None:
 
 @pytest.mark.parametrize(("start", "length"), [(0, 8), (3, 9), (0, 13), (5, 40)])
 def test_patches_cover_a_part_and_do_not_leave_it(start: int, length: int) -> None:
-    places = inverse_search._patch_places(start, length, 5)
+    places = patch_search.patch_places(start, length, 5)
     covered = {int(place) + i for place in places for i in range(PATCH)}
     assert covered == set(range(start, start + length))
     assert (np.diff(places) > 0).all()
@@ -148,12 +147,12 @@ def searched_one_by_one(
                     known.append(motions[row, column - step])
                 if 0 <= row - step < len(down):
                     known.append(motions[row - step, column])
-                misfits = [inverse_search._mismatch(*images, shape, y, x, u, v) for u, v in known]
+                misfits = [patch_search._mismatch(*images, shape, y, x, u, v) for u, v in known]
                 start = known[int(np.argmin(misfits))]
-                slopes = np.array(inverse_search._slopes(slope_x, slope_y, shape, y, x), np.float32)
+                slopes = np.array(patch_search._slopes(slope_x, slope_y, shape, y, x), np.float32)
                 (u, v), least = start, np.inf
                 for _ in range(iterations):
-                    *stepped, mismatch = inverse_search._descended(
+                    *stepped, mismatch = patch_search._descended(
                         *images, slope_x, slope_y, shape, y, x, u, v, slopes
                     )
                     u, v = np.array(stepped, np.float32)
@@ -167,10 +166,10 @@ def searched_one_by_one(
 @pytest.mark.parametrize("part", [Region(0, 0, 128, 96), Region(3, 5, 61, 8), Region(40, 2, 8, 90)])
 def test_patches_searched_in_turns_find_what_they_find_one_by_one(part: Region) -> None:
     [before], [after] = flow_levels(texture(96, 128, 1), 0), flow_levels(texture(96, 128, 2), 0)
-    across = inverse_search._patch_places(part.x, part.width, 5)
-    down = inverse_search._patch_places(part.y, part.height, 5)
+    across = patch_search.patch_places(part.x, part.width, 5)
+    down = patch_search.patch_places(part.y, part.height, 5)
     flow = np.random.default_rng(0).normal(0, 6, (2, 96, 128)).astype(np.float32)
-    found = inverse_search._search(
+    found = patch_search.search_patches(
         before.gray, after.around, before.slope_x, before.slope_y, flow, across, down, 3
     )
     np.testing.assert_array_equal(found, searched_one_by_one(before, after, flow, across, down, 3))

@@ -13,17 +13,14 @@ from scipy.spatial.distance import pdist
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
 from mlbs_actors.flow import DenseFlow, dense_flow
 from mlbs_actors.messages import Array
+from mlbs_actors.seeding import MOST_IN_SQUARE, SQUARE, _seeds, seed_trajectories
 from mlbs_actors.trajectories import (
     EVIDENCE_BOUNDS,
     EVIDENCE_KEPT,
-    MOST_IN_SQUARE,
-    SQUARE,
     TrajectoryState,
-    _seeds,
     advance_trajectories,
     empty_trajectories,
     evenly_spread,
-    seed_trajectories,
     with_residuals,
 )
 

@@ -151,16 +151,16 @@ class EngineParts:
     def warm_stream(self) -> None:
         """Label a small scene with objects, so that the kernels of all parts are compiled or loaded.
 
-        What a scene holds by accident only, a label that may be removed, a contact shadow or a crowd, comes
-        after it.
-        Else those that only objects need are loaded at a stream's first birth: a quarter of a second.
+        Else those that only objects need are loaded at a stream's first birth: a quarter of a second. What
+        a scene holds by accident only (a label that may be removed, a contact shadow, a crowd) comes after
+        it.
         """
         import mlbs_actors.coordinator
         import mlbs_actors.segmenter  # noqa: F401  (need no turn)
 
         with _turn():
             self._label_small_scene()
-            _cut_small_image()
+            _cut_images()
             _find_contact_shadow()
             _focus_on_crowd()
 
@@ -273,7 +273,7 @@ def _small_scene(frames: int = 7) -> Iterator[Array]:
         yield _read_only(frame)
 
 
-def _cut_small_image() -> None:
+def _cut_images() -> None:
     """Cut an image whole and one by blocks: a label that saves two others, and one that two share out."""
     from mlbs_actors.graph_cut import lowest_labels
     from mlbs_actors.label_cost_energy import LabelCostEnergy
