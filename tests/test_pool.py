@@ -31,7 +31,8 @@ from ray.exceptions import RayActorError
 
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
 from mlbs_actors.actors.channels import take
-from mlbs_actors.actors.layer import LayerStart, LayerStep
+from mlbs_actors.actors.layer import LayerStart
+from mlbs_actors.actors.layer_notes import FrameNotes, SharedFrame, read_posterior
 from mlbs_actors.actors.pool import PoolActor
 from mlbs_actors.actors.processes import end, identity, spawn
 from mlbs_actors.actors.saved_states import SavedLayer
@@ -170,8 +171,10 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
     served = kept.serve.remote(again)
     with take(offer) as channel:
         channel.send(LayerStart(SavedLayer(3, "object", -1), born))
-        channel.send(LayerStep(told, frame, None, slots.take("posterior")))
-        assert memory.taken(channel.receive()).layer == 3
+        notes = FrameNotes(SharedFrame(evidence, picture(0), None, told, frame, None))
+        answer = slots.take("posterior")
+        channel.send(notes.to(3, answer))
+        assert read_posterior(channel.receive(), memory, answer).layer == 3
     ray.get(served)
     end([pool])
 

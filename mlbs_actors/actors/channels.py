@@ -48,8 +48,8 @@ class ChannelOffer:
     incoming: int
 
 
-#: Before each note: its length, bytes.
-_LENGTH = struct.Struct("<I")
+#: Before each note: its length, bytes; and whether it is pickled.
+_LENGTH = struct.Struct("<I?")
 
 #: Read at once, bytes: most notes are shorter.
 _CHUNK = 1 << 13
@@ -74,9 +74,9 @@ class Channel:
         self._readable.register(incoming, select.POLLIN)
 
     def send(self, note: object) -> None:
-        """Send a picklable note of some kilobytes; raises ChannelClosedError."""
-        content = pickle.dumps(note, pickle.HIGHEST_PROTOCOL)
-        rest = memoryview(_LENGTH.pack(len(content)) + content)
+        """Send a picklable note of some kilobytes, bytes as they are; raises ChannelClosedError."""
+        content = note if isinstance(note, bytes) else pickle.dumps(note, pickle.HIGHEST_PROTOCOL)
+        rest = memoryview(_LENGTH.pack(len(content), content is not note) + content)
         try:
             while rest:
                 rest = rest[os.write(self._outgoing.fileno(), rest) :]
@@ -93,9 +93,9 @@ class Channel:
             if not chunk:
                 raise ChannelClosedError
             self._received += chunk
-        note = pickle.loads(memoryview(self._received)[_LENGTH.size : end])
+        content, pickled = self._received[_LENGTH.size : end], self._received[_LENGTH.size - 1]
         self._received = self._received[end:]
-        return note
+        return pickle.loads(content) if pickled else content
 
     def has_note(self, seconds: float = 0.0) -> bool:
         """Whether :meth:`receive` would not wait, or after so many seconds would not."""

@@ -7,21 +7,21 @@ from dataclasses import dataclass
 
 from mlbs_actors.actors.channels import ChannelOffer, OfferedChannel
 from mlbs_actors.actors.idle_threads import look_round_seldom
+from mlbs_actors.actors.layer_notes import LayerStep, read_step, write_posterior
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import LayerPart, PartFactory
 from mlbs_actors.actors.priority import stepping_back
 from mlbs_actors.actors.saved_states import SavedLayer, SaveState, StateWriter, layer_file
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
-from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import LayerError
-from mlbs_actors.messages import FrameEvidence, LayerAppearance, LayerPosterior, Segmentation
+from mlbs_actors.messages import Array, FrameEvidence, LayerAppearance, LayerPosterior, Segmentation
 from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.process_memory import settle_memory
 from mlbs_actors.state_file import CapturedState, capture
 
-__all__ = ["LayerActor", "LayerStart", "LayerStep", "LayerWork"]
+__all__ = ["LayerActor", "LayerStart", "LayerWork"]
 
 
 @pickled_by_values
@@ -38,29 +38,6 @@ class LayerStart:
 
     own: SavedLayer
     state: Shared[CapturedState]
-
-
-@pickled_by_values
-@dataclass(frozen=True, slots=True)
-class LayerStep:
-    """A frame that a layer is to do.
-
-    Attributes
-    ----------
-    evidence, frame : Shared
-    previous : Shared, optional
-        The label map of the frame before.
-    answer : Slot
-        For the posterior.
-    appearance : Slot, optional
-        For what the layer remembers after that; None if nobody wants it.
-    """
-
-    evidence: Shared[FrameEvidence]
-    frame: Shared[SourceFrame]
-    previous: Shared[Segmentation] | None
-    answer: Slot
-    appearance: Slot | None = None
 
 
 class LayerWork:
@@ -86,14 +63,11 @@ class LayerWork:
         self._memory = memory
         self._order = FrameOrder(own.last_frame)
 
-    def step(self, step: LayerStep) -> Shared[LayerPosterior]:
+    def step(self, evidence: FrameEvidence, image: Array, previous: Segmentation | None) -> LayerPosterior:
         """Finish the frame before with its labels, then evaluate this one; each frame once and in order."""
-        evidence, frame = self._memory.taken(step.evidence), self._memory.taken(step.frame)
-        previous = None if step.previous is None else self._memory.taken(step.previous)
-        assert frame.image is not None  # a quarantined frame has no evidence
         own = evidence.of(self._own.layer)
         with self._order.step(evidence.frame_index, after=own.last_frame):
-            return self._memory.share(self.part.step(own, evidence, frame.image, previous), step.answer)
+            return self.part.step(own, evidence, image, previous)
 
     def appearance(self, slot: Slot) -> Shared[LayerAppearance]:
         """Return what the layer remembers after its last step."""
@@ -163,10 +137,11 @@ class LayerActor:
         part.state = self._memory.taken(start.state).state(type(part.state))
         self._work = LayerWork(own, part, self._memory)
 
-    def step(self, step: LayerStep) -> Shared[LayerPosterior]:
-        """See :meth:`LayerWork.step`."""
+    def step(self, step: LayerStep) -> bytes:
+        """See :meth:`LayerWork.step`; return the note of the posterior."""
         assert self._work is not None  # begun
-        return self._work.step(step)
+        posterior = self._work.step(step.evidence, step.image, step.previous)
+        return write_posterior(posterior, self._memory, step.answer)
 
     def save(self, note: SaveState) -> None:
         """Write the state, beside the work on the next frames."""
@@ -179,13 +154,14 @@ class LayerActor:
             self._run = self._work = None
             del self._memory, self._channel
 
-    def _answers(self, note: LayerStart | LayerStep | SaveState) -> Iterator[object]:
-        if isinstance(note, LayerStep):
-            yield self.step(note)
-            if note.appearance is not None:
-                assert self._work is not None  # begun
-                yield self._work.appearance(note.appearance)
-        elif isinstance(note, LayerStart):
+    def _answers(self, note: bytes | LayerStart | SaveState) -> Iterator[object]:
+        if isinstance(note, LayerStart):
             self.begin(note)
-        else:
+        elif isinstance(note, SaveState):
             self.save(note)
+        else:
+            assert self._work is not None  # begun
+            step = read_step(note, self._memory)
+            yield self.step(step)
+            if step.appearance is not None:
+                yield self._work.appearance(step.appearance)

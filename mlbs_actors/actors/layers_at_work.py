@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mlbs_actors.actors.channels import Channel, ChannelOffer, take
-from mlbs_actors.actors.layer import LayerStep, LayerWork
+from mlbs_actors.actors.layer import LayerWork
+from mlbs_actors.actors.layer_notes import FrameNotes, SharedFrame, read_posterior
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.saved_states import SavedLayer, SaveState, layer_file
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
 from mlbs_actors.config import Config
-from mlbs_actors.messages import FrameEvidence, LayerAppearance, LayerPosterior
+from mlbs_actors.messages import BACKGROUND, FrameEvidence, LayerAppearance, LayerPosterior, received
 from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.state_file import read_state
 
@@ -82,19 +83,39 @@ class LayersAtWork:
             channel = self._elsewhere[one.layer] = take(one.offer)
             channel.send(self._here.pop(one.layer).hand_over(one.state))
 
-    def step(self, steps: Mapping[int, LayerStep]) -> list[Shared[LayerPosterior]]:
+    def step(
+        self, frame: SharedFrame, answers: Mapping[int, Slot], appearance: Slot | None
+    ) -> list[LayerPosterior]:
         """Have layers do a frame beside each other, those of this process one after the other meanwhile.
+
+        Parameters
+        ----------
+        frame : SharedFrame
+        answers : mapping of int to Slot
+            For the posteriors of the frame's layers.
+        appearance : Slot, optional
+            For :meth:`appearance` of the background.
 
         Returns
         -------
-        list of Shared
-            In the order of the steps.
+        list of LayerPosterior
+            In the order of the answers.
         """
-        for layer, step in steps.items():
+        notes = FrameNotes(frame)
+        for layer, answer in answers.items():
             if layer in self._elsewhere:
-                self._elsewhere[layer].send(step)
-        here = {layer: self._here[layer].step(step) for layer, step in steps.items() if layer in self._here}
-        return [here[layer] if layer in here else self._elsewhere[layer].receive() for layer in steps]
+                wanted = appearance if layer == BACKGROUND else None
+                self._elsewhere[layer].send(notes.to(layer, answer, wanted))
+        posteriors = {
+            layer: received(self._here[layer].step(frame.evidence, frame.image, frame.previous))
+            for layer in answers
+            if layer in self._here
+        }
+        for layer, answer in answers.items():
+            if layer in self._elsewhere:
+                note = self._elsewhere[layer].receive()
+                posteriors[layer] = read_posterior(note, self._memory, answer)
+        return [posteriors[layer] for layer in answers]
 
     def appearance(self, layer: int, slot: Slot) -> Shared[LayerAppearance]:
         """Return what a layer remembers whose last step wanted that."""

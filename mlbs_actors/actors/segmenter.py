@@ -15,7 +15,7 @@ import ray
 
 from mlbs_actors.actors.channels import Channel, ChannelOffer, OfferedChannel, take
 from mlbs_actors.actors.idle_threads import look_round_seldom
-from mlbs_actors.actors.layer import LayerStep
+from mlbs_actors.actors.layer_notes import SharedFrame
 from mlbs_actors.actors.layers_at_work import Housed, LayersAtWork
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import PartFactory
@@ -32,7 +32,15 @@ from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
-from mlbs_actors.messages import BACKGROUND, FrameEvidence, LayerAppearance, LayerPosterior, Segmentation
+from mlbs_actors.messages import (
+    BACKGROUND,
+    Array,
+    FrameEvidence,
+    LayerAppearance,
+    LayerPosterior,
+    Segmentation,
+    received,
+)
 from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.process_memory import settle_memory
 from mlbs_actors.state_file import read_state
@@ -149,13 +157,10 @@ class SegmenterActor:
             self._layers.close()
             self._writer.finish()
 
-    def step(
-        self, evidence: FrameEvidence, frame: SourceFrame, posteriors: list[LayerPosterior]
-    ) -> Segmentation:
+    def step(self, evidence: FrameEvidence, image: Array, posteriors: list[LayerPosterior]) -> Segmentation:
         """Label one frame from the posteriors of its layers, in ascending layer id."""
-        assert frame.image is not None  # a quarantined frame has no evidence
         with self._order.step(evidence.frame_index, after=evidence.frame_index - 1):
-            return self._segmenter.step(evidence, frame.image, posteriors)
+            return self._segmenter.step(evidence, image, posteriors)
 
     def _answers(self, note: FrameWork | Retirement | SaveState) -> Iterator[object]:
         if isinstance(note, FrameWork):
@@ -167,21 +172,16 @@ class SegmenterActor:
 
     def _labelled(self, work: FrameWork) -> LabelledFrame:
         evidence, frame = self._memory.taken(work.evidence), self._memory.taken(work.frame)
+        assert frame.image is not None  # a quarantined frame has no evidence
         self._layers.follow(evidence, work.housed)
-        steps = {
-            own.layer: LayerStep(
-                work.evidence,
-                work.frame,
-                self._previous,
-                slot,
-                work.background if own.layer == BACKGROUND else None,
-            )
-            for own, slot in zip(evidence.tracks, work.posteriors, strict=True)
-        }
-        answers = self._layers.step(steps)
+        before, where = self._previous, (work.evidence, work.frame)
+        previous = self._published[-1] if before is not None else None
+        told = SharedFrame(evidence, frame.image, previous, *where, before)
+        answers = {own.layer: slot for own, slot in zip(evidence.tracks, work.posteriors, strict=True)}
+        posteriors = self._layers.step(told, answers, work.background)
         background = None if work.background is None else self._layers.appearance(BACKGROUND, work.background)
-        segmentation = self.step(evidence, frame, [self._memory.taken(answer) for answer in answers])
-        self._published.append(segmentation)
+        segmentation = self.step(evidence, frame.image, posteriors)
+        self._published.append(received(segmentation))
         self._previous = self._memory.share(segmentation, work.answer)
         return LabelledFrame(evidence.frame_index, self._previous, background)
 

@@ -4,6 +4,9 @@ Through Ray's object store every frame and map would cost several messages betwe
 daemon: with four layers, more than the calls themselves. Here a message is copied once into a *slot*, and
 whoever is told of it reads it where it is.
 
+A slot holds arrays, and where they are. Those of a message are its description, by which it is made again,
+and its own in the order of its fields, which may be read alone.
+
 The coordinator owns all slots of its stream. With each note it lends the slot for the answer, and it takes
 a slot back when nobody can read it any more. The memory is anonymous (``memfd_create``) and found through
 its owner's ``/proc`` entry: it is gone with the last process that holds it, however that ends, and what a
@@ -39,8 +42,12 @@ SlotKind = Literal["frame", "evidence", "posterior", "segmentation", "appearance
 _ALIGNMENT = 64
 #: Least memory of a slot, bytes; it grows by doubling.
 _LEAST_BYTES = 1 << 16
-#: At the begin of a slot: the turn in which its message was written.
-_HEADER = struct.Struct("<Q")
+#: At the begin of a slot: the turn in which it was written, and how many arrays it holds.
+_HEADER = struct.Struct("<2q")
+#: Then for each array: where it is, the character of its type, how many dimensions it has, and its shape.
+_PLACE = struct.Struct("<6q")
+_MOST_DIMENSIONS = 3
+_TYPES = {ord(one): np.dtype(one) for one in "?bBhHiIlLqQefd"}
 
 
 @pickled_by_values
@@ -73,12 +80,12 @@ class Shared(Generic[Message]):
     Attributes
     ----------
     slot : Slot
-    lengths : tuple of int
-        Bytes of its description and of each of its arrays.
+    size : int
+        Bytes of it, from the slot's begin.
     """
 
     slot: Slot
-    lengths: tuple[int, ...]
+    size: int
 
 
 class SlotPool:
@@ -108,7 +115,8 @@ class SharedMemory:
     """A process's own view of the slots of one stream."""
 
     def __init__(self) -> None:
-        self._maps: dict[tuple[int, int], mmap.mmap] = {}
+        # Each with what it is read through.
+        self._maps: dict[tuple[int, int], tuple[mmap.mmap, memoryview]] = {}
         self._reductions = {**copyreg.dispatch_table, np.ndarray: _reduced_array}
 
     def share(self, message: Message, slot: Slot) -> Shared[Message]:
@@ -117,7 +125,7 @@ class SharedMemory:
         Parameters
         ----------
         message : object
-            Picklable; its contiguous arrays are copied as they are.
+            Picklable; its arrays come out row by row (in C's order).
         slot : Slot
             Lent for this message.
 
@@ -131,19 +139,14 @@ class SharedMemory:
         ActorLostError
             If the slot's owner is gone.
         """
-        arrays: list[pickle.PickleBuffer] = []
+        buffers: list[pickle.PickleBuffer] = []
         description = io.BytesIO()
-        pickler = pickle.Pickler(description, protocol=5, buffer_callback=arrays.append)
+        pickler = pickle.Pickler(description, protocol=5, buffer_callback=buffers.append)
         pickler.dispatch_table = self._reductions
         pickler.dump(message)
-        pieces = [description.getbuffer(), *(array.raw() for array in arrays)]
-        lengths = tuple(piece.nbytes for piece in pieces)
-        ends = _ends(lengths)
-        memory = memoryview(self._mapped(slot, ends[-1], grow=True))
-        for piece, end in zip(pieces, ends, strict=True):
-            memory[end - piece.nbytes : end] = piece
-        _HEADER.pack_into(memory, 0, slot.turn)
-        return Shared(slot, lengths)
+        arrays = [_held(buffer) for buffer in buffers]
+        size = self.put([np.frombuffer(description.getbuffer(), np.uint8), *arrays], slot)
+        return Shared(slot, size)
 
     def taken(self, shared: Shared[Message]) -> Message:
         """Read a message; its arrays are read-only views, valid until the slot's owner takes it back.
@@ -155,20 +158,46 @@ class SharedMemory:
         LayerError
             If the slot has been lent to another message since.
         """
-        ends = _ends(shared.lengths)
-        memory = memoryview(self._mapped(shared.slot, ends[-1], grow=False)).toreadonly()
-        if _HEADER.unpack_from(memory)[0] != shared.slot.turn:
+        description, *arrays = self.read(shared.slot, shared.size)
+        message: Message = pickle.loads(description.data, buffers=arrays)
+        return message
+
+    def put(self, arrays: Sequence[Array], slot: Slot) -> int:
+        """Copy arrays of up to three dimensions into a slot; return the bytes they take, for :meth:`read`."""
+        places, end = [], _HEADER.size + len(arrays) * _PLACE.size
+        for array in arrays:
+            begin = -(-end // _ALIGNMENT) * _ALIGNMENT
+            places.append(begin)
+            end = begin + array.nbytes
+        memory = self._mapped(slot, end, grow=True)[0]
+        row = _HEADER.size
+        for array, begin in zip(arrays, places, strict=True):
+            shape = (*array.shape, 0, 0, 0)[:_MOST_DIMENSIONS]
+            _PLACE.pack_into(memory, row, begin, ord(array.dtype.char), array.ndim, *shape)
+            np.ndarray(array.shape, array.dtype, memory, begin)[...] = array
+            row += _PLACE.size
+        _HEADER.pack_into(memory, 0, slot.turn, len(arrays))
+        return end
+
+    def read(self, slot: Slot, size: int) -> list[Array]:
+        """Read what was :meth:`put`; views as :meth:`taken` returns them, and it raises the same."""
+        whole, memory = self._mapped(slot, size, grow=False)
+        turn, count = _HEADER.unpack_from(whole)
+        if turn != slot.turn:
             raise LayerError(
                 "A message was read after its memory had been lent again; start the stream again."
             )
-        pieces = [memory[end - length : end] for length, end in zip(shared.lengths, ends, strict=True)]
-        message: Message = pickle.loads(pieces[0], buffers=pieces[1:])
-        return message
+        places = _PLACE.iter_unpack(memory[_HEADER.size : _HEADER.size + count * _PLACE.size])
+        return [
+            np.ndarray(shape[:dimensions], _TYPES[kind], memory, begin)
+            for begin, kind, dimensions, *shape in places
+        ]
 
-    def _mapped(self, slot: Slot, size: int, *, grow: bool) -> mmap.mmap:
+    def _mapped(self, slot: Slot, size: int, *, grow: bool) -> tuple[mmap.mmap, memoryview]:
+        """A slot's memory, and what it is read through."""
         key = (slot.owner, slot.descriptor)
         known = self._maps.get(key)
-        if known is not None and len(known) >= size:
+        if known is not None and len(known[0]) >= size:
             return known
         try:
             descriptor = os.open(f"/proc/{slot.owner}/fd/{slot.descriptor}", os.O_RDWR | os.O_CLOEXEC)
@@ -180,23 +209,25 @@ class SharedMemory:
         try:
             if grow and os.fstat(descriptor).st_size < size:
                 os.ftruncate(descriptor, max(_LEAST_BYTES, 1 << (size - 1).bit_length()))
-            self._maps[key] = mmap.mmap(descriptor, 0)
+            whole = mmap.mmap(descriptor, 0)
         finally:
             os.close(descriptor)
+        self._maps[key] = whole, memoryview(whole).toreadonly()
         return self._maps[key]
 
 
 def _reduced_array(array: Array) -> Any:
-    """How an array is pickled: NumPy's own way runs through Python functions for each array that is read."""
-    if array.flags.c_contiguous and array.dtype.isbuiltin == 1 and not array.dtype.hasobject:
-        return np.ndarray, (array.shape, array.dtype.str, pickle.PickleBuffer(array.data))
+    """How an array is pickled: what a slot can hold is that itself when it is read."""
+    if _can_be_held(array):
+        return np.asarray, (pickle.PickleBuffer(np.asarray(array, order="C").data),)
     return array.__reduce_ex__(5)
 
 
-def _ends(lengths: Sequence[int]) -> list[int]:
-    """Where the pieces of a message end in a slot; each begins at a multiple of the alignment."""
-    ends, place = [], _HEADER.size
-    for length in lengths:
-        place = -(-place // _ALIGNMENT) * _ALIGNMENT + length
-        ends.append(place)
-    return ends
+def _held(buffer: pickle.PickleBuffer) -> Array:
+    """A pickled buffer as a slot holds it: of arrays that it cannot hold the bytes."""
+    array = np.asarray(buffer)
+    return array if _can_be_held(array) else np.asarray(buffer.raw())
+
+
+def _can_be_held(array: Array) -> bool:
+    return ord(array.dtype.char) in _TYPES and array.ndim <= _MOST_DIMENSIONS
