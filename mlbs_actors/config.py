@@ -327,7 +327,11 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
     if path is not None:
         try:
             loaded = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        except OSError as error:
+            raise ConfigError(f"The configuration {path} cannot be read: {error.strerror}.") from None
+        except UnicodeDecodeError:
+            raise ConfigError(f"The configuration {path} cannot be read: it is no text in UTF-8.") from None
+        except yaml.YAMLError as error:
             raise ConfigError(f"The configuration {path} cannot be read: {error}.") from error
         if loaded is not None and not isinstance(loaded, dict):
             raise ConfigError(f"The configuration {path} must hold sections of key: value pairs.")
@@ -355,6 +359,8 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
 
 def _problem(kind: str, place: tuple[int | str, ...], message: str) -> str:
     name = ".".join(str(part) for part in place)
+    if kind == "model_type":
+        return f"the section {name!r} must hold key: value pairs"
     if kind != "extra_forbidden":
         return f"{name}: {message}"
     section = Config.model_fields.get(str(place[0])) if len(place) > 1 else None

@@ -10,6 +10,7 @@ import numpy as np
 from mlbs_actors.config import Config
 from mlbs_actors.coordinator import Coordinator
 from mlbs_actors.determinism import single_threaded
+from mlbs_actors.errors import ConfigError
 from mlbs_actors.inspection import FrameInspection, inspect_frame
 from mlbs_actors.layer import Layer
 from mlbs_actors.messages import Array, FrameEvidence, Segmentation, received
@@ -29,6 +30,11 @@ class MultilayerSubtractor:
         Called with a :class:`~mlbs_actors.inspection.FrameInspection` for every frame that is labelled, in
         order: trajectories, motion fields and posteriors. The results are the same with it.
 
+    Raises
+    ------
+    ConfigError
+        If ``config`` is something else, a file's name for instance.
+
     Examples
     --------
     >>> subtractor = MultilayerSubtractor()
@@ -42,6 +48,8 @@ class MultilayerSubtractor:
     def __init__(
         self, config: Config | None = None, inspector: Callable[[FrameInspection], None] | None = None
     ) -> None:
+        if config is not None and not isinstance(config, Config):
+            raise ConfigError(f"Give a Config, not {config!r}; load_config reads one from a file.")
         self.config = config or Config()
         self._inspector = inspector
         self._coordinator = Coordinator(self.config)

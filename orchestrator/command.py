@@ -46,5 +46,9 @@ def run_command(argv: Sequence[str]) -> int:
         print(mask(str(error)), file=sys.stderr)
         return 1
     except StopAtOnce as stop:
-        print("Stopped at once; what was committed before is kept.", file=sys.stderr)
+        print(
+            "Stopped at once; what was committed before is kept. "
+            "To go on, give the same command with --resume.",
+            file=sys.stderr,
+        )
         return 128 + stop.signal_number

@@ -19,6 +19,9 @@ SAVABLE = ("masks", "parquet", "overlay", "background", "cutouts")
 #: What is written of them where it is not given.
 SAVED = SAVABLE[:3]
 
+#: Least ``--max-side``, px: in smaller pictures there is hardly a trajectory.
+LEAST_SIDE = 64
+
 _EPILOG = """\
 the list of streams, one a line (shell quoting, # comments, relative paths count from the list's folder):
   URI                     the stream is named after the last part of its path
@@ -168,7 +171,8 @@ def _parts(text: str) -> frozenset[str]:
     parts = [part.strip() for part in text.split(",")]
     for part in parts:
         if part not in SAVABLE:
-            raise ConfigError(f"--save knows no {part!r}; choose from {', '.join(SAVABLE)}.")
+            asked = f"knows no {part!r}" if part else "names nothing"
+            raise ConfigError(f"--save {asked}; choose from {', '.join(SAVABLE)}.")
     return frozenset(parts)
 
 
@@ -197,6 +201,12 @@ def _metrics_port(text: str, address: str | None) -> int:
 def _positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return int(text)
+
+
+def _side(text: str) -> int:
+    if not text.isdecimal() or int(text) < LEAST_SIDE:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {LEAST_SIDE}")
     return int(text)
 
 
@@ -266,7 +276,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--max-side",
-        type=_positive,
+        type=_side,
         metavar="N",
         help="shrink pictures whose longer side has more than N px for the work; all results come in full "
         "size, with outlines as coarse as the smaller picture (default: work on them as they are)",

@@ -67,11 +67,16 @@ class RunFolder:
         ConfigError
             If the folder holds a run or part of one, is no folder, or cannot be written to.
         """
-        existing = next((name for name in ("run.json", *names) if os.path.lexists(self.path / name)), None)
+        if os.path.lexists(self.path / "run.json"):
+            raise ConfigError(
+                f"The output folder {self.path} holds a run already; "
+                "choose another one with --output, or go on with that run with --resume."
+            )
+        existing = next((name for name in names if os.path.lexists(self.path / name)), None)
         if existing is not None:
             raise ConfigError(
-                f"The output folder {self.path} holds a run already ({existing}); "
-                "choose another one with --output, or go on with that run with --resume."
+                f"The output folder {self.path} holds {existing!r} already, where the stream of that name "
+                "would be recorded; choose another folder with --output."
             )
         nearest = next(parent for parent in (self.path, *self.path.absolute().parents) if parent.exists())
         if not nearest.is_dir():

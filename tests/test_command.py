@@ -96,7 +96,7 @@ def test_set_may_be_given_once_or_often() -> None:
         (["--monitor", "web"], "PORT or HOST:PORT"),
         (["--monitor", "0.0.0.0:70000"], "PORT or HOST:PORT"),
         (["--save", "mask"], "knows no 'mask'"),
-        (["--save", ""], "knows no ''"),
+        (["--save", ""], "--save names nothing"),
         (["--address", "ray://head:10001"], "HOST:PORT"),
     ],
 )
@@ -106,7 +106,8 @@ def test_what_is_not_there_is_refused_with_a_sentence(flags: list[str], words: s
 
 
 @pytest.mark.parametrize(
-    "flags", [["--max-frames", "0"], ["--max-frames", "-3"], ["--max-frames", "x"], ["--what"]]
+    "flags",
+    [["--max-frames", "0"], ["--max-frames", "-3"], ["--max-frames", "x"], ["--max-side", "3"], ["--what"]],
 )
 def test_a_wrong_flag_or_value_ends_with_status_2(flags: list[str]) -> None:
     with pytest.raises(SystemExit) as end:

@@ -40,10 +40,12 @@ def test_an_unused_folder_is_accepted_and_left_as_it_was(tmp_path: Path) -> None
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
-@pytest.mark.parametrize("existing", ["run.json", "yard"])
-def test_a_folder_that_holds_a_run_or_a_part_of_one_is_refused(tmp_path: Path, existing: str) -> None:
+@pytest.mark.parametrize(("existing", "words"), [("run.json", "--resume"), ("yard", "'yard' already")])
+def test_a_folder_that_holds_a_run_or_a_stream_s_name_is_refused(
+    tmp_path: Path, existing: str, words: str
+) -> None:
     (tmp_path / existing).touch()
-    with pytest.raises(ConfigError, match="--output"):
+    with pytest.raises(ConfigError, match=words):
         RunFolder(tmp_path).refuse_if_used(["yard"])
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
-from mlbs_actors import Config, FrameError, MultilayerSubtractor, Segmentation
+from mlbs_actors import Config, ConfigError, FrameError, MultilayerSubtractor, Segmentation
 from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
@@ -49,6 +49,11 @@ def pan() -> tuple[SyntheticScene, list[Array], list[Segmentation]]:
     video = scene("pan", frames=60)
     pictures = pictures_of(video, 12)
     return video, pictures, run(pictures)
+
+
+def test_something_else_than_a_configuration_is_refused() -> None:
+    with pytest.raises(ConfigError, match="load_config"):
+        MultilayerSubtractor("my.yaml")  # type: ignore[arg-type]
 
 
 def test_every_frame_gets_one_label_map_in_order(
