@@ -10,6 +10,7 @@ kernels depend on them.
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import struct
@@ -198,8 +199,9 @@ def _encoded(value: Any, hint: Any, arrays: list[Array]) -> Any:
         return None if value is None else _encoded(value, other, arrays)
     if is_dataclass(hint):
         _expect(type(value) is hint, value, hint)
-        types = get_type_hints(hint)
-        return {one.name: _encoded(getattr(value, one.name), types[one.name], arrays) for one in fields(hint)}
+        kind: Any = hint
+        types = _types(kind)
+        return {name: _encoded(getattr(value, name), one, arrays) for name, one in types.items()}
     if np.ndarray in (hint, origin):
         _expect(type(value) is np.ndarray and not value.dtype.hasobject, value, hint)
         arrays.append(value)
@@ -228,9 +230,9 @@ def _decoded(value: Any, hint: Any, arrays: list[Array]) -> Any:
         (other,) = (one for one in arguments if one is not type(None))
         return None if value is None else _decoded(value, other, arrays)
     if is_dataclass(hint):
-        types = {one.name: get_type_hints(hint)[one.name] for one in fields(hint)}
-        _expect(type(value) is dict and value.keys() == types.keys(), value, hint)
         make: Any = hint
+        types = _types(make)
+        _expect(type(value) is dict and value.keys() == types.keys(), value, hint)
         return make(**{name: _decoded(value[name], one, arrays) for name, one in types.items()})
     if np.ndarray in (hint, origin):
         _expect(type(value) is int and 0 <= value < len(arrays), value, hint)
@@ -250,6 +252,13 @@ def _decoded(value: Any, hint: Any, arrays: list[Array]) -> Any:
         return value
     _expect(hint in _SCALARS and type(value) is hint, value, hint)
     return value
+
+
+@functools.cache
+def _types(kind: Any) -> dict[str, Any]:
+    """Types of a dataclass's fields: Python evaluates them anew each time it is asked."""
+    types = get_type_hints(kind)
+    return {one.name: types[one.name] for one in fields(kind)}
 
 
 def _member_types(arguments: tuple[Any, ...], count: int) -> tuple[Any, ...]:
