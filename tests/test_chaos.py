@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -314,6 +315,9 @@ def test_growth_is_told_over_stretches_with_the_same_streams_at_work() -> None:
     assert growth([*rising, *ended], ["sink"]) == pytest.approx(3.0)
     assert growth([*rising, *ended], ["layer"]) == pytest.approx(0.0)
     assert np.isnan(growth(looks([1.0] * 9, ""), ["sink"]))
+    # A process more is no growth of the others.
+    more = [replace(look, processes=10, memory={"sink": 2 * look.memory["sink"]}) for look in rising[4:]]
+    assert growth([*rising[:4], *more], ["sink"]) == pytest.approx(4.5)
     text = SoakFigures((*rising, *ended), 1500, 7).table()
     assert "1500 label maps, 7 objects" in text
     assert "+3.00" in text

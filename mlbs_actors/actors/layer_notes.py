@@ -115,8 +115,9 @@ class FrameNotes:
 
     def to(self, layer: int, answer: Slot, appearance: Slot | None = None) -> bytes:
         """Return the note to a layer of the evidence, for :func:`read_step`."""
-        tracks, summaries = list(self._tracks.values()), list(self._summaries.values())
-        if layer != BACKGROUND:
+        if layer == BACKGROUND:  # which is evaluated where the objects are
+            tracks, summaries = [*self._tracks.values()], [*self._summaries.values()]
+        else:
             tracks = [self._tracks[layer]]
             summaries = [self._summaries[layer]] if layer in self._summaries else []
         slots = (*_lent(answer), *_lent(appearance))

@@ -174,11 +174,10 @@ class SegmenterActor:
         evidence, frame = self._memory.taken(work.evidence), self._memory.taken(work.frame)
         assert frame.image is not None  # a quarantined frame has no evidence
         self._layers.follow(evidence, work.housed)
-        before, where = self._previous, (work.evidence, work.frame)
-        previous = self._published[-1] if before is not None else None
-        told = SharedFrame(evidence, frame.image, previous, *where, before)
+        previous = self._published[-1] if self._published else None
+        shared = SharedFrame(evidence, frame.image, previous, work.evidence, work.frame, self._previous)
         answers = {own.layer: slot for own, slot in zip(evidence.tracks, work.posteriors, strict=True)}
-        posteriors = self._layers.step(told, answers, work.background)
+        posteriors = self._layers.step(shared, answers, work.background)
         background = None if work.background is None else self._layers.appearance(BACKGROUND, work.background)
         segmentation = self.step(evidence, frame.image, posteriors)
         self._published.append(received(segmentation))

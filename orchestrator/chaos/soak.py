@@ -146,13 +146,13 @@ def look_at(run: ObservedRun, seconds: float) -> Look:
 def growth(looks: Sequence[Look], kinds: Sequence[str]) -> float:
     """Growth of the memory of processes, MiB per 1,000 frames; nan if nothing can be told.
 
-    The line of least squares through all stretches over which the same streams are at work, each of which
-    has a level of its own.
+    The line of least squares through all stretches over which the same streams are at work, in as many
+    processes and layers: each has a level of its own. That processes become more is told by their number.
     """
     above, below = 0.0, 0.0
     start = 0
     for end in range(1, len(looks) + 1):
-        if end < len(looks) and looks[end].running == looks[start].running:
+        if end < len(looks) and _at_work(looks[end]) == _at_work(looks[start]):
             continue
         stretch, start = looks[start:end], end
         if stretch[0].running and len(stretch) > 2:
@@ -160,6 +160,10 @@ def growth(looks: Sequence[Look], kinds: Sequence[str]) -> float:
             sizes = _centred([sum(look.memory.get(kind, 0.0) for kind in kinds) for look in stretch])
             above, below = above + float(frames @ sizes), below + float(frames @ frames)
     return 1000 * above / below if below else float("nan")
+
+
+def _at_work(look: Look) -> tuple[frozenset[str], int, int]:
+    return look.running, look.processes, look.layers
 
 
 def memory_plot(looks: Sequence[Look]) -> Plot:
