@@ -45,8 +45,8 @@ class CapturedState:
     Attributes
     ----------
     header : bytes
-    arrays : tuple of ndarray
-        In the order of their bytes in the file.
+    arrays : tuple of (n,) uint8
+        Their bytes, as they are in the file.
     """
 
     header: bytes
@@ -61,10 +61,7 @@ class CapturedState:
             The dataclass that was captured.
         """
         header = json.loads(self.header)
-        arrays = [
-            _formed(array.reshape(-1, order="A").view(np.uint8), one)
-            for array, one in zip(self.arrays, header["arrays"], strict=True)
-        ]
+        arrays = [_formed(array, one) for array, one in zip(self.arrays, header["arrays"], strict=True)]
         state: _State = _decoded(header["values"], kind, arrays)
         return state
 
@@ -93,7 +90,7 @@ class CapturedState:
         for array in self.arrays:
             padding = -position % _ALIGNMENT
             yield b"\0" * padding
-            yield array.reshape(-1, order="A").view(np.uint8).data
+            yield array.data
             position += padding + array.nbytes
 
 
@@ -114,7 +111,8 @@ def capture(state: object) -> CapturedState:
     arrays: list[Array] = []
     values = _encoded(state, type(state), arrays)
     header = json.dumps({"kind": type(state).__name__, "values": values, "arrays": _layout(arrays)})
-    return CapturedState(header.encode(), tuple(array.copy(order="A") for array in arrays))
+    copies = (array.copy(order="A").reshape(-1, order="A").view(np.uint8) for array in arrays)
+    return CapturedState(header.encode(), tuple(copies))
 
 
 def read_state(path: Path, kind: type[_State]) -> _State:

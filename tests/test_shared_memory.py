@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import textwrap
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,12 @@ from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotPoo
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.errors import ActorLostError, LayerError
 from mlbs_actors.messages import Array, LayerEvidence
+from mlbs_actors.state_file import capture
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    turned: Array
 
 
 def noise(height: int, width: int, seed: int = 0) -> Array:
@@ -40,6 +47,7 @@ def test_arrays_of_every_kind_come_back_with_type_and_shape_row_by_row() -> None
         np.array(3.5),
         np.arange(24, dtype=np.int16).reshape(1, 2, 3, 4),
         np.arange(4) + 1j,
+        np.arange(4.0).astype(">f8"),
         np.ones((3, 4), np.bool_),
         np.arange(6, dtype=np.float16).reshape(1, 2, 3),
         np.asfortranarray(np.arange(12.0).reshape(3, 4)),
@@ -53,6 +61,14 @@ def test_arrays_of_every_kind_come_back_with_type_and_shape_row_by_row() -> None
         if not other.dtype.hasobject:  # else it is no view of the memory
             assert one.flags.c_contiguous
             assert not one.flags.writeable
+
+
+def test_a_state_is_the_same_in_another_process_in_whatever_order_its_arrays_are() -> None:
+    memory = SharedMemory()
+    state = State(np.asfortranarray(np.arange(12.0).reshape(3, 4)))
+    read = memory.taken(memory.share(capture(state), SlotPool().take("state"))).state(State)
+    assert np.array_equal(read.turned, state.turned)
+    assert read.turned.flags.f_contiguous
 
 
 def test_a_slot_grows_with_its_messages_and_what_was_read_before_stays() -> None:

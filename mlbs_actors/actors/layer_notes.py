@@ -3,7 +3,8 @@
 A process with one layer wakes for a millisecond a frame, when the other processes have pushed all of its
 memory out of the caches. To unpickle the frame's messages there, and to pickle the answer, would take a
 third of that: not for what they hold, but for all that pickling runs through. So the layer is told in plain
-numbers what concerns it, and reads the arrays alone.
+numbers what concerns it, and reads the arrays alone, in the order of the messages' fields. No two fields of a
+message may be the same array: a pickle would hold it once.
 """
 
 from __future__ import annotations
@@ -187,7 +188,7 @@ def read_posterior(note: bytes, memory: SharedMemory, slot: Slot) -> LayerPoster
         outside_cost=outside,
         confidence=confidence,
         velocity=velocity,
-        stage_ms=dict(zip(note[end:].decode().split("\n"), times, strict=False)),
+        stage_ms=dict(zip(note[end:].decode().splitlines(), times, strict=True)),
     )
 
 

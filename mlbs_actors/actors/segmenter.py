@@ -140,7 +140,7 @@ class SegmenterActor:
         self._layers.restore(layers, folder)
         self._segmenter.state = read_state(folder / SEGMENTER_FILE, type(self._segmenter.state))
         published = read_state(folder / PUBLISHED_FILE, PublishedState).segmentations
-        self._published.extend(published)
+        self._published.extend(map(received, published))
         self._order = FrameOrder(published[-1].frame_index if published else -1)
         shared = {
             one.frame_index: self._memory.share(one, slot)

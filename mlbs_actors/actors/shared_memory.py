@@ -164,12 +164,14 @@ class SharedMemory:
 
     def put(self, arrays: Sequence[Array], slot: Slot) -> int:
         """Copy arrays of up to three dimensions into a slot; return the bytes they take, for :meth:`read`."""
+        assert all(map(_can_be_held, arrays))
         places, end = [], _HEADER.size + len(arrays) * _PLACE.size
         for array in arrays:
             begin = -(-end // _ALIGNMENT) * _ALIGNMENT
             places.append(begin)
             end = begin + array.nbytes
         memory = self._mapped(slot, end, grow=True)[0]
+        _HEADER.pack_into(memory, 0, 0, 0)  # who reads too late is told so from now on
         row = _HEADER.size
         for array, begin in zip(arrays, places, strict=True):
             shape = (*array.shape, 0, 0, 0)[:_MOST_DIMENSIONS]
@@ -230,4 +232,5 @@ def _held(buffer: pickle.PickleBuffer) -> Array:
 
 
 def _can_be_held(array: Array) -> bool:
-    return ord(array.dtype.char) in _TYPES and array.ndim <= _MOST_DIMENSIONS
+    native = array.dtype.isnative and ord(array.dtype.char) in _TYPES
+    return native and array.ndim <= _MOST_DIMENSIONS
