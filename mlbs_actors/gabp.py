@@ -38,18 +38,27 @@ Differs from the paper:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mlbs_actors.cells import mean_of_cells
 from mlbs_actors.compilation import compiled
+from mlbs_actors.config import Config
 from mlbs_actors.errors import SolverError
 from mlbs_actors.messages import Array
-from mlbs_actors.node_grid import bilinear_taps, grid_shape, lump, point_misfit, to_pixels
+from mlbs_actors.node_grid import bilinear_taps, grid_shape, lump, nodes_of_cells, point_misfit, to_pixels
 from mlbs_actors.screened_poisson import solve
 from mlbs_actors.selected_inversion import inverse_diagonal
 
-__all__ = ["MotionField", "MotionParameters", "motion_field"]
+__all__ = [
+    "FieldNumbers",
+    "MotionField",
+    "MotionParameters",
+    "check_solved",
+    "field_numbers",
+    "motion_field",
+    "solved_field",
+]
 
 #: Relative residual of the solves before the last, see :func:`motion_field`.
 _ROUGH_TOLERANCE = 1e-2
@@ -91,6 +100,18 @@ class MotionParameters:
     robust_rounds: int = 2
     tolerance: float = 1e-4
     max_iterations: int = 40
+
+    @classmethod
+    def configured(cls, config: Config) -> MotionParameters:
+        """Those of a configuration."""
+        return cls(
+            spacing_px=config.motion.grid_px,
+            variance_spacing_px=config.motion.variance_grid_px,
+            smoothness_std_px=config.motion.smoothness_std_px,
+            point_std_px=config.motion.point_std_px,
+            prior_std_px=config.motion.prior_std_px,
+            robust_px=config.motion.robust_px,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,34 +159,60 @@ class MotionField:
 
     def of_cells(self, side: int) -> Array:
         """Mean over the pixels of each cell of this side: (⌈h/side⌉, ⌈w/side⌉, 2) float32, px/frame."""
-        return np.asarray(to_pixels(*self.mean_nodes(side), *grid_shape(self.shape, side)))
+        nodes, spacing = nodes_of_cells(self.mean, self.spacing, side, *self.shape)
+        return np.asarray(to_pixels(nodes, spacing, *grid_shape(self.shape, side)))
 
     def variance_of_cells(self, side: int) -> Array:
         """Variance, mean over the pixels of each cell of this side: (⌈h/side⌉, ⌈w/side⌉) float32, px²."""
-        return np.asarray(to_pixels(*self.variance_nodes(side), *grid_shape(self.shape, side))[..., 0])
+        nodes, spacing = nodes_of_cells(self.variance[..., None], self.variance_spacing, side, *self.shape)
+        return np.asarray(to_pixels(nodes, spacing, *grid_shape(self.shape, side))[..., 0])
 
-    def mean_nodes(self, side: int) -> tuple[Array, int]:
-        """Of which the mean over the pixels of each cell of this side is interpolated, and their spacing.
 
-        Returns
-        -------
-        nodes : (rows, columns, 2) float32
-            px/frame.
-        spacing : int
-            Cells.
-        """
-        return self._nodes_of_cells(self.mean, self.spacing, side)
+class FieldNumbers(NamedTuple):
+    """:class:`MotionParameters` as the equations have them; lengths in px, variances in (px/frame)².
 
-    def variance_nodes(self, side: int) -> tuple[Array, int]:
-        """Of which the variance over the pixels of each cell is interpolated, as :meth:`mean_nodes`."""
-        return self._nodes_of_cells(self.variance[..., None], self.variance_spacing, side)
+    Attributes
+    ----------
+    spacing, variance_spacing : int
+    smoothness : float
+        σ_m².
+    point_precision : float
+        1/σ_p².
+    prior_variance : float
+    refinement : float
+        What the finer nodes of the mean vary more than those of the variance, in units of σ_m².
+    robust_px : float
+    robust_rounds : int
+    tolerance : float
+    max_iterations : int
+    """
 
-    def _nodes_of_cells(self, nodes: Array, spacing: int, side: int) -> tuple[Array, int]:
-        if spacing % side == 0:
-            # As the field is linear between the nodes, the value in the middle of a cell is nearly its mean.
-            return nodes, spacing // side
-        means = mean_of_cells(to_pixels(nodes, spacing, *self.shape), side)
-        return means.reshape(*means.shape[:2], nodes.shape[2]), 1
+    spacing: int
+    variance_spacing: int
+    smoothness: float
+    point_precision: float
+    prior_variance: float
+    refinement: float
+    robust_px: float
+    robust_rounds: int
+    tolerance: float
+    max_iterations: int
+
+
+def field_numbers(parameters: MotionParameters) -> FieldNumbers:
+    """For :func:`solved_field`."""
+    return FieldNumbers(
+        spacing=parameters.spacing_px,
+        variance_spacing=parameters.variance_spacing_px,
+        smoothness=parameters.smoothness_std_px**2,
+        point_precision=1.0 / parameters.point_std_px**2,
+        prior_variance=parameters.prior_std_px**2,
+        refinement=float(np.log(parameters.variance_spacing_px / parameters.spacing_px) / (2.0 * np.pi)),
+        robust_px=parameters.robust_px,
+        robust_rounds=parameters.robust_rounds,
+        tolerance=parameters.tolerance,
+        max_iterations=parameters.max_iterations,
+    )
 
 
 def motion_field(
@@ -205,49 +252,16 @@ def motion_field(
     -----
     Paper §5, P(M|tracks) ∝ Π N(m_i | m_j, Σ_m) Π N(m_i | m_track, Σ_p).
     """
-    height, width = shape
     prior = np.ascontiguousarray(prior_mean, np.float64)
     if prior.ndim == 1:
         prior = prior.reshape(1, 1, 2)
-    if height == 0 or width == 0:
-        return _empty_field(shape, len(positions), parameters)
-    grid, variance_grid = (
-        grid_shape(shape, parameters.spacing_px),
-        grid_shape(shape, parameters.variance_spacing_px),
+    numbers = tuple(field_numbers(parameters))
+    mean, variance, point_weights, iterations, residual = solved_field(
+        positions, motions, prior, corner, shape, numbers
     )
-    # What the finer nodes of the mean vary more, in units of the smoothness's variance.
-    refinement = np.log(parameters.variance_spacing_px / parameters.spacing_px) / (2.0 * np.pi)
-    mean, variance, point_weights, iterations, residual = _posterior(
-        positions,
-        motions,
-        prior,
-        corner,
-        (height, width),
-        grid,
-        parameters.spacing_px,
-        variance_grid,
-        parameters.variance_spacing_px,
-        parameters.smoothness_std_px**2,
-        1.0 / parameters.point_std_px**2,
-        parameters.prior_std_px**2,
-        refinement,
-        parameters.robust_px,
-        parameters.robust_rounds,
-        parameters.tolerance,
-        parameters.max_iterations,
-    )
-    if np.isnan(residual):
-        raise SolverError(
-            "A motion field needs finite evidence; drop trajectories with NaN or infinite motion."
-        )
-    if not residual <= parameters.tolerance:
-        raise SolverError(
-            f"The field could be solved to a relative residual of {residual:.1e} only and "
-            f"{parameters.tolerance:.1e} is wanted; raise the tolerance, or bring the standard deviations of "
-            "its terms closer together."
-        )
+    check_solved(residual, parameters.tolerance)
     return MotionField(
-        shape=(height, width),
+        shape=shape,
         mean=mean,
         spacing=parameters.spacing_px,
         variance=variance,
@@ -258,18 +272,18 @@ def motion_field(
     )
 
 
-def _empty_field(shape: tuple[int, int], point_count: int, parameters: MotionParameters) -> MotionField:
-    """Field of a region without pixels."""
-    return MotionField(
-        shape=shape,
-        mean=np.zeros((*grid_shape(shape, parameters.spacing_px), 2), np.float32),
-        spacing=parameters.spacing_px,
-        variance=np.zeros(grid_shape(shape, parameters.variance_spacing_px), np.float32),
-        variance_spacing=parameters.variance_spacing_px,
-        point_weights=np.zeros(point_count, np.float32),
-        iterations=0,
-        residual=0.0,
-    )
+def check_solved(residual: float, tolerance: float) -> None:
+    """Raise SolverError if the residual of :func:`solved_field` is not to be accepted."""
+    if np.isnan(residual):
+        raise SolverError(
+            "A motion field needs finite evidence; drop trajectories with NaN or infinite motion."
+        )
+    if not residual <= tolerance:
+        raise SolverError(
+            f"The field could be solved to a relative residual of {residual:.1e} only and "
+            f"{tolerance:.1e} is wanted; raise the tolerance, or bring the standard deviations of "
+            "its terms closer together."
+        )
 
 
 @compiled()
@@ -289,17 +303,36 @@ def _told_inside(
 
 
 @compiled()
-def _posterior(
+def solved_field(
     positions: Array, motions: Array, prior_mean: Array, corner: tuple[int, int], shape: tuple[int, int],
-    grid: tuple[int, int], spacing: int, variance_grid: tuple[int, int], variance_spacing: int,
-    smoothness: float, point_precision: float, prior_variance: float, refinement: float, robust_px: float,
-    robust_rounds: int, tolerance: float, max_iterations: int,
+    numbers: tuple[Any, ...],
 ) -> tuple[Array, Array, Array, int, float]:  # fmt: skip
-    """Mean (gh, gw, 2) and variance (vh, vw), float32; the weights of all points, those outside too; the
-    iterations of all rounds, and the residual of the last, NaN if something given is not finite."""
-    rows, columns = grid
+    """:func:`motion_field` as plain arrays.
+
+    Parameters
+    ----------
+    positions, motions, corner, shape
+        As there.
+    prior_mean : (1 or gh, 1 or gw, 2) float64
+    numbers : tuple
+        :class:`FieldNumbers`, as a plain tuple: the type of any other one is asked anew in every call.
+
+    Returns
+    -------
+    mean : (gh, gw, 2) float32
+    variance : (vh, vw) float32
+    point_weights : (n,) float32
+    iterations : int
+    residual : float
+        Of the last solve; NaN if something given is not finite.
+    """
+    by = FieldNumbers(*numbers)
+    rows, columns = grid_shape(shape, by.spacing)
+    variance_rows, variance_columns = grid_shape(shape, by.variance_spacing)
     mean, point_weights = np.zeros((rows, columns, 2), np.float32), np.zeros(positions.shape[0], np.float32)
-    variance = np.zeros(variance_grid, np.float32)
+    variance = np.zeros((variance_rows, variance_columns), np.float32)
+    if mean.size == 0:
+        return mean, variance, point_weights, 0, 0.0
     if not (np.isfinite(positions).all() and np.isfinite(motions).all() and np.isfinite(prior_mean).all()):
         return mean, variance, point_weights, 0, np.nan
     inside, points, moved = _told_inside(positions, motions, corner, shape)
@@ -309,22 +342,23 @@ def _posterior(
             near = prior_mean[min(v, prior_mean.shape[0] - 1), min(u, prior_mean.shape[1] - 1)]
             prior[0, v, u], prior[1, v, u] = near[0], near[1]
     deviation, weights, iterations, residual = _robust_deviation(
-        points, moved, prior, spacing, 1.0 / smoothness, point_precision,
-        1.0 / (prior_variance * rows * columns), robust_px, robust_rounds, tolerance, max_iterations,
+        points, moved, prior, by.spacing, 1.0 / by.smoothness, by.point_precision,
+        1.0 / (by.prior_variance * rows * columns), by.robust_px, by.robust_rounds, by.tolerance,
+        by.max_iterations,
     )  # fmt: skip
     for v in range(rows):
         for u in range(columns):
             for axis in range(2):
                 mean[v, u, axis] = prior[axis, v, u] + deviation[axis, v, u]
     # diag(A⁻¹) of the same model on the variance's grid.
-    rows, columns = variance_grid
-    nodes, shares = bilinear_taps(points, rows, columns, variance_spacing)
-    precision = 1.0 / (prior_variance * rows * columns)
-    screening = lump(nodes, shares, weights * point_precision, moved, precision, rows, columns)[0]
-    marginal = inverse_diagonal(screening, 1.0 / smoothness)
+    rows, columns = variance_rows, variance_columns
+    nodes, shares = bilinear_taps(points, rows, columns, by.variance_spacing)
+    precision = 1.0 / (by.prior_variance * rows * columns)
+    screening = lump(nodes, shares, weights * by.point_precision, moved, precision, rows, columns)[0]
+    marginal = inverse_diagonal(screening, 1.0 / by.smoothness)
     for v in range(rows):
         for u in range(columns):
-            variance[v, u] = marginal[v, u] + smoothness * refinement
+            variance[v, u] = marginal[v, u] + by.smoothness * by.refinement
     told = 0
     for point in range(inside.size):
         if inside[point]:

@@ -110,7 +110,7 @@ def inspect_frame(
                 positions=one.positions,
                 motions=one.motions,
                 home=home,
-                motion_field=layer.motion_field(one, evidence, home),
+                motion_field=layer.motion_field(one, evidence),
                 region=posterior.region,
                 posterior=_normalised(config, posterior, segmentation),
             )

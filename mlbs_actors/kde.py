@@ -27,6 +27,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 
 from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, warp_model
 from mlbs_actors.compilation import compiled
+from mlbs_actors.config import Config
 from mlbs_actors.image_rows import padded_planes, read_row, row_room
 from mlbs_actors.lanes import (
     LANES,
@@ -42,7 +43,7 @@ from mlbs_actors.lanes import (
     sum_of_lanes,
     truncated,
 )
-from mlbs_actors.messages import Array, Region
+from mlbs_actors.messages import Array, LayerKind, Region
 from mlbs_actors.row_log import row_log
 
 __all__ = [
@@ -51,6 +52,7 @@ __all__ = [
     "density_tables",
     "log_densities",
     "log_likelihood",
+    "mean_trust",
     "warp_and_evaluate",
 ]
 
@@ -82,6 +84,23 @@ class AppearanceParameters:
     bandwidth_floor: float = 5.0
     registration: float = 0.0
     half_confidence_samples: float = 2.0
+
+    @classmethod
+    def configured(cls, config: Config, kind: LayerKind, side: int) -> AppearanceParameters:
+        """Those of a kind of layer, for images of cells of this side, px."""
+        colours, background = config.appearance, kind == "background"
+        registration = colours.background_registration_px if background else colours.registration_px
+        return cls(colours.bandwidth_floor, registration / side, colours.half_confidence_samples)
+
+
+@compiled()
+def mean_trust(count: Array, trust: Array) -> float:
+    """Mean of a table's values, those of :func:`confidence`, at some numbers of samples; 0 of none."""
+    total = 0.0
+    for y in range(count.shape[0]):
+        for x in range(count.shape[1]):
+            total += trust[count[y, x]]
+    return total / max(count.size, 1)
 
 
 def confidence(count: Array, parameters: AppearanceParameters) -> Array:

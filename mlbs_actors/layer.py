@@ -32,79 +32,28 @@ keeps its id, not its samples: only its place is known, not the path of its pixe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from time import perf_counter
-
-import cv2
 import numpy as np
 
-from mlbs_actors.appearance import AppearanceModel, empty_model, median_colours, update
-from mlbs_actors.cells import cells_won, in_cells, spread_over_cells
+from mlbs_actors.appearance import median_colours
+from mlbs_actors.background_frame import BackgroundView, background_field
+from mlbs_actors.cells import spread_over_cells
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
-from mlbs_actors.fusion import LIKELIHOOD, appearance_tables
 from mlbs_actors.gabp import MotionField, MotionParameters, motion_field
-from mlbs_actors.layer_cost import finished_posterior
-from mlbs_actors.layer_view import LastFrame, LayerView
+from mlbs_actors.layer_state import LayerState
 from mlbs_actors.messages import (
-    COST_STEP,
     Array,
     FrameEvidence,
     LayerAppearance,
     LayerEvidence,
     LayerKind,
     LayerPosterior,
-    Region,
     Segmentation,
 )
-from mlbs_actors.node_grid import node_positions
-from mlbs_actors.object_frame import finished_object
-from mlbs_actors.object_regions import box_of, contested, median_motion, object_region
-from mlbs_actors.region_groups import slices_in
+from mlbs_actors.object_frame import ObjectView
+from mlbs_actors.object_regions import median_of_motions
 
-__all__ = ["Layer", "LayerState"]
-
-
-@dataclass(slots=True)
-class LayerState:
-    """Everything that steers the layer's next frame.
-
-    Attributes
-    ----------
-    last_frame : int
-        Frame evaluated last, −1 before the first.
-    home : Region
-        Where it remembers colours: the frame for the background, else ``region``.
-    region : Region
-        Where it was evaluated.
-    cell : int
-        Side of the cells of which all these arrays are made, px.
-    model : AppearanceModel
-        Samples at ``last_frame``, without that frame's own colours, cell by cell of ``home``.
-    cost : (rows, columns) uint8
-        Unnormalised posterior of ``last_frame`` without the colours, as sent to the segmenter.
-    log_ratio : (rows, columns) int8
-    samples : (rows, columns) uint8
-        What the colours said, as sent to the segmenter.
-    image : (home's rows, home's columns, 3) uint8
-        Mean colours of that frame, to learn from once its labels are known.
-    velocity : (2,) float32
-        Median forward motion of the layer's trajectories, px/frame.
-    trusted : bool
-        Cells of ``home`` in which the layer may learn that frame.
-    """
-
-    last_frame: int
-    home: Region
-    region: Region
-    cell: int
-    model: AppearanceModel
-    cost: Array
-    log_ratio: Array
-    samples: Array
-    image: Array
-    velocity: Array
-    trusted: Array
+__all__ = ["Layer"]
 
 
 class Layer:
@@ -124,45 +73,16 @@ class Layer:
         self.config = config
         self.layer = layer
         self.kind = kind
-        nowhere = Region(0, 0, 0, 0)
-        self.state = state or LayerState(
-            last_frame=-1,
-            home=nowhere,
-            region=nowhere,
-            cell=1,
-            model=empty_model(nowhere, config.appearance.samples),
-            cost=np.zeros((0, 0), np.uint8),
-            log_ratio=np.zeros((0, 0), np.int8),
-            samples=np.zeros((0, 0), np.uint8),
-            image=np.zeros((0, 0, 3), np.uint8),
-            velocity=np.zeros(2, np.float32),
-            trusted=np.zeros((0, 0), bool),
-        )
-        self._motion = MotionParameters(
-            spacing_px=config.motion.grid_px,
-            variance_spacing_px=config.motion.variance_grid_px,
-            smoothness_std_px=config.motion.smoothness_std_px,
-            point_std_px=config.motion.point_std_px,
-            prior_std_px=config.motion.prior_std_px,
-            robust_px=config.motion.robust_px,
-        )
-        self._view: LayerView | None = None
+        self.state = state or LayerState.beginning(config.appearance.samples)
+        self._view: BackgroundView | ObjectView | None = None
 
-    def step(
-        self,
-        evidence: LayerEvidence,
-        frame_evidence: FrameEvidence,
-        frame: Array,
-        previous: Segmentation | None,
-    ) -> LayerPosterior:
+    def step(self, evidence: FrameEvidence, frame: Array, previous: Segmentation | None) -> LayerPosterior:
         """Finish frame t−1, then predict and evaluate frame t.
 
         Parameters
         ----------
-        evidence : LayerEvidence
-            This layer's trajectories at t.
-        frame_evidence : FrameEvidence
-            Of the same frame: camera and dense flow.
+        evidence : FrameEvidence
+            Of frame t.
         frame : (H, W, 3) uint8
         previous : Segmentation or None
             Published result of t−1; None for the first frame. Of another epoch it does not count.
@@ -174,72 +94,40 @@ class Layer:
         Raises
         ------
         LayerError
-            If the evidence is another layer's, or not the next one for this layer.
+            If the layer has no part in the frame, or another frame is its next one.
         """
-        state = self.state
-        if evidence.layer != self.layer or evidence.last_frame != state.last_frame:
+        own, state = evidence.tracks_of(self.layer), self.state
+        if own.last_frame != state.last_frame:
             raise LayerError(
-                f"Layer {self.layer} stands at frame {state.last_frame} but was given evidence of layer "
-                f"{evidence.layer} that goes on from frame {evidence.last_frame}; "
-                "restart the stream from its last snapshot."
+                f"Layer {self.layer} stands at frame {state.last_frame} but was given evidence that goes on "
+                f"from frame {own.last_frame}; restart the stream from its last snapshot."
             )
-        start = perf_counter()
-        if frame_evidence.frame_index == frame_evidence.epoch:
+        if evidence.frame_index == evidence.epoch:
             previous = None
-        posterior = self._finish(previous)
-        finished = perf_counter()
-        view = self._view
-        if view is None or view.shape != frame_evidence.shape:
-            view = self._view = LayerView(self.config, self.kind, frame_evidence.shape)
-        side, weights = view.side, self.config.posterior
-        margins = (weights.region_margin_px, weights.covered_margin_px)
-        last = LastFrame(state.region, state.model, state.image, posterior)
-        if self.kind == "background":
-            home = Region(0, 0, frame.shape[1], frame.shape[0])
-            region, needed = contested(frame_evidence, previous, margins, side)
-            field = self.motion_field(evidence, frame_evidence, home)
-            moved = perf_counter()
-            seen = view.of_background(frame, evidence, frame_evidence, last, region, needed, field)
-        else:
-            home = region = object_region(evidence, previous, frame_evidence.shape, margins, side)
-            field = self.motion_field(evidence, frame_evidence, home)
-            moved = perf_counter()
-            seen = view.of_object(frame, evidence, frame_evidence, last, region, field)
-        evaluated = perf_counter()
-
-        velocity = state.velocity
-        if len(evidence.motions):
-            velocity = -np.array(median_motion(evidence.motions), np.float32)
-        self.state = LayerState(
-            last_frame=frame_evidence.frame_index,
-            home=home,
-            region=region,
-            cell=side,
-            model=seen.model,
-            cost=seen.cost,
-            log_ratio=seen.log_ratio,
-            samples=seen.samples,
-            image=seen.image,
-            velocity=velocity,
-            trusted=seen.trusted,
-        )
+        view, shape = self._view, evidence.shape
+        if view is None or view.shape != shape:
+            background = self.kind == "background"
+            view = (
+                BackgroundView(self.config, shape)
+                if background
+                else ObjectView(self.config, self.layer, shape)
+            )
+            self._view = view
+        self.state, confidence, stage_ms = view.next(state, evidence, frame, previous)
+        state = self.state
         return LayerPosterior(
             layer=self.layer,
-            frame_index=frame_evidence.frame_index,
+            frame_index=state.last_frame,
             kind=self.kind,
-            region=region,
-            cell=side,
-            cost=seen.cost,
-            log_ratio=seen.log_ratio,
-            samples=seen.samples,
+            region=state.region,
+            cell=state.cell,
+            cost=state.cost,
+            log_ratio=state.log_ratio,
+            samples=state.samples,
             outside_cost=255,
-            confidence=seen.confidence,
-            velocity=velocity,
-            stage_ms={
-                "update": 1e3 * (finished - start),
-                "gabp": 1e3 * (moved - finished),
-                "posterior": 1e3 * (evaluated - moved),
-            },
+            confidence=confidence,
+            velocity=state.velocity,
+            stage_ms=stage_ms,
         )
 
     def appearance(self) -> LayerAppearance:
@@ -250,65 +138,24 @@ class Layer:
         known = spread_over_cells(state.model.count > 0, state.cell, shape)
         return LayerAppearance(self.layer, state.last_frame, state.home, colours, known)
 
-    def motion_field(
-        self, evidence: LayerEvidence, frame_evidence: FrameEvidence, region: Region
-    ) -> MotionField:
-        """Infer how the layer moves on a region; nothing is changed.
-
-        Where no trajectory tells, it is the camera's motion, an object's the median of its trajectories.
+    def motion_field(self, evidence: LayerEvidence, frame_evidence: FrameEvidence) -> MotionField:
+        """How the layer moves on its home, as the step inferred it; nothing is changed.
 
         Parameters
         ----------
         evidence : LayerEvidence
-            Of the frame that :meth:`step` takes or has just taken; both give the same field.
+            Of the frame that :meth:`step` has just taken.
         frame_evidence : FrameEvidence
-        region : Region
 
         Returns
         -------
         MotionField
         """
-        shape = (region.height, region.width)
-        prior: Array = np.zeros(2)
-        if self.kind == "background" and region.area:
-            nodes = node_positions(shape, self._motion.spacing_px).astype(np.float64)
-            prior = cv2.perspectiveTransform(nodes, frame_evidence.camera) - nodes
-        elif len(evidence.motions):
-            prior = np.array(median_motion(evidence.motions))
-        elif region.area:
-            prior = -self.state.velocity
-        corner = (region.x, region.y)
-        return motion_field(evidence.positions, evidence.motions, shape, prior, self._motion, corner)
-
-    def _finish(self, previous: Segmentation | None) -> Array:
-        """Learn frame t−1; return this layer's normalised posterior of it, empty if it had no part in it."""
-        state = self.state
-        if previous is None or previous.frame_index != state.last_frame:
-            return np.zeros((0, 0), np.float32)
-        if self.kind != "background":
-            return np.asarray(
-                finished_object(
-                    previous.labels,
-                    previous.normaliser,
-                    previous.fallback,
-                    np.uint16(self.layer),
-                    box_of(state.region),
-                    state.cell,
-                    state.model.arrays,
-                    state.image,
-                    state.trusted,
-                    state.cost,
-                    state.log_ratio,
-                    state.samples,
-                    *appearance_tables(self.config.appearance.half_confidence_samples),
-                    np.float32(self.config.posterior.appearance / COST_STEP),
-                    LIKELIHOOD,
-                )
-            )
-        won, learnt = cells_won(previous.labels, self.layer, state.home, state.cell, state.trusted)
-        update(state.model, state.image, learnt)
-        cells, home = in_cells(state.region, state.cell), in_cells(state.home, state.cell)
-        own = np.ascontiguousarray(won[slices_in(cells, home)])
-        return finished_posterior(
-            self.config, state.cost, state.log_ratio, state.samples, previous, cells, own
-        )
+        parameters, home = MotionParameters.configured(self.config), self.state.home
+        if self.kind == "background":
+            return background_field(evidence, frame_evidence, parameters)
+        # Where no trajectory tells, it is the median of all, or as before.
+        motions = evidence.motions
+        prior: Array = np.array(median_of_motions(motions)) if len(motions) else -self.state.velocity
+        shape, corner = (home.height, home.width), (home.x, home.y)
+        return motion_field(evidence.positions, motions, shape, prior, parameters, corner)

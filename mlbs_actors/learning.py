@@ -136,9 +136,11 @@ def _surroundings(positions: Array, margin: float, shape: tuple[int, int]) -> Re
 
 
 def unexplained_cells(evidence: FrameEvidence, side: int) -> Array:
-    """How badly the camera's motion explains the image, at the frame's cells of this side, uint8."""
+    """How badly the camera's motion explains the image, at the frame's cells of this side, uint8; to read."""
     height, width = evidence.shape
     grid = (-(-height // side), -(-width // side))
     if evidence.unexplained.shape == grid:
         return evidence.unexplained
-    return np.asarray(cv2.resize(evidence.unexplained, grid[::-1]))
+    resized = cv2.resize(evidence.unexplained, grid[::-1])
+    resized.setflags(write=False)  # as what is received: for Numba others are of another type
+    return resized

@@ -165,10 +165,14 @@ class FrameEvidence:
         return tuple(map(self._evidence, self.tracks))
 
     def of(self, layer: int) -> LayerEvidence:
-        """What concerns one live layer; raises LayerError if it has no part in the frame."""
+        """What concerns one live layer; raises as :meth:`tracks_of` does."""
+        return self._evidence(self.tracks_of(layer))
+
+    def tracks_of(self, layer: int) -> LayerTracks:
+        """Which trajectories are one live layer's; raises LayerError if it has no part in the frame."""
         for one in self.tracks:
             if one.layer == layer:
-                return self._evidence(one)
+                return one
         raise LayerError(
             f"Frame {self.frame_index} has no evidence of layer {layer}; "
             "restart the stream from its last snapshot."

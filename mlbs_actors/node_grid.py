@@ -11,9 +11,18 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
-__all__ = ["bilinear_taps", "grid_shape", "lump", "node_positions", "point_misfit", "to_pixels"]
+__all__ = [
+    "bilinear_taps",
+    "grid_shape",
+    "lump",
+    "node_positions",
+    "nodes_of_cells",
+    "point_misfit",
+    "to_pixels",
+]
 
 
+@compiled()
 def grid_shape(shape: tuple[int, int], spacing: int) -> tuple[int, int]:
     """Rows and columns of the nodes of an (h, w) region."""
     return -(-shape[0] // spacing), -(-shape[1] // spacing)
@@ -69,6 +78,48 @@ def to_pixels(values: Array, spacing: int, height: int, width: int) -> Array:
         for i in range(length):
             line[i] = above[i] * (one - share) + below[i] * share
     return pixels
+
+
+@compiled()
+def nodes_of_cells(values: Array, spacing: int, side: int, height: int, width: int) -> tuple[Array, int]:
+    """Of which the means over the pixels of each cell of an (h, w) region are interpolated.
+
+    Parameters
+    ----------
+    values : (gh, gw, c) float32
+    spacing : int
+        Of the nodes, px.
+    side : int
+        Of a cell, px.
+    height, width : int
+        px.
+
+    Returns
+    -------
+    nodes : (rows, columns, c) float32
+    spacing : int
+        Cells.
+    """
+    if spacing % side == 0:
+        # As the values are linear between the nodes, that in the middle of a cell is nearly its mean.
+        return values, spacing // side
+    rows, columns = grid_shape((height, width), side)
+    pixels, components = to_pixels(values, spacing, height, width), values.shape[2]
+    means, summed = (
+        np.zeros((rows, columns, components), np.float32),
+        np.empty(width * components, np.float32),
+    )
+    share = np.float32(1.0 / (side * side))
+    for row in range(rows):
+        summed[:] = 0
+        for y in range(row * side, (row + 1) * side):  # past the border the last row and column go on
+            summed += pixels[min(y, height - 1)].reshape(-1)
+        for column in range(columns):
+            for x in range(column * side, (column + 1) * side):
+                near = min(x, width - 1) * components
+                for component in range(components):
+                    means[row, column, component] += share * summed[near + component]
+    return means, 1
 
 
 @compiled()

@@ -1,21 +1,25 @@
-"""One frame of an object in two compiled functions: what it learns of the last one, and how it sees the new.
+"""One frame of an object in one compiled function: what it learns of the last one, and how it sees the new.
 
-They call, one after the other, the kernels that :mod:`mlbs_actors.layer` calls for the background by way of
-the functions around them. An object is small: those functions would take longer than its kernels do. How
-they differ from the paper is said there.
+It calls, one after the other, the kernels that :mod:`mlbs_actors.background_frame` calls by way of the
+functions around them. An object is small, and its process wakes for a millisecond a frame: those functions
+would take longer than its kernels do. What the terms are, and how they differ from the paper's, is said in
+:mod:`mlbs_actors.layer`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from time import perf_counter
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mlbs_actors.appearance import learn_colours, moved_stacks
-from mlbs_actors.cells import count_won, mean_colours
+from mlbs_actors.appearance import AppearanceModel, learn_colours, moved_stacks
+from mlbs_actors.cells import cell_side, count_won, in_cells, mean_colours
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
-from mlbs_actors.kde import AppearanceParameters, confidence, density_tables, log_densities
+from mlbs_actors.fusion import LIKELIHOOD, appearance_tables
+from mlbs_actors.gabp import FieldNumbers, MotionParameters, check_solved, field_numbers, solved_field
+from mlbs_actors.kde import AppearanceParameters, confidence, density_tables, log_densities, mean_trust
 from mlbs_actors.layer_cost import (
     cost_tables,
     finish_posterior,
@@ -23,21 +27,15 @@ from mlbs_actors.layer_cost import (
     sum_terms,
     uncontested_cost,
 )
-from mlbs_actors.learning import near_trajectories
-from mlbs_actors.messages import UNEXPLAINED_STEP, Array
-from mlbs_actors.node_grid import to_pixels
+from mlbs_actors.layer_state import LayerFrame, LayerState
+from mlbs_actors.learning import near_trajectories, unexplained_cells
+from mlbs_actors.messages import COST_STEP, UNEXPLAINED_STEP, Array, FrameEvidence, Region, Segmentation
+from mlbs_actors.node_grid import nodes_of_cells, to_pixels
+from mlbs_actors.object_regions import box_of, median_of_motions, region_of_object, told_of
 from mlbs_actors.photometric import photometric_advantage
 from mlbs_actors.warp import interpolate_map
 
-__all__ = [
-    "ObjectParameters",
-    "ObjectTables",
-    "evaluated_object",
-    "finished_object",
-    "mean_trust",
-    "object_parameters",
-    "object_tables",
-]
+__all__ = ["ObjectParameters", "ObjectTables", "ObjectView"]
 
 #: Left, top, width and height.
 Box = tuple[int, int, int, int]
@@ -61,6 +59,12 @@ class ObjectParameters(NamedTuple):
     neutral_prior, offset : float
     uncontested : float
         :func:`~mlbs_actors.layer_cost.uncontested_cost`.
+    appearance : float
+        Weight of the colours, units of ``COST_STEP``.
+    margin, covered_margin : float
+        px of a 640×480 frame.
+    scale : float
+        :func:`~mlbs_actors.config.length_scale`.
     """
 
     bandwidth_floor: float
@@ -78,6 +82,10 @@ class ObjectParameters(NamedTuple):
     neutral_prior: float
     offset: float
     uncontested: float
+    appearance: float
+    margin: float
+    covered_margin: float
+    scale: float
 
 
 class ObjectTables(NamedTuple):
@@ -91,6 +99,10 @@ class ObjectTables(NamedTuple):
         :func:`~mlbs_actors.layer_cost.cost_tables`.
     trust : Array
         By numbers of samples, :func:`~mlbs_actors.kde.confidence`.
+    known, ratio_of : Array
+        :func:`~mlbs_actors.fusion.appearance_tables`.
+    likelihood : Array
+        :data:`~mlbs_actors.fusion.LIKELIHOOD`.
     """
 
     exponent: Array
@@ -99,12 +111,101 @@ class ObjectTables(NamedTuple):
     disagreement: Array
     surprise: Array
     trust: Array
+    known: Array
+    ratio_of: Array
+    likelihood: Array
 
 
-def object_parameters(
-    config: Config, density: AppearanceParameters, shape: tuple[int, int]
-) -> ObjectParameters:
-    """Those of frames of a (H, W) shape, with a density that is stated for its cells."""
+class ObjectView:
+    """How an object sees frames of one size.
+
+    Parameters
+    ----------
+    config : Config
+    layer : int
+        Its id.
+    shape : (H, W)
+        px.
+
+    Attributes
+    ----------
+    shape : (H, W)
+    """
+
+    def __init__(self, config: Config, layer: int, shape: tuple[int, int]) -> None:
+        self.shape = shape
+        self._layer = layer
+        self._side = cell_side(shape, config.appearance.cell_px)
+        density = AppearanceParameters.configured(config, "object", self._side)
+        motion = MotionParameters.configured(config)
+        self._tolerance = motion.tolerance
+        # Plain tuples: Numba would ask for the type of any other one anew in each call.
+        self._parameters = tuple(_parameters(config, density, shape))
+        self._numbers = tuple(field_numbers(motion))
+        self._tables = tuple(_tables(config, density))
+
+    def next(
+        self, state: LayerState, evidence: FrameEvidence, frame: Array, previous: Segmentation | None
+    ) -> LayerFrame:
+        """See :meth:`~mlbs_actors.layer.Layer.step`; the state's model learns in place."""
+        start, layer, side = perf_counter(), self._layer, self._side
+        own = evidence.tracks_of(layer)
+        learns = previous is not None and previous.frame_index == state.last_frame
+        shown = _NOTHING if previous is None else (previous.labels, previous.normaliser, previous.fallback)
+        model = state.model
+        box, residual, velocity, arrays, image, trusted, cost, log_ratio, samples, trust = _object_frame(
+            self._parameters,
+            self._numbers,
+            self._tables,
+            (np.uint16(layer), side, own.start, own.end, learns),
+            (
+                frame,
+                evidence.positions,
+                evidence.motions,
+                evidence.camera,
+                evidence.flow.view(np.uint16),
+                evidence.flow_reliable,
+                evidence.unexplained,
+                unexplained_cells(evidence, side),
+            ),
+            shown,
+            told_of(layer, previous),
+            box_of(state.region),
+            (model.samples, model.count, model.newest, model.spread, model.residual),
+            (state.image, state.trusted, state.cost, state.log_ratio, state.samples, state.velocity),
+        )
+        check_solved(residual, self._tolerance)
+        region = Region(*box)
+        following = LayerState(
+            last_frame=evidence.frame_index,
+            home=region,
+            region=region,
+            cell=side,
+            model=AppearanceModel(in_cells(region, side), *arrays),
+            cost=cost,
+            log_ratio=log_ratio,
+            samples=samples,
+            image=image,
+            velocity=velocity,
+            trusted=trusted,
+        )
+        return LayerFrame(following, trust, {"posterior": 1e3 * (perf_counter() - start)})
+
+
+def _read_only(array: Array) -> Array:
+    array.setflags(write=False)
+    return array
+
+
+#: Label map, normaliser and fallback of no frame; as others they can be read only.
+_NOTHING = (
+    _read_only(np.zeros((0, 0), np.uint16)),
+    _read_only(np.zeros((0, 0), np.uint8)),
+    _read_only(np.zeros((0, 0), np.int8)),
+)
+
+
+def _parameters(config: Config, density: AppearanceParameters, shape: tuple[int, int]) -> ObjectParameters:
     weights, scale = config.posterior, length_scale(*shape)
     return ObjectParameters(
         bandwidth_floor=density.bandwidth_floor,
@@ -122,51 +223,109 @@ def object_parameters(
         neutral_prior=weights.neutral_prior,
         offset=weights.offset,
         uncontested=uncontested_cost(config),
+        appearance=weights.appearance / COST_STEP,
+        margin=weights.region_margin_px,
+        covered_margin=weights.covered_margin_px,
+        scale=scale,
     )
 
 
-def object_tables(config: Config, density: AppearanceParameters) -> ObjectTables:
+def _tables(config: Config, density: AppearanceParameters) -> ObjectTables:
     """Those of a configuration."""
+    known, ratio_of = appearance_tables(config.appearance.half_confidence_samples)
     return ObjectTables(
         *density_tables(density),
         *cost_tables(config, "object"),
         trust=confidence(np.arange(256), density),
+        known=known,
+        ratio_of=ratio_of,
+        likelihood=LIKELIHOOD,
     )
 
 
 @compiled()
-def finished_object(
-    labels: Array, normaliser: Array, fallback: Array, layer: np.uint16, region: Box, side: int,
-    model: tuple[Array, Array, Array, Array, Array], image: Array, trusted: Array, cost: Array,
-    log_ratio: Array, samples: Array, trust: Array, ratio_of: Array, strength: np.float32, likelihood: Array,
-) -> Array:  # fmt: skip
-    """Learn a published frame, and make the object's normalised posterior of it.
+def _object_frame(
+    parameters: tuple[float, ...], numbers: tuple[Any, ...], tables: tuple[Array, ...],
+    own: tuple[np.uint16, int, int, int, bool], seen: tuple[Array, ...], shown: tuple[Array, Array, Array],
+    told: Array, last_region: Box, model: tuple[Array, Array, Array, Array, Array], last: tuple[Array, ...],
+) -> tuple[Box, float, Array, tuple[Array, ...], Array, Array, Array, Array, Array, float]:  # fmt: skip
+    """Finish an object's last frame, then predict and evaluate it in a new one.
 
     Parameters
     ----------
-    labels, normaliser, fallback : Array
-        Of the frame's :class:`~mlbs_actors.messages.Segmentation`.
-    layer : uint16
-    region : (x, y, width, height)
-        The object's, px.
-    side : int
-        Of a cell, px.
+    parameters, numbers, tables : tuple
+        :class:`ObjectParameters`, :class:`~mlbs_actors.gabp.FieldNumbers` and :class:`ObjectTables`, as plain
+        tuples.
+    own : (layer, side, start, end, learns)
+        Its id; side of a cell, px; which of all trajectories are its; and whether it had a part in the last
+        frame.
+    seen : frame, positions, motions, camera, flow, reliable, unexplained, unexplained cells
+        (H, W, 3) uint8; what :class:`~mlbs_actors.messages.FrameEvidence` has, the flow by its bits as
+        uint16; and :func:`~mlbs_actors.learning.unexplained_cells`.
+    shown : labels, normaliser, fallback
+        Of the last frame's :class:`~mlbs_actors.messages.Segmentation`.
+    told : (7,) float64
+        :func:`~mlbs_actors.object_regions.told_of` it.
+    last_region : (x, y, width, height)
+        Where it was evaluated, px.
     model : samples, count, newest, spread and residual
-        Of its :class:`~mlbs_actors.appearance.AppearanceModel`.
-    image, trusted, cost, log_ratio, samples : Array
-        Of its :class:`~mlbs_actors.layer.LayerState`.
-    trust, ratio_of : Array
-        :func:`~mlbs_actors.fusion.appearance_tables`.
-    strength : float32
-        Weight of the colours, units of ``COST_STEP``.
-    likelihood : Array
-        :data:`~mlbs_actors.fusion.LIKELIHOOD`.
+        Of its :class:`~mlbs_actors.appearance.AppearanceModel`; the last frame is learnt in place.
+    last : image, trusted, cost, log ratio, samples, velocity
+        Of its :class:`~mlbs_actors.layer_state.LayerState`.
 
     Returns
     -------
-    (h, w) float32
+    region : (x, y, width, height)
+        Where it is evaluated now, px.
+    residual : float
+        For :func:`~mlbs_actors.gabp.check_solved`.
+    velocity, model, image, trusted, cost, log_ratio, samples
+        As its next state has them.
+    confidence : float
+        Mean trust in the model.
     """
-    x, y, width, height = region
+    by, (layer, side, start, end, learns) = ObjectParameters(*parameters), own
+    posterior = np.empty((0, 0), np.float32)
+    if learns:
+        posterior = _finished(by, tables, layer, side, shown, last_region, model, last)
+
+    (height, width, _), points, moved = seen[0].shape, seen[1][start:end], seen[2][start:end]
+    velocity = last[5].copy()
+    region = region_of_object(
+        told, points, moved, (by.margin, by.covered_margin), by.scale, side, height, width
+    )
+    x, y, wide, high = region
+    # Where no trajectory tells, the field is the median of all.
+    prior = np.empty((1, 1, 2))
+    if end > start:
+        prior[0, 0, 0], prior[0, 0, 1] = median_of_motions(moved)
+        velocity[0], velocity[1] = np.float32(-prior[0, 0, 0]), np.float32(-prior[0, 0, 1])
+    else:
+        prior[0, 0, 0], prior[0, 0, 1] = -velocity[0], -velocity[1]
+    mean, variance, _, _, residual = solved_field(points, moved, prior, (x, y), (high, wide), numbers)
+    field = FieldNumbers(*numbers)
+    nodes, spacing = nodes_of_cells(mean, field.spacing, side, high, wide)
+    flat = variance.reshape(variance.shape[0], variance.shape[1], 1)
+    variance_nodes, variance_spacing = nodes_of_cells(flat, field.variance_spacing, side, high, wide)
+    rows, columns = -(-high // side), -(-wide // side)
+    motion = to_pixels(nodes, spacing, rows, columns) * np.float32(1.0 / side)
+    spread_variance = to_pixels(variance_nodes, variance_spacing, rows, columns).reshape(rows, columns)
+    found = _evaluated(
+        by, tables, own, seen, region, last_region, last[0], posterior, model, motion, spread_variance
+    )
+    following, image, trusted, cost, log_ratio, samples, trust = found
+    return region, residual, velocity, following, image, trusted, cost, log_ratio, samples, trust
+
+
+@compiled()
+def _finished(
+    by: ObjectParameters, tables: tuple[Array, ...], layer: np.uint16, side: int,
+    shown: tuple[Array, Array, Array], region: Box, model: tuple[Array, Array, Array, Array, Array],
+    last: tuple[Array, ...],
+) -> Array:  # fmt: skip
+    """Learn a published frame; the object's normalised posterior of it, (h, w) float32."""
+    of, (x, y, width, height), (labels, normaliser, fallback) = ObjectTables(*tables), region, shown
+    image, trusted, cost, log_ratio, samples, _ = last
     won, learnt = np.empty(trusted.shape, np.uint8), np.empty(trusted.shape, np.bool_)
     count_won(labels, layer, x, y, width, height, side, trusted, won, learnt)
     stacks, count, newest, spread, residual = model
@@ -174,103 +333,56 @@ def finished_object(
     posterior = np.empty(cost.shape, np.float32)
     finish_posterior(
         cost, log_ratio.view(np.uint8), samples, fallback.view(np.uint8), normaliser, x // side, y // side,
-        won, trust, ratio_of, strength, likelihood, posterior,
+        won, of.known, of.ratio_of, np.float32(by.appearance), of.likelihood, posterior,
     )  # fmt: skip
     return posterior
 
 
 @compiled()
-def evaluated_object(
-    parameters: tuple[float, ...], tables: tuple[Array, ...], frame: Array, region: Box, side: int,
-    last_region: Box, last_image: Array, posterior: Array, model: tuple[Array, Array, Array, Array, Array],
-    mean: Array, spacing: int, variance: Array, variance_spacing: int, positions: Array, own: tuple[int, int],
-    camera: Array, flow: Array, reliable: Array, unexplained: Array, unexplained_cells: Array,
+def _evaluated(
+    by: ObjectParameters, tables: tuple[Array, ...], own: tuple[np.uint16, int, int, int, bool],
+    seen: tuple[Array, ...], region: Box, last_region: Box, last_image: Array, posterior: Array,
+    model: tuple[Array, Array, Array, Array, Array], motion: Array, variance: Array,
 ) -> tuple[tuple[Array, Array, Array, Array, Array], Array, Array, Array, Array, Array, float]:  # fmt: skip
-    """Predict and evaluate an object in a new frame.
+    """Predict and evaluate an object, whose motion is known for each cell, cells, and its variance, px².
 
-    Parameters
-    ----------
-    parameters, tables : tuple
-        :class:`ObjectParameters` and :class:`ObjectTables`, as plain tuples: the type of others is asked anew
-        in every call.
-    frame : (H, W, 3) uint8
-    region, last_region : (x, y, width, height)
-        The object's in this frame and in the last one, px.
-    side : int
-        Of a cell, px.
-    last_image : (last h, last w, 3) uint8
-    posterior : (last h, last w) float32
-        Normalised, of the last frame; empty if there is none.
-    model : samples, count, newest, spread and residual
-        Of its :class:`~mlbs_actors.appearance.AppearanceModel`.
-    mean, spacing, variance, variance_spacing
-        :meth:`~mlbs_actors.gabp.MotionField.mean_nodes` and ``variance_nodes``.
-    positions : (n, 2) float32
-        Of all layers' trajectories; the object's are those from ``own[0]`` to ``own[1]``.
-    camera, flow, reliable, unexplained : Array
-        Of the :class:`~mlbs_actors.messages.FrameEvidence`, the flow by its bits as uint16.
-    unexplained_cells : (rows, columns) uint8
-        :func:`~mlbs_actors.learning.unexplained_cells`.
-
-    Returns
-    -------
-    model : samples, count, newest, spread and residual
-    image : (h, w, 3) uint8
-    trusted : (h, w) bool
-    cost : (h, w) uint8
-    log_ratio : (h, w) int8
-    samples : (h, w) uint8
-        As :class:`~mlbs_actors.layer.LayerState` has them.
-    confidence : float
+    The last image and the last posterior, which may be empty, are of the last region's cells.
     """
-    those = ObjectParameters(*parameters)
-    by = ObjectTables(*tables)
+    of, (_, side, start, end, _) = ObjectTables(*tables), own
+    frame, positions, _, camera, flow, reliable, unexplained, unexplained_cells = seen
     x, y, width, height = region
-    left, top, shape = x // side, y // side, (-(-height // side), -(-width // side))
+    left, top, shape = x // side, y // side, variance.shape
     last_left, last_top = last_region[0] // side, last_region[1] // side
     shift_x, shift_y, needed = left - last_left, top - last_top, np.ones(shape, np.bool_)
-    motion, in_cells = to_pixels(mean, spacing, shape[0], shape[1]), np.float32(1.0 / side)
-    motion *= in_cells
-    spread_variance = to_pixels(variance, variance_spacing, shape[0], shape[1]).reshape(shape)
     image = mean_colours(frame, x, y, height, width, side)
 
     stacks, count, newest, spread, residual = model
     moved = moved_stacks(stacks, count, newest, spread, residual, shift_x, shift_y, motion)
     log_density = np.full(shape, np.float32(np.nan))
     log_densities(
-        moved[0], moved[1], moved[3], moved[4], image, needed, np.float32(those.bandwidth_floor),
-        np.float32(those.registration), by.exponent, by.norm, log_density,
+        moved[0], moved[1], moved[3], moved[4], image, needed, np.float32(by.bandwidth_floor),
+        np.float32(by.registration), of.exponent, of.norm, log_density,
     )  # fmt: skip
     log_ratio, samples = np.zeros(shape, np.int8), np.zeros(shape, np.uint8)
-    quantise_colours(log_density, moved[1], needed, np.float32(those.appearance_cap), log_ratio, samples)
+    quantise_colours(log_density, moved[1], needed, np.float32(by.appearance_cap), log_ratio, samples)
 
     prior, share = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     interpolate_map(posterior, motion, shift_x, shift_y, needed, prior, share)
     trusted, away = np.empty(shape, np.bool_), np.empty(shape, np.float32)
     near_trajectories(
-        positions, own[0], own[1], side, left, top, unexplained_cells, those.unexplained,
-        np.float32(those.close), np.float32(those.learn), np.float32(those.near), np.float32(those.fade),
+        positions, start, end, side, left, top, unexplained_cells, by.unexplained,
+        np.float32(by.close), np.float32(by.learn), np.float32(by.near), np.float32(by.fade),
         trusted, away,
     )  # fmt: skip
     advantage = photometric_advantage(
         last_image, image, motion, camera, float(side), (left, top), (last_left, last_top),
-        prior >= np.float32(0.5), np.float32(those.photometric_cap),
+        prior >= np.float32(0.5), np.float32(by.photometric_cap),
     )  # fmt: skip
-    cost = np.full(shape, np.uint8(those.uncontested))
+    cost = np.full(shape, np.uint8(by.uncontested))
     sum_terms(
-        needed, motion, np.float32(side), spread_variance, flow, reliable, unexplained, left, top,
-        frame.shape[1] / side, frame.shape[0] / side, by.heard, prior, share, away, advantage,
-        np.float32(those.distance), np.float32(those.photometric), np.float32(those.flow_variance),
-        np.float32(those.neutral_prior), by.disagreement, by.surprise, np.float32(those.offset), cost,
+        needed, motion, np.float32(side), variance, flow, reliable, unexplained, left, top,
+        frame.shape[1] / side, frame.shape[0] / side, of.heard, prior, share, away, advantage,
+        np.float32(by.distance), np.float32(by.photometric), np.float32(by.flow_variance),
+        np.float32(by.neutral_prior), of.disagreement, of.surprise, np.float32(by.offset), cost,
     )  # fmt: skip
-    return moved, image, trusted, cost, log_ratio, samples, mean_trust(moved[1], by.trust)
-
-
-@compiled()
-def mean_trust(count: Array, trust: Array) -> float:
-    """Mean of a table's values at some numbers of samples, 0 of none."""
-    total = 0.0
-    for y in range(count.shape[0]):
-        for x in range(count.shape[1]):
-            total += trust[count[y, x]]
-    return total / max(count.size, 1)
+    return moved, image, trusted, cost, log_ratio, samples, mean_trust(moved[1], of.trust)

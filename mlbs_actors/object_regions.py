@@ -24,73 +24,72 @@ from mlbs_actors.messages import (
     BACKGROUND,
     Array,
     FrameEvidence,
-    LayerEvidence,
     LayerSummary,
     Region,
     Segmentation,
 )
 
-__all__ = ["bounds", "box_of", "box_within", "contested", "median_motion", "object_region"]
+__all__ = [
+    "bounds",
+    "box_of",
+    "box_within",
+    "contested",
+    "median_of_motions",
+    "region_of_object",
+    "told_of",
+]
 
 #: Pixels for each trajectory, of a 640×480 frame, up to which an object's trajectories cover it.
 _COVERED_PX = 100.0
 
 
-def object_region(
-    evidence: LayerEvidence,
-    previous: Segmentation | None,
-    shape: tuple[int, int],
-    margins_px: tuple[float, float],
-    cell: int = 1,
-) -> Region:
-    """Region of one object in frame t.
-
-    Parameters
-    ----------
-    evidence : LayerEvidence
-        The object's trajectories at t.
-    previous : Segmentation or None
-        Published result of t−1; None for the first frame.
-    shape : (H, W)
-        Size of the frame, px.
-    margins_px : (float, float)
-        Margins around trajectories and pixels, px of a 640×480 frame: of any object, and of one in full view.
-    cell : int
-        The region is made of whole cells of this side, px.
-
-    Returns
-    -------
-    Region
-        Inside the frame; empty for an object without trajectories and pixels.
-    """
+def told_of(layer: int, previous: Segmentation | None) -> Array:
+    """What is known of a layer's pixels in the last map: their number, their box, their velocity, (7,)."""
     summaries = previous.layers if previous is not None else ()
-    told = np.array(_told(next((one for one in summaries if one.layer == evidence.layer), None)), np.float64)
-    x, y, width, height = _region(
-        told, evidence.positions, evidence.motions, margins_px, length_scale(*shape), cell, *shape
-    )
-    return Region(x, y, width, height)
+    return np.array(_told(next((one for one in summaries if one.layer == layer), None)), np.float64)
 
 
 def _told(one: LayerSummary | None) -> tuple[float, ...]:
-    """What is known of a layer's pixels: their number, their box, their velocity."""
     if one is None:
         return 0, 0, 0, 0, 0, 0, 0
     return one.area, *box_of(one.region), *one.velocity
 
 
 @compiled()
-def _region(
+def region_of_object(
     told: Array, positions: Array, motions: Array, margins_px: tuple[float, float], scale: float, cell: int,
     height: int, width: int,
 ) -> tuple[int, int, int, int]:  # fmt: skip
-    """Left, top, width and height of the region of one object of :func:`_told`."""
+    """Region of one object in frame t.
+
+    Parameters
+    ----------
+    told : (7,) float64
+        :func:`told_of` its pixels at t−1.
+    positions, motions : (n, 2) float32
+        Its trajectories at t, px.
+    margins_px : (float, float)
+        Margins around trajectories and pixels, px of a 640×480 frame: of any object, and of one in full view.
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+    cell : int
+        The region is made of whole cells of this side, px.
+    height, width : int
+        Size of the frame, px.
+
+    Returns
+    -------
+    (int, int, int, int)
+        Left, top, width and height, px; inside the frame, and empty for an object without trajectories and
+        pixels.
+    """
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     move_x, move_y = told[5], told[6]
     if len(positions):
         x0, y0, x1, y1 = bounds(positions)
         left, top, right, bottom = np.float64(x0), np.float64(y0), np.float64(x1), np.float64(y1)
         if told[0]:
-            back_x, back_y = _median_motion(motions)
+            back_x, back_y = median_of_motions(motions)
             move_x, move_y = -np.float64(back_x), -np.float64(back_y)
     elif not told[0]:
         return 0, 0, 0, 0
@@ -115,14 +114,9 @@ def box_of(region: Region) -> tuple[int, int, int, int]:
     return region.x, region.y, region.width, region.height
 
 
-def median_motion(motions: Array) -> tuple[float, float]:
-    """Median of some motions (n ≥ 1, 2), px: of x and of y."""
-    x, y = _median_motion(motions)
-    return float(x), float(y)
-
-
 @compiled()
-def _median_motion(motions: Array) -> tuple[float, float]:
+def median_of_motions(motions: Array) -> tuple[float, float]:
+    """Median of some motions (n ≥ 1, 2), px: of x and of y."""
     return np.median(motions[:, 0]), np.median(motions[:, 1])
 
 
@@ -159,7 +153,7 @@ def contested(
     previous : Segmentation or None
         Published result of the frame before.
     margins_px, cell
-        As for :func:`object_region`.
+        As for :func:`region_of_object`.
 
     Returns
     -------
@@ -192,7 +186,7 @@ def _contested(
     start = len(positions) - counts.sum()
     for one in range(len(told)):
         end = start + counts[one]
-        x, y, wide, high = _region(
+        x, y, wide, high = region_of_object(
             told[one], positions[start:end], motions[start:end], margins_px, scale, cell, height, width
         )
         if wide * high:

@@ -99,11 +99,11 @@ class MultilayerSubtractor:
         for retired in evidence.retired:
             del self._layers[retired]
         posteriors = []
-        for one in evidence.layers:
+        for one in evidence.tracks:
             if one.layer not in self._layers:
                 self._layers[one.layer] = Layer(self.config, one.layer, one.kind)
             layer = self._layers[one.layer]
-            posteriors.append(received(layer.step(one, evidence, frame, self._published.get(index - 1))))
+            posteriors.append(received(layer.step(evidence, frame, self._published.get(index - 1))))
         segmentation = self._segmenter.step(evidence, frame, posteriors)
         self._published = {known: result for known, result in self._published.items() if known > index - 3}
         self._published[index] = segmentation

@@ -37,8 +37,8 @@ __all__ = ["Driver", "Observer", "SpecChange"]
 #: Longest time until a signal is noticed, s.
 _WAKE_SECONDS = 0.2
 
-#: Span over which a stream's rate is taken, s.
-_RATE_SECONDS = 10.0
+#: Span over which a stream's rate is taken, s: at most, and at least. Its first bursts are slow.
+_RATE_SECONDS, _LEAST_RATE_SECONDS = 10.0, 2.0
 
 
 class Observer(Protocol):
@@ -283,13 +283,13 @@ class _Rate:
         self._samples: deque[tuple[float, int]] = deque()
 
     def after(self, frames: int) -> float:
-        """Take the total so far; return the rate, 0 for the first one."""
+        """Take the total so far; return the rate, 0 while it is unknown."""
         now = self._clock()
         self._samples.append((now, frames))
         while len(self._samples) > 2 and self._samples[0][0] < now - _RATE_SECONDS:
             self._samples.popleft()
         started, already = self._samples[0]
-        return (frames - already) / (now - started) if now > started else 0.0
+        return (frames - already) / (now - started) if now - started >= _LEAST_RATE_SECONDS else 0.0
 
 
 def _sentence(error: Exception) -> str:

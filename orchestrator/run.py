@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from mlbs_actors.actors import Cluster, Node
+from mlbs_actors.actors.parts import has_kernels
 from mlbs_actors.actors.stream_protocol import FrameReader, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SinkError
@@ -37,7 +38,7 @@ from orchestrator.sinks.record import StreamRecord, ends_group, has_snapshot, re
 from orchestrator.sources.address import SourceKind
 from orchestrator.sources.opening import open_reader
 from orchestrator.stream_list import ListedStream
-from orchestrator.stream_state import StreamState, after_failure, stopped, with_record
+from orchestrator.stream_state import StreamState, after_failure, exit_code, stopped, with_record
 from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
 __all__ = ["run", "what_to_look_at"]
@@ -101,26 +102,24 @@ def run(
             ended |= earlier
         else:
             folder.refuse_if_used([stream.name for stream in streams])
-        count = count_of(len(streams) - len(ended), "stream")
-        if arguments.address is None:
-            _say(f"Starting Ray; {count}, up to {limit} at a time.")
-            due = [spec for spec in job.specs if spec.name not in ended]
-            endless = sum(not spec.replayable and spec.max_frames is None for spec in due)
-            if (warning := warn_of_cameras(endless, len(due), limit)) is not None:
-                _say(warning)
-        else:
-            _say(f"Joining Ray at {arguments.address}; {count}.")
-        onlookers = session.enter_context(_monitored(arguments.monitor, live))
-        session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
-        if arguments.ray_metrics is not None:
+        due = [spec for spec in job.specs if spec.name not in ended]
+        onlookers: list[Observer] = []
+        if at_work := bool(due) or arguments.watch:
+            onlookers = session.enter_context(_monitored(arguments.monitor, live))
+            _announce(due, arguments, limit)
+            session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
+        if at_work and arguments.ray_metrics is not None:
             onlookers.append(RayMetrics())
             if arguments.address is None:
                 _say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
         if not arguments.resume:
             folder.claim(job.description)
             hold.enter_context(folder.held())
-        changes = job.changes if arguments.watch else None
-        states, exit_status = _drive(job, ended, changes, limit, status, onlookers, folder, arguments.address)
+        if at_work:
+            states, exit_status = _drive(job, ended, limit, status, onlookers, folder, arguments)
+        else:
+            states = tuple(ended[spec.name] for spec in job.specs)
+            exit_status = exit_code(states, None)
         session.close()
         states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
         try:
@@ -220,16 +219,30 @@ class _Job:
         )
 
 
+def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int) -> None:
+    """Say what begins, and what about it may surprise."""
+    count = count_of(len(due), "stream")
+    if arguments.address is not None:
+        _say(f"Joining Ray at {arguments.address}; {count}.")
+        return
+    _say(f"Starting Ray; {count}, up to {limit} at a time.")
+    if not has_kernels():
+        _say("This is the first run of this installation: it compiles for a minute or two, once.")
+    endless = sum(not spec.replayable and spec.max_frames is None for spec in due)
+    if (warning := warn_of_cameras(endless, len(due), limit)) is not None:
+        _say(warning)
+
+
 def _drive(
     job: _Job,
     ended: Mapping[str, StreamState],
-    changes: Callable[[], SpecChange | None] | None,
     limit: int,
     status: StatusFile,
     onlookers: Sequence[Observer],
     folder: RunFolder,
-    address: str | None,
+    arguments: Arguments,
 ) -> tuple[tuple[StreamState, ...], int]:
+    """Run the streams; return how they stand at the end, and the run's exit status."""
     output = sys.stdout
     # Ray prints its own warnings; standard output belongs to the progress.
     ray_log = folder.path / "ray.log"
@@ -238,7 +251,7 @@ def _drive(
         try:
             host: Node | Cluster
             most: int | Callable[[], int] = limit
-            if address is None:
+            if arguments.address is None:
                 host = Node()
             else:
                 host = Cluster(partial(places_here, folder.path), _say)
@@ -250,7 +263,7 @@ def _drive(
                 observers=[status, *onlookers, progress],
                 interruption=interruption,
                 ended=ended,
-                changes=changes,
+                changes=job.changes if arguments.watch else None,
             )
             try:
                 exit_status = driver.run()

@@ -152,19 +152,17 @@ class _Layer:
         self._layer, self._kind, self._slow_seconds, self._death = layer, kind, slow_seconds, death
         self.state = Memory(layer + 1)
 
-    def step(
-        self,
-        evidence: LayerEvidence,
-        frame_evidence: FrameEvidence,
-        frame: Array,
-        previous: Segmentation | None,
-    ) -> LayerPosterior:
-        t = self._frame = frame_evidence.frame_index
+    def step(self, evidence: FrameEvidence, frame: Array, previous: Segmentation | None) -> LayerPosterior:
+        t = self._frame = evidence.frame_index
         if frame[DEATHS["layer"]][0] == self._layer > 0:
             self._death.come()
         assert (previous.frame_index if previous else -1) == t - 1
         time.sleep(self._slow_seconds)
-        for told in (evidence.positions, frame, *([] if previous is None else [previous.labels])):
+        for told in (
+            evidence.of(self._layer).positions,
+            frame,
+            *([] if previous is None else [previous.labels]),
+        ):
             self.state.checksum = zlib.crc32(told.tobytes(), self.state.checksum)
         cost = np.random.default_rng(self.state.checksum).integers(0, 256, SHAPE, dtype=np.uint8)
         region = Region(0, 0, SHAPE[1], SHAPE[0])
@@ -450,10 +448,10 @@ def rows_in_one_process(parts: PartFactory, pictures: Iterable[Array], config: C
             frame = given[evidence.frame_index]
             previous = results[-1] if results else None
             posteriors = []
-            for own in evidence.layers:
+            for own in evidence.tracks:
                 if own.layer not in layers:
                     layers[own.layer] = parts.layer(config, own.layer, own.kind)
-                posteriors.append(layers[own.layer].step(own, evidence, frame, previous))
+                posteriors.append(layers[own.layer].step(evidence, frame, previous))
             results.append(segmenter.step(evidence, frame, posteriors))
     return [f"{t} {t} {zlib.crc32(result.labels.tobytes())}" for t, result in enumerate(results)]
 

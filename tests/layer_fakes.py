@@ -1,4 +1,7 @@
-"""What a layer is given: frames, trajectories, evidence and published maps, made by hand."""
+"""What a layer is given: frames, trajectories, evidence and published maps, made by hand.
+
+As of what a layer receives, nothing can be written to them: kernels are compiled for that.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from mlbs_actors.messages import (
     LayerSummary,
     Region,
     Segmentation,
+    received,
 )
 
 SHAPE = (120, 160)
@@ -21,7 +25,9 @@ CAR = Region(60, 40, 40, 30)
 
 
 def picture(seed: int = 0) -> Array:
-    return np.random.default_rng(seed).integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
+    made = np.random.default_rng(seed).integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
+    made.setflags(write=False)
+    return made
 
 
 def grid(region: Region, spacing: int = 6) -> Array:
@@ -48,7 +54,7 @@ def frame_of(
 ) -> FrameEvidence:
     """Half-size maps; nothing is explained by the camera's motion, unless a test says otherwise."""
     half = (SHAPE[0] // 2, SHAPE[1] // 2)
-    return joined_evidence(
+    made = joined_evidence(
         layers,
         frame_index=frame_index,
         shape=SHAPE,
@@ -59,6 +65,7 @@ def frame_of(
         retired=(),
         latency_frames=0,
     )
+    return received(made)
 
 
 def published(
@@ -75,7 +82,7 @@ def published(
         box = Region(x, y, int(columns.max()) + 1 - x, int(rows.max()) + 1 - y)
         centre = float(columns.mean()), float(rows.mean())
         summaries.append(LayerSummary(int(layer), "object", box, len(rows), centre, velocity, 1.0))
-    return Segmentation(
+    made = Segmentation(
         frame_index=frame_index,
         labels=labels.astype(np.uint16),
         normaliser=np.full(SHAPE, normaliser, np.uint8),
@@ -84,6 +91,7 @@ def published(
         camera_motion=(0.0, 0.0),
         latency_frames=0,
     )
+    return received(made)
 
 
 def owned(region: Region, layer: int = 1) -> Array:

@@ -20,12 +20,16 @@ import pytest
 from camera_server import PASSWORD, camera, free_port, needs_rtsp_server
 from PIL import Image
 
+from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator import ray_session
 from orchestrator.command_line import SAVED, parse
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.ray_session import ray_settings
+from orchestrator.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.sources.synthetic import scene
+from orchestrator.stream_list import read_stream_list
+from orchestrator.stream_state import StreamState
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -224,6 +228,18 @@ def test_the_main_script_takes_the_demo_list_where_no_list_is_given(
     assert ended.stdout.splitlines() == arguments
 
 
+@pytest.mark.parametrize(("status", "told"), [(0, True), (1, True), (2, False)])
+def test_the_main_script_says_how_to_use_own_videos_unless_its_flags_are_wrong(
+    tmp_path: Path, status: int, told: bool
+) -> None:
+    script = _with_stubs(tmp_path / "root")
+    python = tmp_path / "root/.venv/bin/python"
+    python.write_text(f"#!/bin/sh\nexit {status}\n")
+    ended = subprocess.run([script], cwd=tmp_path, capture_output=True, text=True, timeout=20, check=False)
+    assert ended.returncode == status
+    assert ("For your own videos" in ended.stderr) == told
+
+
 def test_an_output_folder_that_holds_a_run_is_refused_untouched(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out/run.json").write_text("{}")
@@ -231,6 +247,22 @@ def test_an_output_folder_that_holds_a_run_is_refused_untouched(tmp_path: Path) 
     assert ended.returncode == 2
     assert "holds a run already" in ended.stderr
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["run.json"]
+
+
+def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) -> None:
+    given = ("--streams", stream_list(tmp_path, "street street.mp4"), "--output", tmp_path / "out")
+    (tmp_path / "street.mp4").write_bytes(b"read before")
+    arguments = parse([str(word) for word in given])
+    streams, config = read_stream_list(arguments.streams), Config()
+    folder = RunFolder(tmp_path / "out")
+    folder.claim(describe_run(streams, config, arguments.save, None))
+    StatusFile(folder.path / "status.json").finish([StreamState("street", "done", read=9, committed=9)], 0)
+    ended = command(*given, "--resume")
+    assert ended.returncode == 0, ended.stderr
+    assert "1 stream ended before" in ended.stderr
+    assert "1 of 1 stream complete" in ended.stderr
+    assert "Starting Ray" not in ended.stderr
+    assert (folder.path / "report.html").stat().st_size
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere.invalid:6379", "head", ":"])

@@ -7,7 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from mlbs_actors import compilation
+from mlbs_actors.actors.parts import has_kernels
 
 _CALLER = """
 from mlbs_actors.called import STEP, one
@@ -58,3 +61,20 @@ def test_a_change_of_another_module_reaches_the_functions_that_use_it(tmp_path: 
     assert run(package, 2, 10) == (20, 1)
     assert run(package, 2, 11) == (22, 0)
     assert run(package, 30, 11) == (330, 0)
+
+
+def test_kernels_are_kept_that_are_younger_than_the_modules(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    module, kept = tmp_path / "segmenter.py", tmp_path / "__pycache__/segmenter._tally-1.py311.nbi"
+    module.touch()
+    assert not has_kernels(tmp_path)
+    kept.parent.mkdir()
+    kept.touch()
+    os.utime(module, (1, 1))
+    assert has_kernels(tmp_path)
+    os.utime(kept, (0, 0))  # of a version before
+    assert not has_kernels(tmp_path)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/elsewhere")  # where nobody looks
+    assert has_kernels(tmp_path)

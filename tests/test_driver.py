@@ -428,6 +428,12 @@ def test_the_first_signal_is_noted_the_second_ends_at_once_and_the_handlers_are_
 # Rules
 
 
+def test_a_rate_is_known_after_two_seconds_and_is_that_of_the_last_ten() -> None:
+    times = iter([0.0, 1.0, 2.0, 10.0, 12.5])
+    rate = driver_module._Rate(lambda: next(times))
+    assert [rate.after(frames) for frames in (8, 12, 28, 108, 133)] == [0.0, 0.0, 10.0, 10.0, 10.0]
+
+
 def test_counts_and_rate_follow_progress() -> None:
     state = after_progress(StreamState("a", "starting"), progress(8), 12.5)
     assert (state.state, state.read, state.committed, state.layers, state.frames_per_second) == (

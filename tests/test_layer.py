@@ -23,6 +23,7 @@ from mlbs_actors.messages import (
     LayerPosterior,
     Region,
     Segmentation,
+    received,
 )
 from mlbs_actors.region_groups import slices_in
 from mlbs_actors.trajectory_distance import trajectory_distance
@@ -48,13 +49,14 @@ def step(
     rival: Array | None = None,
 ) -> LayerPosterior:
     """One step with the evidence that is due; ``rival`` are an object's trajectories for the background."""
-    own = tracks(layer.layer, positions, layer.state.last_frame, motion)
+    own, image = tracks(layer.layer, positions, layer.state.last_frame, motion), image.view()
+    image.setflags(write=False)  # as that of a frame that is received
     if layer.layer == BACKGROUND:
         everyone = [own] if rival is None else [own, tracks(1, rival, frame_index - 1)]
-        return layer.step(own, frame_of(everyone, frame_index), image, previous)
+        return layer.step(frame_of(everyone, frame_index), image, previous)
     far = grid(Region(0, 0, 160, 20))
     everyone = [tracks(BACKGROUND, far, frame_index - 1), own]
-    return layer.step(own, frame_of(everyone, frame_index), image, previous)
+    return layer.step(frame_of(everyone, frame_index), image, previous)
 
 
 def nats(one: LayerPosterior, appearance: float = 0.0) -> Array:
@@ -69,10 +71,8 @@ def nats(one: LayerPosterior, appearance: float = 0.0) -> Array:
 
 def test_evidence_of_another_layer_is_refused() -> None:
     evidence = tracks(2, grid(CAR))
-    with pytest.raises(
-        LayerError, match=r"Layer 1 stands at frame -1 but was given evidence of layer 2 .*\."
-    ):
-        Layer(configured(), 1, "object").step(evidence, frame_of([evidence]), picture(), None)
+    with pytest.raises(LayerError, match=r"Frame 0 has no evidence of layer 1; restart .*\."):
+        Layer(configured(), 1, "object").step(frame_of([evidence]), picture(), None)
 
 
 @pytest.mark.parametrize("last_frame", [-1, 0, 2])
@@ -86,7 +86,7 @@ def test_evidence_that_is_not_the_next_is_refused_and_changes_nothing(last_frame
             step(one, t, picture(t), grid(CAR), previous)
     evidence = tracks(1, grid(CAR), last_frame)
     with pytest.raises(LayerError, match=f"stands at frame 1 .* from frame {last_frame}; restart the stream"):
-        layer.step(evidence, frame_of([evidence], 2), picture(2), published(1, owned(CAR)))
+        layer.step(frame_of([evidence], 2), picture(2), published(1, owned(CAR)))
     for one in (layer, undisturbed):
         results.append(step(one, 2, picture(2), grid(CAR), published(1, owned(CAR))))
     assert results[0].cost.tobytes() == results[1].cost.tobytes()
@@ -241,9 +241,9 @@ def test_the_background_learns_away_from_objects_beside_its_own_trajectories_and
     config = configured(keep_off_px=80.0, learn_px=20.0)
     evidence = frame_of([tracks(0, own.astype(np.float32)), tracks(1, objects.astype(np.float32))])
     unexplained = np.where(rng.random((60, 80)) < 0.5, 0, 255).astype(np.uint8)
-    evidence = replace(evidence, unexplained=unexplained, frame_index=frame_index)
+    evidence = received(replace(evidence, unexplained=unexplained, frame_index=frame_index))
     layer = Layer(config, 0, "background")
-    layer.step(evidence.layers[0], evidence, picture(), None)
+    layer.step(evidence, picture(), None)
     # Distances are told for four cells at once: what hangs on less than that may go either way.
     near_own, near_object = (trajectory_distance(one.positions, WHOLE, 1) for one in evidence.layers)
     shown = cv2.resize(unexplained, SHAPE[::-1]) * UNEXPLAINED_STEP < 0.5 * config.layers.unexplained_noise
@@ -275,8 +275,8 @@ def motion_cost(
     own = tracks(1, grid(CAR), motion=(-4.0, 0.0))
     evidence = frame_of([tracks(BACKGROUND, grid(Region(0, 0, 160, 20))), own], 0, flow, reliable)
     if explained:
-        evidence = replace(evidence, unexplained=np.zeros_like(evidence.unexplained))
-    result = Layer(config, 1, "object").step(own, evidence, picture(), None)
+        evidence = received(replace(evidence, unexplained=np.zeros_like(evidence.unexplained)))
+    result = Layer(config, 1, "object").step(evidence, picture(), None)
     inner = Region(CAR.x + 6, CAR.y + 6, CAR.width - 12, CAR.height - 12)
     whole = np.full(SHAPE, np.nan)
     whole[result.region.slices] = nats(result) - 4.0
@@ -369,7 +369,7 @@ def test_background_that_was_hidden_is_not_unlikely() -> None:
 def test_an_object_is_cheap_where_its_motion_explains_the_image_and_dear_on_ground_that_stands() -> None:
     config = configured(photometric=1.0, photometric_cap=2.0, region_margin_px=40.0)
     layer = Layer(config, 1, "object")
-    before, after = picture(), picture()
+    before, after = picture(), picture().copy()
     after[40:70, 66:106] = before[CAR.slices]  # by (6, 0)
     step(layer, 0, before, grid(CAR), motion=(-6.0, 0.0))
     moved = grid(CAR) + np.array([6.0, 0.0], np.float32)
@@ -386,7 +386,7 @@ def test_a_flow_that_contradicts_costs_each_kind_of_layer_its_own_floor() -> Non
         own = tracks(layer, grid(WHOLE))
         evidence = frame_of([own, tracks(2, grid(WHOLE))], 0, (30.0, 0.0), True)
         made = Layer(config, 0, "background") if kind == "background" else Layer(config, 1, "object")
-        found = nats(made.step(own, evidence, picture(), None)) - 4.0
+        found = nats(made.step(evidence, picture(), None)) - 4.0
         np.testing.assert_allclose(found[20:100, 20:140], -np.log(floor), atol=COST_STEP)
 
 
@@ -399,7 +399,7 @@ def test_its_velocity_is_the_median_motion_forwards_and_lasts_without_trajectori
     motions = np.tile(np.array([-2.0, 1.0], np.float32), (len(positions), 1))
     motions[:5] = 50.0
     own = LayerEvidence(1, "object", -1, positions, motions)
-    result = layer.step(own, frame_of([own]), picture(), None)
+    result = layer.step(frame_of([own]), picture(), None)
     np.testing.assert_array_equal(result.velocity, [2.0, -1.0])
     after = step(layer, 1, picture(), np.zeros((0, 2), np.float32), published(0, owned(CAR)))
     np.testing.assert_array_equal(after.velocity, [2.0, -1.0])

@@ -17,7 +17,8 @@ from mlbs_actors import Config, Segmentation
 from mlbs_actors.coordinator import Coordinator, CoordinatorState
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import SnapshotError
-from mlbs_actors.layer import Layer, LayerState
+from mlbs_actors.layer import Layer
+from mlbs_actors.layer_state import LayerState
 from mlbs_actors.messages import Array, FrameEvidence, LayerKind
 from mlbs_actors.segmenter import Segmenter, SegmenterState
 from mlbs_actors.state_file import capture, check_file, read_state
@@ -226,9 +227,9 @@ class Engine:
         for retired in evidence.retired:
             del self.layers[retired]
         posteriors = []
-        for own in evidence.layers:
+        for own in evidence.tracks:
             layer = self.layers.setdefault(own.layer, Layer(self.config, own.layer, own.kind))
-            posteriors.append(layer.step(own, evidence, picture, self.published.get(index - 1)))
+            posteriors.append(layer.step(evidence, picture, self.published.get(index - 1)))
         result = self.segmenter.step(evidence, picture, posteriors)
         self.published[index] = result
         self.published.pop(index - 3, None)

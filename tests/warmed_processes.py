@@ -51,9 +51,9 @@ class Layers:
         for layer in evidence.retired:
             self._parts.pop(layer, None)
         answers: list[object] = []
-        for own in evidence.layers:
+        for own in evidence.tracks:
             part = self._parts.setdefault(own.layer, EngineParts().layer(Config(), own.layer, own.kind))
-            answers.append(_arrived(part.step(own, evidence, frame, previous)))
+            answers.append(_arrived(part.step(evidence, frame, previous)))
         self.most = max(self.most, len(self._parts))
         return answers
 

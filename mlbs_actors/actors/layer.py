@@ -65,9 +65,9 @@ class LayerWork:
 
     def step(self, evidence: FrameEvidence, image: Array, previous: Segmentation | None) -> LayerPosterior:
         """Finish the frame before with its labels, then evaluate this one; each frame once and in order."""
-        own = evidence.of(self._own.layer)
-        with self._order.step(evidence.frame_index, after=own.last_frame):
-            return self.part.step(own, evidence, image, previous)
+        before = evidence.tracks_of(self._own.layer).last_frame
+        with self._order.step(evidence.frame_index, after=before):
+            return self.part.step(evidence, image, previous)
 
     def appearance(self, slot: Slot) -> Shared[LayerAppearance]:
         """Return what the layer remembers after its last step."""

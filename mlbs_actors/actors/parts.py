@@ -24,7 +24,6 @@ from mlbs_actors.messages import (
     Array,
     FrameEvidence,
     LayerAppearance,
-    LayerEvidence,
     LayerKind,
     LayerPosterior,
     LayerTracks,
@@ -32,11 +31,18 @@ from mlbs_actors.messages import (
     received,
 )
 
-__all__ = ["CoordinatorPart", "EngineParts", "LayerPart", "PartFactory", "SegmenterPart"]
+__all__ = [
+    "CoordinatorPart",
+    "EngineParts",
+    "LayerPart",
+    "PartFactory",
+    "SegmenterPart",
+    "has_kernels",
+]
 
 
-#: How long a process waits for others to compile, s.
-TURN_SECONDS = 60.0
+#: How long a process waits for another one that compiles the same, s; on a slow machine that takes minutes.
+TURN_SECONDS = 300.0
 
 
 class CoordinatorPart(Protocol):
@@ -71,13 +77,7 @@ class LayerPart(Protocol):
 
     state: Any
 
-    def step(
-        self,
-        evidence: LayerEvidence,
-        frame_evidence: FrameEvidence,
-        frame: Array,
-        previous: Segmentation | None,
-    ) -> LayerPosterior:
+    def step(self, evidence: FrameEvidence, frame: Array, previous: Segmentation | None) -> LayerPosterior:
         """Finish frame t−1 with its labels, then predict and evaluate frame t."""
 
     def appearance(self) -> LayerAppearance:
@@ -138,14 +138,15 @@ class EngineParts:
 
         The arrays are read-only, as those of real frames are when they arrive: for Numba that is another
         type, with kernels of its own. Processes of one machine do it one after the other: the first ever
-        compiles for 20 s and leaves its kernels on disk, where the others would all compile the same.
+        compiles for most of a minute and leaves its kernels on disk, where the others would all compile the
+        same.
         """
         import mlbs_actors.layer  # noqa: F401  (needs no turn)
 
         with _hidden("scipy.linalg"):
             # It looks there for matrix products, which no kernel of a layer has: a fifth of its start.
             import numba.np.arraymath  # noqa: F401
-        with _turn():
+        with _turn("layer"):
             self._run_two_layers()
 
     def warm_stream(self) -> None:
@@ -153,12 +154,12 @@ class EngineParts:
 
         Else those that only objects need are loaded at a stream's first birth: a quarter of a second. What
         a scene holds by accident only (a label that may be removed, a contact shadow, a crowd) comes after
-        it.
+        it. Where nothing is compiled yet, a process for layers compiles theirs meanwhile.
         """
         import mlbs_actors.coordinator
         import mlbs_actors.segmenter  # noqa: F401  (need no turn)
 
-        with _turn():
+        with _turn("stream"):
             self._label_small_scene()
             _cut_images()
             _find_contact_shadow()
@@ -195,7 +196,7 @@ class EngineParts:
                     retired=(),
                     latency_frames=0,
                 )
-                part.step(evidence.of(layer), evidence, frame, previous)
+                part.step(evidence, frame, previous)
                 previous = Segmentation(
                     frame_index=t,
                     labels=_read_only(np.full((height, width), layer, np.uint16)),
@@ -216,12 +217,26 @@ class EngineParts:
             for evidence in map(received, coordinator.step(t, frame, feedback)):
                 previous = made[-1] if made else None
                 posteriors = []
-                for own in evidence.layers:
+                for own in evidence.tracks:
                     if own.layer not in layers:
                         layers[own.layer] = self.layer(Config(), own.layer, own.kind)
-                    posterior = layers[own.layer].step(own, evidence, frame, previous)
+                    posterior = layers[own.layer].step(evidence, frame, previous)
                     posteriors.append(received(posterior))
                 made.append(received(segmenter.step(evidence, frame, posteriors)))
+
+
+def has_kernels(modules: Path = Path(__file__).parents[1]) -> bool:
+    """Whether the engine's kernels are compiled, as far as one can see where they are kept by default.
+
+    Parameters
+    ----------
+    modules : Path
+        Folder of the engine's.
+    """
+    changed = max(path.stat().st_mtime for path in modules.glob("*.py"))
+    kept = (modules / "__pycache__").glob("segmenter.*.nbi")
+    writeable = os.access(modules, os.W_OK) and "NUMBA_CACHE_DIR" not in os.environ
+    return not writeable or any(path.stat().st_mtime >= changed for path in kept)
 
 
 @contextmanager
@@ -238,14 +253,15 @@ def _hidden(module: str) -> Iterator[None]:
 
 
 @contextmanager
-def _turn() -> Iterator[None]:
-    """Wait for this user's other processes of this installation; without order nothing is lost but time.
+def _turn(warmed: str) -> Iterator[None]:
+    """Wait for this user's other processes of this installation that do the same; without order nothing is
+    lost but time.
 
     Those that step back take turns among themselves: who is waited for must not wait for them.
     """
     rank = "-idle" if os.sched_getscheduler(0) == os.SCHED_IDLE else ""
     installation = zlib.crc32(str(Path(__file__).resolve()).encode())
-    name = f"mlbs-actors-kernels-{os.getuid()}-{installation:08x}{rank}.lock"
+    name = f"mlbs-actors-kernels-{os.getuid()}-{installation:08x}-{warmed}{rank}.lock"
     lock = FileLock(Path(tempfile.gettempdir()) / name)
     with suppress(OSError, Timeout):
         lock.acquire(timeout=TURN_SECONDS)

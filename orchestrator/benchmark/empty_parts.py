@@ -18,7 +18,6 @@ from mlbs_actors.messages import (
     Array,
     FrameEvidence,
     LayerAppearance,
-    LayerEvidence,
     LayerKind,
     LayerPosterior,
     Region,
@@ -97,14 +96,8 @@ class _EmptyLayer:
     posterior: LayerPosterior
     state: NoState = NoState()
 
-    def step(
-        self,
-        evidence: LayerEvidence,
-        frame_evidence: FrameEvidence,
-        frame: Array,
-        previous: Segmentation | None,
-    ) -> LayerPosterior:
-        return replace(self.posterior, frame_index=frame_evidence.frame_index)
+    def step(self, evidence: FrameEvidence, frame: Array, previous: Segmentation | None) -> LayerPosterior:
+        return replace(self.posterior, frame_index=evidence.frame_index)
 
     def appearance(self) -> LayerAppearance:
         nothing = np.zeros((0, 0, 3), np.uint8)
