@@ -86,7 +86,7 @@ def trusted_background(
     scale = length_scale(*shape)
     whole = in_cells(Region(0, 0, shape[1], shape[0]), side)
     trusted = np.ones((whole.height, whole.width), np.bool_)
-    end = frame_evidence.part(evidence.layer)[1]  # the background is the first of all layers
+    end = frame_evidence.tracks_of(evidence.layer).end  # the background is the first of all layers
     own, objects = frame_evidence.positions[:end], frame_evidence.positions[end:]
     # A cell is judged up to this far from the objects, by own trajectories up to this far from it. Distances
     # are told for 2×2 cells at once: the lead of own trajectories is then "in a nearer one of these".

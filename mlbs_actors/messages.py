@@ -178,10 +178,6 @@ class FrameEvidence:
             "restart the stream from its last snapshot."
         )
 
-    def part(self, layer: int) -> tuple[int, int]:
-        """Where the trajectories of a layer start and end among those of all; none if it has no part."""
-        return next(((one.start, one.end) for one in self.tracks if one.layer == layer), (0, 0))
-
     def _evidence(self, tracks: LayerTracks) -> LayerEvidence:
         layer, kind, last_frame, start, end = tracks
         return LayerEvidence(layer, kind, last_frame, self.positions[start:end], self.motions[start:end])

@@ -29,7 +29,15 @@ from mlbs_actors.layer_cost import (
 )
 from mlbs_actors.layer_state import LayerFrame, LayerState
 from mlbs_actors.learning import near_trajectories, unexplained_cells
-from mlbs_actors.messages import COST_STEP, UNEXPLAINED_STEP, Array, FrameEvidence, Region, Segmentation
+from mlbs_actors.messages import (
+    COST_STEP,
+    UNEXPLAINED_STEP,
+    Array,
+    FrameEvidence,
+    Region,
+    Segmentation,
+    received,
+)
 from mlbs_actors.node_grid import nodes_of_cells, to_pixels
 from mlbs_actors.object_regions import box_of, median_of_motions, region_of_object, told_of
 from mlbs_actors.photometric import photometric_advantage
@@ -151,8 +159,7 @@ class ObjectView:
         start, layer, side = perf_counter(), self._layer, self._side
         own = evidence.tracks_of(layer)
         learns = previous is not None and previous.frame_index == state.last_frame
-        shown = _NOTHING if previous is None else (previous.labels, previous.normaliser, previous.fallback)
-        model = state.model
+        shown = previous or _NOTHING
         box, residual, velocity, arrays, image, trusted, cost, log_ratio, samples, trust = _object_frame(
             self._parameters,
             self._numbers,
@@ -168,10 +175,10 @@ class ObjectView:
                 evidence.unexplained,
                 unexplained_cells(evidence, side),
             ),
-            shown,
+            (shown.labels, shown.normaliser, shown.fallback),
             told_of(layer, previous),
             box_of(state.region),
-            (model.samples, model.count, model.newest, model.spread, model.residual),
+            state.model.arrays,
             (state.image, state.trusted, state.cost, state.log_ratio, state.samples, state.velocity),
         )
         check_solved(residual, self._tolerance)
@@ -192,16 +199,17 @@ class ObjectView:
         return LayerFrame(following, trust, {"posterior": 1e3 * (perf_counter() - start)})
 
 
-def _read_only(array: Array) -> Array:
-    array.setflags(write=False)
-    return array
-
-
-#: Label map, normaliser and fallback of no frame; as others they can be read only.
-_NOTHING = (
-    _read_only(np.zeros((0, 0), np.uint16)),
-    _read_only(np.zeros((0, 0), np.uint8)),
-    _read_only(np.zeros((0, 0), np.int8)),
+#: What was published of no frame.
+_NOTHING = received(
+    Segmentation(
+        frame_index=-1,
+        labels=np.zeros((0, 0), np.uint16),
+        normaliser=np.zeros((0, 0), np.uint8),
+        fallback=np.zeros((0, 0), np.int8),
+        layers=(),
+        camera_motion=(0.0, 0.0),
+        latency_frames=0,
+    )
 )
 
 
@@ -289,8 +297,10 @@ def _object_frame(
     if learns:
         posterior = _finished(by, tables, layer, side, shown, last_region, model, last)
 
-    (height, width, _), points, moved = seen[0].shape, seen[1][start:end], seen[2][start:end]
-    velocity = last[5].copy()
+    frame, positions, motions, _, _, _, _, _ = seen
+    last_image, _, _, _, _, last_velocity = last
+    height, width, _ = frame.shape
+    points, moved, velocity = positions[start:end], motions[start:end], last_velocity.copy()
     region = region_of_object(
         told, points, moved, (by.margin, by.covered_margin), by.scale, side, height, width
     )
@@ -311,7 +321,7 @@ def _object_frame(
     motion = to_pixels(nodes, spacing, rows, columns) * np.float32(1.0 / side)
     spread_variance = to_pixels(variance_nodes, variance_spacing, rows, columns).reshape(rows, columns)
     found = _evaluated(
-        by, tables, own, seen, region, last_region, last[0], posterior, model, motion, spread_variance
+        by, tables, own, seen, region, last_region, last_image, posterior, model, motion, spread_variance
     )
     following, image, trusted, cost, log_ratio, samples, trust = found
     return region, residual, velocity, following, image, trusted, cost, log_ratio, samples, trust

@@ -156,7 +156,8 @@ class Segmenter:
         weight, half = self.config.posterior.appearance, self.config.appearance.half_confidence_samples
         fused = fused_costs(members, cells, weight, half)
         result.normaliser[cells.slices], result.fallback[cells.slices] = fused.normaliser, fused.fallback
-        tracks = np.array([evidence.part(one.layer) for one in members], np.int64)
+        told = [evidence.tracks_of(one.layer) for one in members]
+        tracks = np.array([(one.start, one.end) for one in told], np.int64)
         claims = claims_of_layers(
             fused.cost,
             fused.places,

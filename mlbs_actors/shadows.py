@@ -86,7 +86,7 @@ def ground_colour(picture: Array, evidence: FrameEvidence, previous: Array, scal
         the last map.
     """
     height, width = evidence.shape
-    positions = evidence.positions[evidence.part(BACKGROUND)[1] :]  # the objects', which come after it
+    positions = evidence.positions[evidence.tracks_of(BACKGROUND).end :]  # the objects', which come after it
     if not len(positions) and not previous.any():
         return None
     size = (max(1, width // SHRINK), max(1, height // SHRINK))

@@ -120,6 +120,9 @@ def run(
         else:
             states = tuple(ended[spec.name] for spec in job.specs)
             exit_status = exit_code(states, None)
+            progress = progress_for(sys.stdout)
+            progress.update(states)
+            progress.close()
         session.close()
         states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
         try:

@@ -262,6 +262,7 @@ def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) ->
     assert "1 stream ended before" in ended.stderr
     assert "1 of 1 stream complete" in ended.stderr
     assert "Starting Ray" not in ended.stderr
+    assert json.loads(ended.stdout)["state"] == "done"
     assert (folder.path / "report.html").stat().st_size
 
 

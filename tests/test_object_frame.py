@@ -85,7 +85,7 @@ def next_in_steps(
     trusted, away = np.empty(needed.shape, bool), np.empty(needed.shape, np.float32)
     near_trajectories(
         evidence.positions,
-        *evidence.part(1),
+        *evidence.tracks_of(1)[3:],
         side,
         cells.x,
         cells.y,

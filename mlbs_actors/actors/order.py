@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from types import TracebackType
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from mlbs_actors.errors import LayerError
 
@@ -28,9 +29,9 @@ class FrameOrder:
 
     def __init__(self, last: int = -1) -> None:
         self.last: int | None = last
-        self._frame = last
 
-    def step(self, frame: int, *, after: int) -> FrameOrder:
+    @contextmanager
+    def step(self, frame: int, *, after: int) -> Iterator[None]:
         """Do the work of ``frame`` in the ``with`` block.
 
         Parameters
@@ -50,17 +51,6 @@ class FrameOrder:
             raise LayerError(
                 f"Frame {frame} follows frame {after} but {last} was last; start the stream again."
             )
-        self.last, self._frame = None, frame
-        return self
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if kind is None:
-            self.last = self._frame
+        self.last = None
+        yield
+        self.last = frame

@@ -186,26 +186,27 @@ class EngineParts:
                 evidence = FrameEvidence(
                     frame_index=t,
                     shape=(height, width),
-                    camera=_read_only(np.eye(3)),
-                    flow=_read_only(np.zeros((*grid, 2), np.float16)),
-                    flow_reliable=_read_only(np.ones(grid, bool)),
-                    unexplained=_read_only(np.full(grid, 255, np.uint8)),
+                    camera=np.eye(3),
+                    flow=np.zeros((*grid, 2), np.float16),
+                    flow_reliable=np.ones(grid, bool),
+                    unexplained=np.full(grid, 255, np.uint8),
                     tracks=tracks,
-                    positions=_read_only(positions),
-                    motions=_read_only(motions),
+                    positions=positions,
+                    motions=motions,
                     retired=(),
                     latency_frames=0,
                 )
-                part.step(evidence, frame, previous)
-                previous = Segmentation(
+                part.step(received(evidence), frame, previous)
+                segmentation = Segmentation(
                     frame_index=t,
-                    labels=_read_only(np.full((height, width), layer, np.uint16)),
-                    normaliser=_read_only(np.zeros(grid, np.uint8)),
-                    fallback=_read_only(np.zeros(grid, np.int8)),
+                    labels=np.full((height, width), layer, np.uint16),
+                    normaliser=np.zeros(grid, np.uint8),
+                    fallback=np.zeros(grid, np.int8),
                     layers=(),
                     camera_motion=(0.0, 0.0),
                     latency_frames=0,
                 )
+                previous = received(segmentation)
 
     def _label_small_scene(self) -> None:
         coordinator, segmenter = self.coordinator(Config()), self.segmenter(Config())

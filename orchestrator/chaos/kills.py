@@ -66,7 +66,7 @@ STEPS: tuple[Step, ...] = (
     Step("coordinator", "label", f"{_ACTORS}.coordinator:CoordinatorActor._label", "going on", 16),
     Step("coordinator", "save", f"{_ACTORS}.coordinator:CoordinatorActor._save", "going on"),
     Step("layer", "init", f"{_ACTORS}.layer:LayerActor.assign", "start"),
-    Step("layer", "motion field", "mlbs_actors.gabp:motion_field", "going on", 16),
+    Step("layer", "motion field", "mlbs_actors.background_frame:background_field", "going on", 16),
     Step("layer", "evaluation", "mlbs_actors.object_frame:ObjectView.next", "going on", 16),
     Step("layer", "step", f"{_ACTORS}.layer:LayerActor.step", "going on", 16),
     Step("layer", "save", f"{_ACTORS}.layer:LayerActor.save", "going on"),
