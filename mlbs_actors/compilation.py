@@ -27,7 +27,7 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
         kernel: Any = njit(function, cache=True, error_model="numpy", **options)
         # Numba compiles anew what lies in a changed file, but not what calls it from another one, into which
         # it has been built. So what is kept counts only as long as no module has changed.
-        kernel._cache._cache_file._source_stamp = _package_stamp()
+        kernel._cache._cache_file._source_stamp = _stamp(Path(function.__code__.co_filename).parent)
         kept: Function = kernel
         return kept
 
@@ -35,8 +35,8 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
 
 
 @functools.cache
-def _package_stamp() -> str:
-    """Names, times of the last change and sizes of all modules beside this one, digested."""
-    modules = sorted((path.name, path.stat()) for path in Path(__file__).parent.glob("*.py"))
-    known = [(name, status.st_mtime_ns, status.st_size) for name, status in modules]
+def _stamp(folder: Path) -> str:
+    """Names, times of the last change and sizes of all modules beside this one and of a folder, digested."""
+    modules = sorted(path for here in {Path(__file__).parent, folder} for path in here.glob("*.py"))
+    known = [(path.name, path.stat().st_mtime_ns, path.stat().st_size) for path in modules]
     return hashlib.sha256(repr(known).encode()).hexdigest()

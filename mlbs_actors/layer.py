@@ -53,7 +53,10 @@ from mlbs_actors.messages import (
 from mlbs_actors.object_frame import ObjectView
 from mlbs_actors.object_regions import median_of_motions
 
-__all__ = ["Layer"]
+__all__ = ["OUTSIDE_COST", "Layer"]
+
+#: What an object costs outside its region, units of ``COST_STEP``.
+OUTSIDE_COST = 255
 
 
 class Layer:
@@ -67,6 +70,11 @@ class Layer:
     kind : {"background", "object", "other"}
     state : LayerState, optional
         To go on from a snapshot; new-born by default.
+
+    Attributes
+    ----------
+    view : BackgroundView or ObjectView or None
+        How it has seen the last frame.
     """
 
     def __init__(self, config: Config, layer: int, kind: LayerKind, state: LayerState | None = None) -> None:
@@ -74,7 +82,7 @@ class Layer:
         self.layer = layer
         self.kind = kind
         self.state = state or LayerState.beginning(config.appearance.samples)
-        self._view: BackgroundView | ObjectView | None = None
+        self.view: BackgroundView | ObjectView | None = None
 
     def step(self, evidence: FrameEvidence, frame: Array, previous: Segmentation | None) -> LayerPosterior:
         """Finish frame t−1, then predict and evaluate frame t.
@@ -104,7 +112,7 @@ class Layer:
             )
         if evidence.frame_index == evidence.epoch:
             previous = None
-        view, shape = self._view, evidence.shape
+        view, shape = self.view, evidence.shape
         if view is None or view.shape != shape:
             background = self.kind == "background"
             view = (
@@ -112,8 +120,12 @@ class Layer:
                 if background
                 else ObjectView(self.config, self.layer, shape)
             )
-            self._view = view
+            self.view = view
         self.state, confidence, stage_ms = view.next(state, evidence, frame, previous)
+        return self.posterior(confidence, stage_ms)
+
+    def posterior(self, confidence: float, stage_ms: dict[str, float]) -> LayerPosterior:
+        """What the segmenter is told of the frame evaluated last."""
         state = self.state
         return LayerPosterior(
             layer=self.layer,
@@ -124,7 +136,7 @@ class Layer:
             cost=state.cost,
             log_ratio=state.log_ratio,
             samples=state.samples,
-            outside_cost=255,
+            outside_cost=OUTSIDE_COST,
             confidence=confidence,
             velocity=state.velocity,
             stage_ms=stage_ms,

@@ -43,10 +43,12 @@ from mlbs_actors.object_regions import box_of, median_of_motions, region_of_obje
 from mlbs_actors.photometric import photometric_advantage
 from mlbs_actors.warp import interpolate_map
 
-__all__ = ["ObjectParameters", "ObjectTables", "ObjectView"]
+__all__ = ["ObjectParameters", "ObjectTables", "ObjectView", "object_frame"]
 
 #: Left, top, width and height.
 Box = tuple[int, int, int, int]
+#: Samples, count, newest, spread and residual of an appearance model.
+Model = tuple[Array, Array, Array, Array, Array]
 
 
 class ObjectParameters(NamedTuple):
@@ -138,32 +140,38 @@ class ObjectView:
     Attributes
     ----------
     shape : (H, W)
+    side : int
+        Of its cells, px.
+    tolerance : float
+        What is demanded of its motion field, see :func:`~mlbs_actors.gabp.check_solved`.
+    constants : tuple
+        Parameters, numbers and tables of :func:`object_frame`.
     """
 
     def __init__(self, config: Config, layer: int, shape: tuple[int, int]) -> None:
         self.shape = shape
         self._layer = layer
-        self._side = cell_side(shape, config.appearance.cell_px)
-        density = AppearanceParameters.configured(config, "object", self._side)
+        self.side = cell_side(shape, config.appearance.cell_px)
+        density = AppearanceParameters.configured(config, "object", self.side)
         motion = MotionParameters.configured(config)
-        self._tolerance = motion.tolerance
+        self.tolerance = motion.tolerance
         # Plain tuples: Numba would ask for the type of any other one anew in each call.
-        self._parameters = tuple(_parameters(config, density, shape))
-        self._numbers = tuple(field_numbers(motion))
-        self._tables = tuple(_tables(config, density))
+        self.constants = (
+            tuple(_parameters(config, density, shape)),
+            tuple(field_numbers(motion)),
+            tuple(_tables(config, density)),
+        )
 
     def next(
         self, state: LayerState, evidence: FrameEvidence, frame: Array, previous: Segmentation | None
     ) -> LayerFrame:
         """See :meth:`~mlbs_actors.layer.Layer.step`; the state's model learns in place."""
-        start, layer, side = perf_counter(), self._layer, self._side
+        start, layer, side = perf_counter(), self._layer, self.side
         own = evidence.tracks_of(layer)
         learns = previous is not None and previous.frame_index == state.last_frame
         shown = previous or _NOTHING
-        box, residual, velocity, arrays, image, trusted, cost, log_ratio, samples, trust = _object_frame(
-            self._parameters,
-            self._numbers,
-            self._tables,
+        box, model, last, trust, residual = object_frame(
+            *self.constants,
             (np.uint16(layer), side, own.start, own.end, learns),
             (
                 frame,
@@ -177,18 +185,27 @@ class ObjectView:
             ),
             (shown.labels, shown.normaliser, shown.fallback),
             told_of(layer, previous),
-            box_of(state.region),
-            state.model.arrays,
-            (state.image, state.trusted, state.cost, state.log_ratio, state.samples, state.velocity),
+            *self.kept(state),
         )
-        check_solved(residual, self._tolerance)
+        check_solved(residual, self.tolerance)
+        following = self.state(evidence.frame_index, box, model, last)
+        return LayerFrame(following, trust, {"posterior": 1e3 * (perf_counter() - start)})
+
+    def kept(self, state: LayerState) -> tuple[Box, Model, tuple[Array, ...]]:
+        """What :func:`object_frame` is told of the last frame: its region, the model, and what was seen."""
+        last = (state.image, state.trusted, state.cost, state.log_ratio, state.samples, state.velocity)
+        return box_of(state.region), state.model.arrays, last
+
+    def state(self, frame_index: int, box: Box, model: Model, last: tuple[Array, ...]) -> LayerState:
+        """The state after a frame of which that is kept."""
+        image, trusted, cost, log_ratio, samples, velocity = last
         region = Region(*box)
-        following = LayerState(
-            last_frame=evidence.frame_index,
+        return LayerState(
+            last_frame=frame_index,
             home=region,
             region=region,
-            cell=side,
-            model=AppearanceModel(in_cells(region, side), *arrays),
+            cell=self.side,
+            model=AppearanceModel(in_cells(region, self.side), *model),
             cost=cost,
             log_ratio=log_ratio,
             samples=samples,
@@ -196,7 +213,6 @@ class ObjectView:
             velocity=velocity,
             trusted=trusted,
         )
-        return LayerFrame(following, trust, {"posterior": 1e3 * (perf_counter() - start)})
 
 
 #: What was published of no frame.
@@ -252,11 +268,11 @@ def _tables(config: Config, density: AppearanceParameters) -> ObjectTables:
 
 
 @compiled()
-def _object_frame(
+def object_frame(
     parameters: tuple[float, ...], numbers: tuple[Any, ...], tables: tuple[Array, ...],
     own: tuple[np.uint16, int, int, int, bool], seen: tuple[Array, ...], shown: tuple[Array, Array, Array],
-    told: Array, last_region: Box, model: tuple[Array, Array, Array, Array, Array], last: tuple[Array, ...],
-) -> tuple[Box, float, Array, tuple[Array, ...], Array, Array, Array, Array, Array, float]:  # fmt: skip
+    told: Array, last_region: Box, model: Model, last: tuple[Array, ...],
+) -> tuple[Box, Model, tuple[Array, ...], float, float]:  # fmt: skip
     """Finish an object's last frame, then predict and evaluate it in a new one.
 
     Parameters
@@ -285,12 +301,12 @@ def _object_frame(
     -------
     region : (x, y, width, height)
         Where it is evaluated now, px.
-    residual : float
-        For :func:`~mlbs_actors.gabp.check_solved`.
-    velocity, model, image, trusted, cost, log_ratio, samples
+    model, last
         As its next state has them.
     confidence : float
         Mean trust in the model.
+    residual : float
+        For :func:`~mlbs_actors.gabp.check_solved`.
     """
     by, (layer, side, start, end, learns) = ObjectParameters(*parameters), own
     posterior = np.empty((0, 0), np.float32)
@@ -324,13 +340,13 @@ def _object_frame(
         by, tables, own, seen, region, last_region, last_image, posterior, model, motion, spread_variance
     )
     following, image, trusted, cost, log_ratio, samples, trust = found
-    return region, residual, velocity, following, image, trusted, cost, log_ratio, samples, trust
+    return region, following, (image, trusted, cost, log_ratio, samples, velocity), trust, residual
 
 
 @compiled()
 def _finished(
     by: ObjectParameters, tables: tuple[Array, ...], layer: np.uint16, side: int,
-    shown: tuple[Array, Array, Array], region: Box, model: tuple[Array, Array, Array, Array, Array],
+    shown: tuple[Array, Array, Array], region: Box, model: Model,
     last: tuple[Array, ...],
 ) -> Array:  # fmt: skip
     """Learn a published frame; the object's normalised posterior of it, (h, w) float32."""
@@ -352,8 +368,8 @@ def _finished(
 def _evaluated(
     by: ObjectParameters, tables: tuple[Array, ...], own: tuple[np.uint16, int, int, int, bool],
     seen: tuple[Array, ...], region: Box, last_region: Box, last_image: Array, posterior: Array,
-    model: tuple[Array, Array, Array, Array, Array], motion: Array, variance: Array,
-) -> tuple[tuple[Array, Array, Array, Array, Array], Array, Array, Array, Array, Array, float]:  # fmt: skip
+    model: Model, motion: Array, variance: Array,
+) -> tuple[Model, Array, Array, Array, Array, Array, float]:  # fmt: skip
     """Predict and evaluate an object, whose motion is known for each cell, cells, and its variance, px².
 
     The last image and the last posterior, which may be empty, are of the last region's cells.

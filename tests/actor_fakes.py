@@ -20,6 +20,7 @@ import numpy as np
 from joined_evidence import joined_evidence
 
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, PartFactory, SegmenterPart
+from mlbs_actors.actors.shared_memory import SharedMemory
 from mlbs_actors.actors.stream_protocol import (
     FrameReader,
     GapStatus,
@@ -274,6 +275,9 @@ class FakeParts:
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         return _Layer(layer, kind, self.slow_seconds, self._death())
+
+    def loop(self, part: LayerPart, memory: SharedMemory) -> None:
+        pass
 
     def segmenter(self, config: Config) -> SegmenterPart:
         self._note()

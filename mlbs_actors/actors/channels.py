@@ -24,7 +24,7 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any
 
-__all__ = ["Channel", "ChannelClosedError", "ChannelOffer", "OfferedChannel", "take"]
+__all__ = ["Channel", "ChannelClosedError", "ChannelOffer", "OfferedChannel", "framed", "take"]
 
 
 class ChannelClosedError(Exception):
@@ -55,6 +55,12 @@ _LENGTH = struct.Struct("<I?")
 _CHUNK = 1 << 13
 
 
+def framed(note: object) -> bytes:
+    """A picklable note as it is sent, bytes as they are."""
+    content = note if isinstance(note, bytes) else pickle.dumps(note, pickle.HIGHEST_PROTOCOL)
+    return _LENGTH.pack(len(content), content is not note) + content
+
+
 class Channel:
     """One end of a channel; closed at the end of a ``with`` block.
 
@@ -64,19 +70,23 @@ class Channel:
     Parameters
     ----------
     incoming, outgoing : Connection
+
+    Attributes
+    ----------
+    unread : bytes
+        Received, and not yet returned.
     """
 
     def __init__(self, incoming: Connection, outgoing: Connection) -> None:
         self._incoming = incoming
         self._outgoing = outgoing
-        self._received = b""  # and not yet returned
+        self.unread = b""
         self._readable = select.poll()
         self._readable.register(incoming, select.POLLIN)
 
     def send(self, note: object) -> None:
         """Send a picklable note of some kilobytes, bytes as they are; raises ChannelClosedError."""
-        content = note if isinstance(note, bytes) else pickle.dumps(note, pickle.HIGHEST_PROTOCOL)
-        rest = memoryview(_LENGTH.pack(len(content), content is not note) + content)
+        rest = memoryview(framed(note))
         try:
             while rest:
                 rest = rest[os.write(self._outgoing.fileno(), rest) :]
@@ -92,9 +102,9 @@ class Channel:
                 raise ChannelClosedError from None
             if not chunk:
                 raise ChannelClosedError
-            self._received += chunk
-        content, pickled = self._received[_LENGTH.size : end], self._received[_LENGTH.size - 1]
-        self._received = self._received[end:]
+            self.unread += chunk
+        content, pickled = self.unread[_LENGTH.size : end], self.unread[_LENGTH.size - 1]
+        self.unread = self.unread[end:]
         return pickle.loads(content) if pickled else content
 
     def has_note(self, seconds: float = 0.0) -> bool:
@@ -103,10 +113,15 @@ class Channel:
 
     def _end_of_note(self) -> int | None:
         """Where the next note ends in what was received, if all of it is there."""
-        if len(self._received) < _LENGTH.size:
+        if len(self.unread) < _LENGTH.size:
             return None
-        end = _LENGTH.size + int(_LENGTH.unpack_from(self._received)[0])
-        return end if end <= len(self._received) else None
+        end = _LENGTH.size + int(_LENGTH.unpack_from(self.unread)[0])
+        return end if end <= len(self.unread) else None
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """File descriptors of what is read from, and of what is written to."""
+        return self._incoming.fileno(), self._outgoing.fileno()
 
     def close(self) -> None:
         """Let the other end know that no more notes come from here, and that none are read."""
@@ -148,7 +163,9 @@ class OfferedChannel:
         self._other_incoming.close()
         return channel
 
-    def serve(self, answers: Callable[[Any], Iterable[object]]) -> None:
+    def serve(
+        self, answers: Callable[[Any], Iterable[object]], then: Callable[[Channel], None] | None = None
+    ) -> None:
         """Take the notes that come, once the other end has been taken, until that is closed.
 
         Parameters
@@ -156,11 +173,15 @@ class OfferedChannel:
         answers : callable
             What is to be sent back for a note, as it is made. If it finds a channel of its own closed, that
             is the end, too.
+        then : callable, optional
+            Called after each note, once it is answered; it may take the next ones itself.
         """
         with suppress(ChannelClosedError), self.taken() as channel:
             while True:
                 for answer in answers(channel.receive()):
                     channel.send(answer)
+                if then is not None:
+                    then(channel)
 
 
 def take(offer: ChannelOffer) -> Channel:

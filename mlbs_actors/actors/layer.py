@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from mlbs_actors.actors.channels import ChannelOffer, OfferedChannel
+from mlbs_actors.actors.channels import Channel, ChannelOffer, OfferedChannel
 from mlbs_actors.actors.idle_threads import look_round_seldom
 from mlbs_actors.actors.layer_notes import LayerStep, read_step, write_posterior
 from mlbs_actors.actors.order import FrameOrder
-from mlbs_actors.actors.parts import LayerPart, PartFactory
+from mlbs_actors.actors.parts import LayerPart, NoteLoop, PartFactory
 from mlbs_actors.actors.priority import stepping_back
 from mlbs_actors.actors.saved_states import SavedLayer, SaveState, StateWriter, layer_file
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
@@ -51,23 +51,36 @@ class LayerWork:
         In the state of that frame.
     memory : SharedMemory
         Of the process.
+    loop : NoteLoop, optional
+        Of the part, for :meth:`go_on`.
 
     Attributes
     ----------
     part : LayerPart
     """
 
-    def __init__(self, own: SavedLayer, part: LayerPart, memory: SharedMemory) -> None:
+    def __init__(
+        self, own: SavedLayer, part: LayerPart, memory: SharedMemory, loop: NoteLoop | None = None
+    ) -> None:
         self.part = part
         self._own = own
         self._memory = memory
+        self._loop = loop
         self._order = FrameOrder(own.last_frame)
+        self._at_work = False  # in this process
 
     def step(self, evidence: FrameEvidence, image: Array, previous: Segmentation | None) -> LayerPosterior:
         """Finish the frame before with its labels, then evaluate this one; each frame once and in order."""
         before = evidence.tracks_of(self._own.layer).last_frame
         with self._order.step(evidence.frame_index, after=before):
+            self._at_work = True
             return self.part.step(evidence, image, previous)
+
+    def go_on(self, channel: Channel) -> None:
+        """Have the loop take the notes that come now; raises as :meth:`step` does, or ChannelClosedError."""
+        if self._loop is not None and self._at_work:
+            self._order.last = None
+            self._order.last = self._loop.run(channel)
 
     def appearance(self, slot: Slot) -> Shared[LayerAppearance]:
         """Return what the layer remembers after its last step."""
@@ -127,7 +140,7 @@ class LayerActor:
     def serve(self, run: int) -> None:
         """Do the steps that come, and save the state where that is asked for, until no more can come."""
         if run == self._run:
-            self._channel.serve(self._answers)
+            self._channel.serve(self._answers, self._go_on)
             self._writer.finish()
 
     def begin(self, start: LayerStart) -> None:
@@ -135,7 +148,8 @@ class LayerActor:
         own = start.own
         part = self._parts.layer(self._config, own.layer, own.kind)
         part.state = self._memory.taken(start.state).state(type(part.state))
-        self._work = LayerWork(own, part, self._memory)
+        loop = self._parts.loop(part, self._memory)
+        self._work = LayerWork(own, part, self._memory, loop)
 
     def step(self, step: LayerStep) -> bytes:
         """See :meth:`LayerWork.step`; return the note of the posterior."""
@@ -153,6 +167,10 @@ class LayerActor:
         if run == self._run:
             self._run = self._work = None
             del self._memory, self._channel
+
+    def _go_on(self, channel: Channel) -> None:
+        if self._work is not None:
+            self._work.go_on(channel)
 
     def _answers(self, note: bytes | LayerStart | SaveState) -> Iterator[object]:
         if isinstance(note, LayerStart):

@@ -27,7 +27,17 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 
-__all__ = ["FrameNotes", "LayerStep", "SharedFrame", "read_posterior", "read_step", "write_posterior"]
+__all__ = [
+    "FrameNotes",
+    "LayerStep",
+    "SharedFrame",
+    "answer_slot",
+    "blank_posterior",
+    "kind_number",
+    "read_posterior",
+    "read_step",
+    "write_posterior",
+]
 
 _KINDS: tuple[LayerKind, ...] = ("background", "object", "other")
 
@@ -166,6 +176,21 @@ def write_posterior(posterior: LayerPosterior, memory: SharedMemory, slot: Slot)
         one.layer, one.frame_index, kind, *box, one.cell, one.outside_cost, size, len(times), one.confidence
     )
     return b"".join((head, *map(_TIME.pack, times.values()), "\n".join(times).encode()))
+
+
+def blank_posterior(stage: str) -> bytes:
+    """A note as :func:`write_posterior` returns it, of a posterior with one stage, without its numbers."""
+    return bytes(_POSTERIOR.size + _TIME.size) + stage.encode()
+
+
+def answer_slot(step: bytes) -> Slot:
+    """The slot for the posterior that a note of :class:`FrameNotes` lends."""
+    return Slot("posterior", *_STEP.unpack_from(step)[18:21])
+
+
+def kind_number(kind: LayerKind) -> int:
+    """What a kind of layer is in a note."""
+    return _KINDS.index(kind)
 
 
 def read_posterior(note: bytes, memory: SharedMemory, slot: Slot) -> LayerPosterior:

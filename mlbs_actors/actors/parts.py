@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
+from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -19,6 +20,8 @@ import cv2
 import numpy as np
 from filelock import FileLock, Timeout
 
+from mlbs_actors.actors.channels import Channel
+from mlbs_actors.actors.shared_memory import SharedMemory
 from mlbs_actors.config import Config
 from mlbs_actors.messages import (
     Array,
@@ -35,6 +38,7 @@ __all__ = [
     "CoordinatorPart",
     "EngineParts",
     "LayerPart",
+    "NoteLoop",
     "PartFactory",
     "SegmenterPart",
     "has_kernels",
@@ -84,6 +88,13 @@ class LayerPart(Protocol):
         """Return what is remembered at the frame evaluated last; nothing is changed."""
 
 
+class NoteLoop(Protocol):
+    """Does the frames of a layer without Python in between, after one that was done with it."""
+
+    def run(self, channel: Channel) -> int:
+        """Take the notes that come until one is not of a plain next frame; return the last frame done."""
+
+
 class SegmenterPart(Protocol):
     """Normalises, cuts and cleans."""
 
@@ -101,6 +112,9 @@ class PartFactory(Protocol):
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         """Make a layer."""
+
+    def loop(self, part: LayerPart, memory: SharedMemory) -> NoteLoop | None:
+        """Make what does a layer's frames faster, in a process with that memory; None if there is none."""
 
     def segmenter(self, config: Config) -> SegmenterPart:
         """Make a stream's segmenter."""
@@ -126,6 +140,14 @@ class EngineParts:
         from mlbs_actors.layer import Layer
 
         return Layer(config, layer, kind)
+
+    def loop(self, part: LayerPart, memory: SharedMemory) -> NoteLoop | None:
+        """Make an object's loop."""
+        from mlbs_actors.actors.object_loop import ObjectLoop
+        from mlbs_actors.layer import Layer
+
+        assert isinstance(part, Layer)
+        return None if part.kind == "background" else ObjectLoop(part, memory)
 
     def segmenter(self, config: Config) -> SegmenterPart:
         """Make a stream's segmenter."""
@@ -197,6 +219,7 @@ class EngineParts:
                     latency_frames=0,
                 )
                 part.step(received(evidence), frame, previous)
+                self._enter_loop(part)
                 segmentation = Segmentation(
                     frame_index=t,
                     labels=np.full((height, width), layer, np.uint16),
@@ -207,6 +230,16 @@ class EngineParts:
                     latency_frames=0,
                 )
                 previous = received(segmentation)
+
+    def _enter_loop(self, part: LayerPart) -> None:
+        """Compile or load the loop of an object that has done a frame; no note comes to it."""
+        loop = self.loop(part, SharedMemory())
+        if loop is None:
+            return
+        (none, ended), (answers, unsent) = Pipe(duplex=False), Pipe(duplex=False)
+        ended.close()
+        with answers, Channel(none, unsent) as channel:
+            loop.run(channel)
 
     def _label_small_scene(self) -> None:
         coordinator, segmenter = self.coordinator(Config()), self.segmenter(Config())

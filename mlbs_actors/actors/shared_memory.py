@@ -195,6 +195,17 @@ class SharedMemory:
             for begin, kind, dimensions, *shape in places
         ]
 
+    def places(self) -> Array:
+        """Owner, descriptor, address and size of the slots that have been read or written here, (n, 4) int64.
+
+        They are valid until the next slot is.
+        """
+        rows = [
+            (*key, np.frombuffer(memory, np.uint8).ctypes.data, len(whole))
+            for key, (whole, memory) in self._maps.items()
+        ]
+        return np.array(rows, np.int64).reshape(-1, 4)
+
     def _mapped(self, slot: Slot, size: int, *, grow: bool) -> tuple[mmap.mmap, memoryview]:
         """A slot's memory, and what it is read through."""
         key = (slot.owner, slot.descriptor)

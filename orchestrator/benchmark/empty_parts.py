@@ -13,6 +13,7 @@ import numpy as np
 
 from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, SegmenterPart
+from mlbs_actors.actors.shared_memory import SharedMemory
 from mlbs_actors.actors.stream_protocol import GapStatus, Opening, Snapshot, SourceFrame
 from mlbs_actors.messages import (
     Array,
@@ -126,6 +127,9 @@ class EmptyParts:
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         """Make a layer that has the same posterior in every frame."""
         return _EmptyLayer(next(one for one in self.messages.posteriors if one.layer == layer))
+
+    def loop(self, part: LayerPart, memory: SharedMemory) -> None:
+        """There is none."""
 
     def segmenter(self, config: Config) -> SegmenterPart:
         """Make a segmenter that gives the same label map for every frame."""

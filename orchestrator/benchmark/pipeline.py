@@ -23,7 +23,15 @@ from typing import Any
 
 from mlbs_actors import Config
 from mlbs_actors.actors import Node, PoolPolicy, StreamActors
-from mlbs_actors.actors.parts import CoordinatorPart, EngineParts, LayerPart, PartFactory, SegmenterPart
+from mlbs_actors.actors.parts import (
+    CoordinatorPart,
+    EngineParts,
+    LayerPart,
+    NoteLoop,
+    PartFactory,
+    SegmenterPart,
+)
+from mlbs_actors.actors.shared_memory import SharedMemory
 from mlbs_actors.actors.stream_protocol import (
     FrameReader,
     GapStatus,
@@ -130,6 +138,9 @@ class _NotingParts:
         if self._own_note.exists():  # else the layer begins in the segmenter's process
             self._note("background layer" if kind == "background" else "object layer")
         return self.parts.layer(config, layer, kind)
+
+    def loop(self, part: LayerPart, memory: SharedMemory) -> NoteLoop | None:
+        return self.parts.loop(part, memory)
 
     def segmenter(self, config: Config) -> SegmenterPart:
         self._wait_no_more()
