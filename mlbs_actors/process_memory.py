@@ -26,10 +26,13 @@ _MMAP_THRESHOLD, _MAPPED = -3, 2**25
 def settle_memory() -> None:
     """Keep what this process frees, and pass over what it has loaded by now when it looks for garbage.
 
-    To be called when all is loaded. The first needs the GNU C library, and is without effect elsewhere.
+    To be called when all is loaded: what has been freed by then is given back. For all but the garbage it
+    takes the GNU C library; elsewhere that is without effect.
     """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    library = ctypes.CDLL(None)
+    mallopt = getattr(library, "mallopt", None)
     if mallopt is not None:
+        library.malloc_trim(0)
         mallopt(_TRIM_THRESHOLD, _KEPT)
         mallopt(_MMAP_THRESHOLD, _MAPPED)
     gc.freeze()

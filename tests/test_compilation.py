@@ -63,6 +63,33 @@ def test_a_change_of_another_module_reaches_the_functions_that_use_it(tmp_path: 
     assert run(package, 30, 11) == (330, 0)
 
 
+_LATE_CALLER = """
+from mlbs_actors.called import one
+from mlbs_actors.compilation import compiled
+
+first = one()
+kept = sum(one.stats.cache_hits.values())
+
+@compiled()
+def twice():
+    return 2 * one()
+
+print(first + twice(), kept)
+"""
+
+
+@pytest.mark.parametrize("loaded", [False, True])
+def test_a_kernel_that_was_kept_can_be_built_into_others(tmp_path: Path, loaded: bool) -> None:
+    package = tmp_path / "mlbs_actors"
+    package.mkdir()
+    source = Path(compilation.__file__).read_text()
+    for name, text in (("__init__", ""), ("compilation", source), ("called", ""), ("caller", _LATE_CALLER)):
+        (package / f"{name}.py").write_text(text)
+    if loaded:
+        run(package, 2, 10)
+    assert run(package, 2, 10) == (30, int(loaded))
+
+
 def test_kernels_are_kept_that_are_younger_than_the_modules(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

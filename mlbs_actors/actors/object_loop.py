@@ -14,7 +14,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import types
+from numba import typeof, types
+from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
@@ -22,6 +23,7 @@ from mlbs_actors.actors.channels import Channel, framed
 from mlbs_actors.actors.layer_notes import answer_slot, blank_posterior, kind_number, write_posterior
 from mlbs_actors.actors.shared_memory import SharedMemory
 from mlbs_actors.compilation import compiled
+from mlbs_actors.config import Config
 from mlbs_actors.gabp import check_solved
 from mlbs_actors.layer import OUTSIDE_COST, Layer
 from mlbs_actors.messages import Array
@@ -49,7 +51,11 @@ _write: Any = types.ExternalFunction("write", types.intp(types.intc, types.voidp
 _clock: Any = types.ExternalFunction("clock_gettime", types.intc(types.intc, types.voidptr))
 _MONOTONIC = 1
 
+_tuple: Any = types.Tuple
 _populate: Any = populate_array
+_if_unlikely: Any = cgutils.if_unlikely
+_unpacked: Any = cgutils.unpack_tuple
+_dispatcher: Any = object_frame
 
 #: Decorator of a function that only kernels can call, as in ``lanes``.
 _in_kernels: Any = intrinsic(prefer_literal=True)
@@ -100,6 +106,7 @@ class ObjectLoop:
             self._memory.places(),
             layer.state.last_frame,
             view.kept(layer.state),
+            _address_of_frame(),
         )
         channel.unread = received[:count].tobytes()
         layer.state = view.state(frame, *kept)
@@ -109,6 +116,36 @@ class ObjectLoop:
             posterior = layer.posterior(trust, {"posterior": milliseconds})
             channel.send(write_posterior(posterior, self._memory, answer_slot(channel.receive())))
         return int(frame)
+
+
+def _types_of_frame() -> Any:
+    layer = Layer(Config(), 1, "object")
+    view = ObjectView(layer.config, 1, (480, 640))
+
+    def shown(kind: Any, dimensions: int) -> Any:
+        return types.Array(kind, dimensions, "C", readonly=True)
+
+    return _tuple(
+        (
+            *map(typeof, view.constants),
+            _tuple((types.uint16, types.int64, types.int64, types.int64, types.bool_)),
+            _tuple(
+                (
+                    shown(types.uint8, 3),
+                    shown(types.float32, 2),
+                    shown(types.float32, 2),
+                    shown(types.float64, 2),
+                    shown(types.uint16, 3),
+                    shown(types.bool_, 2),
+                    shown(types.uint8, 2),
+                    shown(types.uint8, 2),
+                )
+            ),
+            _tuple((shown(types.uint16, 2), shown(types.uint8, 2), shown(types.int8, 2))),
+            types.Array(types.float64, 1, "C"),
+            *map(typeof, view.kept(layer.state)),
+        )
+    )
 
 
 @_in_kernels
@@ -126,11 +163,45 @@ def _memory_at(typing: Any, address: Any, size: Any, writable: Any) -> Any:
     return array(types.int64, types.int64, writable), build
 
 
+#: What :func:`~mlbs_actors.object_frame.object_frame` is given here, for Numba.
+_GIVEN = _types_of_frame()
+
+
+@_in_kernels
+def _called_at(typing: Any, address: Any, given: Any) -> Any:
+    """What the compiled :func:`~mlbs_actors.object_frame.object_frame` at an address returns.
+
+    It is in the process already. Called by its name, it would be compiled, and loaded, once more as a part of
+    the loop: 20 MB.
+    """
+    if given.types != _GIVEN.types:
+        return None
+    called: Any = types.Dispatcher(_dispatcher).get_call_type(typing, given.types, {})
+
+    def build(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        convention, arguments = context.call_conv, _unpacked(builder, values[1])
+        kind = convention.get_function_type(called.return_type, called.args)
+        place = builder.inttoptr(values[0], kind.as_pointer())
+        status, result = convention.call_function(builder, place, called.return_type, called.args, arguments)
+        with _if_unlikely(builder, status.is_error):
+            convention.return_status_propagate(builder, status)
+        return result
+
+    return called.return_type(address, given), build
+
+
+def _address_of_frame() -> int:
+    """Where :func:`~mlbs_actors.object_frame.object_frame` is in this process, for what it is given here."""
+    _dispatcher.compile(_GIVEN.types)
+    made = _dispatcher.overloads[_GIVEN.types]
+    return int(made.library.get_pointer_to_function(made.fndesc.llvm_func_name))
+
+
 @compiled(nogil=True)
 def _frames(
     parameters: tuple[float, ...], numbers: tuple[Any, ...], tables: tuple[Array, ...],
     who: tuple[int, int, int, tuple[int, int], float], ends: tuple[int, int], received: Array, count: int,
-    answer: Array, slots: Array, last_frame: int, kept: tuple[Any, ...],
+    answer: Array, slots: Array, last_frame: int, kept: tuple[Any, ...], frame_address: int,
 ) -> tuple[int, int, int, tuple[Any, ...], float, float, float]:  # fmt: skip
     """Read notes and answer them.
 
@@ -151,6 +222,8 @@ def _frames(
         :meth:`~mlbs_actors.actors.shared_memory.SharedMemory.places`.
     last_frame, kept
         The object's state.
+    frame_address : int
+        :func:`_address_of_frame`.
 
     Returns
     -------
@@ -164,34 +237,28 @@ def _frames(
     words, clock = np.zeros(_HEAD + _TRACKS + _SUMMARY, np.int64), np.zeros(2, np.int64)
     figures = np.zeros(13, np.int64)
     rows, columns = -(-height // side), -(-width // side)
-    trust, residual, milliseconds = 0.0, 0.0, 0.0
+    ended, trust, residual, milliseconds = _LEFT, 0.0, 0.0, 0.0
     while True:
-        end = _end_of_note(received, count)
-        while end == 0:
-            got = _read(ends[0], received[count:].ctypes, received.size - count)
-            if got <= 0:  # at its end, or interrupted by a signal, which Python handles
-                return _LEFT, count, last_frame, kept, trust, residual, milliseconds
-            count += got
-            end = _end_of_note(received, count)
+        count, end = _await_note(ends[0], received, count)
         _clock(_MONOTONIC, clock.ctypes)
         begun = 1e3 * clock[0] + 1e-6 * clock[1]
         if not _is_next(received, end, words, layer, last_frame, height, width):
-            return _LEFT, count, last_frame, kept, trust, residual, milliseconds
+            break
         evidence = _written(slots, words[6], words[7], words[8], words[9])
         picture = _written(slots, words[10], words[11], words[12], words[13])
         published = _written(slots, words[14], words[15], words[16], words[17])
         if evidence == 0 or picture == 0 or published == 0:
-            return _LEFT, count, last_frame, kept, trust, residual, milliseconds
+            break
         unexplained = _array(evidence, 4, 1).reshape(_shape(evidence, 4))
         if unexplained.shape != (rows, columns):  # which are brought to one another elsewhere
-            return _LEFT, count, last_frame, kept, trust, residual, milliseconds
+            break
         grid = _shape(evidence, 2)
         region, model, last = kept
-        region, model, last, trust, residual = object_frame(
+        given = (
             parameters,
             numbers,
             tables,
-            (np.uint16(layer), side, words[_HEAD + 3], words[_HEAD + 4], True),
+            (np.uint16(layer), side, words[_HEAD + 3], words[_HEAD + 4], np.bool_(1)),
             (
                 _array(picture, 1, 1).reshape((height, width, 3)),
                 _array(evidence, 5, 4).view(np.float32).reshape((-1, 2)),
@@ -212,9 +279,11 @@ def _frames(
             model,
             last,
         )
+        region, model, last, trust, residual = _called_at(frame_address, given)
         last_frame, kept = words[0], (region, model, last)
         if not residual <= tolerance:
-            return _UNSOLVED, count, last_frame, kept, trust, residual, milliseconds
+            ended = _UNSOLVED
+            break
         slot, size = _put(slots, words, last)
         _clock(_MONOTONIC, clock.ctypes)
         milliseconds = 1e3 * clock[0] + 1e-6 * clock[1] - begun
@@ -222,14 +291,37 @@ def _frames(
             head = _memory_at(slot, _WORD * _SLOT_HEAD, True).view(np.int64)
             head[0], head[1] = words[20], _POSTERIOR_ARRAYS
         x, y, wide, high = region
-        figures[:11] = (layer, last_frame, kind, x, y, wide, high, side, OUTSIDE_COST, size, 1)
+        figures[0], figures[1], figures[2], figures[3], figures[4] = layer, last_frame, kind, x, y
+        figures[5], figures[6], figures[7], figures[8], figures[9] = wide, high, side, OUTSIDE_COST, size
+        figures[10] = 1  # stage
         figures.view(np.float64)[11], figures.view(np.float64)[12] = trust, milliseconds
-        answer[_PREFIX : _PREFIX + _WORD * figures.size] = figures.view(np.uint8)
+        _copy(figures.view(np.uint8), 0, _WORD * figures.size, answer, _PREFIX)
         if slot == 0 or _write(ends[1], answer.ctypes, answer.size) != answer.size:
-            return _UNANSWERED, count, last_frame, kept, trust, residual, milliseconds
+            ended = _UNANSWERED
+            break
         count -= end
-        for at in range(count):
-            received[at] = received[end + at]
+        _copy(received, end, count, received, 0)
+    return ended, count, last_frame, kept, trust, residual, milliseconds
+
+
+@compiled()
+def _await_note(incoming: int, received: Array, count: int) -> tuple[int, int]:
+    """Read until the first note is there; how much there is, and where it ends: 0 if none comes."""
+    end = _end_of_note(received, count)
+    while end == 0:
+        got = _read(incoming, received[count:].ctypes, received.size - count)
+        if got <= 0:  # at its end, or interrupted by a signal, which Python handles
+            break
+        count += got
+        end = _end_of_note(received, count)
+    return count, end
+
+
+@compiled()
+def _copy(source: Array, begin: int, count: int, target: Array, at: int) -> None:
+    """As slices do, whose code is twenty times as large; to the left also within an array."""
+    for one in range(count):
+        target[at + one] = source[begin + one]
 
 
 @compiled()
@@ -253,7 +345,7 @@ def _is_next(
     plain = _WORD * (_HEAD + _TRACKS)
     if received[_PREFIX - 1] or (length != plain and length != plain + _WORD * _SUMMARY):
         return False
-    words.view(np.uint8)[:length] = received[_PREFIX:end]
+    _copy(received, _PREFIX, length, words.view(np.uint8), 0)
     frame, epoch, before, appearance = words[0], words[1], words[4], words[21]
     follows = before == last_frame and words[_HEAD + 2] == last_frame and frame > epoch
     same = words[2] == height and words[3] == width and words[5] == 1 and words[_HEAD] == layer
@@ -269,7 +361,7 @@ def _told(words: Array, end: int) -> Array:
         told[0] = words[at + 6]
         for one in range(4):
             told[1 + one] = words[at + 2 + one]
-        told[5:] = words.view(np.float64)[at + 9 : at + 11]
+        told[5], told[6] = words.view(np.float64)[at + 9], words.view(np.float64)[at + 10]
     return told
 
 
@@ -318,19 +410,20 @@ def _put(slots: Array, words: Array, last: tuple[Array, ...]) -> tuple[int, int]
         if slots[one, 0] == words[18] and slots[one, 1] == words[19] and slots[one, 3] >= end:
             slot = slots[one, 2]
             room = _memory_at(slot, end, True)
-            room[: _WORD * _SLOT_HEAD] = 0  # who reads too late is told so from now on
+            head = _memory_at(slot, _WORD * _SLOT_HEAD, True).view(np.int64)
+            head[0], head[1] = 0, 0  # who reads too late is told so from now on
             maps = (cost.reshape(-1), log_ratio.view(np.uint8).reshape(-1), samples.reshape(-1))
             kinds = (ord("B"), ord("b"), ord("B"))
             for number in range(3):
                 place = _place(slot, number)
                 place[0], place[1], place[2] = begin, kinds[number], 2
                 place[3], place[4], place[5] = cost.shape[0], cost.shape[1], 0
-                room[begin : begin + cells] = maps[number]
+                _copy(maps[number], 0, cells, room, begin)
                 begin += _aligned(cells)
             place = _place(slot, 3)
             place[0], place[1], place[2] = begin, ord("f"), 1
             place[3], place[4], place[5] = velocity.size, 0, 0
-            room[begin:end] = velocity.view(np.uint8)
+            _copy(velocity.view(np.uint8), 0, end - begin, room, begin)
             return slot, end
     return 0, 0
 

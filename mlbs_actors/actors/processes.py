@@ -12,6 +12,7 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from mlbs_actors.actors.idle_threads import look_round_seldom
 from mlbs_actors.actors.priority import stepping_back
+from mlbs_actors.process_memory import settle_memory
 
 __all__ = [
     "LOST_PROCESS",
@@ -87,6 +88,7 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node
         look_round_seldom()
         with stepping_back(awaited=awaited):
             warm()
+        settle_memory()
 
     def become(self: object, *arguments: object, **after: object) -> None:
         kind.__init__(self, *arguments)  # type: ignore[misc]
