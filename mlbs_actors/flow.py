@@ -26,7 +26,7 @@ from mlbs_actors.inverse_search import (
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.patch_search import PATCH
 
-__all__ = ["DenseFlow", "dense_flow", "flow_gray", "reliable_at"]
+__all__ = ["DenseFlow", "dense_flow", "flow_gray", "flow_size", "reliable_at"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +73,15 @@ def flow_gray(frame: Array, config: FlowConfig) -> Array:
         At least 16 px a side, two patches of the search.
     """
     gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-    height, width = gray.shape
+    size = flow_size((gray.shape[0], gray.shape[1]), config)
+    return gray if size == gray.shape else cv2.resize(gray, size[::-1], interpolation=cv2.INTER_AREA)
+
+
+def flow_size(shape: tuple[int, int], config: FlowConfig) -> tuple[int, int]:
+    """Size (h, w) of :func:`flow_gray` of a frame (H, W), px."""
+    height, width = shape
     scale = min(1.0, config.scale / length_scale(height, width))
-    size = (max(16, round(width * scale)), max(16, round(height * scale)))
-    return gray if size == (width, height) else cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+    return max(16, round(height * scale)), max(16, round(width * scale))
 
 
 def dense_flow(

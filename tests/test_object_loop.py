@@ -7,12 +7,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from multiprocessing import Pipe
 from pathlib import Path
+from threading import Timer
 
 import numpy as np
 import pytest
 from layer_fakes import CAR, SHAPE, WHOLE, frame_of, grid, owned, picture, published, tracks
 
-from mlbs_actors.actors.channels import Channel, ChannelClosedError
+from mlbs_actors.actors.channels import Channel, ChannelClosedError, framed
 from mlbs_actors.actors.layer import LayerWork
 from mlbs_actors.actors.layer_notes import (
     FrameNotes,
@@ -34,6 +35,7 @@ from mlbs_actors.messages import BACKGROUND, FrameEvidence, LayerPosterior, Regi
 CONFIG = Config.model_validate(
     {
         "appearance": {"cell_px": 8.0},
+        "flow": {"scale": 0.125},
         "posterior": {"motion": 1.0, "photometric": 1.0, "prior": 1.0, "distance": 2.0},
     }
 )
@@ -85,12 +87,14 @@ class Stream:
         self.own_end = Channel(incoming, outgoing)
         self.layers_end = Channel(other_incoming, other_outgoing)
 
-    def told(self, evidence: FrameEvidence, *, appearance: bool = False) -> Told:
+    def told(self, evidence: FrameEvidence, *, appearance: bool = False, shown: bool = True) -> Told:
         """A frame that the layer is to do."""
         index = evidence.frame_index
         frame = SourceFrame(index, picture(index), 0.1, str(index))
         assert frame.image is not None
         previous = segmentation_of(index - 1) if index else None
+        if previous is not None and not shown:
+            previous = replace(previous, layers=())
         where = (
             self.memory.share(evidence, self._take("evidence")),
             self.memory.share(frame, self._take("frame")),
@@ -112,8 +116,8 @@ class Stream:
 class Place:
     """Where the layer works: it has read and written the slots of some frames before."""
 
-    def __init__(self, known: Sequence[Told]) -> None:
-        self.memory, self.layer = SharedMemory(), Layer(CONFIG, OBJECT, "object")
+    def __init__(self, known: Sequence[Told], config: Config = CONFIG) -> None:
+        self.memory, self.layer = SharedMemory(), Layer(config, OBJECT, "object")
         loop = ObjectLoop(self.layer, self.memory)
         self.work = LayerWork(SavedLayer(OBJECT, "object", -1), self.layer, self.memory, loop)
         for told in known:
@@ -179,7 +183,8 @@ def test_frames_are_done_as_through_python(stream: Stream) -> None:
 def test_an_object_that_is_not_seen_any_more_is_done_as_through_python(stream: Stream) -> None:
     gone = replace(evidence_of(1), positions=evidence_of(1).positions[:0], motions=evidence_of(1).motions[:0])
     tracks = tuple(one._replace(start=0, end=0) for one in gone.tracks)
-    notes = [stream.told(evidence_of(0)), stream.told(replace(gone, tracks=tracks))]
+    unseen = stream.told(replace(gone, tracks=tracks), shown=False)
+    notes = [stream.told(evidence_of(0)), unseen]
     slow, fast = Place(notes), Place(notes)
     for told in notes:
         expected = slow.step(told.note)
@@ -191,7 +196,8 @@ def test_an_object_that_is_not_seen_any_more_is_done_as_through_python(stream: S
 
 
 @pytest.mark.parametrize(
-    "kind", ["appearance", "frame after next", "new epoch", "unknown memory", "no frame yet"]
+    "kind",
+    ["appearance", "frame after next", "new epoch", "unknown memory", "no frame yet", "coarser evidence"],
 )
 def test_what_is_not_a_plain_next_frame_is_left_to_python(stream: Stream, kind: str) -> None:
     notes = frames(stream)[:2]
@@ -202,6 +208,9 @@ def test_what_is_not_a_plain_next_frame_is_left_to_python(stream: Stream, kind: 
         following = stream.told(evidence_of(2)).note
     elif kind == "new epoch":
         following = stream.told(replace(evidence_of(1), epoch=1)).note
+    elif kind == "coarser evidence":
+        notes[1] = stream.told(replace(evidence_of(1), unexplained=np.zeros((30, 40), np.uint8)))
+        following = notes[1].note
     place = Place(notes if kind != "unknown memory" else [])
     if kind != "no frame yet":
         place.step(notes[0].note)
@@ -216,6 +225,32 @@ def test_what_is_not_a_plain_next_frame_is_left_to_python(stream: Stream, kind: 
             place.step(following)
     elif kind != "no frame yet":
         place.step(following)
+
+
+def test_where_flow_is_not_told_for_each_cell_no_note_is_taken(stream: Stream) -> None:
+    notes = frames(stream)[:2]
+    place = Place(notes, CONFIG.model_copy(update={"appearance": Config().appearance}))
+    place.step(notes[0].note)
+    assert place.layer.state.cell == 1
+    stream.own_end.send(notes[1].note)
+    place.work.go_on(stream.layers_end)  # else it would wait for another one
+    assert not stream.own_end.has_note()
+
+
+@pytest.mark.parametrize("first", [2, 100])
+def test_a_note_may_come_in_pieces(stream: Stream, first: int) -> None:
+    notes = frames(stream)[:2]
+    slow, fast = Place(notes), Place(notes)
+    for told in notes:
+        expected = slow.step(told.note)
+    fast.step(notes[0].note)
+    whole, (_, outgoing) = framed(notes[1].note), stream.own_end.ends
+    os.write(outgoing, whole[:first])
+    later = Timer(0.2, os.write, (outgoing, whole[first:] + framed(None)))
+    later.start()
+    fast.work.go_on(stream.layers_end)
+    later.join()
+    assert_same(stream.answered(notes[1]), expected)
 
 
 def test_memory_that_was_lent_again_is_left_to_python(stream: Stream) -> None:
@@ -258,6 +293,7 @@ def test_a_field_that_cannot_be_solved_ends_the_layer(stream: Stream) -> None:
     stream.own_end.send(notes[1].note)
     with pytest.raises(SolverError, match="finite"):
         place.work.go_on(stream.layers_end)
+    assert not stream.own_end.has_note()
     with pytest.raises(LayerError, match="a frame that failed was last"):
         place.step(notes[2].note)
 

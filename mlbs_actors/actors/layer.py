@@ -67,7 +67,7 @@ class LayerWork:
         self._memory = memory
         self._loop = loop
         self._order = FrameOrder(own.last_frame)
-        self._at_work = False  # in this process
+        self._at_work = False  # a frame was done in this process: the loop goes on from what that has made
 
     def step(self, evidence: FrameEvidence, image: Array, previous: Segmentation | None) -> LayerPosterior:
         """Finish the frame before with its labels, then evaluate this one; each frame once and in order."""
@@ -78,7 +78,7 @@ class LayerWork:
 
     def go_on(self, channel: Channel) -> None:
         """Have the loop take the notes that come now; raises as :meth:`step` does, or ChannelClosedError."""
-        if self._loop is not None and self._at_work:
+        if self._loop is not None and self._at_work and self._loop.suits:
             self._order.last = None
             self._order.last = self._loop.run(channel)
 

@@ -24,6 +24,7 @@ from mlbs_actors.actors.layer_notes import answer_slot, blank_posterior, kind_nu
 from mlbs_actors.actors.shared_memory import SharedMemory
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config
+from mlbs_actors.flow import flow_size
 from mlbs_actors.gabp import check_solved
 from mlbs_actors.layer import OUTSIDE_COST, Layer
 from mlbs_actors.messages import Array
@@ -35,6 +36,10 @@ __all__ = ["ObjectLoop"]
 _ROOM = 1 << 13
 #: Words of a note (``layer_notes``): what comes before the tracks, the layer's tracks, its summary.
 _HEAD, _TRACKS, _SUMMARY = 24, 5, 12
+#: Where in a note the slots begin: owner, descriptor and turn, of those that are to be read also the size.
+_EVIDENCE, _PICTURE, _PUBLISHED, _ANSWER, _APPEARANCE = 6, 10, 14, 18, 21
+#: Arrays of these messages, their descriptions among them.
+_EVIDENCE_ARRAYS, _PUBLISHED_ARRAYS = 7, 4
 #: Bytes before a note (``channels``).
 _PREFIX = 5
 #: Words before the places of a slot's arrays, and of a place (``shared_memory``).
@@ -51,6 +56,7 @@ _write: Any = types.ExternalFunction("write", types.intp(types.intc, types.voidp
 _clock: Any = types.ExternalFunction("clock_gettime", types.intc(types.intc, types.voidptr))
 _MONOTONIC = 1
 
+# Untyped in Numba.
 _tuple: Any = types.Tuple
 _populate: Any = populate_array
 _if_unlikely: Any = cgutils.if_unlikely
@@ -76,6 +82,16 @@ class ObjectLoop:
         self._layer = layer
         self._memory = memory
 
+    @property
+    def suits(self) -> bool:
+        """Whether the flow of the last frame's size is told for each of the object's cells.
+
+        So it is of 640×480 and of most other frames of 4:3. Else it is resized, which the loop cannot do.
+        """
+        view, flow = self._layer.view, self._layer.config.flow
+        assert isinstance(view, ObjectView)
+        return flow_size(view.shape, flow) == tuple(-(-length // view.side) for length in view.shape)
+
     def run(self, channel: Channel) -> int:
         """Take the notes that come, after a frame that was done in this process.
 
@@ -89,7 +105,7 @@ class ObjectLoop:
         ChannelClosedError
             If an answer cannot be sent.
         SolverError
-            As :meth:`~mlbs_actors.layer.Layer.step` does.
+            As :func:`~mlbs_actors.gabp.check_solved` does.
         """
         layer, view = self._layer, self._layer.view
         assert isinstance(view, ObjectView)
@@ -148,6 +164,10 @@ def _types_of_frame() -> Any:
     )
 
 
+#: What :func:`~mlbs_actors.object_frame.object_frame` is given here, for Numba.
+_GIVEN = _types_of_frame()
+
+
 @_in_kernels
 def _memory_at(typing: Any, address: Any, size: Any, writable: Any) -> Any:
     """So many bytes from an address on, which somebody else holds."""
@@ -161,10 +181,6 @@ def _memory_at(typing: Any, address: Any, size: Any, writable: Any) -> Any:
         return made._getvalue()
 
     return array(types.int64, types.int64, writable), build
-
-
-#: What :func:`~mlbs_actors.object_frame.object_frame` is given here, for Numba.
-_GIVEN = _types_of_frame()
 
 
 @_in_kernels
@@ -192,9 +208,10 @@ def _called_at(typing: Any, address: Any, given: Any) -> Any:
 
 def _address_of_frame() -> int:
     """Where :func:`~mlbs_actors.object_frame.object_frame` is in this process, for what it is given here."""
-    _dispatcher.compile(_GIVEN.types)
-    made = _dispatcher.overloads[_GIVEN.types]
-    return int(made.library.get_pointer_to_function(made.fndesc.llvm_func_name))
+    made = _dispatcher.overloads[_GIVEN.types]  # since a frame was done through Python
+    address = int(made.library.get_pointer_to_function(made.fndesc.llvm_func_name))
+    assert address
+    return address
 
 
 @compiled(nogil=True)
@@ -221,13 +238,14 @@ def _frames(
     slots : (k, 4) int64
         :meth:`~mlbs_actors.actors.shared_memory.SharedMemory.places`.
     last_frame, kept
-        The object's state.
+        The object's state: its last frame, and :meth:`~mlbs_actors.object_frame.ObjectView.kept`.
     frame_address : int
         :func:`_address_of_frame`.
 
     Returns
     -------
     ended : int
+        Why: ``_LEFT``, ``_UNANSWERED`` or ``_UNSOLVED``.
     count, last_frame, kept
         As above; what is still in ``received`` is not answered.
     confidence, residual, milliseconds : float
@@ -244,13 +262,13 @@ def _frames(
         begun = 1e3 * clock[0] + 1e-6 * clock[1]
         if not _is_next(received, end, words, layer, last_frame, height, width):
             break
-        evidence = _written(slots, words[6], words[7], words[8], words[9])
-        picture = _written(slots, words[10], words[11], words[12], words[13])
-        published = _written(slots, words[14], words[15], words[16], words[17])
+        evidence = _written(slots, words, _EVIDENCE, _EVIDENCE_ARRAYS)
+        picture = _written(slots, words, _PICTURE, 0)
+        published = _written(slots, words, _PUBLISHED, _PUBLISHED_ARRAYS)
         if evidence == 0 or picture == 0 or published == 0:
             break
         unexplained = _array(evidence, 4, 1).reshape(_shape(evidence, 4))
-        if unexplained.shape != (rows, columns):  # which are brought to one another elsewhere
+        if unexplained.shape != (rows, columns):
             break
         grid = _shape(evidence, 2)
         region, model, last = kept
@@ -289,13 +307,14 @@ def _frames(
         milliseconds = 1e3 * clock[0] + 1e-6 * clock[1] - begun
         if slot != 0:
             head = _memory_at(slot, _WORD * _SLOT_HEAD, True).view(np.int64)
-            head[0], head[1] = words[20], _POSTERIOR_ARRAYS
+            head[0], head[1] = words[_ANSWER + 2], _POSTERIOR_ARRAYS
         x, y, wide, high = region
         figures[0], figures[1], figures[2], figures[3], figures[4] = layer, last_frame, kind, x, y
         figures[5], figures[6], figures[7], figures[8], figures[9] = wide, high, side, OUTSIDE_COST, size
         figures[10] = 1  # stage
         figures.view(np.float64)[11], figures.view(np.float64)[12] = trust, milliseconds
         _copy(figures.view(np.uint8), 0, _WORD * figures.size, answer, _PREFIX)
+        # A pipe takes so little whole or not at all.
         if slot == 0 or _write(ends[1], answer.ctypes, answer.size) != answer.size:
             ended = _UNANSWERED
             break
@@ -310,7 +329,7 @@ def _await_note(incoming: int, received: Array, count: int) -> tuple[int, int]:
     end = _end_of_note(received, count)
     while end == 0:
         got = _read(incoming, received[count:].ctypes, received.size - count)
-        if got <= 0:  # at its end, or interrupted by a signal, which Python handles
+        if got <= 0:  # at its end, or interrupted by a signal: Python waits on
             break
         count += got
         end = _end_of_note(received, count)
@@ -346,7 +365,7 @@ def _is_next(
     if received[_PREFIX - 1] or (length != plain and length != plain + _WORD * _SUMMARY):
         return False
     _copy(received, _PREFIX, length, words.view(np.uint8), 0)
-    frame, epoch, before, appearance = words[0], words[1], words[4], words[21]
+    frame, epoch, before, appearance = words[0], words[1], words[4], words[_APPEARANCE]
     follows = before == last_frame and words[_HEAD + 2] == last_frame and frame > epoch
     same = words[2] == height and words[3] == width and words[5] == 1 and words[_HEAD] == layer
     return bool(follows and same and appearance < 0)
@@ -366,12 +385,16 @@ def _told(words: Array, end: int) -> Array:
 
 
 @compiled()
-def _written(slots: Array, owner: int, descriptor: int, turn: int, size: int) -> int:
-    """Address of a slot in which is what the note tells of; 0 if that is not known, or it is not there."""
+def _written(slots: Array, words: Array, at: int, arrays: int) -> int:
+    """Address of the slot that a note tells of from a word on; 0 if it is not known, or holds something else.
+
+    It is to hold so many arrays; 0 for any number.
+    """
+    owner, descriptor, turn, size = words[at], words[at + 1], words[at + 2], words[at + 3]
     for one in range(slots.shape[0]):
         if slots[one, 0] == owner and slots[one, 1] == descriptor and slots[one, 3] >= size:
-            address = slots[one, 2]
-            return address if _memory_at(address, _WORD, False).view(np.int64)[0] == turn else 0
+            head = _memory_at(slots[one, 2], _WORD * _SLOT_HEAD, False).view(np.int64)
+            return slots[one, 2] if head[0] == turn and (arrays == 0 or head[1] == arrays) else 0
     return 0
 
 
@@ -407,7 +430,8 @@ def _put(slots: Array, words: Array, last: tuple[Array, ...]) -> tuple[int, int]
     cells, begin = cost.size, _aligned(_WORD * (_SLOT_HEAD + _POSTERIOR_ARRAYS * _PLACE))
     end = begin + 3 * _aligned(cells) + 4 * velocity.size
     for one in range(slots.shape[0]):
-        if slots[one, 0] == words[18] and slots[one, 1] == words[19] and slots[one, 3] >= end:
+        owner, descriptor = words[_ANSWER], words[_ANSWER + 1]
+        if slots[one, 0] == owner and slots[one, 1] == descriptor and slots[one, 3] >= end:
             slot = slots[one, 2]
             room = _memory_at(slot, end, True)
             head = _memory_at(slot, _WORD * _SLOT_HEAD, True).view(np.int64)

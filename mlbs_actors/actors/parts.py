@@ -91,6 +91,10 @@ class LayerPart(Protocol):
 class NoteLoop(Protocol):
     """Does the frames of a layer without Python in between, after one that was done with it."""
 
+    @property
+    def suits(self) -> bool:
+        """Whether it can do frames as the last one was."""
+
     def run(self, channel: Channel) -> int:
         """Take the notes that come until one is not of a plain next frame; return the last frame done."""
 

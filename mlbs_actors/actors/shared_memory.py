@@ -198,7 +198,7 @@ class SharedMemory:
     def places(self) -> Array:
         """Owner, descriptor, address and size of the slots that have been read or written here, (n, 4) int64.
 
-        They are valid until the next slot is.
+        Sizes are in bytes. All is valid until one of them is found to have grown.
         """
         rows = [
             (*key, np.frombuffer(memory, np.uint8).ctypes.data, len(whole))
