@@ -9,29 +9,24 @@ would take longer than its kernels do. What the terms are, and how they differ f
 from __future__ import annotations
 
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from mlbs_actors.appearance import AppearanceModel, learn_colours, moved_stacks
 from mlbs_actors.cells import cell_side, count_won, in_cells, mean_colours
 from mlbs_actors.compilation import compiled
-from mlbs_actors.config import Config, length_scale
-from mlbs_actors.fusion import LIKELIHOOD, appearance_tables
+from mlbs_actors.config import Config
 from mlbs_actors.gabp import FieldNumbers, MotionParameters, check_solved, field_numbers, solved_field
-from mlbs_actors.kde import AppearanceParameters, confidence, density_tables, log_densities, mean_trust
+from mlbs_actors.kde import AppearanceParameters, log_densities, mean_trust
 from mlbs_actors.layer_cost import (
-    cost_tables,
     finish_posterior,
     quantise_colours,
     sum_terms,
-    uncontested_cost,
 )
 from mlbs_actors.layer_state import LayerFrame, LayerState
 from mlbs_actors.learning import near_trajectories, unexplained_cells
 from mlbs_actors.messages import (
-    COST_STEP,
-    UNEXPLAINED_STEP,
     Array,
     FrameEvidence,
     Region,
@@ -39,91 +34,17 @@ from mlbs_actors.messages import (
     received,
 )
 from mlbs_actors.node_grid import nodes_of_cells, to_pixels
+from mlbs_actors.object_parameters import ObjectParameters, ObjectTables, object_parameters, object_tables
 from mlbs_actors.object_regions import box_of, median_of_motions, region_of_object, told_of
 from mlbs_actors.photometric import photometric_advantage
 from mlbs_actors.warp import interpolate_map
 
-__all__ = ["ObjectParameters", "ObjectTables", "ObjectView", "object_frame"]
+__all__ = ["ObjectView", "object_frame"]
 
 #: Left, top, width and height.
 Box = tuple[int, int, int, int]
 #: Samples, count, newest, spread and residual of an appearance model.
 Model = tuple[Array, Array, Array, Array, Array]
-
-
-class ObjectParameters(NamedTuple):
-    """Numbers that an object is evaluated with, those of the configuration where nothing else is said.
-
-    Attributes
-    ----------
-    bandwidth_floor, registration : float
-        Of :class:`~mlbs_actors.kde.AppearanceParameters`.
-    appearance_cap, photometric_cap : float
-    unexplained : float
-        From where on the camera fails to explain a cell, in units of ``UNEXPLAINED_STEP``.
-    close, learn, near, fade : float
-        px of this frame.
-    distance, photometric : float
-    flow_variance : float
-        px².
-    neutral_prior, offset : float
-    uncontested : float
-        :func:`~mlbs_actors.layer_cost.uncontested_cost`.
-    appearance : float
-        Weight of the colours, units of ``COST_STEP``.
-    margin, covered_margin : float
-        px of a 640×480 frame.
-    scale : float
-        :func:`~mlbs_actors.config.length_scale`.
-    """
-
-    bandwidth_floor: float
-    registration: float
-    appearance_cap: float
-    photometric_cap: float
-    unexplained: float
-    close: float
-    learn: float
-    near: float
-    fade: float
-    distance: float
-    photometric: float
-    flow_variance: float
-    neutral_prior: float
-    offset: float
-    uncontested: float
-    appearance: float
-    margin: float
-    covered_margin: float
-    scale: float
-
-
-class ObjectTables(NamedTuple):
-    """Functions of one number that an object is evaluated with, all (n,) float32.
-
-    Attributes
-    ----------
-    exponent, norm : Array
-        :func:`~mlbs_actors.kde.density_tables`.
-    heard, disagreement, surprise : Array
-        :func:`~mlbs_actors.layer_cost.cost_tables`.
-    trust : Array
-        By numbers of samples, :func:`~mlbs_actors.kde.confidence`.
-    known, ratio_of : Array
-        :func:`~mlbs_actors.fusion.appearance_tables`.
-    likelihood : Array
-        :data:`~mlbs_actors.fusion.LIKELIHOOD`.
-    """
-
-    exponent: Array
-    norm: Array
-    heard: Array
-    disagreement: Array
-    surprise: Array
-    trust: Array
-    known: Array
-    ratio_of: Array
-    likelihood: Array
 
 
 class ObjectView:
@@ -157,9 +78,9 @@ class ObjectView:
         self.tolerance = motion.tolerance
         # Plain tuples: Numba would ask for the type of any other one anew in each call.
         self.constants = (
-            tuple(_parameters(config, density, shape)),
+            tuple(object_parameters(config, density, shape)),
             tuple(field_numbers(motion)),
-            tuple(_tables(config, density)),
+            tuple(object_tables(config, density)),
         )
 
     def next(
@@ -229,44 +150,6 @@ _NOTHING = received(
 )
 
 
-def _parameters(config: Config, density: AppearanceParameters, shape: tuple[int, int]) -> ObjectParameters:
-    weights, scale = config.posterior, length_scale(*shape)
-    return ObjectParameters(
-        bandwidth_floor=density.bandwidth_floor,
-        registration=density.registration,
-        appearance_cap=weights.appearance_cap,
-        photometric_cap=weights.photometric_cap,
-        unexplained=config.layers.unexplained_noise / UNEXPLAINED_STEP,
-        close=weights.close_px * scale,
-        learn=weights.learn_px * scale,
-        near=weights.near_px * scale,
-        fade=weights.fade_px * scale,
-        distance=weights.distance,
-        photometric=weights.photometric,
-        flow_variance=(config.motion.flow_std_px * scale) ** 2,
-        neutral_prior=weights.neutral_prior,
-        offset=weights.offset,
-        uncontested=uncontested_cost(config),
-        appearance=weights.appearance / COST_STEP,
-        margin=weights.region_margin_px,
-        covered_margin=weights.covered_margin_px,
-        scale=scale,
-    )
-
-
-def _tables(config: Config, density: AppearanceParameters) -> ObjectTables:
-    """Those of a configuration."""
-    known, ratio_of = appearance_tables(config.appearance.half_confidence_samples)
-    return ObjectTables(
-        *density_tables(density),
-        *cost_tables(config, "object"),
-        trust=confidence(np.arange(256), density),
-        known=known,
-        ratio_of=ratio_of,
-        likelihood=LIKELIHOOD,
-    )
-
-
 @compiled()
 def object_frame(
     parameters: tuple[float, ...], numbers: tuple[Any, ...], tables: tuple[Array, ...],
@@ -278,8 +161,8 @@ def object_frame(
     Parameters
     ----------
     parameters, numbers, tables : tuple
-        :class:`ObjectParameters`, :class:`~mlbs_actors.gabp.FieldNumbers` and :class:`ObjectTables`, as plain
-        tuples.
+        :class:`~mlbs_actors.object_parameters.ObjectParameters`, :class:`~mlbs_actors.gabp.FieldNumbers` and
+        :class:`~mlbs_actors.object_parameters.ObjectTables`, as plain tuples.
     own : (layer, side, start, end, learns)
         Its id; side of a cell, px; which of all trajectories are its; and whether it had a part in the last
         frame.

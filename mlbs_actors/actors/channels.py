@@ -24,7 +24,7 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any
 
-__all__ = ["Channel", "ChannelClosedError", "ChannelOffer", "OfferedChannel", "framed", "take"]
+__all__ = ["LENGTH", "Channel", "ChannelClosedError", "ChannelOffer", "OfferedChannel", "framed", "take"]
 
 
 class ChannelClosedError(Exception):
@@ -49,7 +49,7 @@ class ChannelOffer:
 
 
 #: Before each note: its length, bytes; and whether it is pickled.
-_LENGTH = struct.Struct("<I?")
+LENGTH = struct.Struct("<I?")
 
 #: Read at once, bytes: most notes are shorter.
 _CHUNK = 1 << 13
@@ -58,7 +58,7 @@ _CHUNK = 1 << 13
 def framed(note: object) -> bytes:
     """A picklable note as it is sent, bytes as they are."""
     content = note if isinstance(note, bytes) else pickle.dumps(note, pickle.HIGHEST_PROTOCOL)
-    return _LENGTH.pack(len(content), content is not note) + content
+    return LENGTH.pack(len(content), content is not note) + content
 
 
 class Channel:
@@ -103,7 +103,7 @@ class Channel:
             if not chunk:
                 raise ChannelClosedError
             self.unread += chunk
-        content, pickled = self.unread[_LENGTH.size : end], self.unread[_LENGTH.size - 1]
+        content, pickled = self.unread[LENGTH.size : end], self.unread[LENGTH.size - 1]
         self.unread = self.unread[end:]
         return pickle.loads(content) if pickled else content
 
@@ -113,9 +113,9 @@ class Channel:
 
     def _end_of_note(self) -> int | None:
         """Where the next note ends in what was received, if all of it is there."""
-        if len(self.unread) < _LENGTH.size:
+        if len(self.unread) < LENGTH.size:
             return None
-        end = _LENGTH.size + int(_LENGTH.unpack_from(self.unread)[0])
+        end = LENGTH.size + int(LENGTH.unpack_from(self.unread)[0])
         return end if end <= len(self.unread) else None
 
     @property

@@ -53,7 +53,6 @@ from mlbs_actors.actors.stream_protocol import (
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import ActorLostError, MlbsError
 from mlbs_actors.messages import Array, FrameEvidence, Segmentation
-from mlbs_actors.process_memory import settle_memory
 from mlbs_actors.state_file import read_state
 
 __all__ = ["CoordinatorActor", "StreamLinks"]
@@ -112,7 +111,6 @@ class CoordinatorActor:
         self._spec = spec
         self._links = links
         self._coordinator = parts.coordinator(spec.config)
-        settle_memory()
         self._slots, self._memory = SlotPool(), SharedMemory()
         self._source = (
             ReadAhead(links.reader, spec.max_frames, self._slots, self._memory)

@@ -28,6 +28,16 @@ from mlbs_actors.messages import (
 )
 
 __all__ = [
+    "ANSWER_AT",
+    "APPEARANCE_AT",
+    "EVIDENCE_AT",
+    "IMAGE_AT",
+    "POSTERIOR",
+    "PREVIOUS_AT",
+    "STEP",
+    "SUMMARY",
+    "TIME",
+    "TRACKS",
     "FrameNotes",
     "LayerStep",
     "SharedFrame",
@@ -45,15 +55,17 @@ _KINDS: tuple[LayerKind, ...] = ("background", "object", "other")
 #: Owner, descriptor, turn and size of the evidence, the picture and the label map before.
 #: Owner, descriptor and turn of the slots for posterior and appearance. -1 for none.
 #: Tracks and summaries follow.
-_STEP = struct.Struct("<6q12q6q")
+STEP = struct.Struct("<6q12q6q")
+#: Which of these numbers are the first of evidence, picture, label map, and of the two slots.
+EVIDENCE_AT, IMAGE_AT, PREVIOUS_AT, ANSWER_AT, APPEARANCE_AT = 6, 10, 14, 18, 21
 #: Layer, kind, frame before, start, end.
-_TRACKS = struct.Struct("<5q")
+TRACKS = struct.Struct("<5q")
 #: Layer, kind, region, area; centroid, velocity, confidence.
-_SUMMARY = struct.Struct("<7q5d")
+SUMMARY = struct.Struct("<7q5d")
 #: Layer, frame, kind, region, cell, outside cost, size of what is in the slot, number of stages; confidence.
 #: The stages' times and names follow.
-_POSTERIOR = struct.Struct("<11qd")
-_TIME = struct.Struct("<d")
+POSTERIOR = struct.Struct("<11qd")
+TIME = struct.Struct("<d")
 
 _NOWHERE = (-1, -1, -1, -1)
 
@@ -119,7 +131,7 @@ class FrameNotes:
             *_place(frame.where_previous),
         )
         self._tracks = {
-            one.layer: _TRACKS.pack(one.layer, _KINDS.index(one.kind), *one[2:]) for one in evidence.tracks
+            one.layer: TRACKS.pack(one.layer, _KINDS.index(one.kind), *one[2:]) for one in evidence.tracks
         }
         summaries = () if previous is None else previous.layers
         self._summaries = {one.layer: _packed_summary(one) for one in summaries}
@@ -132,15 +144,15 @@ class FrameNotes:
             tracks = [self._tracks[layer]]
             summaries = [self._summaries[layer]] if layer in self._summaries else []
         slots = (*_lent(answer), *_lent(appearance))
-        head = _STEP.pack(*self._frame, len(tracks), *self._where, *slots)
+        head = STEP.pack(*self._frame, len(tracks), *self._where, *slots)
         return b"".join((head, *tracks, *summaries))
 
 
 def read_step(note: bytes, memory: SharedMemory) -> LayerStep:
     """Read a note of :class:`FrameNotes`; raises as :meth:`SharedMemory.taken` does."""
-    index, epoch, height, width, before, tracks, *slots = _STEP.unpack_from(note)
-    middle = _STEP.size + tracks * _TRACKS.size
-    told = _TRACKS.iter_unpack(note[_STEP.size : middle])
+    index, epoch, height, width, before, tracks, *slots = STEP.unpack_from(note)
+    middle = STEP.size + tracks * TRACKS.size
+    told = TRACKS.iter_unpack(note[STEP.size : middle])
     evidence_slot = Slot("evidence", *slots[:3])
     camera, flow, reliable, unexplained, positions, motions = memory.read(evidence_slot, slots[3])[1:]
     evidence = FrameEvidence(
@@ -161,7 +173,7 @@ def read_step(note: bytes, memory: SharedMemory) -> LayerStep:
     previous = None
     if slots[8] >= 0:
         labels, normaliser, fallback = memory.read(Slot("segmentation", *slots[8:11]), slots[11])[1:]
-        layers = tuple(map(_summary, _SUMMARY.iter_unpack(note[middle:])))
+        layers = tuple(map(_summary, SUMMARY.iter_unpack(note[middle:])))
         previous = Segmentation(before, labels, normaliser, fallback, layers, (0.0, 0.0), 0)
     appearance = Slot("appearance", *slots[15:18]) if slots[15] >= 0 else None
     return LayerStep(evidence, image, previous, Slot("posterior", *slots[12:15]), appearance)
@@ -172,20 +184,20 @@ def write_posterior(posterior: LayerPosterior, memory: SharedMemory, slot: Slot)
     one, times = posterior, posterior.stage_ms
     size = memory.put((one.cost, one.log_ratio, one.samples, one.velocity), slot)
     kind, box = _KINDS.index(one.kind), _box(one.region)
-    head = _POSTERIOR.pack(
+    head = POSTERIOR.pack(
         one.layer, one.frame_index, kind, *box, one.cell, one.outside_cost, size, len(times), one.confidence
     )
-    return b"".join((head, *map(_TIME.pack, times.values()), "\n".join(times).encode()))
+    return b"".join((head, *map(TIME.pack, times.values()), "\n".join(times).encode()))
 
 
 def blank_posterior(stage: str) -> bytes:
     """A note as :func:`write_posterior` returns it, of a posterior with one stage, without its numbers."""
-    return bytes(_POSTERIOR.size + _TIME.size) + stage.encode()
+    return bytes(POSTERIOR.size + TIME.size) + stage.encode()
 
 
 def answer_slot(step: bytes) -> Slot:
     """The slot for the posterior that a note of :class:`FrameNotes` lends."""
-    return Slot("posterior", *_STEP.unpack_from(step)[18:21])
+    return Slot("posterior", *STEP.unpack_from(step)[ANSWER_AT:APPEARANCE_AT])
 
 
 def kind_number(kind: LayerKind) -> int:
@@ -195,12 +207,12 @@ def kind_number(kind: LayerKind) -> int:
 
 def read_posterior(note: bytes, memory: SharedMemory, slot: Slot) -> LayerPosterior:
     """Read the posterior that is in a slot; raises as :meth:`SharedMemory.taken` does."""
-    layer, index, kind, x, y, width, height, cell, outside, size, stages, confidence = _POSTERIOR.unpack_from(
+    layer, index, kind, x, y, width, height, cell, outside, size, stages, confidence = POSTERIOR.unpack_from(
         note
     )
     cost, log_ratio, samples, velocity = memory.read(slot, size)
-    end = _POSTERIOR.size + stages * _TIME.size
-    times = (time for (time,) in _TIME.iter_unpack(note[_POSTERIOR.size : end]))
+    end = POSTERIOR.size + stages * TIME.size
+    times = (time for (time,) in TIME.iter_unpack(note[POSTERIOR.size : end]))
     return LayerPosterior(
         layer=layer,
         frame_index=index,
@@ -231,7 +243,7 @@ def _box(region: Region) -> tuple[int, int, int, int]:
 
 def _packed_summary(one: LayerSummary) -> bytes:
     kind = _KINDS.index(one.kind)
-    return _SUMMARY.pack(
+    return SUMMARY.pack(
         one.layer, kind, *_box(one.region), one.area, *one.centroid, *one.velocity, one.confidence
     )
 

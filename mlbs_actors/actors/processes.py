@@ -72,7 +72,7 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node
     kind : type
         As for :func:`spawn`.
     warm : callable
-        Picklable; called in the process, to import what the actor will need.
+        Picklable; called in the process, to import what the actor will need. Then its memory is settled.
     awaited : bool
         Whether somebody waits for the process; else it takes only the time that others leave.
     node : str

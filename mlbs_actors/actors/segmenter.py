@@ -42,7 +42,6 @@ from mlbs_actors.messages import (
     received,
 )
 from mlbs_actors.pickling import pickled_by_values
-from mlbs_actors.process_memory import settle_memory
 from mlbs_actors.state_file import read_state
 
 __all__ = ["FrameWork", "LabelledFrame", "Labelling", "Retirement", "SegmenterActor"]
@@ -105,7 +104,6 @@ class SegmenterActor:
         limit_process()
         look_round_seldom()
         self._segmenter = parts.segmenter(config)
-        settle_memory()
         self._memory = SharedMemory()
         self._order = FrameOrder()
         self._channel = OfferedChannel()

@@ -31,7 +31,7 @@ from mlbs_actors.errors import ActorLostError, LayerError
 from mlbs_actors.messages import Array
 from mlbs_actors.pickling import pickled_by_values
 
-__all__ = ["Shared", "SharedMemory", "Slot", "SlotKind", "SlotPool"]
+__all__ = ["ALIGNMENT", "HEADER", "PLACE", "Shared", "SharedMemory", "Slot", "SlotKind", "SlotPool"]
 
 Message = TypeVar("Message")
 
@@ -39,13 +39,13 @@ Message = TypeVar("Message")
 SlotKind = Literal["frame", "evidence", "posterior", "segmentation", "appearance", "state"]
 
 #: Arrays begin at multiples of this, bytes: what vector instructions like.
-_ALIGNMENT = 64
+ALIGNMENT = 64
 #: Least memory of a slot, bytes; it grows by doubling.
 _LEAST_BYTES = 1 << 16
 #: At the begin of a slot: the turn in which it was written, and how many arrays it holds.
-_HEADER = struct.Struct("<2q")
+HEADER = struct.Struct("<2q")
 #: Then for each array: where it is, the character of its type, how many dimensions it has, and its shape.
-_PLACE = struct.Struct("<6q")
+PLACE = struct.Struct("<6q")
 _MOST_DIMENSIONS = 3
 _TYPES = {ord(one): np.dtype(one) for one in "?bBhHiIlLqQefd"}
 
@@ -165,31 +165,31 @@ class SharedMemory:
     def put(self, arrays: Sequence[Array], slot: Slot) -> int:
         """Copy arrays of up to three dimensions into a slot; return the bytes they take, for :meth:`read`."""
         assert all(map(_can_be_held, arrays))
-        places, end = [], _HEADER.size + len(arrays) * _PLACE.size
+        places, end = [], HEADER.size + len(arrays) * PLACE.size
         for array in arrays:
-            begin = -(-end // _ALIGNMENT) * _ALIGNMENT
+            begin = -(-end // ALIGNMENT) * ALIGNMENT
             places.append(begin)
             end = begin + array.nbytes
         memory = self._mapped(slot, end, grow=True)[0]
-        _HEADER.pack_into(memory, 0, 0, 0)  # who reads too late is told so from now on
-        row = _HEADER.size
+        HEADER.pack_into(memory, 0, 0, 0)  # who reads too late is told so from now on
+        row = HEADER.size
         for array, begin in zip(arrays, places, strict=True):
             shape = (*array.shape, 0, 0, 0)[:_MOST_DIMENSIONS]
-            _PLACE.pack_into(memory, row, begin, ord(array.dtype.char), array.ndim, *shape)
+            PLACE.pack_into(memory, row, begin, ord(array.dtype.char), array.ndim, *shape)
             np.ndarray(array.shape, array.dtype, memory, begin)[...] = array
-            row += _PLACE.size
-        _HEADER.pack_into(memory, 0, slot.turn, len(arrays))
+            row += PLACE.size
+        HEADER.pack_into(memory, 0, slot.turn, len(arrays))
         return end
 
     def read(self, slot: Slot, size: int) -> list[Array]:
         """Read what was :meth:`put`; views as :meth:`taken` returns them, and it raises the same."""
         whole, memory = self._mapped(slot, size, grow=False)
-        turn, count = _HEADER.unpack_from(whole)
+        turn, count = HEADER.unpack_from(whole)
         if turn != slot.turn:
             raise LayerError(
                 "A message was read after its memory had been lent again; start the stream again."
             )
-        places = _PLACE.iter_unpack(memory[_HEADER.size : _HEADER.size + count * _PLACE.size])
+        places = PLACE.iter_unpack(memory[HEADER.size : HEADER.size + count * PLACE.size])
         return [
             np.ndarray(shape[:dimensions], _TYPES[kind], memory, begin)
             for begin, kind, dimensions, *shape in places
