@@ -20,11 +20,11 @@ from mlbs_actors.messages import Array
 __all__ = [
     "WORD",
     "after_places",
-    "padded",
     "array_bytes",
     "array_shape",
     "copy",
     "find_slot",
+    "padded",
     "put_array",
     "sign",
     "signature",

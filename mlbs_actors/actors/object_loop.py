@@ -20,11 +20,11 @@ from mlbs_actors.actors.channels import LENGTH, Channel, framed
 from mlbs_actors.actors.kernel_slots import (
     WORD,
     after_places,
-    padded,
     array_bytes,
     array_shape,
     copy,
     find_slot,
+    padded,
     put_array,
     sign,
     signature,
