@@ -82,8 +82,8 @@ def ray_settings(address: str | None) -> Iterator[Path]:
             # What is told of every call, for a dashboard that is not there, costs some per cent of it.
             "RAY_task_events_report_interval_ms": "0",
             "RAY_event_stats": "0",
-            # Ray makes its processes nice. Then what runs only when no other wants to, as a process that is made
-            # ready does, has a thirteenth of a core for all that, in one piece: frames waited 50 ms for it.
+            # Ray makes its processes nice by 15. Beside such ones a process that is made ready, and is to run
+            # only when no other wants to, gets a thirteenth of a core, in one piece: frames waited 50 ms.
             "RAY_worker_niceness": "0",
             # What the processes print, it passes on to a driver that asks for it; ours does not. Looking at
             # their files, ten times a second, took half as much as all else of Ray that is idle.

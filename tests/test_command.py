@@ -359,6 +359,27 @@ def _frames(stream: Path) -> list[dict[str, object]]:
     ]
 
 
+#: Prints the niceness of a process of a session of our own, and this one's.
+_NICENESS = """
+import os
+from orchestrator.ray_session import ray_session, ray_settings
+with ray_settings(None) as scratch:
+    import ray
+    with ray_session(None, scratch):
+        theirs = ray.get(ray.remote(num_cpus=0)(lambda: os.nice(0)).remote())
+print(theirs, os.nice(0))
+"""
+
+
+@pytest.mark.ray
+def test_processes_of_a_session_of_our_own_are_as_nice_as_the_command() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", _NICENESS], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+    theirs, ours = ended.stdout.split()[-2:]
+    assert theirs == ours, ended.stderr
+
+
 @pytest.mark.ray
 def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(tmp_path: Path) -> None:
     pictures = [scene("demo", frames=12, width=160, height=120).frame(index) for index in range(12)]
