@@ -80,8 +80,8 @@ def _lose(run: ObservedRun, plant: Plant, bring_about: Loss, reached: dict[str, 
     """Bring a loss about, and wait until all go on; tell how many label maps each stream had by then."""
     returns = {name: stream["returns"] for name, stream in run.status().items()}
     newest = {name: newest_label_map(run.output / name) for name in returns}
+    began = time.monotonic()  # not after it: a quick stream may have gone on when that returns
     bring_about(run, plant)
-    began = time.monotonic()
     reached.update({name: newest_label_map(run.output / name) + 1 for name in returns})
 
     def hit() -> set[str]:
