@@ -19,20 +19,10 @@ from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config
 from mlbs_actors.gabp import FieldNumbers, MotionParameters, check_solved, field_numbers, solved_field
 from mlbs_actors.kde import AppearanceParameters, log_densities, mean_trust
-from mlbs_actors.layer_cost import (
-    finish_posterior,
-    quantise_colours,
-    sum_terms,
-)
+from mlbs_actors.layer_cost import finish_posterior, quantise_colours, sum_terms
 from mlbs_actors.layer_state import LayerFrame, LayerState
 from mlbs_actors.learning import near_trajectories, unexplained_cells
-from mlbs_actors.messages import (
-    Array,
-    FrameEvidence,
-    Region,
-    Segmentation,
-    received,
-)
+from mlbs_actors.messages import Array, FrameEvidence, Region, Segmentation, received
 from mlbs_actors.node_grid import nodes_of_cells, to_pixels
 from mlbs_actors.object_parameters import ObjectParameters, ObjectTables, object_parameters, object_tables
 from mlbs_actors.object_regions import box_of, median_of_motions, region_of_object, told_of

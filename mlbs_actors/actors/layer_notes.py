@@ -150,11 +150,13 @@ class FrameNotes:
 
 def read_step(note: bytes, memory: SharedMemory) -> LayerStep:
     """Read a note of :class:`FrameNotes`; raises as :meth:`SharedMemory.taken` does."""
-    index, epoch, height, width, before, tracks, *slots = STEP.unpack_from(note)
+    numbers = STEP.unpack_from(note)
+    index, epoch, height, width, before, tracks = numbers[:EVIDENCE_AT]
     middle = STEP.size + tracks * TRACKS.size
     told = TRACKS.iter_unpack(note[STEP.size : middle])
-    evidence_slot = Slot("evidence", *slots[:3])
-    camera, flow, reliable, unexplained, positions, motions = memory.read(evidence_slot, slots[3])[1:]
+    *where, size = numbers[EVIDENCE_AT:IMAGE_AT]
+    arrays = memory.read(Slot("evidence", *where), size)
+    camera, flow, reliable, unexplained, positions, motions = arrays[1:]
     evidence = FrameEvidence(
         frame_index=index,
         shape=(height, width),
@@ -169,14 +171,18 @@ def read_step(note: bytes, memory: SharedMemory) -> LayerStep:
         latency_frames=0,
         epoch=epoch,
     )
-    image = memory.read(Slot("frame", *slots[4:7]), slots[7])[1]
+    *where, size = numbers[IMAGE_AT:PREVIOUS_AT]
+    image = memory.read(Slot("frame", *where), size)[1]
     previous = None
-    if slots[8] >= 0:
-        labels, normaliser, fallback = memory.read(Slot("segmentation", *slots[8:11]), slots[11])[1:]
+    *where, size = numbers[PREVIOUS_AT:ANSWER_AT]
+    if where[0] >= 0:
+        labels, normaliser, fallback = memory.read(Slot("segmentation", *where), size)[1:]
         layers = tuple(map(_summary, SUMMARY.iter_unpack(note[middle:])))
         previous = Segmentation(before, labels, normaliser, fallback, layers, (0.0, 0.0), 0)
-    appearance = Slot("appearance", *slots[15:18]) if slots[15] >= 0 else None
-    return LayerStep(evidence, image, previous, Slot("posterior", *slots[12:15]), appearance)
+    lent = numbers[APPEARANCE_AT:]
+    appearance = Slot("appearance", *lent) if lent[0] >= 0 else None
+    answer = Slot("posterior", *numbers[ANSWER_AT:APPEARANCE_AT])
+    return LayerStep(evidence, image, previous, answer, appearance)
 
 
 def write_posterior(posterior: LayerPosterior, memory: SharedMemory, slot: Slot) -> bytes:

@@ -101,7 +101,7 @@ def seconds_back(
     plant : Plant
         Of the run, with :data:`LABELLED`.
     began : float
-        When something was lost, monotonic, s.
+        Just before something was lost, monotonic, s: what has gone on by the time of this call counts, too.
     newest : mapping of str to int
         Newest label map of each stream at that time.
     hit : callable

@@ -121,8 +121,9 @@ def _node_lost(place: Place) -> Back:
             newest = {name: newest_label_map(run.output / name) for name in ("victim", "beside")}
             busy = [node for node in nodes if _has_a_stream(node)]
             expect(bool(busy), "not injected: no stream is on a node that can be lost")
+            began = time.monotonic()
             cluster.remove_node(busy[int(place.random.integers(len(busy)))], allow_graceful=False)
-            back = seconds_back(run, plant, time.monotonic(), newest, lambda: _gone_back(run))
+            back = seconds_back(run, plant, began, newest, lambda: _gone_back(run))
             expect_end(run, 0)
             expect_identical(place, run, *lines)
             return back
