@@ -3,7 +3,7 @@
 Differs from the paper: a point seeded in frame t is at once followed back to frame t−1 by the (checked)
 backward flow, so it brings one motion with it and can be compared with its neighbours from its first frame
 on; where the flow explains the image better than the camera's motion the grid is denser; and where many
-trajectories are already there begin no more.
+trajectories are already there begin no more (:mod:`mlbs_actors.trajectory_density`).
 """
 
 from __future__ import annotations
@@ -17,14 +17,12 @@ from mlbs_actors.flow import DenseFlow
 from mlbs_actors.messages import Array
 from mlbs_actors.sampling import sample_flow
 from mlbs_actors.trajectories import TrajectoryState
+from mlbs_actors.trajectory_density import SQUARE, pixel_of, room_left
 
 __all__ = ["seed_trajectories"]
 
 #: Least spacing of seeds, steps of the flow's grid, and where they are dense.
 LEAST_SPACING, LEAST_DENSE_SPACING = 3.0, 2.0
-#: A square of that grid with this side takes so many trajectories, about half of what the dense grid has in
-#: it: of a large mover fewer tell as much, and a small one reaches into several squares.
-SQUARE, MOST_IN_SQUARE = 8, 7
 
 
 def seed_trajectories(
@@ -107,7 +105,7 @@ def _seeds(
     shape: tuple[int, int], step: tuple[float, float], spacings: tuple[float, float],
 ) -> Array:  # fmt: skip
     """The seeds of the grid and of the dense one, (n, 2) float32."""
-    taken, room = np.zeros(structure.shape, np.bool_), _room(structure.shape, positions, step)
+    taken, room = np.zeros(structure.shape, np.bool_), room_left(positions, structure.shape, step)
     _take(taken, positions, step)
     seeds = _grid_seeds(structure, mean, wanted, advantage, -np.inf, taken, room, shape, step, spacings[0])
     _take(taken, seeds, step)
@@ -118,30 +116,10 @@ def _seeds(
 
 
 @compiled()
-def _room(shape: tuple[int, int], positions: Array, step: tuple[float, float]) -> Array:
-    """How many more trajectories each square of the shrunk frame takes."""
-    room = np.full((-(-shape[0] // SQUARE), -(-shape[1] // SQUARE)), MOST_IN_SQUARE)
-    for point in range(positions.shape[0]):
-        y, x = _pixel(positions, point, shape, step)
-        room[y // SQUARE, x // SQUARE] -= 1
-    return room
-
-
-@compiled()
 def _take(taken: Array, positions: Array, step: tuple[float, float]) -> None:
     """Mark the pixels of the shrunk frame where points are."""
     for point in range(positions.shape[0]):
-        taken[_pixel(positions, point, taken.shape, step)] = True
-
-
-@compiled(inline="always")
-def _pixel(
-    positions: Array, point: int, shape: tuple[int, int], step: tuple[float, float]
-) -> tuple[int, int]:
-    """Row and column of the pixel of the shrunk frame where a point is, or the nearest."""
-    x = min(max(int(positions[point, 0] / step[0]), 0), shape[1] - 1)
-    y = min(max(int(positions[point, 1] / step[1]), 0), shape[0] - 1)
-    return y, x
+        taken[pixel_of(positions, point, taken.shape, step)] = True
 
 
 @compiled()

@@ -25,6 +25,7 @@ from mlbs_actors.trajectories import (
     selected,
     with_residuals,
 )
+from mlbs_actors.trajectory_density import within_room
 
 __all__ = ["Tracked", "track"]
 
@@ -101,6 +102,10 @@ def track(
         mismatch = unexplained - advantage  # of the flow
         same = np.flatnonzero(mismatch <= settings.most_mismatch)
         trajectories, survivors = selected(trajectories, same), survivors[same]
+        stays = within_room(
+            trajectories.positions, trajectories.ages, settings.history_frames, gray.shape, flow.step
+        )
+        trajectories, survivors = selected(trajectories, stays), survivors[stays]
     trajectories = seed_trajectories(trajectories, gray, flow, shape, settings, against_camera.advantage)
     step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
     advantage = sample_map(against_camera.advantage, trajectories.positions, step)

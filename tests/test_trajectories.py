@@ -13,7 +13,7 @@ from scipy.spatial.distance import pdist
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
 from mlbs_actors.flow import DenseFlow, dense_flow
 from mlbs_actors.messages import Array
-from mlbs_actors.seeding import MOST_IN_SQUARE, SQUARE, _seeds, seed_trajectories
+from mlbs_actors.seeding import _seeds, seed_trajectories
 from mlbs_actors.trajectories import (
     EVIDENCE_BOUNDS,
     EVIDENCE_KEPT,
@@ -23,6 +23,7 @@ from mlbs_actors.trajectories import (
     evenly_spread,
     with_residuals,
 )
+from mlbs_actors.trajectory_density import MOST_IN_SQUARE, SQUARE
 
 CONFIG = TrajectoriesConfig(history_frames=4)
 SHAPE = (120, 160)
