@@ -129,6 +129,7 @@ class CoordinatorActor:
         self._begun = self._interrupted = False
         self._to_skip = 0
         self._saved = 0  # rows of the source before the newest snapshot
+        self._earliest_snapshot = 0.0  # the first one waits for its rows only
         self._writer = StateWriter()
 
     def advance(self, frames: int) -> StreamProgress:
@@ -206,7 +207,7 @@ class CoordinatorActor:
                 self._write_gaps()
             else:
                 self._track(frame.image)
-            if self._progressed >= self._next_snapshot:
+            if self._progressed >= self._next_snapshot and time.monotonic() >= self._earliest_snapshot:
                 self._save()
         self._record.send()
         self._collect()
@@ -263,6 +264,8 @@ class CoordinatorActor:
         """Let every part write its state, each after the same frame; the work goes on meanwhile."""
         assert self._snapshots is not None
         self._await_snapshot()
+        if self._spec.replayable:
+            self._earliest_snapshot = time.monotonic() + self._spec.snapshot_seconds
         folder = self._snapshots / f"{self._account.position.rows:08d}"
         self._labelling.save(folder)
         layers = self._layers.state()

@@ -260,7 +260,10 @@ class StreamSpec:
     last_try : bool
         The stream will not be started again: the death of a file's reader ends it with the frames before.
     snapshot_rows : int
-        Rows of the record from one snapshot to the next; of a live source label maps.
+        Rows of the record from one snapshot to the next, at least; of a live source label maps.
+    snapshot_seconds : float
+        Time from one snapshot of a replayable source to the next, s, at least: quick streams would spend a
+        tenth of their time on snapshots. What a live one has given is kept for so many rows only.
     path : Path, optional
         The file or folder that ``open_reader`` reads; None for what every machine can reach.
     """
@@ -276,6 +279,7 @@ class StreamSpec:
     replayable: bool = True
     last_try: bool = False
     snapshot_rows: int = 32
+    snapshot_seconds: float = 3.0
     path: Path | None = None
 
 
