@@ -17,7 +17,7 @@ from mlbs_actors.messages import BACKGROUND, Array, Region
 from mlbs_actors.region_groups import grown, slices_in
 from mlbs_actors.shadows import CHANNEL_NOISE, CHANNEL_SPREAD, Darkening
 
-__all__ = ["contact_shadow"]
+__all__ = ["contact_shadow", "look_over", "shadow_strips"]
 
 #: Log darkening of a contact shadow, and its steepest mean gradient over 5×5 px, grey levels/px of 640×480.
 CONTACT_DARK, CONTACT_SMOOTH = -0.7, 6.0
@@ -51,7 +51,21 @@ def contact_shadow(
     -------
     (h, w) bool
     """
-    unlit, runs, pieces = _looked_over(labels, dark.mean, dark.spread, dark.brightness, side)
+    return shadow_strips(
+        labels, frame, look_over(labels, dark.mean, dark.spread, dark.brightness, side), side, scale, rise
+    )
+
+
+def shadow_strips(
+    labels: Array,
+    frame: Array,
+    seen: tuple[Array, tuple[Array, Array, Array, Array], Array],
+    side: int,
+    scale: float,
+    rise: float,
+) -> Array:
+    """:func:`contact_shadow` of what has been looked over already, by :func:`look_over`."""
+    unlit, runs, pieces = seen
     found = np.zeros(labels.shape, np.bool_)
     edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
@@ -70,7 +84,7 @@ def contact_shadow(
 
 
 @compiled()
-def _looked_over(
+def look_over(
     labels: Array, mean: Array, spread: Array, brightness: Array, side: int
 ) -> tuple[Array, tuple[Array, Array, Array, Array], Array]:
     """The cells without light, the label map's runs, and the pieces of objects to look at more closely."""

@@ -18,7 +18,7 @@ from mlbs_actors.image_rows import padded_planes
 from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS
 from mlbs_actors.messages import Array
 
-__all__ = ["COST_QUANTUM", "MAX_COST", "contrast_weights"]
+__all__ = ["COST_QUANTUM", "MAX_COST", "contrast_weights", "weights_by_distance", "weights_of"]
 
 #: Unit of all costs, nats.
 COST_QUANTUM = 1.0 / 1024.0
@@ -60,11 +60,11 @@ def contrast_weights(image: Array, strength: float = 0.8, scale: float = 200.0) 
         )
     if not 0 < scale < math.inf:
         raise ConfigError(f"The contrast scale is {scale}; give a positive number of squared grey levels.")
-    return _contrast(np.ascontiguousarray(image), _weights_by_distance(strength, scale))
+    return np.asarray(weights_of(np.ascontiguousarray(image), weights_by_distance(strength, scale)))
 
 
 @functools.lru_cache(maxsize=16)
-def _weights_by_distance(strength: float, scale: float) -> Array:
+def weights_by_distance(strength: float, scale: float) -> Array:
     """Weights by squared colour distance, which is an integer: straight ones, then diagonal ones; the last,
     for all distances from there on, is 0."""
     reach = scale * math.log(max(1.0, 2.0 * strength / COST_QUANTUM))
@@ -75,8 +75,8 @@ def _weights_by_distance(strength: float, scale: float) -> Array:
 
 
 @compiled()
-def _contrast(image: Array, table: Array) -> Array:
-    """Weights to the first four neighbours by their squared colour distance."""
+def weights_of(image: Array, table: Array) -> Array:
+    """:func:`contrast_weights` of a C-contiguous image, by a table of :func:`weights_by_distance`."""
     height, width = image.shape[:2]
     planes = padded_planes(image)
     weights = np.empty((height, width, 4), np.int32)

@@ -39,9 +39,12 @@ from mlbs_actors.level_cut import is_large, label_levels
 from mlbs_actors.messages import Array
 
 __all__ = [
+    "MAX_SWEEPS",
+    "MOST_CUT_WHOLE",
     "CutResult",
     "lowest_labels",
     "minimise",
+    "searched_labels",
 ]
 
 _MAX_LABEL_COST = 2**50
@@ -49,6 +52,8 @@ _MAX_LABEL_COST = 2**50
 #: Most pixels that are cut without a coarser level, by how often they have been halved; the last counts for
 #: all further ones. Costs hardly differ within blocks of 2×2 pixels, but legs are thinner than larger ones.
 MOST_CUT_WHOLE = (2048, 1024, 9216)
+#: Rounds of expansions on the coarsest level; two to five are usual.
+MAX_SWEEPS = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +85,7 @@ class CutResult:
     decided_fraction: float
 
 
-def minimise(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> CutResult:
+def minimise(whole: LabelCostEnergy, *, max_sweeps: int = MAX_SWEEPS) -> CutResult:
     """Find a labelling that no α-expansion and no removal of a label improves.
 
     With two labels it is a global optimum. Else no expansion of the whole image lowers it, although only
@@ -112,13 +117,18 @@ def minimise(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> CutResult:
     return CutResult(labels, energies[-1], energies, len(energies) - 1, converged, decided)
 
 
-def lowest_labels(whole: LabelCostEnergy, *, max_sweeps: int = 10) -> Array:
+def lowest_labels(whole: LabelCostEnergy, *, max_sweeps: int = MAX_SWEEPS) -> Array:
     """The labels alone of :func:`minimise`, (H, W) int16, from costs that are known to fit.
 
     To look at all costs, and to tell the energies, takes time.
     """
     labels, found = label_levels(*whole.arrays, MOST_CUT_WHOLE, max_sweeps)
-    return labels if found else _minimise(whole, max_sweeps)[0]
+    return labels if found else searched_labels(whole, max_sweeps=max_sweeps)
+
+
+def searched_labels(whole: LabelCostEnergy, *, max_sweeps: int = MAX_SWEEPS) -> Array:
+    """The same where :mod:`mlbs_actors.level_cut` leaves it to this module."""
+    return _minimise(whole, max_sweeps)[0]
 
 
 def _minimise(

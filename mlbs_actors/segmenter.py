@@ -19,20 +19,17 @@ from time import perf_counter
 import numpy as np
 
 from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells
+from mlbs_actors.claim_labelling import Claimants, CutRules, Ground, cut_claims, publish_claims, tally
 from mlbs_actors.claims import claims_of_layers
-from mlbs_actors.cleaning import clean_labels
-from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
-from mlbs_actors.contact_shadow import contact_shadow
-from mlbs_actors.contrast import COST_QUANTUM, contrast_weights
-from mlbs_actors.data_costs import claimed_costs
+from mlbs_actors.contact_shadow import shadow_strips
+from mlbs_actors.contrast import COST_QUANTUM, weights_by_distance
 from mlbs_actors.errors import FrameError
-from mlbs_actors.fusion import FusedCosts, fused_costs
-from mlbs_actors.graph_cut import lowest_labels
+from mlbs_actors.fusion import fused_costs
+from mlbs_actors.graph_cut import MAX_SWEEPS, MOST_CUT_WHOLE, searched_labels
 from mlbs_actors.label_cost_energy import LabelCostEnergy
 from mlbs_actors.messages import (
     BACKGROUND,
-    COST_STEP,
     Array,
     FrameEvidence,
     LayerPosterior,
@@ -42,14 +39,14 @@ from mlbs_actors.messages import (
 )
 from mlbs_actors.object_regions import box_of
 from mlbs_actors.region_groups import group_regions
-from mlbs_actors.shadows import darkening, ground_colour, shadow_likelihood
+from mlbs_actors.shadows import blur_weights, ground_colour
 
 __all__ = ["Segmenter", "SegmenterState"]
 
 #: Margin of a layer's claim, px of a 640×480 frame.
 CLAIM_MARGIN_PX = 4.0
 #: Where shadows are not looked for.
-_NO_SHADOW = np.zeros((0, 0), np.float32)
+_NO_GROUND = np.zeros((0, 0, 4), np.float32)
 
 
 @dataclass(slots=True)
@@ -115,10 +112,26 @@ class Segmenter:
             self.state.labels = np.zeros((0, 0), np.uint16)
         settings = self.config.segmentation
         side = posteriors[0].cell
-        means, ground = mean_of_cells(frame, side), None
+        means, colour, scale = mean_of_cells(frame, side), None, length_scale(*evidence.shape)
         if settings.shadow > 0 or settings.contact_shadow > 0:
-            ground = ground_colour(means, evidence, self.state.labels, length_scale(*evidence.shape))
-        scene = _Scene(evidence, frame, means, ground)
+            colour = ground_colour(means, evidence, self.state.labels, scale)
+        ground = Ground(
+            means,
+            blur_weights(1.0 / side),
+            _NO_GROUND if colour is None else colour,
+            np.float32(settings.shadow / COST_QUANTUM),
+        )
+        rules = CutRules(
+            weights_by_distance(settings.contrast_strength, settings.contrast_scale),
+            round(settings.label_cost * scale**2 / COST_QUANTUM),
+            round(2.0 * settings.track_cost / COST_QUANTUM),
+            MOST_CUT_WHOLE,
+            MAX_SWEEPS,
+        )
+        # Read-only here as between processes: kernels are compiled for one kind of memory.
+        image = np.ascontiguousarray(frame).view()
+        image.setflags(write=False)
+        scene = _Scene(evidence, image, ground, rules)
         grid = in_cells(Region(0, 0, evidence.shape[1], evidence.shape[0]), side)
         result = _Maps.of_background(evidence.shape, (grid.height, grid.width))
         stage_ms = {"fusion": 1e3 * (perf_counter() - start), "cut": 0.0, "cleaning": 0.0}
@@ -174,105 +187,67 @@ class Segmenter:
         stage_ms["fusion"] += 1e3 * (perf_counter() - start)
         summaries: list[LayerSummary] = []
         for group in groups:
-            own = np.array([0, *(1 + position for position in group.members)])
-            claimants = [members[position] for position in own]
-            claimed = _Claimed(fused, cells, own, group.box, claims, tracks)
-            summaries += self._label_claims(claimants, claimed, scene, result, stage_ms)
+            own = [0, *(1 + position for position in group.members)]
+            claimants = Claimants(
+                fused.cost,
+                fused.normaliser,
+                claims,
+                tracks,
+                np.array(own),
+                box_of(group.box),
+                (cells.x, cells.y),
+                side,
+            )
+            own_members = [members[position] for position in own]
+            summaries += self._label_claims(own_members, claimants, scene, result, stage_ms)
         return summaries
 
     def _label_claims(
         self,
         members: list[LayerPosterior],
-        claimed: _Claimed,
+        claimants: Claimants,
         scene: _Scene,
         result: _Maps,
         stage_ms: dict[str, float],
     ) -> list[LayerSummary]:
         """Fill in the label map in a box around claims that touch."""
-        config, scale = self.config.segmentation, length_scale(*result.labels.shape)
         start = perf_counter()
-        side, fused, within = members[0].cell, claimed.fused, claimed.box
-        cells = Region(claimed.cells.x + within.x, claimed.cells.y + within.y, within.width, within.height)
-        box = in_pixels(cells, side, result.labels.shape)
-        dark = None if scene.ground is None else darkening(scene.means, scene.ground, cells, 1.0 / side)
-        shadow, strength = _NO_SHADOW, 0.0
-        if dark is not None and config.shadow > 0:
-            shadow, strength = shadow_likelihood(dark), config.shadow / COST_QUANTUM
-        costs, places, pulls = claimed_costs(
-            fused.cost,
-            claimed.own,
-            box_of(within),
-            claimed.claims,
-            shadow,
-            np.float32(strength),
-            scene.evidence.positions,
-            claimed.tracks,
-            (box.x, box.y),
-            scene.evidence.shape,
-            side,
-            round(2.0 * config.track_cost / COST_QUANTUM),
+        labelling, found, energy, dark = cut_claims(
+            scene.frame, claimants, scene.evidence.positions, scene.ground, scene.rules
         )
-        # Arrays of their own, though the box may be the frame: kernels are compiled for one kind of memory.
-        image = scene.frame[box.slices].copy()
-        ready = perf_counter()
-        label_costs = np.full(len(members), round(config.label_cost * scale**2 / COST_QUANTUM), np.int64)
-        label_costs[0] = 0  # the background is always there
-        weights = contrast_weights(image, config.contrast_strength, config.contrast_scale)
-        labelling = lowest_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, places))
+        if not found:
+            costs, weights, label_costs, pulls, places = energy
+            labelling = searched_labels(
+                LabelCostEnergy(costs, weights, label_costs, claimants.side, pulls, places)
+            )
         solved = perf_counter()
+        config, scale = self.config.segmentation, length_scale(*result.labels.shape)
         ids = np.array([one.layer for one in members], np.uint16)
-        speck_px, hole_px = config.speck_px * scale**2, config.hole_px * scale**2
-        labels = _cleaned(ids, labelling, result.labels, box.x, box.y, speck_px, hole_px)
-        if dark is not None and config.contact_shadow > 0:
-            strip = contact_shadow(labels, image, dark, side, scale, config.contact_shadow)
+        limits = (config.speck_px * scale**2, config.hole_px * scale**2)
+        labels, seen, summary = publish_claims(ids, labelling, result.labels, claimants, limits, dark)
+        box = _box_in_pixels(claimants, result.labels.shape)
+        pieces = seen[2]
+        if len(pieces) and config.contact_shadow > 0:
+            image = scene.frame[box.slices]
+            strip = shadow_strips(labels, image, seen, claimants.side, scale, config.contact_shadow)
             if strip.any():
                 labels[strip] = BACKGROUND
                 result.labels[box.slices] = labels
-        summaries = _summaries(labels, ids, claimed, members, box)
-        done = perf_counter()
-        for stage, duration in (
-            ("fusion", ready - start),
-            ("cut", solved - ready),
-            ("cleaning", done - solved),
-        ):
-            stage_ms[stage] += 1e3 * duration
+                summary = tally(labels, ids, claimants)
+        summaries = _summaries(*summary, members, box)
+        stage_ms["cut"] += 1e3 * (solved - start)
+        stage_ms["cleaning"] += 1e3 * (perf_counter() - solved)
         return summaries
 
 
 @dataclass(frozen=True, slots=True)
-class _Claimed:
-    """Claims that touch, in a group of regions that does.
-
-    Attributes
-    ----------
-    fused : FusedCosts
-        Of all layers of the group.
-    cells : Region
-        Where that lies.
-    own : (k,) int64
-        Which of the layers make the claims, the background first.
-    box : Region
-        Around the claims, within ``cells``.
-    claims, tracks : Array
-        Of all layers of the group; see :func:`~mlbs_actors.claims.claims_of_layers`.
-    """
-
-    fused: FusedCosts
-    cells: Region
-    own: Array
-    box: Region
-    claims: Array
-    tracks: Array
-
-
-@dataclass(frozen=True, slots=True)
 class _Scene:
-    """A frame, what is known of it, the means of its cells, and the ground's colour if that is looked at."""
+    """A frame, what is known of it, what shadows are told by, and how it is cut."""
 
     evidence: FrameEvidence
     frame: Array
-    means: Array
-    ground: Array | None
+    ground: Ground
+    rules: CutRules
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,32 +264,16 @@ class _Maps:
         return cls(np.zeros(shape, np.uint16), np.full(grid, 255, np.uint8), np.zeros(grid, np.int8))
 
 
-@compiled()
-def _cleaned(
-    ids: Array, positions: Array, labels: Array, left: int, top: int, speck_px: float, hole_px: float
-) -> Array:
-    """Put the ids of some label positions into a box of the label map, clean it there, and copy it."""
-    height, width = positions.shape
-    for y in range(height):
-        row, own = positions[y], labels[top + y, left : left + width]
-        for x in range(width):
-            own[x] = ids[row[x]]
-    clean_labels(labels, (left, top, width, height), speck_px, hole_px)
-    return labels[top : top + height, left : left + width].copy()
+def _box_in_pixels(claimants: Claimants, shape: tuple[int, int]) -> Region:
+    left, top, width, height = claimants.box
+    cells = Region(claimants.corner[0] + left, claimants.corner[1] + top, width, height)
+    return in_pixels(cells, claimants.side, shape)
 
 
 def _summaries(
-    labels: Array, ids: Array, claimed: _Claimed, posteriors: list[LayerPosterior], box: Region
+    bounds: Array, sums: Array, likelihood: Array, posteriors: list[LayerPosterior], box: Region
 ) -> list[LayerSummary]:
-    bounds, sums, likelihood = _tally(
-        labels,
-        ids,
-        claimed.fused.cost,
-        claimed.own,
-        claimed.fused.normaliser,
-        (claimed.box.x, claimed.box.y),
-        posteriors[0].cell,
-    )
+    """What of :func:`~mlbs_actors.claim_labelling.tally` is an object's."""
     rows = []
     for own, one in enumerate(posteriors):
         (left, top, right, bottom), (area, x, y) = bounds[own].tolist(), sums[own].tolist()
@@ -332,42 +291,6 @@ def _summaries(
             )
         )
     return rows
-
-
-@compiled()
-def _tally(
-    labels: Array, ids: Array, cost: Array, layers: Array, normaliser: Array, corner: tuple[int, int],
-    side: int,
-) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Of every id but that of the background: least and largest x and y, number of pixels and sums of x and
-    y, and the sum of its posteriors, from the costs of these layers in cells from a corner on."""
-    bounds, sums = np.empty((ids.size, 4), np.int64), np.zeros((ids.size, 3), np.int64)
-    bounds[:, :2], bounds[:, 2:] = 2**31, -1
-    likelihood = np.zeros(ids.size, np.float64)
-    certain = np.exp(np.arange(256) * -COST_STEP)
-    position = np.zeros(ids.max() + 1, np.int64)
-    for own in range(ids.size):
-        position[ids[own]] = own
-    for y in range(labels.shape[0]):
-        row, floor, x = labels[y], normaliser[corner[1] + y // side, corner[0] :], 0
-        while x < row.size:
-            label, start = row[x], x
-            while x < row.size and row[x] == label:
-                x += 1
-            if label == BACKGROUND:
-                continue
-            own, length = position[label], x - start
-            bounds[own, 0], bounds[own, 1] = min(bounds[own, 0], start), min(bounds[own, 1], y)
-            bounds[own, 2], bounds[own, 3] = max(bounds[own, 2], x - 1), y
-            sums[own, 0] += length
-            sums[own, 1] += (start + x - 1) * length // 2
-            sums[own, 2] += y * length
-            costs = cost[layers[own], corner[1] + y // side, corner[0] :]
-            for cell in range(start // side, (x - 1) // side + 1):
-                posterior = certain[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
-                for _ in range(max(start, cell * side), min(x, (cell + 1) * side)):
-                    likelihood[own] += posterior
-    return bounds, sums, likelihood
 
 
 def _slowest(posteriors: list[LayerPosterior]) -> dict[str, float]:

@@ -8,6 +8,7 @@ Where no light reaches nothing is left of it: there the place decides (:mod:`mlb
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import cv2
@@ -15,10 +16,21 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
-from mlbs_actors.region_groups import grown, slices_in
+from mlbs_actors.object_regions import box_of
 from mlbs_actors.trajectory_distance import trajectory_distance
 
-__all__ = ["CHANNEL_NOISE", "CHANNEL_SPREAD", "Darkening", "darkening", "ground_colour", "shadow_likelihood"]
+__all__ = [
+    "CHANNEL_NOISE",
+    "CHANNEL_SPREAD",
+    "Darkening",
+    "blur_weights",
+    "darkened",
+    "darkening",
+    "ground_colour",
+    "likelihood_of_shadow",
+    "shadow_likelihood",
+    "smoothed",
+]
 
 #: The ground's colour is found on the frame shrunk by this.
 SHRINK = 4
@@ -116,9 +128,7 @@ def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darken
     -------
     Darkening
     """
-    around = grown(box, BLUR_REACH, picture.shape)
-    smooth = cv2.GaussianBlur(picture[around.slices], (0, 0), blur)[slices_in(box, around)]
-    return Darkening(*_compared(np.ascontiguousarray(smooth), ground, box.y, box.x, picture.shape[:2], _LOG))
+    return Darkening(*darkened(np.ascontiguousarray(picture), blur_weights(blur), ground, box_of(box)))
 
 
 def shadow_likelihood(dark: Darkening) -> Array:
@@ -133,11 +143,75 @@ def shadow_likelihood(dark: Darkening) -> Array:
     (h, w) float32
         0 = no shadow … 1 = darker ground.
     """
-    return _likelihood(dark.mean, dark.spread, dark.brightness, dark.variance)
+    return np.asarray(likelihood_of_shadow(dark.mean, dark.spread, dark.brightness, dark.variance))
+
+
+@functools.lru_cache(maxsize=16)
+def blur_weights(blur: float) -> Array:
+    """Weights of a Gaussian of this standard deviation, at most 1 px, as OpenCV smooths 8-bit pictures with
+    it: (2 · 4 + 1,) int32, parts of 256."""
+    flat = np.zeros((1, 4 * BLUR_REACH + 1), np.uint8)
+    flat[0, 2 * BLUR_REACH] = 255
+    smooth = cv2.GaussianBlur(np.repeat(flat, 4 * BLUR_REACH + 1, axis=0), (0, 0), blur)
+    weights = np.rint(smooth[0, BLUR_REACH : 3 * BLUR_REACH + 1] * (256 / 255))
+    weights[BLUR_REACH] += 256 - weights.sum()
+    return np.asarray(weights, np.int32)
 
 
 @compiled()
-def _likelihood(mean: Array, spread: Array, brightness: Array, variance: Array) -> Array:
+def darkened(
+    picture: Array, weights: Array, ground: Array, box: tuple[int, int, int, int]
+) -> tuple[Array, Array, Array, Array]:
+    """The fields of :func:`darkening` in a box, smoothed by :func:`blur_weights`."""
+    return _compared(smoothed(picture, weights, box), ground, box[1], box[0], picture.shape[:2], _LOG)
+
+
+@compiled()
+def smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) -> Array:
+    """A box of a picture (h, w, 3) uint8, smoothed; past the picture's border it is mirrored at that."""
+    left, top, width, height = box
+    middle = weights.size // 2
+    reach = middle
+    while reach > 0 and weights[middle - reach] == 0:
+        reach -= 1
+    # Of a row of pixels those inside the picture first: that runs in vector registers.
+    first, last = max(reach - left, 0), min(picture.shape[1] + reach - left, width + 2 * reach)
+    column, row = np.empty(3 * (width + 2 * reach), np.int32), np.empty(3 * width, np.int32)
+    smooth = np.empty((height, width, 3), np.uint8)
+    for y in range(height):
+        inside = column[3 * first : 3 * last]
+        inside[:] = 0
+        for k in range(-reach, reach + 1):
+            line = picture[_mirrored(top + y + k, picture.shape[0])].reshape(-1)
+            known, weight = line[3 * (left + first - reach) : 3 * (left + last - reach)], weights[middle + k]
+            for i in range(inside.size):
+                inside[i] += weight * np.int32(known[i])
+        for x in range(width + 2 * reach):
+            if not first <= x < last:
+                mirrored = _mirrored(left + x - reach, picture.shape[1]) + reach - left
+                column[3 * x : 3 * x + 3] = column[3 * mirrored : 3 * mirrored + 3]
+        row[:] = 1 << 15
+        for k in range(2 * reach + 1):
+            weight, beside = weights[middle - reach + k], column[3 * k : 3 * (k + width)]
+            for i in range(row.size):
+                row[i] += weight * beside[i]
+        flat = smooth[y].reshape(-1)
+        for i in range(row.size):
+            flat[i] = np.uint8(row[i] >> np.int32(16))
+    return smooth
+
+
+@compiled()
+def _mirrored(at: int, length: int) -> int:
+    """A place of a row, mirrored at the row's first and last pixel."""
+    while length > 1 and not 0 <= at < length:
+        at = -at if at < 0 else 2 * length - 2 - at
+    return at if length > 1 else 0
+
+
+@compiled()
+def likelihood_of_shadow(mean: Array, spread: Array, brightness: Array, variance: Array) -> Array:
+    """:func:`shadow_likelihood` of a darkening's fields."""
     likelihood = np.empty(mean.shape, np.float32)
     for y in range(mean.shape[0]):
         for x in range(mean.shape[1]):

@@ -8,11 +8,14 @@ import pytest
 from joined_evidence import joined_evidence
 
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region
+from mlbs_actors.object_regions import box_of
 from mlbs_actors.shadows import (
     Darkening,
+    blur_weights,
     darkening,
     ground_colour,
     shadow_likelihood,
+    smoothed,
 )
 
 SHAPE = (240, 320)
@@ -175,3 +178,15 @@ def test_darkening_is_the_log_of_the_colour_over_that_of_the_enlarged_ground() -
     np.testing.assert_allclose(dark.spread, np.ptp(channels, axis=2), atol=1e-5)
     np.testing.assert_allclose(dark.brightness, smooth.mean(axis=2), rtol=1e-6)
     np.testing.assert_allclose(dark.variance, enlarged[..., 3], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("blur", [0.25, 0.5, 1.0])
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (1, 20), (20, 1), (30, 41)])
+def test_a_box_is_smoothed_as_opencv_smooths_the_whole_picture(blur: float, shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(shape[1])
+    image = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
+    whole = cv2.GaussianBlur(image, (0, 0), blur)
+    for _ in range(10):
+        x, y = int(rng.integers(shape[1])), int(rng.integers(shape[0]))
+        box = Region(x, y, int(rng.integers(1, shape[1] - x + 1)), int(rng.integers(1, shape[0] - y + 1)))
+        np.testing.assert_array_equal(smoothed(image, blur_weights(blur), box_of(box)), whole[box.slices])

@@ -329,7 +329,7 @@ def _small_scene(frames: int = 7) -> Iterator[Array]:
 
 def _cut_images() -> None:
     """Cut an image whole and one by blocks: a label that saves two others, and one that two share out."""
-    from mlbs_actors.graph_cut import lowest_labels
+    from mlbs_actors.graph_cut import searched_labels
     from mlbs_actors.label_cost_energy import LabelCostEnergy
 
     side = 2
@@ -344,7 +344,7 @@ def _cut_images() -> None:
         weights[:, -1, 0] = weights[-1, :, 1:] = weights[:, -1, 2] = weights[:, 0, 3] = 0
         label_costs = np.array([0, 2000, 2000, 2000]) * (cells // 16) ** 2
         for costs in (saving, shared):
-            lowest_labels(LabelCostEnergy(costs, weights, label_costs, side))
+            searched_labels(LabelCostEnergy(costs, weights, label_costs, side))
 
 
 def _find_contact_shadow() -> None:
