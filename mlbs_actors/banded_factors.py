@@ -12,12 +12,12 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
-__all__ = ["factorised", "solved"]
+__all__ = ["factorised", "node_place", "set_solution"]
 
 
 @compiled()
 def factorised(screening: Array, edge: float) -> Array:
-    """L and D of a grid that has at least as many rows as columns.
+    """L and D of a grid.
 
     Parameters
     ----------
@@ -26,18 +26,18 @@ def factorised(screening: Array, edge: float) -> Array:
 
     Returns
     -------
-    (rows · columns + columns, columns + 1) float64
-        Row j holds D's element j, then those of L below the diagonal in column j; the last rows are padding.
+    (n · w + w, w + 1) float64
+        For n · w nodes with w along the shorter side. Row j holds D's element j, then those of L below the
+        diagonal in column j; the last rows are padding.
     """
-    rows, columns = screening.shape
-    size, width = rows * columns, columns
+    (rows, columns), size, width = screening.shape, screening.size, min(screening.shape)
     lower = np.zeros((size + width, width + 1))
     for node in range(size):
-        v, u = node // columns, node % columns
+        v, u = node_place(node, rows, columns)
         lower[node, 0] = screening[v, u] + edge * ((v > 0) + (v + 1 < rows) + (u > 0) + (u + 1 < columns))
-        if u + 1 < columns:
+        if (node + 1) % width > 0:
             lower[node, 1] = -edge
-        if v + 1 < rows:
+        if node + width < size:
             lower[node, width] = -edge  # the very element beside the diagonal where a line is one node
     # Places in a flat array, without a sign: thousands of slices of a dozen elements would take longer.
     flat, factor, line = lower.reshape(-1), np.empty(width + 1), np.uint64(width + 1)
@@ -55,23 +55,21 @@ def factorised(screening: Array, edge: float) -> Array:
 
 
 @compiled()
-def solved(lower: Array, rhs: Array) -> Array:
-    """The d of A d = rhs.
+def set_solution(lower: Array, rhs: Array, solution: Array) -> None:
+    """Solve A d = rhs.
 
     Parameters
     ----------
     lower : Array
         Of :func:`factorised`.
     rhs : (rows, columns) float64
-
-    Returns
-    -------
-    (rows, columns) float64
+    solution : (rows, columns) float64
+        Becomes d.
     """
-    rows, columns = rhs.shape
-    size, width = rows * columns, columns
+    (rows, columns), size, width = rhs.shape, rhs.size, min(rhs.shape)
     value = np.zeros(size + width)
-    value[:size] = rhs.copy().reshape(-1)
+    for node in range(size):
+        value[node] = rhs[node_place(node, rows, columns)]
     for node in range(size):
         own, below, column = value[node], value[node + 1 :], lower[node, 1:]
         for k in range(width):
@@ -81,5 +79,10 @@ def solved(lower: Array, rhs: Array) -> Array:
         below, column = value[node + 1 :], lower[node, 1:]
         for k in range(width):
             total -= below[k] * column[k]
-        value[node] = total
-    return value[:size].copy().reshape(rows, columns)
+        value[node] = solution[node_place(node, rows, columns)] = total
+
+
+@compiled(inline="always")
+def node_place(node: int, rows: int, columns: int) -> tuple[int, int]:
+    """Row and column of a node of a grid: they are numbered along its shorter side."""
+    return (node // columns, node % columns) if rows >= columns else (node % rows, node // rows)

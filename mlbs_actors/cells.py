@@ -122,15 +122,17 @@ def mean_colours(frame: Array, left: int, top: int, height: int, width: int, sid
     rows, columns = -(-height // side), -(-width // side)
     means, scale = np.empty((rows, columns, 3), np.uint8), np.float32(1.0 / (side * side))
     sums = np.empty(3 * columns * side, np.int32)  # of each column of pixels in a row of cells
+    pixels, results = frame.reshape(-1), means.reshape(-1)
     for y in range(rows):
         sums[:] = 0
         for v in range(y * side, (y + 1) * side):
-            line = frame[top + min(v, height - 1), left : left + width].reshape(-1)
+            begin = 3 * ((top + min(v, height - 1)) * frame.shape[1] + left)
+            line = pixels[begin : begin + 3 * width]
             for i in range(line.size):
                 sums[np.uint64(i)] += line[np.uint64(i)]
         for i in range(3 * width, sums.size):
             sums[i] = sums[i - 3]
-        row = means[y].reshape(-1)
+        row = results[3 * columns * y : 3 * columns * (y + 1)]
         for x in range(columns):
             for channel in range(3):
                 first, total = np.uint64(3 * side * x + channel), np.int32(0)

@@ -25,6 +25,9 @@ from mlbs_actors.shadows import darkened, likelihood_of_shadow
 
 __all__ = ["Claimants", "CutRules", "Ground", "cut_claims", "publish_claims", "tally"]
 
+#: Posterior by what its cost is above the normaliser.
+_POSTERIOR_OF = np.exp(np.arange(256) * -COST_STEP)
+
 
 class Claimants(NamedTuple):
     """Layers whose claims touch, and what they say; for compiled functions.
@@ -221,7 +224,6 @@ def tally(labels: Array, ids: Array, claimants: Claimants) -> tuple[Array, Array
     bounds, sums = np.empty((ids.size, 4), np.int64), np.zeros((ids.size, 3), np.int64)
     bounds[:, :2], bounds[:, 2:] = 2**31, -1
     likelihood = np.zeros(ids.size, np.float64)
-    certain = np.exp(np.arange(256) * -COST_STEP)
     position = np.zeros(ids.max() + 1, np.int64)
     for own in range(ids.size):
         position[ids[own]] = own
@@ -241,7 +243,7 @@ def tally(labels: Array, ids: Array, claimants: Claimants) -> tuple[Array, Array
             sums[own, 2] += y * length
             costs = claimants.cost[claimants.own[own], top + y // side, left:]
             for cell in range(start // side, (x - 1) // side + 1):
-                posterior = certain[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
+                posterior = _POSTERIOR_OF[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
                 for _ in range(max(start, cell * side), min(x, (cell + 1) * side)):
                     likelihood[own] += posterior
     return bounds, sums, likelihood

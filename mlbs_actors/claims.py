@@ -2,8 +2,8 @@
 
 An object's region leaves room for where it may have moved to, and for parts of it that no trajectory has told
 of yet: of five of its cells four are the background's, by far. A layer claims the box around the cells where
-it costs less than the background or has a trajectory, and a margin, as contrast can give an object what it
-does not lead in. What nobody claims is the background's.
+it costs less than the background or has a trajectory: inside it contrast can give an object what it does not
+lead in, beyond it that has not made label maps better. What nobody claims is the background's.
 
 Differs from the paper, which labels the whole frame with all layers at once.
 """
@@ -26,7 +26,6 @@ def claims_of_layers(
     tracks: Array,
     corner: tuple[int, int],
     side: int,
-    margin: int,
 ) -> Array:
     """Find the box of cells that each layer claims.
 
@@ -43,8 +42,6 @@ def claims_of_layers(
         Where the costs' box begins in the frame, cells.
     side : int
         Of a cell, px.
-    margin : int
-        Cells.
 
     Returns
     -------
@@ -76,6 +73,5 @@ def claims_of_layers(
                 first, end = min(first, y), max(end, y + 1)
         if first < end:
             columns, claim = np.flatnonzero(leads), claims[layer]
-            claim[0], claim[1] = max(first - margin, top), min(end + margin, bottom)
-            claim[2], claim[3] = max(columns[0] - margin, left), min(columns[-1] + 1 + margin, right)
+            claim[0], claim[1], claim[2], claim[3] = first, end, columns[0], columns[-1] + 1
     return claims

@@ -188,9 +188,9 @@ def _halved_weights(weights: Array) -> Array:
     halved = np.empty((rows, columns, 4), np.int32)
     # Diagonal pairs of blocks share one pair of pixels each; to the left of the first block is none.
     diagonal, anti = np.empty(columns, np.int32), np.zeros(columns + 1, np.int32)
-    beside, below = np.ones(columns + 1), np.ones(columns)
+    beside, below, results = np.ones(columns + 1), np.ones(columns), halved.reshape(-1)
     for v in range(rows):
-        y, upright, own = 2 * v + 1, across[v], halved[v].reshape(-1)
+        y, upright, own = 2 * v + 1, across[v], results[4 * columns * v : 4 * columns * (v + 1)]
         _diagonal_pairs(weights, y, diagonal, anti)
         # Without a branch: this runs in vector registers. What costs nothing has no share to lose.
         for u in range((width - 1) // 2):
@@ -224,9 +224,9 @@ def _outlines_along_blocks(weights: Array) -> tuple[Array, Array]:
     rows, columns = (height + 1) // 2, (width + 1) // 2
     across, down = np.zeros((rows, 2 * columns + 1), np.int32), np.zeros((height + 1, columns), np.int32)
     onward, back = np.empty(width, np.int32), np.empty(width, np.int32)
-    under = np.zeros(2 * columns, np.int32)
+    under, flat = np.zeros(2 * columns, np.int32), weights.reshape(-1)
     for y in range(height):
-        own, upright, level = weights[y].reshape(-1), across[y // 2], down[y]
+        own, upright, level = flat[4 * width * y : 4 * width * (y + 1)], across[y // 2], down[y]
         for x in range(width):  # one after the other: only so each is read once
             at, first = np.uint64(x), np.uint64(4 * x)
             diagonal, anti = own[first + np.uint64(2)], own[first + np.uint64(3)]

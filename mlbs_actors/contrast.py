@@ -82,6 +82,7 @@ def weights_of(image: Array, table: Array) -> Array:
     weights = np.empty((height, width, 4), np.int32)
     distances, last = np.empty((4, width), np.int32), np.int32(table.shape[1] - 1)
     beside, below, diagonal, anti = distances
+    results = weights.reshape(-1)
     for y in range(height):
         for k in range(4):  # without a branch: this runs in vector registers
             down, right = NEIGHBOUR_OFFSETS[k]
@@ -99,7 +100,7 @@ def weights_of(image: Array, table: Array) -> Array:
                 distance[:] = last
             if right:
                 distance[width - 1 if right > 0 else 0] = last
-        row = weights[y].reshape(-1)
+        row = results[4 * width * y : 4 * width * (y + 1)]
         for x in range(width):
             at, first = np.uint64(x), np.uint64(4 * x)
             row[first] = table[0, np.uint64(beside[at])]

@@ -287,6 +287,14 @@ def check_solved(residual: float, tolerance: float) -> None:
 
 
 @compiled()
+def _all_finite(values: Array) -> bool:
+    for value in values.reshape(-1):
+        if not np.isfinite(value):
+            return False
+    return True
+
+
+@compiled()
 def _told_inside(
     positions: Array, motions: Array, corner: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[Array, Array, Array]:
@@ -295,7 +303,7 @@ def _told_inside(
     points, moved = np.empty(positions.shape, positions.dtype), np.empty(motions.shape, motions.dtype)
     for point in range(inside.size):
         points[count, 0], points[count, 1] = positions[point, 0] - corner[0], positions[point, 1] - corner[1]
-        moved[count] = motions[point]
+        moved[count, 0], moved[count, 1] = motions[point, 0], motions[point, 1]
         x, y = points[count, 0], points[count, 1]
         inside[point] = -0.5 <= x < shape[1] - 0.5 and -0.5 <= y < shape[0] - 0.5
         count += int(inside[point])
@@ -333,7 +341,7 @@ def solved_field(
     variance = np.zeros((variance_rows, variance_columns), np.float32)
     if mean.size == 0:
         return mean, variance, point_weights, 0, 0.0
-    if not (np.isfinite(positions).all() and np.isfinite(motions).all() and np.isfinite(prior_mean).all()):
+    if not (_all_finite(positions) and _all_finite(motions) and _all_finite(prior_mean)):
         return mean, variance, point_weights, 0, np.nan
     inside, points, moved = _told_inside(positions, motions, corner, shape)
     prior = np.empty((2, rows, columns))
@@ -354,7 +362,7 @@ def solved_field(
     rows, columns = variance_rows, variance_columns
     nodes, shares = bilinear_taps(points, rows, columns, by.variance_spacing)
     precision = 1.0 / (by.prior_variance * rows * columns)
-    screening = lump(nodes, shares, weights * by.point_precision, moved, precision, rows, columns)[0]
+    screening = lump(nodes, shares, weights, by.point_precision, moved, precision, rows, columns)[0]
     marginal = inverse_diagonal(screening, 1.0 / by.smoothness)
     for v in range(rows):
         for u in range(columns):
@@ -381,7 +389,7 @@ def _robust_deviation(
     iterations, residual = 0, 0.0
     rounds = robust_rounds if points.shape[0] else 0
     for number in range(rounds + 1):
-        lumped = lump(nodes, shares, weights * point_precision, measured, prior_precision, rows, columns)
+        lumped = lump(nodes, shares, weights, point_precision, measured, prior_precision, rows, columns)
         # A rough field is enough to weigh the trajectories by.
         accepted = tolerance if number == rounds else max(tolerance, _ROUGH_TOLERANCE)
         solution = solve(lumped[0], lumped[1:], edge, deviation, accepted, max_iterations)
@@ -394,7 +402,11 @@ def _robust_deviation(
 
 @compiled()
 def _robust_weights(misfit: Array, robust_px: float) -> Array:
-    squared = misfit[:, 0] ** 2 + misfit[:, 1] ** 2
+    squared = np.empty(misfit.shape[0])
+    for point in range(squared.size):
+        squared[point] = misfit[point, 0] ** 2 + misfit[point, 1] ** 2
     scale = max(robust_px, 3.0 * 1.4826 * np.sqrt(np.median(squared)))
-    weights: Array = (scale**2 / (scale**2 + squared)) ** 2
+    weights = squared  # from here on
+    for point in range(squared.size):
+        weights[point] = (scale**2 / (scale**2 + squared[point])) ** 2
     return weights

@@ -19,9 +19,10 @@ def single_precision(bits: Array, top: int, bottom: int, left: int, right: int) 
     float32: rows from top to bottom, columns from left to right."""
     channels = bits.shape[2]
     length = (right - left) * channels
-    moved = np.empty((bottom - top) * length, np.int32)
+    moved, flat = np.empty((bottom - top) * length, np.int32), bits.reshape(-1)
     for y in range(top, bottom):
-        row = bits[y].reshape(-1)[left * channels : right * channels]
+        begin = (y * bits.shape[1] + left) * channels
+        row = flat[begin : begin + length]
         result = moved[(y - top) * length : (y - top + 1) * length]
         for i in range(length):
             one = np.int32(row[i])

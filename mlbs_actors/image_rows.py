@@ -22,8 +22,10 @@ def padded_planes(image: Array) -> Array:
     planes = np.empty(size + LANES, np.uint8)[:size].reshape(3, height + 2, width + 2)
     if height == 0:
         return planes
+    pixels = image.reshape(-1)
     for y in range(height + 2):
-        row = image[min(max(y - 1, 0), height - 1)].reshape(-1)
+        first = 3 * width * min(max(y - 1, 0), height - 1)
+        row = pixels[first : first + 3 * width]
         blues, greens, reds = planes[0, y], planes[1, y], planes[2, y]
         for x in range(width):
             place, pixel = np.uint64(x + 1), np.uint64(3 * x)

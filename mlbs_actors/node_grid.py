@@ -155,28 +155,30 @@ def bilinear_taps(points: Array, rows: int, columns: int, spacing: int) -> tuple
 @compiled()
 def point_misfit(values: Array, field: Array, nodes: Array, shares: Array) -> Array:
     """Points' values (n, 2) less those of a (2, gh, gw) field."""
-    flat = field.reshape(2, -1)
+    flat, count = field.reshape(-1), field.shape[1] * field.shape[2]
     misfit = np.empty((values.shape[0], 2))
     for point in range(values.shape[0]):
         for axis in range(2):
             total = 0.0
             for tap in range(4):
-                total += shares[point, tap] * flat[axis, nodes[point, tap]]
+                total += shares[point, tap] * flat[axis * count + nodes[point, tap]]
             misfit[point, axis] = values[point, axis] - total
     return misfit
 
 
 @compiled()
 def lump(
-    nodes: Array, shares: Array, evidence: Array, measured: Array, precision: float, rows: int, columns: int
-) -> Array:
-    """Sums on the nodes by the points' shares, (3, gh, gw): of their evidence, with the prior's precision,
-    and of their evidence times what they measured."""
+    nodes: Array, shares: Array, weights: Array, point_precision: float, measured: Array, precision: float,
+    rows: int, columns: int,
+) -> Array:  # fmt: skip
+    """Sums on the nodes by the points' shares, (3, gh, gw): of their precision by their weights, with the
+    prior's, and of their own times what they measured."""
     total = np.zeros((3, rows * columns))
     total[0] = precision
     for point in range(nodes.shape[0]):
+        evidence = weights[point] * point_precision
         for tap in range(4):
-            node, amount = nodes[point, tap], shares[point, tap] * evidence[point]
+            node, amount = nodes[point, tap], shares[point, tap] * evidence
             total[0, node] += amount
             total[1, node] += amount * measured[point, 0]
             total[2, node] += amount * measured[point, 1]

@@ -66,8 +66,9 @@ def photometric_advantage(
     # Zeros are what comes from outside: a border around, and one more behind for a source on it.
     last = np.zeros((before.shape[0] + 3, before.shape[1] + 3), np.uint8)
     newest = np.empty(now.shape[:2], np.uint8)
+    flat, length = before.reshape(-1), 3 * before.shape[1]
     for y in range(before.shape[0]):
-        _write_grey(before[y].reshape(-1), last[y + 1, 1:-2])
+        _write_grey(flat[y * length : (y + 1) * length], last[y + 1, 1:-2])
     _write_grey(now.reshape(-1), newest.reshape(-1))
     known = np.empty(newest.shape, np.bool_)
     own_misfit, camera_misfit = _misfits(

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mlbs_actors.banded_factors import factorised, solved
+from mlbs_actors.banded_factors import factorised, set_solution
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
@@ -70,7 +70,12 @@ def solve(
     Solution
         Its residual is above the tolerance if the arithmetic allows no less.
     """
-    size = np.sqrt(np.sum(rhs * rhs))
+    squares = 0.0
+    for part in range(rhs.shape[0]):
+        for v in range(rhs.shape[1]):
+            for u in range(rhs.shape[2]):
+                squares += rhs[part, v, u] * rhs[part, v, u]
+    size = np.sqrt(squares)
     if size == 0.0:
         return Solution(np.zeros(rhs.shape), 0.0, 0)
     value = np.zeros((rhs.shape[0], rhs.shape[1] + 2, rhs.shape[2] + 2))
@@ -82,13 +87,9 @@ def solve(
         residual = _residual(screening, rhs, edge, value) / size
         if residual <= tolerance:
             return Solution(value[:, 1:-1, 1:-1].copy(), residual, iterations)
-    upright = screening.shape[0] >= screening.shape[1]
-    lower = factorised(screening.copy() if upright else screening.T.copy(), edge)
+    lower = factorised(screening, edge)
     for part in range(rhs.shape[0]):
-        if upright:
-            value[part, 1:-1, 1:-1] = solved(lower, rhs[part])
-        else:
-            value[part, 1:-1, 1:-1] = solved(lower, rhs[part].T.copy()).T
+        set_solution(lower, rhs[part], value[part, 1:-1, 1:-1])
     residual = _residual(screening, rhs, edge, value) / size
     return Solution(value[:, 1:-1, 1:-1].copy(), residual, iterations)
 

@@ -43,8 +43,6 @@ from mlbs_actors.shadows import blur_weights, ground_colour
 
 __all__ = ["Segmenter", "SegmenterState"]
 
-#: Margin of a layer's claim, px of a 640×480 frame.
-CLAIM_MARGIN_PX = 4.0
 #: Where shadows are not looked for.
 _NO_GROUND = np.zeros((0, 0, 4), np.float32)
 
@@ -178,7 +176,6 @@ class Segmenter:
             tracks,
             (cells.x, cells.y),
             side,
-            round(CLAIM_MARGIN_PX * length_scale(*evidence.shape) / side),
         )
         regions = [
             Region(left, top, right - left, bottom - top) for top, bottom, left, right in claims[1:].tolist()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mlbs_actors.banded_factors import factorised
+from mlbs_actors.banded_factors import factorised, node_place
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array
 
@@ -34,20 +34,13 @@ def inverse_diagonal(screening: Array, edge: float) -> Array:
     -------
     (rows, columns) float64
     """
-    if screening.shape[0] < screening.shape[1]:
-        return _inverse_diagonal(screening.T.copy(), edge).T.copy()
-    return _inverse_diagonal(screening.copy(), edge)
-
-
-@compiled()
-def _inverse_diagonal(screening: Array, edge: float) -> Array:
-    rows, columns = screening.shape
-    size, width = rows * columns, columns
+    (rows, columns), size, width = screening.shape, screening.size, min(screening.shape)
     lower = factorised(screening, edge)
     # inverse[i, width + k] is Z's element (i, i + k), on both sides of the diagonal.
     inverse = np.zeros((size + width, 2 * width + 1))
     # Places in a flat array, without a sign, as in the factorisation.
     flat, column, line = inverse.reshape(-1), np.empty(width), np.uint64(2 * width + 1)
+    diagonal = np.empty(screening.shape)
     for node in range(size - 1, -1, -1):
         column[:] = 0.0
         own = np.uint64(node) * line + np.uint64(width)
@@ -60,5 +53,5 @@ def _inverse_diagonal(screening: Array, edge: float) -> Array:
             corner -= lower[node, k] * column[k - 1]
             flat[own + np.uint64(k)] = column[k - 1]
             flat[own + np.uint64(k) * (line - np.uint64(1))] = column[k - 1]
-        flat[own] = corner
-    return np.ascontiguousarray(inverse[:size, width]).reshape(rows, columns)
+        flat[own] = diagonal[node_place(node, rows, columns)] = corner
+    return diagonal

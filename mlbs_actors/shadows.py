@@ -178,12 +178,13 @@ def smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) -> 
     first, last = max(reach - left, 0), min(picture.shape[1] + reach - left, width + 2 * reach)
     column, row = np.empty(3 * (width + 2 * reach), np.int32), np.empty(3 * width, np.int32)
     smooth = np.empty((height, width, 3), np.uint8)
+    pixels, results, length = picture.reshape(-1), smooth.reshape(-1), picture.shape[1]
     for y in range(height):
         inside = column[3 * first : 3 * last]
         inside[:] = 0
         for k in range(-reach, reach + 1):
-            line = picture[_mirrored(top + y + k, picture.shape[0])].reshape(-1)
-            known, weight = line[3 * (left + first - reach) : 3 * (left + last - reach)], weights[middle + k]
+            begin = length * _mirrored(top + y + k, picture.shape[0]) + left - reach
+            known, weight = pixels[3 * (begin + first) : 3 * (begin + last)], weights[middle + k]
             for i in range(inside.size):
                 inside[i] += weight * np.int32(known[i])
         for x in range(width + 2 * reach):
@@ -195,7 +196,7 @@ def smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) -> 
             weight, beside = weights[middle - reach + k], column[3 * k : 3 * (k + width)]
             for i in range(row.size):
                 row[i] += weight * beside[i]
-        flat = smooth[y].reshape(-1)
+        flat = results[3 * width * y : 3 * width * (y + 1)]
         for i in range(row.size):
             flat[i] = np.uint8(row[i] >> np.int32(16))
     return smooth

@@ -78,9 +78,11 @@ def _find_sources(
     part, step = np.empty((2, count), np.float32), np.empty((2, count), np.float32)
     rest, inside = np.empty((2, count), np.float32), np.empty(count, np.bool_)
     missed = np.empty(count + 1, np.int32)
+    all_moves, all_rests, pair = motion.reshape(-1), new_residual.reshape(-1), 2 * count
     # Loops without a branch, and in 32 bits, run in vector registers.
     for y in range(source.shape[0]):
-        moves, sources, rests = motion[y].reshape(-1), source[y], new_residual[y].reshape(-1)
+        begin, end, sources = y * pair, (y + 1) * pair, source[y]
+        moves, rests = all_moves[begin:end], all_rests[begin:end]
         for x in range(count):
             move_x, move_y = moves[np.uint64(2 * x)], moves[np.uint64(2 * x + 1)]
             # Halves round upwards whatever the sign, so that a pan is treated alike everywhere.

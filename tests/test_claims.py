@@ -9,7 +9,7 @@ from mlbs_actors.claims import claims_of_layers
 from mlbs_actors.messages import Array
 
 SHAPE = (20, 30)
-SIDE, MARGIN, CORNER = 2, 3, (5, 7)
+SIDE, CORNER = 2, (5, 7)
 NO_TRACKS = np.zeros((3, 2), np.int64)
 
 
@@ -18,7 +18,7 @@ def places() -> Array:
 
 
 def claimed(cost: Array, positions: Array, tracks: Array) -> Array:
-    return np.asarray(claims_of_layers(cost, places(), positions, tracks, CORNER, SIDE, MARGIN))
+    return np.asarray(claims_of_layers(cost, places(), positions, tracks, CORNER, SIDE))
 
 
 def expected(cost: Array, layer: int, cells: list[tuple[int, int]]) -> list[int]:
@@ -28,16 +28,11 @@ def expected(cost: Array, layer: int, cells: list[tuple[int, int]]) -> list[int]
     for cell in cells:
         leads[cell] = True
     rows, columns = np.nonzero(leads[top:bottom, left:right])
-    return [
-        max(top + rows.min() - MARGIN, top),
-        min(top + rows.max() + 1 + MARGIN, bottom),
-        max(left + columns.min() - MARGIN, left),
-        min(left + columns.max() + 1 + MARGIN, right),
-    ]
+    return [top + rows.min(), top + rows.max() + 1, left + columns.min(), left + columns.max() + 1]
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_claim_is_the_box_around_lead_and_trajectories_and_a_margin(seed: int) -> None:
+def test_a_claim_is_the_box_around_lead_and_trajectories(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cost = np.full((3, *SHAPE), 100, np.uint8)
     cost[1:][rng.random((2, *SHAPE)) < 0.01] = 99
