@@ -288,10 +288,10 @@ def check_solved(residual: float, tolerance: float) -> None:
 
 @compiled()
 def _all_finite(values: Array) -> bool:
+    finite = True
     for value in values.reshape(-1):
-        if not np.isfinite(value):
-            return False
-    return True
+        finite &= np.isfinite(value)
+    return finite
 
 
 @compiled()

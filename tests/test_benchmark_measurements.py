@@ -21,6 +21,7 @@ from orchestrator.benchmark.engine_run import EngineCall, EngineCost, play, stea
 from orchestrator.benchmark.layers import (
     further_object_ms,
     layers_table,
+    mean_further_object_ms,
     measure_layers,
     processes_table,
 )
@@ -207,9 +208,26 @@ def test_a_further_object_costs_the_growth_over_the_objects_more() -> None:
     assert math.isnan(further[1])
     assert (further[3], further[8]) == (10.0, 8.0)
     rows = [line.split() for line in layers_table(costs).splitlines()]
-    assert rows[1][4:] == ["0.80", "-", "-"]
-    assert rows[3][4:] == ["1.40", "8", "8"]
-    assert layers_table({2: cost(50.0)}).splitlines()[1].split()[4:] == ["-", "-", "-"]
+    assert rows[1][4:] == ["0.80", "-", "-", "-"]
+    assert rows[3][4:] == ["1.40", "8", "8", "8"]
+    assert layers_table({2: cost(50.0)}).splitlines()[1].split()[4:] == ["-", "-", "-", "-"]
+
+
+def test_the_mean_of_further_objects_counts_from_an_ordinary_frame_on() -> None:
+    mean = mean_further_object_ms({1: 80.0, 3: 100.0, 8: 140.0, 16: 139.0})
+    assert math.isnan(mean[1])
+    assert math.isnan(mean[3])
+    assert (mean[8], mean[16]) == (8.0, 3.0)
+
+
+def test_of_several_runs_each_kinds_time_is_the_mean() -> None:
+    start = StartUp(2.0, 9.0, 10.0)
+    one = PipelineCost(50.0, 20.0, {"object layer": 3.0, "coordinator": 17.0}, start)
+    other = PipelineCost(20.0, 50.0, {"coordinator": 19.0}, StartUp(3.0, 9.0, 10.0))
+    mean = PipelineCost.mean([one, other])
+    assert mean.cpu_ms == {"coordinator": 18.0, "object layer": 1.5}
+    assert (mean.wall_ms, mean.start_up) == (35.0, start)
+    assert mean.frames_a_second == pytest.approx(1e3 / 35)
 
 
 def test_through_ray_the_cost_of_a_further_object_is_that_of_all_processes() -> None:
@@ -217,8 +235,8 @@ def test_through_ray_the_cost_of_a_further_object_is_that_of_all_processes() -> 
     few = PipelineCost(50.0, 20.0, {"object layer": 3.0, "coordinator": 17.0}, start)
     more = PipelineCost(40.0, 25.0, {"object layer": 6.0, "coordinator": 20.0}, start)
     rows = [line.split() for line in processes_table({3: few, 5: more}).splitlines()]
-    assert rows[1] == ["3", "20", "20", "3", "1.00", "-", "-"]
-    assert rows[2] == ["5", "25", "26", "6", "1.30", "3", "15"]
+    assert rows[1] == ["3", "20", "20", "3", "1.00", "-", "-", "-"]
+    assert rows[2] == ["5", "25", "26", "6", "1.30", "3", "15", "15"]
 
 
 def test_the_empty_parts_send_the_engines_own_messages_for_every_frame() -> None:

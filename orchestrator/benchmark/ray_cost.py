@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from statistics import fmean
 
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream_protocol import FrameReader, StreamSink
@@ -19,7 +20,15 @@ from orchestrator.benchmark.process_costs import cpu_growth, sum_by_kind
 from orchestrator.benchmark.setting import Setting, say
 from orchestrator.evaluation.figures import format_number, format_table
 
-__all__ = ["PipelineCost", "StartUp", "cpu_ms_by_kind", "measure_ray", "pipeline_cost", "start_up"]
+__all__ = [
+    "PipelineCost",
+    "StartUp",
+    "cpu_ms_by_kind",
+    "mean_of_kinds",
+    "measure_ray",
+    "pipeline_cost",
+    "start_up",
+]
 
 #: The rate is steady from the first frame on that begins this many frames in not much more than their time.
 _STEADY_FRAMES, _STEADY_RATIO = 8, 1.25
@@ -61,6 +70,13 @@ class PipelineCost:
     wall_ms: float
     cpu_ms: dict[str, float]
     start_up: StartUp
+
+    @staticmethod
+    def mean(costs: Sequence[PipelineCost]) -> PipelineCost:
+        """Of several runs; the start-up is that of the first."""
+        wall_ms = fmean(one.wall_ms for one in costs)
+        cpu_ms = mean_of_kinds([one.cpu_ms for one in costs])
+        return PipelineCost(1e3 / wall_ms, wall_ms, cpu_ms, costs[0].start_up)
 
     @property
     def all_cpu_ms(self) -> float:
@@ -131,6 +147,12 @@ def cpu_ms_by_kind(window: SteadyWindow) -> dict[str, float]:
     """CPU time of the session's processes in a steady window by kind, ms a frame."""
     seconds = sum_by_kind(cpu_growth(window.before, window.after), window.kinds)
     return {kind: 1e3 * value / window.frames for kind, value in seconds.items()}
+
+
+def mean_of_kinds(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """CPU time a frame of each kind of process, over several runs."""
+    kinds = sorted({kind for run in runs for kind in run})
+    return {kind: fmean(run.get(kind, 0.0) for run in runs) for kind in kinds}
 
 
 def start_up(started: float, ready: float, arrivals: Sequence[Arrival], wall_ms: float) -> StartUp:

@@ -18,7 +18,7 @@ from orchestrator.benchmark.pipeline import SteadyWindow, pipeline
 from orchestrator.benchmark.played_video import EndlessReader
 from orchestrator.benchmark.plots import Plot
 from orchestrator.benchmark.process_costs import cpu_growth
-from orchestrator.benchmark.ray_cost import cpu_ms_by_kind
+from orchestrator.benchmark.ray_cost import cpu_ms_by_kind, mean_of_kinds
 from orchestrator.benchmark.setting import Setting, say
 from orchestrator.evaluation.figures import format_number, format_table
 
@@ -80,7 +80,7 @@ def measure_streams(setting: Setting, streams: tuple[int, ...] = STREAMS) -> Fin
             if count == streams[0]:
                 objects = sum(kind == "object layer" for kind in window.kinds.values()) // count
                 alone.append(cpu_ms_by_kind(window))
-        one = StageCosts.of(_mean_of_kinds(alone), objects)
+        one = StageCosts.of(mean_of_kinds(alone), objects)
         costs = {count: StreamsCost.mean(of_count) for count, of_count in runs.items()}
         most = most_frames_a_second(cores(), costs[streams[0]].cpu_ms)
         say(f"streams: {name}, the model of nodes")
@@ -104,12 +104,6 @@ def measure_streams(setting: Setting, streams: tuple[int, ...] = STREAMS) -> Fin
             "lines",
         )
     return Finding(tuple(tables), figures, plots)
-
-
-def _mean_of_kinds(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """CPU time a frame of each kind of process, over several runs."""
-    kinds = sorted({kind for run in runs for kind in run})
-    return {kind: fmean(run.get(kind, 0.0) for run in runs) for kind in kinds}
 
 
 def most_frames_a_second(core_count: int, cpu_ms: float) -> float:
