@@ -19,14 +19,12 @@ from mlbs_actors.compilation import compiled
 from mlbs_actors.contact_shadow import look_over
 from mlbs_actors.contrast import weights_of
 from mlbs_actors.data_costs import claimed_costs
+from mlbs_actors.fusion import LIKELIHOOD
 from mlbs_actors.level_cut import label_levels
-from mlbs_actors.messages import BACKGROUND, COST_STEP, Array
+from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.shadows import darkened, likelihood_of_shadow
 
 __all__ = ["Claimants", "CutRules", "Ground", "cut_claims", "publish_claims", "tally"]
-
-#: Posterior by what its cost is above the normaliser.
-_POSTERIOR_OF = np.exp(np.arange(256) * -COST_STEP)
 
 
 class Claimants(NamedTuple):
@@ -243,7 +241,7 @@ def tally(labels: Array, ids: Array, claimants: Claimants) -> tuple[Array, Array
             sums[own, 2] += y * length
             costs = claimants.cost[claimants.own[own], top + y // side, left:]
             for cell in range(start // side, (x - 1) // side + 1):
-                posterior = _POSTERIOR_OF[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
+                posterior = LIKELIHOOD[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
                 for _ in range(max(start, cell * side), min(x, (cell + 1) * side)):
                     likelihood[own] += posterior
     return bounds, sums, likelihood
