@@ -1,8 +1,9 @@
-"""From what layers claim to their labels and what these look like: claims that touch, in two functions (§7).
+"""From what layers claim to their labels and what these look like, a group of regions in one function (§7).
 
-They are small, and many steps lead from the layers' costs to a label map: to hand arrays from one of them to
-the next by way of Python took a quarter of a further object's time in the segmenter. What is seldom stays
-with :mod:`mlbs_actors.segmenter`: a cut that has to be done in the general way, and contact shadows.
+Claims that touch are labelled together (:mod:`mlbs_actors.region_groups`). They are small, and many steps
+lead from the layers' costs to a label map: to hand arrays from one of them to the next by way of Python took
+a quarter of a further object's time in the segmenter. What is seldom stays with
+:mod:`mlbs_actors.segmenter`: a cut that has to be done in the general way, and contact shadows.
 
 Differs from the paper: see :mod:`mlbs_actors.segmenter`, :mod:`mlbs_actors.shadows` and
 :mod:`mlbs_actors.cleaning`.
@@ -22,28 +23,33 @@ from mlbs_actors.data_costs import claimed_costs
 from mlbs_actors.fusion import LIKELIHOOD
 from mlbs_actors.level_cut import label_levels
 from mlbs_actors.messages import BACKGROUND, Array
+from mlbs_actors.region_groups import merged
 from mlbs_actors.shadows import darkened, likelihood_of_shadow
 
-__all__ = ["Claimants", "CutRules", "Ground", "cut_claims", "publish_claims", "tally"]
+__all__ = ["Claims", "CutRules", "Ground", "Tally", "cut_claims", "label_claims", "publish_claims", "tally"]
 
 
-class Claimants(NamedTuple):
-    """Layers whose claims touch, and what they say; for compiled functions.
+#: Left, top, width and height.
+Box = tuple[int, int, int, int]
+#: What :func:`~mlbs_actors.contact_shadow.look_over` returns.
+Seen = tuple[Array, tuple[Array, Array, Array, Array], Array]
+
+
+class Claims(NamedTuple):
+    """What the layers of a group of regions claim and say; for compiled functions.
 
     Attributes
     ----------
     cost : (K, h, w) uint8
-        Of :class:`~mlbs_actors.fusion.FusedCosts`, of all layers of a group of regions.
+        Of :class:`~mlbs_actors.fusion.FusedCosts`.
     normaliser : (h, w) uint8
         Of the same.
-    claims : (K, 4) int64
+    boxes : (K, 4) int64
         Of :func:`~mlbs_actors.claims.claims_of_layers`.
     tracks : (K, 2) int64
         Which trajectories are each layer's: the first one, and the one past the last.
-    own : (k,) int64
-        Which of these layers make the claims, the background first.
-    box : (left, top, width, height)
-        Around their claims, cells of ``cost``.
+    ids : (K,) uint16
+        Of the layers, the background first.
     corner : (x, y)
         Where ``cost`` begins in the frame, cells.
     side : int
@@ -52,12 +58,34 @@ class Claimants(NamedTuple):
 
     cost: Array
     normaliser: Array
-    claims: Array
+    boxes: Array
     tracks: Array
-    own: Array
-    box: tuple[int, int, int, int]
+    ids: Array
     corner: tuple[int, int]
     side: int
+
+
+class Tally(NamedTuple):
+    """What the labels of each layer look like; for compiled functions, which fill it in.
+
+    Attributes
+    ----------
+    bounds : (K, 4) int64
+        Least x and y and largest x and y, px of the frame.
+    sums : (K, 3) int64
+        Number of its pixels, 0 for the background and where nothing is known; sums of their x and y.
+    likelihood : (K,) float64
+        Sum of their posteriors.
+    """
+
+    bounds: Array
+    sums: Array
+    likelihood: Array
+
+    @classmethod
+    def of_nothing(cls, layers: int) -> Tally:
+        """What is to be filled in for so many layers."""
+        return cls(np.zeros((layers, 4), np.int64), np.zeros((layers, 3), np.int64), np.zeros(layers))
 
 
 class Ground(NamedTuple):
@@ -105,36 +133,87 @@ class CutRules(NamedTuple):
 
 
 @compiled()
-def cut_claims(
-    frame: Array, claimants: Claimants, positions: Array, ground: Ground, rules: CutRules
-) -> tuple[Array, bool, tuple[Array, Array, Array, Array, Array], tuple[Array, Array, Array, Array]]:
-    """Label the pixels in a box around claims.
+def label_claims(
+    frame: Array, claims: Claims, positions: Array, ground: Ground, rules: CutRules,
+    limits: tuple[float, float], published: Array, tallied: Tally,
+) -> tuple[list[tuple[Array, Box]], list[tuple[Array, Box, Seen]]]:  # fmt: skip
+    """Label the pixels in boxes around claims that touch, one box after the other.
 
     Parameters
     ----------
     frame : (H, W, 3) uint8
         C-contiguous.
-    claimants : Claimants
+    claims : Claims
     positions : (n, 2) float32
         Trajectories, px of the frame.
     ground : Ground
     rules : CutRules
+    limits : (float, float)
+        Components of an object and of the background below these areas are removed, px².
+    published : (H, W) uint16
+        The label map, filled in there.
+    tallied : Tally
+        Filled in for the layers that have got pixels.
+
+    Returns
+    -------
+    left : list of (own, box)
+        What has to be labelled in the general way: which layers claim, the background first, (k,) int64, and
+        left, top, width and height of a box around their claims, cells of ``claims.cost``.
+    dark : list of (own, box, seen)
+        Where pieces of objects may be contact shadows: the same, and what
+        :func:`~mlbs_actors.contact_shadow.look_over` has seen in that box of the label map.
+    """
+    left = [(np.zeros(0, np.int64), (0, 0, 0, 0)) for _ in range(0)]
+    dark = [(np.zeros(0, np.int64), (0, 0, 0, 0), _nothing_seen()) for _ in range(0)]
+    _, rows, columns = claims.cost.shape
+    corners = claims.boxes[1:][:, np.array([2, 0, 3, 1])]
+    group = merged(corners, rows, columns)
+    for first in range(group.size):
+        if group[first] != first:
+            continue
+        own = np.zeros(1 + (group == first).sum(), np.int64)
+        own[1:] = 1 + np.flatnonzero(group == first)
+        begin, top, end, bottom = corners[first]
+        box = (begin, top, end - begin, bottom - top)
+        labelling, found, _, darkening = cut_claims(frame, claims, own, box, positions, ground, rules)
+        if not found:
+            left.append((own, box))
+            continue
+        seen = publish_claims(labelling, claims, own, box, limits, darkening, published, tallied)
+        if seen[2].size > 0:
+            dark.append((own, box, seen))
+    return left, dark
+
+
+@compiled()
+def cut_claims(
+    frame: Array, claims: Claims, own: Array, box: Box, positions: Array, ground: Ground, rules: CutRules
+) -> tuple[Array, bool, tuple[Array, Array, Array, Array, Array], tuple[Array, Array, Array, Array]]:
+    """Label the pixels in a box around claims.
+
+    Parameters
+    ----------
+    frame, claims, positions, ground, rules
+        Of :func:`label_claims`.
+    own, box
+        As it returns them.
 
     Returns
     -------
     labels : (height, width) int16
-        Positions among the claimants.
+        Positions among ``own``.
     found : bool
         False if this has to be done in the general way.
     energy : (Array, Array, Array, Array, Array)
         Unary costs, pair weights, label costs, extras and places of a
-        :class:`~mlbs_actors.label_cost_energy.LabelCostEnergy` with the claimants' cells.
+        :class:`~mlbs_actors.label_cost_energy.LabelCostEnergy` with the claims' cells.
     dark : (Array, Array, Array, Array)
         The fields of a :class:`~mlbs_actors.shadows.Darkening` in these cells; without a row if shadows are
         not looked for.
     """
-    left, top, width, height = claimants.box
-    column, row, side = claimants.corner[0] + left, claimants.corner[1] + top, claimants.side
+    left, top, width, height = box
+    column, row, side = claims.corner[0] + left, claims.corner[1] + top, claims.side
     nothing = np.zeros((0, 0), np.float32)
     dark, shadow = (nothing, nothing, nothing, nothing), nothing
     if ground.colour.shape[0] > 0:
@@ -143,12 +222,12 @@ def cut_claims(
             shadow = likelihood_of_shadow(dark[0], dark[1], dark[2], dark[3])
     x, y, shape = column * side, row * side, (frame.shape[0], frame.shape[1])
     costs, places, pulls = claimed_costs(
-        claimants.cost, claimants.own, claimants.box, claimants.claims, shadow, ground.strength, positions,
-        claimants.tracks, (x, y), shape, side, rules.pull,
+        claims.cost, own, box, claims.boxes, shadow, ground.strength, positions, claims.tracks, (x, y), shape,
+        side, rules.pull,
     )  # fmt: skip
     image = frame[y : min(y + height * side, shape[0]), x : min(x + width * side, shape[1])].copy()
     weights = weights_of(image, rules.contrast)
-    label_costs = np.full(claimants.own.size, rules.label_cost)
+    label_costs = np.full(own.size, rules.label_cost)
     label_costs[0] = 0  # the background is always there
     labels, found = label_levels(
         costs, side, pulls, places, weights, label_costs, rules.most_cut_whole, rules.max_sweeps
@@ -158,90 +237,73 @@ def cut_claims(
 
 @compiled()
 def publish_claims(
-    ids: Array,
-    positions: Array,
-    published: Array,
-    claimants: Claimants,
-    limits: tuple[float, float],
-    dark: tuple[Array, Array, Array, Array],
-) -> tuple[Array, tuple[Array, tuple[Array, Array, Array, Array], Array], tuple[Array, Array, Array]]:
+    labelling: Array, claims: Claims, own: Array, box: Box, limits: tuple[float, float],
+    dark: tuple[Array, Array, Array, Array], published: Array, tallied: Tally,
+) -> Seen:  # fmt: skip
     """Put labels into the published map, clean them there, and see what has come of them.
 
     Parameters
     ----------
-    ids : (k,) uint16
-        Of the claimants.
-    positions : (height, width) int16
+    labelling, dark
         Of :func:`cut_claims`.
-    published : (H, W) uint16
-    claimants : Claimants
-    limits : (float, float)
-        Components of an object and of the background below these areas are removed, px².
-    dark : (Array, Array, Array, Array)
-        Of :func:`cut_claims`.
+    claims, limits, published, tallied
+        Of :func:`label_claims`.
+    own, box
+        As it returns them.
 
     Returns
     -------
-    labels : (height, width) uint16
-        What is published in the box.
-    seen : tuple
-        :func:`~mlbs_actors.contact_shadow.look_over` these; without a piece if shadows are not looked for.
-    summary : (Array, Array, Array)
-        :func:`tally` of them.
+    tuple
+        :func:`~mlbs_actors.contact_shadow.look_over` the labels; without a piece if shadows are not looked
+        for.
     """
-    left, top, _, _ = claimants.box
-    x, y = (claimants.corner[0] + left) * claimants.side, (claimants.corner[1] + top) * claimants.side
-    height, width = positions.shape
+    x, y = (claims.corner[0] + box[0]) * claims.side, (claims.corner[1] + box[1]) * claims.side
+    height, width = labelling.shape
     for v in range(height):
-        row, own = positions[v], published[y + v, x : x + width]
+        row, target = labelling[v], published[y + v, x : x + width]
         for u in range(width):
-            own[u] = ids[row[u]]
+            target[u] = claims.ids[own[row[u]]]
     clean_labels(published, (x, y, width, height), limits[0], limits[1])
     labels = published[y : y + height, x : x + width].copy()
-    none = np.zeros(0, np.int64)
-    seen = (np.zeros((0, 0), np.bool_), (none, none, none, none), np.zeros((0, 5), np.int64))
-    if dark[0].size > 0:
-        seen = look_over(labels, dark[0], dark[1], dark[2], claimants.side)
-    return labels, seen, tally(labels, ids, claimants)
+    tally(labels, claims, own, box, tallied)
+    if dark[0].size == 0:
+        return _nothing_seen()
+    return look_over(labels, dark[0], dark[1], dark[2], claims.side)
 
 
 @compiled()
-def tally(labels: Array, ids: Array, claimants: Claimants) -> tuple[Array, Array, Array]:
-    """What the labels (height, width) of some claimants' box look like.
+def _nothing_seen() -> Seen:
+    none = np.zeros(0, np.int64)
+    return np.zeros((0, 0), np.bool_), (none, none, none, none), np.zeros((0, 5), np.int64)
 
-    Returns
-    -------
-    bounds : (k, 4) int64
-        Least x and y and largest x and y of each id but the background's, px of the box.
-    sums : (k, 3) int64
-        Number of its pixels, sums of their x and y.
-    likelihood : (k,) float64
-        Sum of their posteriors.
-    """
-    left, top, side = claimants.box[0], claimants.box[1], claimants.side
-    bounds, sums = np.empty((ids.size, 4), np.int64), np.zeros((ids.size, 3), np.int64)
-    bounds[:, :2], bounds[:, 2:] = 2**31, -1
-    likelihood = np.zeros(ids.size, np.float64)
-    position = np.zeros(ids.max() + 1, np.int64)
-    for own in range(ids.size):
-        position[ids[own]] = own
-    for y in range(labels.shape[0]):
-        row, floor, x = labels[y], claimants.normaliser[top + y // side, left:], 0
-        while x < row.size:
-            label, start = row[x], x
-            while x < row.size and row[x] == label:
-                x += 1
+
+@compiled()
+def tally(labels: Array, claims: Claims, own: Array, box: Box, tallied: Tally) -> None:
+    """Fill in what the labels (height, width) in a box of claims look like; as :func:`label_claims` says."""
+    left, top, side = box[0], box[1], claims.side
+    corner_x, corner_y = (claims.corner[0] + left) * side, (claims.corner[1] + top) * side
+    position = np.zeros(claims.ids[own].max() + 1, np.int64)
+    for one in own:
+        position[claims.ids[one]] = one
+        tallied.bounds[one, :2], tallied.bounds[one, 2:] = 2**31, -1
+        tallied.sums[one], tallied.likelihood[one] = 0, 0.0
+    for v in range(labels.shape[0]):
+        row, floor, u, y = labels[v], claims.normaliser[top + v // side, left:], 0, corner_y + v
+        while u < row.size:
+            label, start = row[u], u
+            while u < row.size and row[u] == label:
+                u += 1
             if label == BACKGROUND:
                 continue
-            own, length = position[label], x - start
-            bounds[own, 0], bounds[own, 1] = min(bounds[own, 0], start), min(bounds[own, 1], y)
-            bounds[own, 2], bounds[own, 3] = max(bounds[own, 2], x - 1), y
-            sums[own, 0] += length
-            sums[own, 1] += (start + x - 1) * length // 2
-            sums[own, 2] += y * length
-            costs = claimants.cost[claimants.own[own], top + y // side, left:]
-            for cell in range(start // side, (x - 1) // side + 1):
+            one, length, first, last = position[label], u - start, corner_x + start, corner_x + u - 1
+            bounds, sums = tallied.bounds[one], tallied.sums[one]
+            bounds[0], bounds[1] = min(bounds[0], first), min(bounds[1], y)
+            bounds[2], bounds[3] = max(bounds[2], last), y
+            sums[0] += length
+            sums[1] += (first + last) * length // 2
+            sums[2] += y * length
+            costs = claims.cost[one, top + v // side, left:]
+            for cell in range(start // side, (u - 1) // side + 1):
                 posterior = LIKELIHOOD[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
-                for _ in range(max(start, cell * side), min(x, (cell + 1) * side)):
-                    likelihood[own] += posterior
-    return bounds, sums, likelihood
+                for _ in range(max(start, cell * side), min(u, (cell + 1) * side)):
+                    tallied.likelihood[one] += posterior

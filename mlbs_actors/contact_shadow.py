@@ -87,8 +87,12 @@ def shadow_strips(
 def look_over(
     labels: Array, mean: Array, spread: Array, brightness: Array, side: int
 ) -> tuple[Array, tuple[Array, Array, Array, Array], Array]:
-    """The cells without light, the label map's runs, and the pieces of objects to look at more closely."""
-    unlit, runs = _unlit(mean, spread, brightness), label_runs(labels, True)
+    """The cells without light, the label map's runs, and the pieces of objects to look at more closely; runs
+    are only looked for if there is such a cell."""
+    unlit, none = _unlit(mean, spread, brightness), np.zeros(0, np.int64)
+    if not unlit.any():
+        return unlit, (none, none, none, none), np.zeros((0, 5), np.int64)
+    runs = label_runs(labels, True)
     return unlit, runs, _unlit_pieces(labels, runs[0], runs[1], runs[2], runs[3], unlit, side)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["RegionGroup", "group_regions", "grown", "slices_in"]
+__all__ = ["RegionGroup", "group_regions", "grown", "merged", "slices_in"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,18 +55,18 @@ def group_regions(regions: Sequence[Region], shape: tuple[int, int]) -> list[Reg
     corners = np.array([(one.x, one.y, one.x + one.width, one.y + one.height) for one in regions], np.int64)
     corners = corners.reshape(-1, 4)
     groups: dict[int, list[int]] = {}
-    for position, group in enumerate(_merged(corners, *shape).tolist()):
+    for position, group in enumerate(merged(corners, *shape).tolist()):
         if group >= 0:
             groups.setdefault(group, []).append(position)
-    merged = [corners[group].tolist() for group in groups]
+    boxes = [corners[group].tolist() for group in groups]
     return [
         RegionGroup(Region(left, top, right - left, bottom - top), tuple(positions))
-        for (left, top, right, bottom), positions in zip(merged, groups.values(), strict=True)
+        for (left, top, right, bottom), positions in zip(boxes, groups.values(), strict=True)
     ]
 
 
 @compiled()
-def _merged(corners: Array, height: int, width: int) -> Array:
+def merged(corners: Array, height: int, width: int) -> Array:
     """Grow boxes (n, 4: left, top, right, bottom) by a pixel and merge them until none overlap: the first of
     each one's group, whose corners become those of the whole group; -1 for empty ones."""
     group = np.arange(len(corners))

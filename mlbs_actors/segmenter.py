@@ -19,7 +19,16 @@ from time import perf_counter
 import numpy as np
 
 from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells
-from mlbs_actors.claim_labelling import Claimants, CutRules, Ground, cut_claims, publish_claims, tally
+from mlbs_actors.claim_labelling import (
+    Claims,
+    CutRules,
+    Ground,
+    Tally,
+    cut_claims,
+    label_claims,
+    publish_claims,
+    tally,
+)
 from mlbs_actors.claims import claims_of_layers
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.contact_shadow import shadow_strips
@@ -37,7 +46,6 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
-from mlbs_actors.object_regions import box_of
 from mlbs_actors.region_groups import group_regions
 from mlbs_actors.shadows import blur_weights, ground_colour
 
@@ -169,70 +177,38 @@ class Segmenter:
         result.normaliser[cells.slices], result.fallback[cells.slices] = fused.normaliser, fused.fallback
         told = [evidence.tracks_of(one.layer) for one in members]
         tracks = np.array([(one.start, one.end) for one in told], np.int64)
-        claims = claims_of_layers(
-            fused.cost,
-            fused.places,
-            evidence.positions,
-            tracks,
-            (cells.x, cells.y),
-            side,
-        )
-        regions = [
-            Region(left, top, right - left, bottom - top) for top, bottom, left, right in claims[1:].tolist()
-        ]
-        groups = group_regions(regions, (cells.height, cells.width))
-        stage_ms["fusion"] += 1e3 * (perf_counter() - start)
-        summaries: list[LayerSummary] = []
-        for group in groups:
-            own = [0, *(1 + position for position in group.members)]
-            claimants = Claimants(
-                fused.cost,
-                fused.normaliser,
-                claims,
-                tracks,
-                np.array(own),
-                box_of(group.box),
-                (cells.x, cells.y),
-                side,
-            )
-            own_members = [members[position] for position in own]
-            summaries += self._label_claims(own_members, claimants, scene, result, stage_ms)
-        return summaries
-
-    def _label_claims(
-        self,
-        members: list[LayerPosterior],
-        claimants: Claimants,
-        scene: _Scene,
-        result: _Maps,
-        stage_ms: dict[str, float],
-    ) -> list[LayerSummary]:
-        """Fill in the label map in a box around claims that touch."""
-        start = perf_counter()
-        labelling, found, energy, dark = cut_claims(
-            scene.frame, claimants, scene.evidence.positions, scene.ground, scene.rules
-        )
-        if not found:
-            costs, weights, label_costs, pulls, places = energy
-            labelling = searched_labels(
-                LabelCostEnergy(costs, weights, label_costs, claimants.side, pulls, places)
-            )
-        solved = perf_counter()
-        config, scale = self.config.segmentation, length_scale(*result.labels.shape)
+        corner = (cells.x, cells.y)
+        boxes = claims_of_layers(fused.cost, fused.places, evidence.positions, tracks, corner, side)
         ids = np.array([one.layer for one in members], np.uint16)
+        claims = Claims(fused.cost, fused.normaliser, boxes, tracks, ids, corner, side)
+        fusing = perf_counter()
+        config, scale = self.config.segmentation, length_scale(*result.labels.shape)
         limits = (config.speck_px * scale**2, config.hole_px * scale**2)
-        labels, seen, summary = publish_claims(ids, labelling, result.labels, claimants, limits, dark)
-        box = _box_in_pixels(claimants, result.labels.shape)
-        pieces = seen[2]
-        if len(pieces) and config.contact_shadow > 0:
-            image = scene.frame[box.slices]
-            strip = shadow_strips(labels, image, seen, claimants.side, scale, config.contact_shadow)
+        tallied = Tally.of_nothing(len(members))
+        left, dark = label_claims(
+            scene.frame, claims, evidence.positions, scene.ground, scene.rules, limits, result.labels, tallied
+        )
+        for own, box in left:
+            labelling, _, energy, darkening = cut_claims(
+                scene.frame, claims, own, box, evidence.positions, scene.ground, scene.rules
+            )
+            costs, weights, label_costs, pulls, places = energy
+            labelling = searched_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, places))
+            seen = publish_claims(labelling, claims, own, box, limits, darkening, result.labels, tallied)
+            if len(seen[2]):
+                dark.append((own, box, seen))
+        solved = perf_counter()
+        for own, box, seen in dark if config.contact_shadow > 0 else ():
+            place = in_pixels(_moved(box, corner), side, result.labels.shape)
+            labels = result.labels[place.slices].copy()
+            strip = shadow_strips(labels, scene.frame[place.slices], seen, side, scale, config.contact_shadow)
             if strip.any():
                 labels[strip] = BACKGROUND
-                result.labels[box.slices] = labels
-                summary = tally(labels, ids, claimants)
-        summaries = _summaries(*summary, members, box)
-        stage_ms["cut"] += 1e3 * (solved - start)
+                result.labels[place.slices] = labels
+                tally(labels, claims, own, box, tallied)
+        summaries = _summaries(tallied, members)
+        stage_ms["fusion"] += 1e3 * (fusing - start)
+        stage_ms["cut"] += 1e3 * (solved - fusing)
         stage_ms["cleaning"] += 1e3 * (perf_counter() - solved)
         return summaries
 
@@ -261,30 +237,29 @@ class _Maps:
         return cls(np.zeros(shape, np.uint16), np.full(grid, 255, np.uint8), np.zeros(grid, np.int8))
 
 
-def _box_in_pixels(claimants: Claimants, shape: tuple[int, int]) -> Region:
-    left, top, width, height = claimants.box
-    cells = Region(claimants.corner[0] + left, claimants.corner[1] + top, width, height)
-    return in_pixels(cells, claimants.side, shape)
+def _moved(box: tuple[int, int, int, int], corner: tuple[int, int]) -> Region:
+    """A box as a region of the frame's cells."""
+    return Region(corner[0] + box[0], corner[1] + box[1], box[2], box[3])
 
 
-def _summaries(
-    bounds: Array, sums: Array, likelihood: Array, posteriors: list[LayerPosterior], box: Region
-) -> list[LayerSummary]:
-    """What of :func:`~mlbs_actors.claim_labelling.tally` is an object's."""
+def _summaries(tallied: Tally, posteriors: list[LayerPosterior]) -> list[LayerSummary]:
+    """What of a tally is an object's."""
     rows = []
-    for own, one in enumerate(posteriors):
-        (left, top, right, bottom), (area, x, y) = bounds[own].tolist(), sums[own].tolist()
-        if own == 0 or area == 0:
+    for one, bounds, sums, likelihood in zip(
+        posteriors, tallied.bounds.tolist(), tallied.sums.tolist(), tallied.likelihood.tolist(), strict=True
+    ):
+        (left, top, right, bottom), (area, x, y) = bounds, sums
+        if area == 0:
             continue
         rows.append(
             LayerSummary(
                 layer=one.layer,
                 kind="other" if one.kind == "other" else "object",
-                region=Region(box.x + left, box.y + top, right - left + 1, bottom - top + 1),
+                region=Region(left, top, right - left + 1, bottom - top + 1),
                 area=area,
-                centroid=(box.x + x / area, box.y + y / area),
+                centroid=(x / area, y / area),
                 velocity=(float(one.velocity[0]), float(one.velocity[1])),
-                confidence=float(likelihood[own] / area),
+                confidence=likelihood / area,
             )
         )
     return rows

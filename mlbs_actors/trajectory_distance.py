@@ -56,11 +56,13 @@ def occupied_cells(positions: Array, side: int, left: int, top: int, width: int,
 @compiled()
 def occupy(occupied: Array, positions: Array, side: int, left: int, top: int) -> None:
     """Add those of other positions to :func:`occupied_cells`."""
-    height, width = occupied.shape
+    high, wide, first_x, first_y = side * occupied.shape[0], side * occupied.shape[1], side * left, side * top
     for point in range(positions.shape[0]):
-        x, y = np.rint(positions[point, 0]) - side * left, np.rint(positions[point, 1]) - side * top
-        if 0 <= x < side * width and 0 <= y < side * height:
-            occupied[int(y) // side, int(x) // side] = True
+        x = np.int64(np.rint(positions[point, 0])) - first_x
+        y = np.int64(np.rint(positions[point, 1])) - first_y
+        # One branch, as most trajectories are elsewhere.
+        if (x >= 0) & (x < wide) & (y >= 0) & (y < high):
+            occupied[y // side, x // side] = True
 
 
 @compiled()

@@ -273,6 +273,16 @@ def test_what_certainly_holds_together_has_no_cut_below_the_threshold(seed: int)
             assert least >= threshold
 
 
+@pytest.mark.parametrize("nodes", [60, 150])
+def test_what_rounding_could_hide_is_not_certain(nodes: int) -> None:
+    affinity, _ = block_graph([nodes // 2, nodes // 2], between=0.02)
+    degrees = np.diag(affinity.sum(axis=1))
+    second = scipy.linalg.eigvalsh(degrees - affinity, degrees)[1]
+    assert holds_together(affinity, second - 1e-3)
+    for threshold in second + np.array([0.0, 1e-7, 1e-5, 1e-3]):
+        assert not holds_together(affinity, threshold)
+
+
 def test_a_node_alone_and_one_that_nothing_ties_hold_together() -> None:
     assert holds_together(np.zeros((1, 1)), 0.01)
     assert holds_together(np.full((1, 1), 3.0), 0.01)
