@@ -71,13 +71,6 @@ class PipelineCost:
     cpu_ms: dict[str, float]
     start_up: StartUp
 
-    @staticmethod
-    def mean(costs: Sequence[PipelineCost]) -> PipelineCost:
-        """Of several runs; the start-up is that of the first."""
-        wall_ms = fmean(one.wall_ms for one in costs)
-        cpu_ms = mean_of_kinds([one.cpu_ms for one in costs])
-        return PipelineCost(1e3 / wall_ms, wall_ms, cpu_ms, costs[0].start_up)
-
     @property
     def all_cpu_ms(self) -> float:
         """CPU time of all processes, ms a frame."""
