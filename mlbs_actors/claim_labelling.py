@@ -17,22 +17,26 @@ import numpy as np
 
 from mlbs_actors.cleaning import clean_labels
 from mlbs_actors.compilation import compiled
-from mlbs_actors.contact_shadow import look_over
+from mlbs_actors.contact_shadow import Seen, look_over, nothing_seen
 from mlbs_actors.contrast import weights_of
 from mlbs_actors.data_costs import claimed_costs
 from mlbs_actors.fusion import LIKELIHOOD
 from mlbs_actors.level_cut import label_levels
 from mlbs_actors.messages import BACKGROUND, Array
-from mlbs_actors.region_groups import merged
+from mlbs_actors.region_groups import merge_boxes
 from mlbs_actors.shadows import darkened, likelihood_of_shadow
 
 __all__ = ["Claims", "CutRules", "Ground", "Tally", "cut_claims", "label_claims", "publish_claims", "tally"]
 
 
-#: Left, top, width and height.
+#: Left, top, width and height, cells of :attr:`Claims.cost`.
 Box = tuple[int, int, int, int]
-#: What :func:`~mlbs_actors.contact_shadow.look_over` returns.
-Seen = tuple[Array, tuple[Array, Array, Array, Array], Array]
+#: Unary costs, pair weights, label costs, extras and places of a
+#: :class:`~mlbs_actors.label_cost_energy.LabelCostEnergy` with the claims' cells.
+Energy = tuple[Array, Array, Array, Array, Array]
+#: The fields of a :class:`~mlbs_actors.shadows.Darkening` in these cells; without a row if shadows are not
+#: looked for.
+Darkness = tuple[Array, Array, Array, Array]
 
 
 class Claims(NamedTuple):
@@ -71,9 +75,9 @@ class Tally(NamedTuple):
     Attributes
     ----------
     bounds : (K, 4) int64
-        Least x and y and largest x and y, px of the frame.
+        Least x and y and largest x and y, px of the frame; without a meaning for a layer without pixels.
     sums : (K, 3) int64
-        Number of its pixels, 0 for the background and where nothing is known; sums of their x and y.
+        Number of its pixels, 0 for the background; sums of their x and y.
     likelihood : (K,) float64
         Sum of their posteriors.
     """
@@ -136,7 +140,7 @@ class CutRules(NamedTuple):
 def label_claims(
     frame: Array, claims: Claims, positions: Array, ground: Ground, rules: CutRules,
     limits: tuple[float, float], published: Array, tallied: Tally,
-) -> tuple[list[tuple[Array, Box]], list[tuple[Array, Box, Seen]]]:  # fmt: skip
+) -> tuple[list[tuple[Array, Box, Energy, Darkness]], list[tuple[Array, Box, Seen]]]:  # fmt: skip
     """Label the pixels in boxes around claims that touch, one box after the other.
 
     Parameters
@@ -151,45 +155,52 @@ def label_claims(
     limits : (float, float)
         Components of an object and of the background below these areas are removed, px².
     published : (H, W) uint16
-        The label map, filled in there.
+        The label map, filled in in all boxes but those that are not solved.
     tallied : Tally
-        Filled in for the layers that have got pixels.
+        Filled in for the layers of the same.
 
     Returns
     -------
-    left : list of (own, box)
-        What has to be labelled in the general way: which layers claim, the background first, (k,) int64, and
-        left, top, width and height of a box around their claims, cells of ``claims.cost``.
-    dark : list of (own, box, seen)
+    unsolved : list of (own, box, energy, dark)
+        What has to be labelled in the general way, and published then: which layers claim, the background
+        first, (k,) int64, a box around their claims, and what :func:`cut_claims` tells of it.
+    shady : list of (own, box, seen)
         Where pieces of objects may be contact shadows: the same, and what
         :func:`~mlbs_actors.contact_shadow.look_over` has seen in that box of the label map.
     """
-    left = [(np.zeros(0, np.int64), (0, 0, 0, 0)) for _ in range(0)]
-    dark = [(np.zeros(0, np.int64), (0, 0, 0, 0), _nothing_seen()) for _ in range(0)]
+    # Lists of nothing, by which Numba knows the types.
+    none, plain, nowhere = np.zeros(0, np.int64), np.zeros((0, 0), np.float32), (0, 0, 0, 0)
+    no_energy = (
+        np.zeros((0, 0, 0), np.int32), np.zeros((0, 0, 0), np.int32), none, np.zeros((0, 4), np.int64),
+        np.zeros((0, 4), np.int64),
+    )  # fmt: skip
+    unsolved = [(none, nowhere, no_energy, (plain, plain, plain, plain)) for _ in range(0)]
+    shady = [(none, nowhere, nothing_seen()) for _ in range(0)]
     _, rows, columns = claims.cost.shape
     corners = claims.boxes[1:][:, np.array([2, 0, 3, 1])]
-    group = merged(corners, rows, columns)
+    group = merge_boxes(corners, rows, columns)
     for first in range(group.size):
         if group[first] != first:
             continue
-        own = np.zeros(1 + (group == first).sum(), np.int64)
-        own[1:] = 1 + np.flatnonzero(group == first)
-        begin, top, end, bottom = corners[first]
-        box = (begin, top, end - begin, bottom - top)
-        labelling, found, _, darkening = cut_claims(frame, claims, own, box, positions, ground, rules)
+        members = 1 + np.flatnonzero(group == first)
+        own = np.zeros(1 + members.size, np.int64)
+        own[1:] = members
+        left, top, right, bottom = corners[first]
+        box = (left, top, right - left, bottom - top)
+        labelling, found, energy, dark = cut_claims(frame, claims, own, box, positions, ground, rules)
         if not found:
-            left.append((own, box))
+            unsolved.append((own, box, energy, dark))
             continue
-        seen = publish_claims(labelling, claims, own, box, limits, darkening, published, tallied)
+        seen = publish_claims(labelling, claims, own, box, limits, dark, published, tallied)
         if seen[2].size > 0:
-            dark.append((own, box, seen))
-    return left, dark
+            shady.append((own, box, seen))
+    return unsolved, shady
 
 
 @compiled()
 def cut_claims(
     frame: Array, claims: Claims, own: Array, box: Box, positions: Array, ground: Ground, rules: CutRules
-) -> tuple[Array, bool, tuple[Array, Array, Array, Array, Array], tuple[Array, Array, Array, Array]]:
+) -> tuple[Array, bool, Energy, Darkness]:
     """Label the pixels in a box around claims.
 
     Parameters
@@ -202,15 +213,11 @@ def cut_claims(
     Returns
     -------
     labels : (height, width) int16
-        Positions among ``own``.
+        Positions among ``own``; without a meaning if they are not found.
     found : bool
         False if this has to be done in the general way.
-    energy : (Array, Array, Array, Array, Array)
-        Unary costs, pair weights, label costs, extras and places of a
-        :class:`~mlbs_actors.label_cost_energy.LabelCostEnergy` with the claims' cells.
-    dark : (Array, Array, Array, Array)
-        The fields of a :class:`~mlbs_actors.shadows.Darkening` in these cells; without a row if shadows are
-        not looked for.
+    energy : Energy
+    dark : Darkness
     """
     left, top, width, height = box
     column, row, side = claims.corner[0] + left, claims.corner[1] + top, claims.side
@@ -238,7 +245,7 @@ def cut_claims(
 @compiled()
 def publish_claims(
     labelling: Array, claims: Claims, own: Array, box: Box, limits: tuple[float, float],
-    dark: tuple[Array, Array, Array, Array], published: Array, tallied: Tally,
+    dark: Darkness, published: Array, tallied: Tally,
 ) -> Seen:  # fmt: skip
     """Put labels into the published map, clean them there, and see what has come of them.
 
@@ -266,20 +273,13 @@ def publish_claims(
     clean_labels(published, (x, y, width, height), limits[0], limits[1])
     labels = published[y : y + height, x : x + width].copy()
     tally(labels, claims, own, box, tallied)
-    if dark[0].size == 0:
-        return _nothing_seen()
     return look_over(labels, dark[0], dark[1], dark[2], claims.side)
 
 
 @compiled()
-def _nothing_seen() -> Seen:
-    none = np.zeros(0, np.int64)
-    return np.zeros((0, 0), np.bool_), (none, none, none, none), np.zeros((0, 5), np.int64)
-
-
-@compiled()
 def tally(labels: Array, claims: Claims, own: Array, box: Box, tallied: Tally) -> None:
-    """Fill in what the labels (height, width) in a box of claims look like; as :func:`label_claims` says."""
+    """Fill in what the labels (height, width) in a box of claims look like, for the layers that claim there
+    (``own``) alone; what was filled in for them before is forgotten."""
     left, top, side = box[0], box[1], claims.side
     corner_x, corner_y = (claims.corner[0] + left) * side, (claims.corner[1] + top) * side
     position = np.zeros(claims.ids[own].max() + 1, np.int64)

@@ -17,7 +17,10 @@ from mlbs_actors.messages import BACKGROUND, Array, Region
 from mlbs_actors.region_groups import grown, slices_in
 from mlbs_actors.shadows import CHANNEL_NOISE, CHANNEL_SPREAD, Darkening
 
-__all__ = ["contact_shadow", "look_over", "shadow_strips"]
+__all__ = ["Seen", "contact_shadow", "look_over", "nothing_seen", "shadow_strips"]
+
+#: What :func:`look_over` returns.
+Seen = tuple[Array, tuple[Array, Array, Array, Array], Array]
 
 #: Log darkening of a contact shadow, and its steepest mean gradient over 5×5 px, grey levels/px of 640×480.
 CONTACT_DARK, CONTACT_SMOOTH = -0.7, 6.0
@@ -59,7 +62,7 @@ def contact_shadow(
 def shadow_strips(
     labels: Array,
     frame: Array,
-    seen: tuple[Array, tuple[Array, Array, Array, Array], Array],
+    seen: Seen,
     side: int,
     scale: float,
     rise: float,
@@ -84,16 +87,21 @@ def shadow_strips(
 
 
 @compiled()
-def look_over(
-    labels: Array, mean: Array, spread: Array, brightness: Array, side: int
-) -> tuple[Array, tuple[Array, Array, Array, Array], Array]:
+def look_over(labels: Array, mean: Array, spread: Array, brightness: Array, side: int) -> Seen:
     """The cells without light, the label map's runs, and the pieces of objects to look at more closely; runs
     are only looked for if there is such a cell."""
-    unlit, none = _unlit(mean, spread, brightness), np.zeros(0, np.int64)
+    unlit = _unlit(mean, spread, brightness)
     if not unlit.any():
-        return unlit, (none, none, none, none), np.zeros((0, 5), np.int64)
+        return nothing_seen()
     runs = label_runs(labels, True)
     return unlit, runs, _unlit_pieces(labels, runs[0], runs[1], runs[2], runs[3], unlit, side)
+
+
+@compiled()
+def nothing_seen() -> Seen:
+    """:func:`look_over` a map in which nothing lacks light."""
+    none = np.zeros(0, np.int64)
+    return np.zeros((0, 0), np.bool_), (none, none, none, none), np.zeros((0, 5), np.int64)
 
 
 @compiled()

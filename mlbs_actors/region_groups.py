@@ -18,7 +18,7 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["RegionGroup", "group_regions", "grown", "merged", "slices_in"]
+__all__ = ["RegionGroup", "group_regions", "grown", "merge_boxes", "slices_in"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ def group_regions(regions: Sequence[Region], shape: tuple[int, int]) -> list[Reg
     corners = np.array([(one.x, one.y, one.x + one.width, one.y + one.height) for one in regions], np.int64)
     corners = corners.reshape(-1, 4)
     groups: dict[int, list[int]] = {}
-    for position, group in enumerate(merged(corners, *shape).tolist()):
+    for position, group in enumerate(merge_boxes(corners, *shape).tolist()):
         if group >= 0:
             groups.setdefault(group, []).append(position)
     boxes = [corners[group].tolist() for group in groups]
@@ -66,9 +66,22 @@ def group_regions(regions: Sequence[Region], shape: tuple[int, int]) -> list[Reg
 
 
 @compiled()
-def merged(corners: Array, height: int, width: int) -> Array:
-    """Grow boxes (n, 4: left, top, right, bottom) by a pixel and merge them until none overlap: the first of
-    each one's group, whose corners become those of the whole group; -1 for empty ones."""
+def merge_boxes(corners: Array, height: int, width: int) -> Array:
+    """Grow boxes by one pixel, or cell, and merge them until none overlap.
+
+    Parameters
+    ----------
+    corners : (n, 4) int64
+        Left, top, right and bottom; those of the first of a group become the group's, the others' have no
+        meaning then.
+    height, width : int
+        Of the frame, in which they stay.
+
+    Returns
+    -------
+    (n,) int64
+        The first of each one's group; −1 for empty boxes.
+    """
     group = np.arange(len(corners))
     for one in range(len(corners)):
         box = corners[one]

@@ -7,8 +7,8 @@ where samples are missing: trajectory labels decide, contrast draws the outline,
 shadows, which move with an object, are told from it (:mod:`mlbs_actors.shadows`). The published map is
 the cleaned one (specks, pinholes and contact shadows removed), and it is the one the layers learn from.
 A layer other than the background can own nothing outside its region, so regions near each other are looked at
-together and by themselves (:mod:`mlbs_actors.region_groups`); in them what the layers claim is labelled
-(:mod:`mlbs_actors.claims`).
+together and by themselves (:mod:`mlbs_actors.region_groups`); in them what the layers claim
+(:mod:`mlbs_actors.claims`) is labelled (:mod:`mlbs_actors.claim_labelling`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from mlbs_actors.claim_labelling import (
     CutRules,
     Ground,
     Tally,
-    cut_claims,
     label_claims,
     publish_claims,
     tally,
@@ -181,25 +180,23 @@ class Segmenter:
         boxes = claims_of_layers(fused.cost, fused.places, evidence.positions, tracks, corner, side)
         ids = np.array([one.layer for one in members], np.uint16)
         claims = Claims(fused.cost, fused.normaliser, boxes, tracks, ids, corner, side)
-        fusing = perf_counter()
+        fused_at = perf_counter()
         config, scale = self.config.segmentation, length_scale(*result.labels.shape)
         limits = (config.speck_px * scale**2, config.hole_px * scale**2)
         tallied = Tally.of_nothing(len(members))
-        left, dark = label_claims(
+        unsolved, shady = label_claims(
             scene.frame, claims, evidence.positions, scene.ground, scene.rules, limits, result.labels, tallied
         )
-        for own, box in left:
-            labelling, _, energy, darkening = cut_claims(
-                scene.frame, claims, own, box, evidence.positions, scene.ground, scene.rules
-            )
+        for own, box, energy, dark in unsolved:
             costs, weights, label_costs, pulls, places = energy
             labelling = searched_labels(LabelCostEnergy(costs, weights, label_costs, side, pulls, places))
-            seen = publish_claims(labelling, claims, own, box, limits, darkening, result.labels, tallied)
-            if len(seen[2]):
-                dark.append((own, box, seen))
-        solved = perf_counter()
-        for own, box, seen in dark if config.contact_shadow > 0 else ():
-            place = in_pixels(_moved(box, corner), side, result.labels.shape)
+            seen = publish_claims(labelling, claims, own, box, limits, dark, result.labels, tallied)
+            shady.append((own, box, seen))
+        labelled_at = perf_counter()
+        for own, box, seen in shady if config.contact_shadow > 0 else ():
+            left, top, width, height = box
+            cells_of_box = Region(cells.x + left, cells.y + top, width, height)
+            place = in_pixels(cells_of_box, side, result.labels.shape)
             labels = result.labels[place.slices].copy()
             strip = shadow_strips(labels, scene.frame[place.slices], seen, side, scale, config.contact_shadow)
             if strip.any():
@@ -207,9 +204,9 @@ class Segmenter:
                 result.labels[place.slices] = labels
                 tally(labels, claims, own, box, tallied)
         summaries = _summaries(tallied, members)
-        stage_ms["fusion"] += 1e3 * (fusing - start)
-        stage_ms["cut"] += 1e3 * (solved - fusing)
-        stage_ms["cleaning"] += 1e3 * (perf_counter() - solved)
+        stage_ms["fusion"] += 1e3 * (fused_at - start)
+        stage_ms["cut"] += 1e3 * (labelled_at - fused_at)
+        stage_ms["cleaning"] += 1e3 * (perf_counter() - labelled_at)
         return summaries
 
 
@@ -235,11 +232,6 @@ class _Maps:
     def of_background(cls, shape: tuple[int, int], grid: tuple[int, int]) -> _Maps:
         """What holds where no object has a say, of so many pixels and cells."""
         return cls(np.zeros(shape, np.uint16), np.full(grid, 255, np.uint8), np.zeros(grid, np.int8))
-
-
-def _moved(box: tuple[int, int, int, int], corner: tuple[int, int]) -> Region:
-    """A box as a region of the frame's cells."""
-    return Region(corner[0] + box[0], corner[1] + box[1], box[2], box[3])
 
 
 def _summaries(tallied: Tally, posteriors: list[LayerPosterior]) -> list[LayerSummary]:

@@ -25,6 +25,7 @@ def claims(seed: int) -> Claims:
 @pytest.mark.parametrize("size", [(10, 12), (9, 11)])  # the frame can end in the last cells
 def test_bounds_areas_centres_and_posteriors_are_those_of_each_labels_pixels(size: tuple[int, int]) -> None:
     given, tallied = claims(size[0]), Tally.of_nothing(5)
+    tallied.sums[[1, 3]] = 77  # of layers that claim elsewhere
     labels = np.random.default_rng(1).choice(IDS[OWN], size)
     tally(labels, given, OWN, BOX, tallied)
     for own in OWN[1:]:
@@ -38,7 +39,7 @@ def test_bounds_areas_centres_and_posteriors_are_those_of_each_labels_pixels(siz
             above = int(given.cost[own][cell]) - int(given.normaliser[cell])
             expected += np.exp(-COST_STEP * max(above, 0))
         assert tallied.likelihood[own] == pytest.approx(expected)
-    assert tallied.sums[[0, 1, 3]].tolist() == [[0, 0, 0]] * 3  # the background and who has no claim there
+    assert tallied.sums[[0, 1, 3]].tolist() == [[0, 0, 0], [77, 77, 77], [77, 77, 77]]
 
 
 def test_a_later_tally_takes_the_place_of_the_first() -> None:

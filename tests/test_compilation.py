@@ -8,9 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from numba.core.dispatcher import Dispatcher
 
 from mlbs_actors import compilation
 from mlbs_actors.actors.parts import has_kernels
+from mlbs_actors.claim_labelling import label_claims
 
 _CALLER = """
 from mlbs_actors.called import STEP, one
@@ -96,7 +98,9 @@ def test_kernels_are_kept_that_are_younger_than_the_modules(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    module, kept = tmp_path / "segmenter.py", tmp_path / "__pycache__/segmenter._tally-1.py311.nbi"
+    assert isinstance(label_claims, Dispatcher)  # the one that is looked for
+    module = tmp_path / "claim_labelling.py"
+    kept = tmp_path / "__pycache__/claim_labelling.label_claims-1.py311.nbi"
     module.touch()
     assert not has_kernels(tmp_path)
     kept.parent.mkdir()

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from joined_evidence import joined_evidence
 
-from mlbs_actors.config import Config
+from mlbs_actors import segmenter
+from mlbs_actors.config import Config, length_scale
 from mlbs_actors.contrast import COST_QUANTUM, MAX_COST, contrast_weights
 from mlbs_actors.errors import FrameError
 from mlbs_actors.fusion import fused_costs
-from mlbs_actors.graph_cut import minimise
+from mlbs_actors.graph_cut import minimise, searched_labels
 from mlbs_actors.label_cost_energy import LabelCostEnergy
 from mlbs_actors.messages import (
     BACKGROUND,
@@ -249,6 +250,47 @@ def test_the_dark_strip_under_an_object_goes_to_the_background_and_is_no_part_of
     assert (results[0.25].labels[strip.slices] == 0).mean() > 0.8
     assert (results[0.25].labels[car.slices] == 7).all()
     assert results[0.25].layers[0].area == np.count_nonzero(results[0.25].labels == 7)
+
+
+def test_each_box_of_claims_in_a_region_has_its_labels_and_its_summary() -> None:
+    far_left, far_right = Region(3, 3, 7, 6), Region(20, 14, 9, 7)
+    posteriors = [posterior(0, 80)]
+    for layer, box in ((4, far_left), (6, None), (9, far_right)):  # one of them claims nothing
+        cost = np.full(SHAPE, 200, np.uint8)
+        if box is not None:
+            cost[box.slices] = 10
+        posteriors.append(posterior(layer, cost))
+    result = segmented(posteriors, configured(track_cost=0.0))
+    expected = np.zeros(SHAPE, np.uint16)
+    expected[far_left.slices], expected[far_right.slices] = 4, 9
+    np.testing.assert_array_equal(result.labels, expected)
+    assert [(one.layer, one.region, one.area) for one in result.layers] == [
+        (4, far_left, far_left.area),
+        (9, far_right, far_right.area),
+    ]
+    assert [one.centroid for one in result.layers] == [(6.0, 5.5), (24.0, 17.0)]
+
+
+def test_what_has_to_be_cut_in_the_general_way_is_published_like_the_rest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    general = []
+
+    def search(energy: LabelCostEnergy) -> Array:
+        general.append(energy)
+        return searched_labels(energy)
+
+    monkeypatch.setattr(segmenter, "searched_labels", search)
+    # Beside a layer for the left half and one for the right half, one that is hardly worse everywhere: to use
+    # it pays only if it frees both of their label costs at once.
+    left, right = np.full((2, *SHAPE), 100, np.uint8)
+    left[:, :16] = right[:, 16:] = 0
+    posteriors = [posterior(0, 100), posterior(2, left), posterior(3, right), posterior(5, 1)]
+    of_a_label = 2.5 * left[:, :16].size * COST_STEP / length_scale(*SHAPE) ** 2
+    result = segmented(posteriors, configured(track_cost=0.0, label_cost=of_a_label))
+    assert len(general) == 1
+    assert (result.labels == 5).all()
+    assert [(one.layer, one.region, one.area) for one in result.layers] == [(5, WHOLE, WHOLE.area)]
 
 
 def test_where_the_layers_cost_the_same_the_trajectories_decide() -> None:
