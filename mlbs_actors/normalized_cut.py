@@ -89,13 +89,20 @@ def holds_together(affinity: Array, threshold: float) -> bool:
 
 
 @compiled()
+def _degrees(affinity: Array) -> tuple[Array, Array]:
+    """The diagonal of D, (n,), and that of D^-½."""
+    degree, scale = np.empty(len(affinity)), np.empty(len(affinity))
+    for node in range(len(affinity)):
+        degree[node] = max(affinity[node].sum(), 1e-12)
+        scale[node] = 1.0 / np.sqrt(degree[node])
+    return degree, scale
+
+
+@compiled()
 def _shifted_laplacian(affinity: Array, threshold: np.float32) -> Array:
     """The normalised Laplacian with its smallest eigenvalue moved from 0 to 2, less threshold · I."""
     count = len(affinity)
-    degree, scale, trivial = np.empty(count), np.empty(count), np.empty(count, np.float32)
-    for node in range(count):
-        degree[node] = max(affinity[node].sum(), 1e-12)
-        scale[node] = 1.0 / np.sqrt(degree[node])
+    (degree, scale), trivial = _degrees(affinity), np.empty(count, np.float32)
     volume = degree.sum()
     for node in range(count):
         trivial[node] = np.sqrt(degree[node] * (2.0 / volume))
@@ -144,11 +151,7 @@ def _normalised(affinity: Array) -> tuple[Array, Array]:
 
     Only the order of an eigenvector's entries counts, so single precision does.
     """
-    count = len(affinity)
-    degree, scale = np.empty(count), np.empty(count)
-    for node in range(count):
-        degree[node] = max(affinity[node].sum(), 1e-12)
-        scale[node] = 1.0 / np.sqrt(degree[node])
+    count, (degree, scale) = len(affinity), _degrees(affinity)
     normalised = np.empty((count, count), np.float32)
     for one in range(count):
         for other in range(count):
