@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import zlib
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import replace
@@ -36,7 +37,7 @@ from mlbs_actors.actors import Node, PoolPolicy
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import CoordinatorPart
 from mlbs_actors.actors.processes import end, spawn
-from mlbs_actors.actors.shared_memory import Slot, SlotPool
+from mlbs_actors.actors.shared_memory import Slot, SlotKind, SlotPool
 from mlbs_actors.actors.sink import GapRow, SinkActor
 from mlbs_actors.actors.stream_protocol import SourceFrame, SourceSilence, SourceStatus, StreamProgress
 from mlbs_actors.actors.turns import Turns
@@ -191,6 +192,38 @@ def test_messages_are_read_before_their_memory_is_given_back_also_by_a_stream_th
     run_to_end(node.start(spec("camera", FakeCamera(answers, tmp_path))))
     node.close()
     assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+
+
+class _NotingParts(FakeParts):
+    """Each slot that is lent is a line in a file."""
+
+    def coordinator(self, config: Config) -> CoordinatorPart:
+        take, lent = SlotPool.take, (self.folder / "lent").open("a", buffering=1)
+
+        def noted(self: SlotPool, kind: SlotKind) -> Slot:
+            slot = take(self, kind)
+            lent.write(f"{kind} {slot.descriptor}\n")
+            return slot
+
+        SlotPool.take = noted  # type: ignore[method-assign]  # in the coordinator's process alone
+        return super().coordinator(config)
+
+
+def test_what_only_segmenter_and_layers_read_stays_in_few_slots_however_slow_the_sink_is(
+    ray_session: RaySession, tmp_path: Path
+) -> None:
+    node = Node(parts=_NotingParts(tmp_path))
+    pictures = [picture(t, live=[1, 2]) for t in range(40)]
+    run_to_end(
+        node.start(spec("slow", FakeReader([*pictures], tmp_path), FakeSink(tmp_path, slow_seconds=0.02)))
+    )
+    node.close()
+    lent = set((tmp_path / "lent").read_text().splitlines())
+    slots = Counter(line.partition(" ")[0] for line in lent)
+    frames = 4  # at most three under way, and the one before
+    assert slots["evidence"] <= frames
+    assert slots["posterior"] <= frames * 3
+    assert slots["frame"] > frames
 
 
 def test_a_stream_ends_after_its_most_frames(node: Node, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import textwrap
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotPool
+from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotKind, SlotPool
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.errors import ActorLostError, LayerError
 from mlbs_actors.messages import Array, LayerEvidence
@@ -87,12 +88,42 @@ def test_a_slot_grows_with_its_messages_and_what_was_read_before_stays() -> None
 def test_the_slot_that_came_back_last_is_lent_first_and_kinds_do_not_mix() -> None:
     slots = SlotPool()
     one, two = slots.take("frame"), slots.take("frame")
-    slots.give_back([one, two])
+    slots.give_back([one])
+    slots.give_back([two])
     assert slots.take("evidence").descriptor not in (one.descriptor, two.descriptor)
     assert [slots.take("frame").descriptor, slots.take("frame").descriptor] == [
         two.descriptor,
         one.descriptor,
     ]
+
+
+def test_slots_of_a_frame_are_lent_again_in_the_same_order() -> None:
+    slots = SlotPool()
+    first = [slots.take("posterior") for _ in range(4)]
+    slots.give_back(first)
+    again = [slots.take("posterior") for _ in range(4)]
+    assert [one.descriptor for one in again] == [one.descriptor for one in first]
+
+
+def test_all_slots_of_some_kinds_can_be_found_at_once() -> None:
+    slots, writer, reader = SlotPool(), SharedMemory(), SharedMemory()
+    kinds: tuple[SlotKind, ...] = ("frame", "frame", "posterior")
+    taken = [writer.share(noise(4, 4, seed), slots.take(kind)) for seed, kind in enumerate(kinds)]
+    empty = slots.take("frame")  # never written, so there is nothing to be found yet
+    reader.learn(os.getpid(), ("frame", "segmentation"))
+    found = set(map(tuple, reader.places()[:, :2].tolist()))  # and what other tests have made
+    first, second, other = ((one.slot.owner, one.slot.descriptor) for one in taken)
+    assert {first, second} <= found
+    assert found.isdisjoint({other, (empty.owner, empty.descriptor)})
+    for seed, one in enumerate(taken):
+        assert np.array_equal(reader.taken(one), noise(4, 4, seed))
+
+
+def test_who_looks_for_slots_of_an_owner_that_is_gone_finds_none() -> None:
+    reader = SharedMemory()
+    kinds: tuple[SlotKind, ...] = ("frame",)
+    reader.learn(2**22 + 1, kinds)  # beyond the greatest process id
+    assert len(reader.places()) == 0
 
 
 def test_a_message_that_is_read_too_late_is_refused() -> None:

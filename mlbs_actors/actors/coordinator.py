@@ -118,7 +118,7 @@ class CoordinatorActor:
             else LiveReadAhead(links.reader, spec.max_frames, self._slots, self._memory)
         )
         self._layers = LiveLayers(links.pool, run, spec.config)
-        self._labelling = Labelling(links.segmenter)
+        self._labelling = Labelling(links.segmenter, self._slots)
         self._record = Record(links.sink, run, spec, self._slots)
         # Not yet labelled, in source order; a picture with where the others find it.
         self._waiting: deque[tuple[Shared[SourceFrame] | None, SourceFrame]] = deque()
@@ -349,7 +349,7 @@ class CoordinatorActor:
         background = self._slots.take("appearance") if wanted else None
         shared = self._memory.share(evidence, told)
         self._labelling.start(FrameWork(shared, frame, labelled, posteriors, housed, background))
-        slots = (frame.slot, told, labelled, *posteriors, *(one.state for one in housed))
+        slots = (frame.slot, labelled)
         self._record.expect(frame, slots if background is None else (*slots, background))
         self._write_gaps()
 

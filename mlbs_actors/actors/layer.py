@@ -12,7 +12,7 @@ from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import LayerPart, NoteLoop, PartFactory
 from mlbs_actors.actors.priority import stepping_back
 from mlbs_actors.actors.saved_states import SavedLayer, SaveState, StateWriter, layer_file
-from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
+from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotKind
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import LayerError
@@ -22,6 +22,9 @@ from mlbs_actors.process_memory import settle_memory
 from mlbs_actors.state_file import CapturedState, capture
 
 __all__ = ["LayerActor", "LayerStart", "LayerWork"]
+
+#: What a layer reads of each frame.
+_READ: tuple[SlotKind, ...] = ("frame", "evidence", "segmentation")
 
 
 @pickled_by_values
@@ -148,6 +151,7 @@ class LayerActor:
         own = start.own
         part = self._parts.layer(self._config, own.layer, own.kind)
         part.state = self._memory.taken(start.state).state(type(part.state))
+        self._memory.learn(start.state.slot.owner, _READ)
         loop = self._parts.loop(part, self._memory)
         self._work = LayerWork(own, part, self._memory, loop)
 

@@ -28,7 +28,7 @@ from mlbs_actors.actors.saved_states import (
     SaveState,
     StateWriter,
 )
-from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
+from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
@@ -71,6 +71,11 @@ class FrameWork:
     posteriors: tuple[Slot, ...]
     housed: tuple[Housed, ...]
     background: Slot | None
+
+    @property
+    def inner_slots(self) -> tuple[Slot, ...]:
+        """Those that only the segmenter and the layers read."""
+        return (self.evidence.slot, *self.posteriors, *(one.state for one in self.housed))
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +201,8 @@ class Labelling:
     ----------
     segmenter : Handle
         The stream's :class:`SegmenterActor`.
+    slots : SlotPool
+        Of the stream.
 
     Attributes
     ----------
@@ -207,8 +214,10 @@ class Labelling:
 
     served: Reference
 
-    def __init__(self, segmenter: Handle) -> None:
+    def __init__(self, segmenter: Handle, slots: SlotPool) -> None:
         self._segmenter = segmenter
+        self._slots = slots
+        self._in_use: deque[tuple[Slot, ...]] = deque()  # of the frames under way, and of the one before
         self._offer: Reference = segmenter.offer.remote()
         self._channel: Channel | None = None
         self.under_way = 0
@@ -231,6 +240,7 @@ class Labelling:
     def start(self, work: FrameWork) -> None:
         """Have the next frame labelled."""
         self._opened.send(work)
+        self._in_use.append(work.inner_slots)
         self.under_way += 1
 
     def retire(self, layers: tuple[int, ...]) -> None:
@@ -246,9 +256,11 @@ class Labelling:
         return self.under_way > 0 and self._opened.has_note()
 
     def next(self) -> LabelledFrame:
-        """Wait for the next label map."""
+        """Wait for the next label map; take the slots back that were needed until then."""
         labelled: LabelledFrame = self._opened.receive()
         self.under_way -= 1
+        while len(self._in_use) > self.under_way + 1:
+            self._slots.give_back(self._in_use.popleft())
         return labelled
 
     def close(self) -> None:

@@ -21,8 +21,10 @@ import mmap
 import os
 import pickle
 import struct
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
@@ -34,6 +36,9 @@ from mlbs_actors.pickling import pickled_by_values
 __all__ = ["ALIGNMENT", "HEADER", "PLACE", "Shared", "SharedMemory", "Slot", "SlotKind", "SlotPool"]
 
 Message = TypeVar("Message")
+
+#: Begin of the name of a slot's memory; its kind follows.
+_NAME = "mlbs-"
 
 #: What a slot is for; messages of a kind are about as large as each other.
 SlotKind = Literal["frame", "evidence", "posterior", "segmentation", "appearance", "state"]
@@ -103,11 +108,15 @@ class SlotPool:
         if free:
             last = free.pop()
             return Slot(kind, last.owner, last.descriptor, last.turn + 1)
-        return Slot(kind, os.getpid(), os.memfd_create(f"mlbs-{kind}"), 1)
+        return Slot(kind, os.getpid(), os.memfd_create(f"{_NAME}{kind}"), 1)
 
     def give_back(self, slots: Sequence[Slot]) -> None:
-        """Take slots back whose messages nobody reads any more."""
-        for slot in slots:
+        """Take slots of a frame back whose messages nobody reads any more.
+
+        If slots are lent again in the order in which these were, each is for the same again, and where it is
+        written it is known already.
+        """
+        for slot in reversed(slots):
             self._free[slot.kind].append(slot)
 
 
@@ -194,6 +203,15 @@ class SharedMemory:
             np.ndarray(shape[:dimensions], _TYPES[kind], memory, begin)
             for begin, kind, dimensions, *shape in places
         ]
+
+    def learn(self, owner: int, kinds: Collection[SlotKind]) -> None:
+        """Find all slots of these kinds that an owner has, for who is slow where it meets a new one."""
+        names = {f"memfd:{_NAME}{kind} (deleted)": kind for kind in kinds}
+        with suppress(OSError, ActorLostError):  # an owner that is gone is missed where its slots are read
+            for one in Path(f"/proc/{owner}/fd").iterdir():
+                kind = names.get(one.readlink().name)
+                if kind is not None and one.stat().st_size:
+                    self._mapped(Slot(kind, owner, int(one.name), 0), 0, grow=False)
 
     def places(self) -> Array:
         """Owner, descriptor, address and size of the slots that have been read or written here, (n, 4) int64.

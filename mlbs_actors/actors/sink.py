@@ -123,7 +123,7 @@ class SinkActor:
 
 @dataclass(frozen=True, slots=True)
 class _Expected:
-    """A frame whose label map is to come, and the slots of all messages about it."""
+    """A frame whose label map is to come, and the slots of what the sink reads of it."""
 
     frame: Shared[SourceFrame]
     slots: tuple[Slot, ...]
@@ -187,9 +187,9 @@ class Record:
     def expect(self, frame: Shared[SourceFrame], slots: tuple[Slot, ...]) -> None:
         """Note that the next row is that of a frame whose label map is to come.
 
-        ``slots`` are those of all messages about it. They are given back when two more label maps have
-        come to the sink: with the next frame the layers may still read this one, with the one after it the
-        coordinator.
+        ``slots`` are those of all that the sink reads of it. They are given back when two more label maps
+        have come to the sink: with the next frame the layers may still read this one, with the one after it
+        the coordinator.
         """
         self._expected.append(_Expected(frame, slots))
         self.rows, self.label_maps = self.rows + 1, self.label_maps + 1
