@@ -58,14 +58,15 @@ def draw_labels(image: Array, labels: Array, regions: Mapping[int, Region] | Non
         cv2.copyTo(tinted, cv2.erode(mask, around), canvas)
         x, y = _inner_point(mask)
         texts.append((str(layer), (left + x, top + y)))
+    digit_height = _text_height(drawn)
     for text, place in texts:
-        _write(drawn, text, place)
+        _write(drawn, text, place, digit_height)
     return drawn
 
 
 def draw_caption(image: Array, text: str) -> None:
     """Write a line into the picture's upper left corner, in place."""
-    _write(image, text, (0, 0))
+    _write(image, text, (0, 0), _text_height(image))
 
 
 def _regions(labels: Array) -> dict[int, Region]:
@@ -90,9 +91,9 @@ def _inner_point(mask: Array) -> tuple[int, int]:
     return x, y
 
 
-def _write(picture: Array, text: str, centre: tuple[int, int]) -> None:
+def _write(picture: Array, text: str, centre: tuple[int, int], digit_height: int) -> None:
     """Write white text with a black rim around a point, moved so far that it lies in the picture."""
-    fill, rim = _stencil(text, _text_height(picture))
+    fill, rim = _stencil(text, digit_height)
     height, width = fill.shape[:2]
     top = max(min(centre[1] - height // 2, picture.shape[0] - height), 0)
     left = max(min(centre[0] - width // 2, picture.shape[1] - width), 0)
