@@ -25,7 +25,7 @@ from orchestrator.sinks import commit_log
 from orchestrator.sinks.label_image import davis_palette, encode_label_image, voc_colours
 from orchestrator.sinks.overlay import OverlayVideo
 from orchestrator.sinks.record import FIRST_COMMIT, GROUP_FRAMES, StreamRecord
-from orchestrator.sinks.tables import run_length_codes
+from orchestrator.sinks.tables import run_length_code
 
 EVERYTHING = frozenset({"masks", "parquet", "overlay"})
 
@@ -174,17 +174,14 @@ def test_the_rows_say_what_the_label_maps_hold(tmp_path: Path) -> None:
     labels=arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.integers(0, 2)),
     margin=st.integers(0, 2),
 )
-def test_run_length_codes_are_those_of_pycocotools(labels: Array, margin: int) -> None:
-    places, expected = [], []
+def test_a_run_length_code_is_that_of_pycocotools(labels: Array, margin: int) -> None:
     for layer in np.unique(labels).tolist():
         y, x = np.nonzero(labels == layer)
         left, top = max(x.min() - margin, 0), max(y.min() - margin, 0)
         right, bottom = min(x.max() + margin + 1, labels.shape[1]), min(y.max() + margin + 1, labels.shape[0])
-        places.append((layer, Region(int(left), int(top), int(right - left), int(bottom - top))))
-        code = coco_mask.encode(np.asfortranarray(labels == layer, dtype=np.uint8))["counts"]
-        expected.append(code.decode("ascii"))
-    assert run_length_codes(labels, places) == tuple(expected)
-    assert run_length_codes(labels, []) == ()
+        region = Region(int(left), int(top), int(right - left), int(bottom - top))
+        expected = coco_mask.encode(np.asfortranarray(labels == layer, dtype=np.uint8))["counts"]
+        assert run_length_code(labels, layer, region) == expected.decode("ascii")
 
 
 def test_a_frame_without_label_map_is_a_row_without_results(tmp_path: Path) -> None:

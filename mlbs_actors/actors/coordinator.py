@@ -349,8 +349,7 @@ class CoordinatorActor:
         background = self._slots.take("appearance") if wanted else None
         shared = self._memory.share(evidence, told)
         self._labelling.start(FrameWork(shared, frame, labelled, posteriors, housed, background))
-        slots = (frame.slot, labelled)
-        self._record.expect(frame, slots if background is None else (*slots, background))
+        self._record.expect(frame)
         self._write_gaps()
 
     def _write_labelled(self) -> None:

@@ -259,7 +259,7 @@ class Labelling:
         """Wait for the next label map; take the slots back that were needed until then."""
         labelled: LabelledFrame = self._opened.receive()
         self.under_way -= 1
-        while len(self._in_use) > self.under_way + 1:
+        if len(self._in_use) > self.under_way + 1:
             self._slots.give_back(self._in_use.popleft())
         return labelled
 

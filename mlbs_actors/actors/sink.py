@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import ray
 from ray.exceptions import RayError
@@ -37,7 +37,8 @@ _PENDING_ROWS = 14
 #: the writing. But somebody may be looking at what a camera sees.
 _FILE_ROWS, _CAMERA_ROWS = 8, 4
 
-#: Newest rows in the sink whose messages others may still read.
+#: Newest label maps in the sink whose messages others may still read: with the next frame the layers, with
+#: the one after it the coordinator.
 _READ_ROWS = 2
 
 #: Snapshots that may be under way to the disk; at more the oldest is given up.
@@ -55,6 +56,12 @@ class LabelRow:
     segmentation: Shared[Segmentation]
     frame: Shared[SourceFrame]
     background: Shared[LayerAppearance] | None
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """Where its parts are."""
+        parts = (self.segmentation, self.frame, self.background)
+        return tuple(part.slot for part in parts if part is not None)
 
 
 @pickled_by_values
@@ -121,22 +128,6 @@ class SinkActor:
         return self._records[run]
 
 
-@dataclass(frozen=True, slots=True)
-class _Expected:
-    """A frame whose label map is to come, and the slots of what the sink reads of it."""
-
-    frame: Shared[SourceFrame]
-    slots: tuple[Slot, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Batch:
-    """Rows that go to the sink in one call, and the slots of each label map among them."""
-
-    rows: list[LabelRow | GapRow] = field(default_factory=list)
-    slots: list[tuple[Slot, ...]] = field(default_factory=list)
-
-
 class Record:
     """The coordinator's end of its record: keeps a bounded number of rows under way.
 
@@ -167,9 +158,9 @@ class Record:
         self._opened: Reference = sink.open.remote(run, spec.open_sink)
         self._batch_rows = _FILE_ROWS if spec.replayable else _CAMERA_ROWS
         # In the order of the record: rows to come, rows that are there, and batches under way to the sink.
-        self._expected: deque[GapRow | _Expected] = deque()
-        self._batch = _Batch()
-        self._pending: deque[tuple[Reference, _Batch]] = deque()
+        self._expected: deque[GapRow | Shared[SourceFrame]] = deque()
+        self._batch: list[LabelRow | GapRow] = []
+        self._pending: deque[tuple[Reference, list[LabelRow | GapRow]]] = deque()
         self._in_use: deque[tuple[Slot, ...]] = deque()  # of the label maps that were taken last
         self._offered: deque[Snapshot] = deque(maxlen=_PENDING_SNAPSHOTS)
         self._asked: tuple[Snapshot, Reference] | None = None
@@ -184,14 +175,9 @@ class Record:
             self.committed, self.kept = self.label_maps, self.rows
         return opening
 
-    def expect(self, frame: Shared[SourceFrame], slots: tuple[Slot, ...]) -> None:
-        """Note that the next row is that of a frame whose label map is to come.
-
-        ``slots`` are those of all that the sink reads of it. They are given back when two more label maps
-        have come to the sink: with the next frame the layers may still read this one, with the one after it
-        the coordinator.
-        """
-        self._expected.append(_Expected(frame, slots))
+    def expect(self, frame: Shared[SourceFrame]) -> None:
+        """Note that the next row is that of a frame whose label map is to come."""
+        self._expected.append(frame)
         self.rows, self.label_maps = self.rows + 1, self.label_maps + 1
 
     def gap(self, index: int, pts: float, status: GapStatus) -> None:
@@ -202,10 +188,9 @@ class Record:
 
     def write(self, segmentation: Shared[Segmentation], background: Shared[LayerAppearance] | None) -> None:
         """Hand over the label map of the first frame that is expected; raises what an earlier row raised."""
-        expected = self._expected.popleft()
-        assert isinstance(expected, _Expected)  # gaps do not wait at the front
-        self._batch.slots.append(expected.slots)
-        self._hand_over(LabelRow(segmentation, expected.frame, background))
+        frame = self._expected.popleft()
+        assert isinstance(frame, Shared)  # gaps do not wait at the front
+        self._hand_over(LabelRow(segmentation, frame, background))
         self._hand_over_gaps()
 
     def offer(self, snapshot: Snapshot) -> None:
@@ -228,9 +213,9 @@ class Record:
     def send(self) -> None:
         """Hand over what is there, though it be less than a batch."""
         batch = self._batch
-        if batch.rows:
-            self._pending.append((self._sink.take.remote(self._run, batch.rows), batch))
-            self._batch = _Batch()
+        if batch:
+            self._pending.append((self._sink.take.remote(self._run, batch), batch))
+            self._batch = []
 
     def collect(self) -> None:
         """Take back what is there, without waiting; raises what a row raised."""
@@ -277,20 +262,20 @@ class Record:
             self._hand_over(row)
 
     def _hand_over(self, row: LabelRow | GapRow) -> None:
-        self._batch.rows.append(row)
-        if len(self._batch.rows) == self._batch_rows:
+        self._batch.append(row)
+        if len(self._batch) == self._batch_rows:
             self.send()
         while self._pending and self._under_way > _PENDING_ROWS:
             self._take_answer()
 
     @property
     def _under_way(self) -> int:
-        sent = sum(len(batch.rows) for _, batch in self._pending)
-        return len(self._expected) + len(self._batch.rows) + sent
+        sent = sum(len(batch) for _, batch in self._pending)
+        return len(self._expected) + len(self._batch) + sent
 
     def _take_answer(self) -> None:
         answer, batch = self._pending.popleft()
         self.committed = ray.get(answer)
-        self._in_use.extend(batch.slots)
+        self._in_use.extend(row.slots for row in batch if isinstance(row, LabelRow))
         while len(self._in_use) > _READ_ROWS:
             self._slots.give_back(self._in_use.popleft())

@@ -7,7 +7,7 @@ table have the same columns.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -25,7 +25,7 @@ __all__ = [
     "ResultRow",
     "frame_schema",
     "layer_schema",
-    "run_length_codes",
+    "run_length_code",
     "stages_of",
     "write_frames",
     "write_layers",
@@ -65,8 +65,8 @@ class ResultRow:
         height, width = labels.shape
         return cls(
             layers=segmentation.layers,
-            run_length_codes=run_length_codes(
-                labels, [(layer.layer, layer.region) for layer in segmentation.layers]
+            run_length_codes=tuple(
+                run_length_code(labels, layer.layer, layer.region) for layer in segmentation.layers
             ),
             shape=(height, width),
             camera_motion=segmentation.camera_motion,
@@ -98,52 +98,30 @@ class FrameRow:
     name: str | None = None
 
 
-def run_length_codes(labels: Array, places: Sequence[tuple[int, Region]]) -> tuple[str, ...]:
-    """Encode the masks of layers as COCO's compressed run-length strings (column-major).
+def run_length_code(labels: Array, layer: int, region: Region) -> str:
+    """Encode the mask of one layer as COCO's compressed run-length string (column-major).
 
     Parameters
     ----------
     labels : (H, W) uint16
-    places : sequence of (layer, Region)
-        Each layer has pixels, all of them in its region; only there they are looked for.
+    layer : int
+    region : Region
+        Holds all the layer's pixels; only there they are looked for.
     """
-    if not places:
-        return ()
     height, width = labels.shape
-    # The columns of all regions below each other, so that a dozen array operations do for all layers. A zero
-    # below a column ends its last run, but not where that may go on at the next one's top. Each layer's
-    # first column has a zero above it.
-    pitches = np.array([min(region.height + 1, height) for _, region in places], np.int64)
-    sizes = pitches * [region.width for _, region in places] + 1
-    begins = np.cumsum(sizes) - sizes
-    inside = np.zeros(int(sizes.sum()) + 1, np.bool_)
-    for (layer, region), pitch, begin, size in zip(
-        places, pitches.tolist(), begins.tolist(), sizes.tolist(), strict=True
-    ):
-        columns = inside[begin + 1 : begin + size].reshape(region.width, pitch)
-        np.equal(labels[region.slices].T, layer, out=columns[:, : region.height])
+    # A row of zeros below each column ends its last run, but not where that may go on at the next one's top.
+    pitch = min(region.height + 1, height)
+    inside = np.zeros(region.width * pitch + 2, np.bool_)  # with a zero before them all and one behind
+    columns = inside[1:-1].reshape(region.width, pitch)
+    np.equal(labels[region.slices].T, layer, out=columns[:, : region.height])
     changes = (inside[1:] != inside[:-1]).nonzero()[0]
-    firsts = np.searchsorted(changes, begins)
-    counts = np.diff(firsts, append=changes.size)
-    corners = np.array([region.x * height + region.y for _, region in places], np.int64)
-    own, pitch_of = changes - np.repeat(begins, counts), np.repeat(pitches, counts)
-    bounds = own + own // pitch_of * (height - pitch_of) + np.repeat(corners, counts)
-    runs = np.diff(bounds, prepend=0)
-    runs[firsts] = bounds[firsts]
-    rests = height * width - bounds[firsts + counts - 1]
-    plain = [
-        {"size": [height, width], "counts": [*code, rest] if rest else code}
-        for code, rest in zip(_parted(runs.tolist(), counts.tolist()), rests.tolist(), strict=True)
-    ]
-    return tuple(one["counts"].decode("ascii") for one in coco_mask.frPyObjects(plain, height, width))
-
-
-def _parted(values: list[int], counts: list[int]) -> Iterator[list[int]]:
-    """The first so many, the next so many …"""
-    begin = 0
-    for count in counts:
-        yield values[begin : begin + count]
-        begin += count
+    bounds = changes + changes // pitch * (height - pitch) + (region.x * height + region.y)
+    bounds = np.concatenate(([0], bounds, [height * width]))
+    counts = bounds[1:] - bounds[:-1]
+    if counts[-1] == 0:
+        counts = counts[:-1]  # the last run is the layer's own
+    plain = {"size": [height, width], "counts": counts.tolist()}
+    return str(coco_mask.frPyObjects(plain, height, width)["counts"].decode("ascii"))
 
 
 def stages_of(schema: pa.Schema) -> tuple[str, ...]:
