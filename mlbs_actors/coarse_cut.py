@@ -137,15 +137,17 @@ def costs_of_blocks(
             # Blocks that lie in it with all their pixels; one that ends with the image holds its last block.
             begins = edge % 2 == 0
             boxes[label, edge] = (pixels + 1) // 2 if begins or pixels == most else pixels // 2
-    return _halved_unary(unary, side, extras, boxes, height, width), _halved_weights(weights), boxes
+    sums = np.empty((len(places), (height + 1) // 2, (width + 1) // 2), np.int32)
+    _sum_unary(unary, side, extras, boxes, height, width, sums)
+    return sums, _halved_weights(weights), boxes
 
 
-@compiled()
-def _halved_unary(unary: Array, side: int, extras: Array, places: Array, height: int, width: int) -> Array:
+@compiled(in_place=True)
+def _sum_unary(
+    unary: Array, side: int, extras: Array, places: Array, height: int, width: int, sums: Array
+) -> None:
     """Sums over blocks of 2×2 pixels of an (H, W) image, of which each, or each block, has its cost; made
     only where a label can be, in boxes of blocks."""
-    rows, columns = (height + 1) // 2, (width + 1) // 2
-    sums = np.empty((unary.shape[0], rows, columns), np.int32)
     most = np.int32(MAX_BLOCK_COST)
     for label in range(unary.shape[0]):
         top, bottom, left, right = places[label]
@@ -175,7 +177,6 @@ def _halved_unary(unary: Array, side: int, extras: Array, places: Array, height:
             total = sums[label, v]
             for u in range(left, right):
                 total[u] = min(total[u], most)
-    return sums
 
 
 @compiled()
@@ -186,9 +187,18 @@ def _halved_weights(weights: Array) -> Array:
     rows, columns = (height + 1) // 2, (width + 1) // 2
     across, down = _outlines_along_blocks(weights)
     halved = np.empty((rows, columns, 4), np.int32)
+    _halve(weights, across, down, np.empty((2, columns + 1), np.int32), np.ones((2, columns + 1)), halved)
+    return halved
+
+
+@compiled(in_place=True)
+def _halve(weights: Array, across: Array, down: Array, pairs: Array, shares: Array, halved: Array) -> None:
+    """:func:`_halved_weights` by what :func:`_outlines_along_blocks` tells, with room for two rows of
+    diagonal pairs, int32, and two of the shares that are left to straight ones, ones of float64."""
+    (height, width, _), (rows, columns, _) = weights.shape, halved.shape
     # Diagonal pairs of blocks share one pair of pixels each; to the left of the first block is none.
-    diagonal, anti = np.empty(columns, np.int32), np.zeros(columns + 1, np.int32)
-    beside, below, results = np.ones(columns + 1), np.ones(columns), halved.reshape(-1)
+    diagonal, anti, beside, below = pairs[0], pairs[1], shares[0], shares[1]
+    results = halved.reshape(-1)
     for v in range(rows):
         y, upright, own = 2 * v + 1, across[v], results[4 * columns * v : 4 * columns * (v + 1)]
         _diagonal_pairs(weights, y, diagonal, anti)
@@ -213,7 +223,6 @@ def _halved_weights(weights: Array) -> Array:
             own[first + np.uint64(2)] = np.int32(diagonal[at] * min(beside[following], below[at]))
             own[first + np.uint64(3)] = np.int32(anti[at] * min(beside[at], below[at]))
         halved[v, columns - 1, 0] = 0
-    return halved
 
 
 @compiled()
@@ -242,10 +251,10 @@ def _outlines_along_blocks(weights: Array) -> tuple[Array, Array]:
     return across, down
 
 
-@compiled()
+@compiled(in_place=True)
 def _diagonal_pairs(weights: Array, y: int, diagonal: Array, anti: Array) -> None:
-    """Weights from a block's last row of pixels to the blocks down right and down left, (columns,) of each;
-    0 where it has only one row."""
+    """Weights from a block's last row of pixels to the blocks down right and down left, for each column; 0
+    where it has only one row."""
     height, width, _ = weights.shape
     diagonal[:] = 0
     anti[:] = 0

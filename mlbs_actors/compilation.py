@@ -17,12 +17,23 @@ __all__ = ["compiled"]
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def compiled(**options: Any) -> Callable[[Function], Function]:
+def compiled(*, in_place: bool = False, **options: Any) -> Callable[[Function], Function]:
     """Decorator of a function that Numba compiles when it is first called, and keeps beside the module.
 
     As in NumPy a division by zero gives infinity or NaN: with the check that Python makes, no loop that
     divides runs in vector registers.
+
+    Parameters
+    ----------
+    in_place : bool
+        The function makes no array and returns none: it works in those that it is given. Then it does not
+        count who refers to them. Numba counts for each argument and each slice, with an atomic instruction
+        that takes as long as twenty additions: too long for what is done row by row, or point by point.
+    options
+        Of :func:`numba.njit`.
     """
+    if in_place:
+        options["_nrt"] = False  # Numba's name for its runtime, which makes arrays and counts references
 
     def compile_and_keep(function: Function) -> Function:
         kernel: Any = njit(function, cache=True, error_model="numpy", **options)

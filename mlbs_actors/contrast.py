@@ -78,10 +78,16 @@ def weights_by_distance(strength: float, scale: float) -> Array:
 def weights_of(image: Array, table: Array) -> Array:
     """:func:`contrast_weights` of a C-contiguous image, by a table of :func:`weights_by_distance`."""
     height, width = image.shape[:2]
-    planes = padded_planes(image)
     weights = np.empty((height, width, 4), np.int32)
-    distances, last = np.empty((4, width), np.int32), np.int32(table.shape[1] - 1)
-    beside, below, diagonal, anti = distances
+    _weigh(padded_planes(image), table, np.empty((4, width), np.int32), weights)
+    return weights
+
+
+@compiled(in_place=True)
+def _weigh(planes: Array, table: Array, distances: Array, weights: Array) -> None:
+    """Weights from an image's padded planes, with room for the distances of a row, (4, w) int32."""
+    height, width, last = weights.shape[0], weights.shape[1], np.int32(table.shape[1] - 1)
+    beside, below, diagonal, anti = distances[0], distances[1], distances[2], distances[3]
     results = weights.reshape(-1)
     for y in range(height):
         for k in range(4):  # without a branch: this runs in vector registers
@@ -107,4 +113,3 @@ def weights_of(image: Array, table: Array) -> Array:
             row[first + np.uint64(1)] = table[0, np.uint64(below[at])]
             row[first + np.uint64(2)] = table[1, np.uint64(diagonal[at])]
             row[first + np.uint64(3)] = table[1, np.uint64(anti[at])]
-    return weights

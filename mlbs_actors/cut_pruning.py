@@ -82,25 +82,10 @@ def decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> t
     least = np.full((height, width), 2**29, np.int32)
     second = np.full((height, width), 2**29, np.int32)
     folded = np.empty_like(unary)
-    for label in range(label_count):
-        top, bottom, left, right = places[label]
-        for y in range(top, bottom):
-            for x in range(left, right):
-                cost = unary[label, y, x]
-                folded[label, y, x] = cost
-                if cost < least[y, x]:
-                    best[y, x], least[y, x], second[y, x] = label, cost, least[y, x]
-                elif cost < second[y, x]:
-                    second[y, x] = cost
+    _compare_costs(unary, places, folded, best, least, second)
     # What the neighbours that are not decided could pay; the margin is gap − open weight.
     open_weight = np.zeros((height, width), np.int32)
-    for y in range(height):
-        for x in range(width):
-            for k in range(4):
-                w = weights[y, x, k]
-                if w > 0:
-                    open_weight[y, x] += w
-                    open_weight[y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]] += w
+    _sum_weights(weights, open_weight)
 
     labels = np.full((height, width), UNDECIDED, np.int16)
     certain = np.zeros(label_count, np.bool_)
@@ -156,13 +141,44 @@ def decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> t
     return labels, certain
 
 
-@compiled()
-def _offered(candidates: Array, labels: Array, label_count: int) -> Array:
-    """How many candidates have each label."""
-    offered = np.zeros(label_count, np.int64)
-    for p in candidates:
-        offered[labels[p]] += 1
-    return offered
+@compiled(in_place=True)
+def _compare_costs(
+    unary: Array, places: Array, folded: Array, best: Array, least: Array, second: Array
+) -> None:
+    """Copy the costs of labels where they can be, and find the label of the least, that, and the second."""
+    for label in range(len(places)):
+        top, bottom, left, right = places[label]
+        for y in range(top, bottom):
+            costs, copied = unary[label, y], folded[label, y]
+            best_of, least_of, second_of = best[y], least[y], second[y]
+            for x in range(left, right):  # without a branch: this runs in vector registers
+                at = np.uint64(x)
+                cost, lowest = costs[at], least_of[at]
+                copied[at] = cost
+                best_of[at] = label if cost < lowest else best_of[at]
+                second_of[at] = lowest if cost < lowest else min(second_of[at], cost)
+                least_of[at] = min(cost, lowest)
+
+
+@compiled(in_place=True)
+def _sum_weights(weights: Array, total: Array) -> None:
+    """Add up the weights to all neighbours of each pixel, (H, W) int32, into zeros."""
+    height, width = total.shape
+    flat = weights.reshape(-1)
+    for y in range(height):
+        own, first = total[y], 4 * y * width
+        for x in range(width):
+            at = np.uint64(first + 4 * x)
+            own[np.uint64(x)] += (
+                flat[at] + flat[at + np.uint64(1)] + flat[at + np.uint64(2)] + flat[at + np.uint64(3)]
+            )
+        for k in range(4):  # outside the image they are 0
+            down, right = NEIGHBOUR_OFFSETS[k]
+            if y + down == height:
+                continue
+            others = total[y + down]
+            for x in range(max(0, -right), min(width, width - right)):
+                others[np.uint64(x + right)] += flat[np.uint64(first + 4 * x + k)]
 
 
 @compiled()
@@ -202,10 +218,15 @@ def movable(
         Labels that keep a pixel in every best move, or cost nothing; alpha's own entry has no meaning.
     """
     # What is saved if none of a label's pixels stays; 0 as soon as one does.
-    refund = label_costs.copy()
-    charged = refund.any()
+    refund, charged = label_costs.copy(), False
+    for label in range(refund.size):
+        charged = charged or refund[label] > 0
     if charged:
-        refund[_offered(candidates, labels, used.size) < used] = 0
+        offered = np.zeros(used.size, np.int64)
+        for p in candidates:
+            offered[labels[p]] += 1
+        for label in range(refund.size):
+            refund[label] = refund[label] if offered[label] == used[label] else 0
     ends, weights = neighbour.reshape(-1), weight.reshape(-1)
     nothing, moving = broadcast(np.int32(0), 8), broadcast(np.int32(alpha), 8)
     # The labels if all move that still may.
@@ -251,5 +272,5 @@ def movable(
             left += moves
         # A round that leaves out few is not worth another; stopping early only makes the graph larger.
         if 4 * (count - left) <= count:
-            return pixels[:left].copy(), price[:left].copy(), refund == 0
+            return pixels[:left], price[:left], refund == 0
         count = left

@@ -178,8 +178,8 @@ def paid_for(labels: Array, nodes: Array, kept: Array) -> Array:
     :func:`~mlbs_actors.cut_pruning.movable`."""
     paid = np.zeros(kept.size, np.bool_)
     for i in range(nodes.size):
-        paid[labels[nodes[i]]] = True
-    return np.flatnonzero(paid & ~kept)
+        paid[labels[nodes[i]]] = not kept[labels[nodes[i]]]
+    return np.flatnonzero(paid)
 
 
 def _cut_with_label_costs(

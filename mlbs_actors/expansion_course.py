@@ -120,8 +120,9 @@ class Course:
                     self.came_from,
                     self.step,
                     alpha,
-                    nodes[moves],
-                    price[moves],
+                    nodes,
+                    price,
+                    moves,
                 )
             self.expanded_at[alpha] = self.step
             turn += 1
@@ -197,22 +198,25 @@ def expand_in_turn(
                     came_from,
                     step,
                     alpha,
-                    nodes[moves],
-                    price[moves],
+                    nodes,
+                    price,
+                    moves,
                 )
         expanded_at[alpha] = step
     nothing = np.empty(0, np.int64)
     return alphas.size, step, energy, nothing, nothing, nothing
 
 
-@compiled()
+@compiled(in_place=True)
 def _take(
     neighbour: Array, labels: Array, chosen: Array, used: Array, lost_at: Array, changed_at: Array,
-    news_at: Array, came_from: Array, step: int, alpha: int, moved: Array, price: Array,
+    news_at: Array, came_from: Array, step: int, alpha: int, nodes: Array, price: Array, moves: Array,
 ) -> None:  # fmt: skip
-    """Give some pixels the label alpha."""
-    for i in range(moved.size):
-        p = moved[i]
+    """Give the nodes that move the label alpha."""
+    for i in range(nodes.size):
+        if not moves[i]:
+            continue
+        p = nodes[i]
         used[labels[p]] -= 1
         lost_at[labels[p]] = step
         came_from[p], labels[p] = labels[p], alpha
@@ -221,7 +225,7 @@ def _take(
         for k in range(8):
             if neighbour[p, k] >= 0:
                 news_at[neighbour[p, k]] = step
-    used[alpha] += moved.size
+        used[alpha] += 1
 
 
 @compiled()

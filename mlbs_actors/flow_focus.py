@@ -177,5 +177,6 @@ def _cut_costs(cells: Array) -> Array:
             costs[row + 1 - turn] += height * (right - left)
     costs[0] = np.inf
     for row in range(1, rows):
-        costs[row] += SEAM * (cells[row - 1] & cells[row]).sum()
+        for x in range(columns):
+            costs[row] += SEAM * (cells[row - 1, x] & cells[row, x])
     return costs

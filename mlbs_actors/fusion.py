@@ -171,7 +171,7 @@ def appearance_tables(half_confidence: float) -> tuple[Array, Array]:
     return trust, np.exp(ratio)
 
 
-@compiled()
+@compiled(in_place=True)
 def _add_known(
     known: Array, matched: Array, place: Array, down: int, right: int, log_ratio: Array, samples: Array,
     trust: Array, ratio_of: Array,

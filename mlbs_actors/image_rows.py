@@ -42,7 +42,7 @@ def row_room(width: int) -> Array:
     return np.zeros((5, -(-width // LANES) * LANES), np.float32)
 
 
-@compiled()
+@compiled(in_place=True)
 def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room: Array) -> None:
     """Bilinear colours of a part of an image's row, each less than 1 px off its pixel, held inside the image.
 
@@ -54,8 +54,8 @@ def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room:
     planes : Array
         :func:`padded_planes`.
     y : int
-    residual : (w, 2) float32
-        How far (x, y) off.
+    residual : (h, w, 2) float32
+        How far (x, y) off, of all rows.
     first, end : int
         The part; it is read in whole registers.
     room : Array
@@ -64,8 +64,10 @@ def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room:
     flat, rests, row = planes.reshape(-1), residual.reshape(-1), room.reshape(-1)
     height, width, length = planes.shape[1], np.uint64(planes.shape[2]), np.uint64(room.shape[1])
     first = first // LANES * LANES
-    for pixel in range(first, min(end, residual.shape[0])):
-        room[3, pixel], room[4, pixel] = rests[np.uint64(2 * pixel)], rests[np.uint64(2 * pixel + 1)]
+    begin = 2 * y * residual.shape[1]
+    for pixel in range(first, min(end, residual.shape[1])):
+        at = np.uint64(begin + 2 * pixel)
+        room[3, pixel], room[4, pixel] = rests[at], rests[at + np.uint64(1)]
     zero, one = broadcast(np.float32(0), LANES), broadcast(np.float32(1), LANES)
     for start in range(first, end, LANES):
         x = np.uint64(start)

@@ -151,4 +151,5 @@ def _improve(
             refine_flow(gray, around, left, top, window, MARGIN, SWEEPS)
         for axis in range(2):  # the last of the window is the sum of weights
             for y in range(height):
-                flow[axis, top + y, left : left + width] = window[axis, y]
+                for x in range(width):
+                    flow[axis, top + y, left + x] = window[axis, y, x]

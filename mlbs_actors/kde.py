@@ -93,7 +93,7 @@ class AppearanceParameters:
         return cls(colours.bandwidth_floor, registration / side, colours.half_confidence_samples)
 
 
-@compiled()
+@compiled(in_place=True)
 def mean_trust(count: Array, trust: Array) -> float:
     """Mean of a table's values, those of :func:`confidence`, at some numbers of samples; 0 of none."""
     total = 0.0
@@ -193,7 +193,7 @@ def density_tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
     return exponent, ((bandwidth * np.sqrt(2.0 * np.pi)) ** -3).astype(np.float32)
 
 
-@compiled()
+@compiled(in_place=True)
 def _least_spreads(
     planes: Array, y: int, first: int, end: int, floor: np.float32, registration: np.float32, least: Array
 ) -> None:
@@ -234,7 +234,7 @@ def _least_spreads(
         store(least, x, minimum(rounded(width_of), broadcast(np.float32(255), LANES)))
 
 
-@compiled()
+@compiled(in_place=True)
 def _squared_slope(
     planes: Array, above: int, y: int, below: int, x: int, left: int, right: int
 ) -> np.float32:
@@ -265,20 +265,20 @@ def log_densities(
     least, asked = np.zeros(colours.shape[1], np.float32), np.empty(width, np.int64)
     density, places, told = np.empty(result.size, np.float32), np.empty(result.size, np.int64), 0
     for y in range(height):
-        found, wanted, known = 0, needed[y], count[y]
+        found = 0
         for x in range(width):
             asked[found] = x  # kept if it counts: a branch would be mispredicted
-            found += int(wanted[np.uint64(x)] & (known[np.uint64(x)] > 0))
+            found += int(needed[y, x] & (count[y, x] > 0))
         if found == 0:
             continue
         first, end = asked[0], asked[found - 1] + 1
-        read_row(planes, y, residual[y], first, end, colours)
+        read_row(planes, y, residual, first, end, colours)
         if registration > 0:
             _least_spreads(planes, y, first, end, floor, registration, least)
         for pixel in range(found):
             cell = np.uint64(asked[pixel])
             bandwidth = np.uint64(max(np.int32(least[cell]), np.int32(spread[y, cell])))
-            scale, number, place = exponent[bandwidth], np.int64(known[cell]), y * width + np.int64(cell)
+            scale, number, place = exponent[bandwidth], np.int64(count[y, cell]), y * width + np.int64(cell)
             blue, green, red = colours[0, cell], colours[1, cell], colours[2, cell]
             if slots == whole:
                 at = np.uint64(3 * slots * place)
@@ -295,7 +295,7 @@ def log_densities(
         results[np.uint64(places[pixel])] = logs[pixel]
 
 
-@compiled()
+@compiled(in_place=True)
 def _sum_of_kernels(
     stacks: Array, at: np.uint64, slots: int, blue: np.float32, green: np.float32, red: np.float32,
     scale: np.float32, known: np.int64,

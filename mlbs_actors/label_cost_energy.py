@@ -172,7 +172,7 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     return UndecidedEnergy(pixels, row, Offers(*offers), neighbour, weight, label_costs, elsewhere)
 
 
-@compiled()
+@compiled(inline="always")
 def _neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, int]:
     """Row and column of a neighbour, and where the weight to it is found: row, column and direction."""
     v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
@@ -222,20 +222,45 @@ def _offers(
     column: Array, known: Array, saved: Array, position: Array,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """The fields of `Offers`; the last five as of :func:`_numbered` and :func:`_around`."""
-    height, width = labels.shape
-    cell_of = np.arange(width) // side
     first = np.zeros(unary.shape[0] + 1, np.int64)
-    pixel, cost = np.empty(4 * column.size, np.int32), np.empty(4 * column.size, np.int32)
+    _count_offers(side, places, begins, position, first)
+    pixel, cost = np.empty(first[-1], np.int32), np.empty(first[-1], np.int32)
+    cell_of = np.arange(labels.shape[1]) // side
+    _write_offers(
+        unary, side, places, weights, labels, begins, column, known, saved, position, cell_of, pixel, cost
+    )
+    for extra in range(extras.shape[0]):
+        y, x = extras[extra, 1], extras[extra, 2]
+        if labels[y, x] == UNDECIDED:
+            i = position[y, x]
+            begin, end = first[extras[extra, 0]], first[extras[extra, 0] + 1]
+            cost[begin + np.searchsorted(pixel[begin:end], i)] += extras[extra, 3]
+    return first, pixel, cost
+
+
+@compiled(in_place=True)
+def _count_offers(side: int, places: Array, begins: Array, position: Array, first: Array) -> None:
+    """``first`` of `Offers`, into zeros."""
+    for label in range(len(places)):
+        first[label + 1] = first[label]
+        left, right = places[label, 2] * side, places[label, 3] * side
+        for y in range(places[label, 0] * side, min(places[label, 1] * side, position.shape[0])):
+            first[label + 1] += _open_before(y, right, position, begins)
+            first[label + 1] -= _open_before(y, left, position, begins)
+
+
+@compiled(in_place=True)
+def _write_offers(
+    unary: Array, side: int, places: Array, weights: Array, labels: Array, begins: Array, column: Array,
+    known: Array, saved: Array, position: Array, cell_of: Array, pixel: Array, cost: Array,
+) -> None:  # fmt: skip
+    """``pixel`` and ``cost`` of `Offers`; ``cell_of`` tells the cell of each column."""
     count = 0
-    for label in range(unary.shape[0]):
-        top, bottom, left, right = places[label] * side
-        for y in range(top, min(bottom, height)):
-            begin, end = _open_before(y, left, position, begins), _open_before(y, right, position, begins)
-            if count + end - begin > pixel.size:
-                more = np.empty(pixel.size + end - begin, np.int32)
-                pixel, cost = np.concatenate((pixel, more)), np.concatenate((cost, more))
+    for label in range(len(places)):
+        left, right = places[label, 2] * side, places[label, 3] * side
+        for y in range(places[label, 0] * side, min(places[label, 1] * side, position.shape[0])):
             own = unary[label, y // side]
-            for i in range(begin, end):
+            for i in range(_open_before(y, left, position, begins), _open_before(y, right, position, begins)):
                 total = own[cell_of[column[i]]]
                 # Up to a constant, agreeing with a neighbour of known label saves the weight.
                 total -= saved[i] if known[i] == label else np.int32(0)
@@ -243,23 +268,15 @@ def _offers(
                     total -= _saved_by(label, labels, weights, y, column[i])
                 pixel[count], cost[count] = i, total
                 count += 1
-        first[label + 1] = count
-    for extra in range(extras.shape[0]):
-        y, x = extras[extra, 1], extras[extra, 2]
-        if labels[y, x] == UNDECIDED:
-            i = position[y, x]
-            begin, end = first[extras[extra, 0]], first[extras[extra, 0] + 1]
-            cost[begin + np.searchsorted(pixel[begin:end], i)] += extras[extra, 3]
-    return first, pixel[:count], cost[:count]
 
 
-@compiled()
+@compiled(in_place=True)
 def _open_before(y: int, x: int, position: Array, begins: Array) -> int:
     """How many undecided pixels come before a place in a row, or at its end, from what `_numbered` tells."""
     return int(position[y, x] if x < position.shape[1] else begins[y + 1])
 
 
-@compiled()
+@compiled(in_place=True)
 def _saved_by(label: int, labels: Array, weights: Array, y: int, x: int) -> int:
     """Sum of the weights to a pixel's neighbours of one label."""
     saved = 0

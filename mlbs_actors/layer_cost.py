@@ -260,7 +260,7 @@ def quantised_colours(log_density: Array, count: Array, needed: Array, largest: 
     return log_ratio, samples
 
 
-@compiled()
+@compiled(in_place=True)
 def quantise_colours(
     log_density: Array, count: Array, needed: Array, largest: np.float32, log_ratio: Array, samples: Array
 ) -> None:

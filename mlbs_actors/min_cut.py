@@ -98,7 +98,7 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
     return flow, level > 0
 
 
-@compiled()
+@compiled(in_place=True)
 def _send(
     amount: int, pixel: np.uint64, ends: Array, room: Array, parent: Array, surplus: Array, orphans: Array
 ) -> tuple[int, int]:
@@ -127,7 +127,7 @@ def _send(
     return amount, lost
 
 
-@compiled()
+@compiled(in_place=True)
 def _adopt(
     lost: int, depth: int, ends: Array, room: Array, level: Array, parent: Array, orphans: Array,
     queue: Array, waiting: Array, tail: int,

@@ -77,7 +77,7 @@ def nearest(positions: Array, wanted: int, radius: float) -> Array:
                     across, down = near_x[k] - x, near_y[k] - y
                     squared[k] = across * across + down * down
                 # One more than wanted, for the point itself is among them.
-                limit = _limit(squared[:near], wanted + 1, np.float32(reach * reach), whole)
+                limit = _limit(squared, near, wanted + 1, np.float32(reach * reach), whole)
                 if limit >= 0:
                     break
             ring += 1
@@ -94,26 +94,27 @@ def nearest(positions: Array, wanted: int, radius: float) -> Array:
                 for k in range(start[r * columns + left], start[r * columns + right + 1]):
                     near_x[near], near_y[near], point[near] = xs[k], ys[k], members[k]
                     near += 1
-        _take(squared[:near], point[:near], limit, i, room, found[i])
+        _take(squared, point, near, limit, i, room, found)
     return found
 
 
-@compiled()
-def _count_within(squared: Array, limit: np.float32) -> np.int32:
+@compiled(in_place=True)
+def _count_within(squared: Array, near: int, limit: np.float32) -> np.int32:
     count = np.int32(0)
-    for k in range(squared.size):
+    for k in range(near):
         count = np.int32(count + np.int32(squared[k] <= limit))
     return count
 
 
-@compiled()
-def _limit(squared: Array, wanted: int, most: np.float32, whole: bool) -> np.float32:
-    """A squared distance within which so many points lie, no more if possible; else the least with all.
+@compiled(in_place=True)
+def _limit(squared: Array, near: int, wanted: int, most: np.float32, whole: bool) -> np.float32:
+    """A squared distance within which so many of the near points lie, no more if possible; else the least
+    with all.
 
     Where fewer lie within ``most``, that, or −1 if there may be others.
     """
     least = np.float32(0)
-    fewer, more = _count_within(squared, least), _count_within(squared, most)
+    fewer, more = _count_within(squared, near, least), _count_within(squared, near, most)
     if more <= wanted:
         return most if whole or more == wanted else np.float32(-1)
     if fewer >= wanted:
@@ -126,7 +127,7 @@ def _limit(squared: Array, wanted: int, most: np.float32, whole: bool) -> np.flo
             middle = np.float32(0.5) * (least + most)
             if middle <= least or middle >= most:  # no number lies between
                 return most
-        within = _count_within(squared, middle)
+        within = _count_within(squared, near, middle)
         if within == wanted:
             return middle
         if within < wanted:
@@ -135,24 +136,28 @@ def _limit(squared: Array, wanted: int, most: np.float32, whole: bool) -> np.flo
             most, more = middle, within
 
 
-@compiled()
-def _take(squared: Array, point: Array, limit: np.float32, itself: int, room: Array, found: Array) -> None:
-    """The points nearer than the limit; of those just there the first, as far as there is room."""
+@compiled(in_place=True)
+def _take(
+    squared: Array, point: Array, near: int, limit: np.float32, itself: int, room: Array, found: Array
+) -> None:
+    """Of the first points those nearer than the limit, and of those just there the first, as far as there is
+    room."""
     taken = 0
-    for k in range(squared.size):  # without a branch, for none could be foretold
+    for k in range(near):  # without a branch, for none could be foretold
         room[taken] = point[k]
         taken += int((squared[k] < limit) & (point[k] != itself))
-    found[:taken] = room[:taken]
+    for k in range(taken):
+        found[itself, k] = room[k]
     before = -1
-    while taken < found.size:
-        following = squared.size
-        for k in range(squared.size):
+    while taken < found.shape[1]:
+        following = near
+        for k in range(near):
             tied = squared[k] == limit and point[k] != itself and point[k] > before
-            if tied and (following == squared.size or point[k] < point[following]):
+            if tied and (following == near or point[k] < point[following]):
                 following = k
-        if following == squared.size:
+        if following == near:
             return
-        before = found[taken] = point[following]
+        before = found[itself, taken] = point[following]
         taken += 1
 
 
@@ -186,7 +191,8 @@ def _sorted_pairs(nearest_of: Array) -> tuple[Array, Array]:
     count = nearest_of.shape[0]
     higher_start, lower_start = np.zeros(count + 1, np.int32), np.zeros(count + 1, np.int32)
     for i in range(count):
-        for j in nearest_of[i]:
+        for k in range(nearest_of.shape[1]):
+            j = nearest_of[i, k]
             if j < 0:
                 break
             higher_start[max(i, j) + 1] += 1
@@ -197,7 +203,8 @@ def _sorted_pairs(nearest_of: Array) -> tuple[Array, Array]:
     told = higher_start[-1]
     place, lower = higher_start[:-1].copy(), np.empty(told, np.int32)
     for i in range(count):
-        for j in nearest_of[i]:
+        for k in range(nearest_of.shape[1]):
+            j = nearest_of[i, k]
             if j < 0:
                 break
             lower[place[max(i, j)]] = min(i, j)

@@ -230,7 +230,7 @@ def _row_difference(gray: Array, here: np.uint64, upper: Any, lower: Any, down: 
     return moved - load(gray, here, PATCH)
 
 
-@compiled()
+@compiled(in_place=True)
 def densify(
     gray: Array,
     around: Array,

@@ -66,10 +66,8 @@ def photometric_advantage(
     # Zeros are what comes from outside: a border around, and one more behind for a source on it.
     last = np.zeros((before.shape[0] + 3, before.shape[1] + 3), np.uint8)
     newest = np.empty(now.shape[:2], np.uint8)
-    flat, length = before.reshape(-1), 3 * before.shape[1]
-    for y in range(before.shape[0]):
-        _write_grey(flat[y * length : (y + 1) * length], last[y + 1, 1:-2])
-    _write_grey(now.reshape(-1), newest.reshape(-1))
+    _write_grey(before, last, 1)
+    _write_grey(now, newest, 0)
     known = np.empty(newest.shape, np.bool_)
     own_misfit, camera_misfit = _misfits(
         last, newest, motion, shrunk_homography(camera, (side, side)), corner, last_corner, known
@@ -78,14 +76,16 @@ def photometric_advantage(
     return _compared(own_sums, camera_sums, _noise(camera_sums), own, known, largest)
 
 
-@compiled()
-def _write_grey(colours: Array, grey: Array) -> None:
-    """Brightness of BGR pixels, rounded as cv2 does."""
-    for x in range(grey.size):
-        pixel = np.uint64(3 * x)
-        blue, green, red = colours[pixel], colours[pixel + np.uint64(1)], colours[pixel + np.uint64(2)]
-        weighed = np.int32(3735) * blue + np.int32(19235) * green + np.int32(9798) * red
-        grey[np.uint64(x)] = np.uint8((np.int32(weighed) + np.int32(1 << 14)) >> np.int32(15))
+@compiled(in_place=True)
+def _write_grey(image: Array, grey: Array, border: int) -> None:
+    """Brightness of BGR pixels, rounded as cv2 does, inside an image with a border above and on the left."""
+    colours = image.reshape(-1)
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            pixel, one, two = np.uint64(3 * (y * image.shape[1] + x)), np.uint64(1), np.uint64(2)
+            blue, green, red = colours[pixel], colours[pixel + one], colours[pixel + two]
+            weighed = np.int32(3735) * blue + np.int32(19235) * green + np.int32(9798) * red
+            grey[y + border, x + border] = np.uint8((np.int32(weighed) + np.int32(1 << 14)) >> np.int32(15))
 
 
 @compiled()  # where the camera's horizon lies in the frame, a depth can be 0

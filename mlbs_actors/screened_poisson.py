@@ -94,7 +94,7 @@ def solve(
     return Solution(value[:, 1:-1, 1:-1].copy(), residual, iterations)
 
 
-@compiled()
+@compiled(in_place=True)
 def _residual(screening: Array, rhs: Array, edge: float, value: Array) -> float:
     """|b − A d| for d with a border of zeros, (k, rows + 2, columns + 2)."""
     rows, columns = screening.shape
@@ -135,13 +135,13 @@ def _pyramid(rows: int, columns: int, edge: float) -> tuple[Array, Array]:
     return levels, edges
 
 
-@compiled()
+@compiled(inline="always")
 def _level(buffer: Array, levels: Array, level: int) -> Array:
     start, rows, columns = levels[level, 0], levels[level, 1], levels[level, 2]
     return buffer[start : start + (rows + 2) * (columns + 2)].reshape(rows + 2, columns + 2)
 
 
-@compiled()
+@compiled(in_place=True)
 def _sweep(
     value: Array,
     rhs: Array,
@@ -167,7 +167,7 @@ def _sweep(
             result[u] = own[u] + i[u] * misfit
 
 
-@compiled()
+@compiled(in_place=True)
 def _v_cycle(
     value: Array, half: Array, rhs: Array, diagonal: Array, inverse: Array, levels: Array, edges: Array
 ) -> None:
@@ -231,7 +231,7 @@ def _set_operators(screening: Array, diagonal: Array, inverse: Array, levels: Ar
                     coarse[(v + 1) // 2, (u + 1) // 2] += s[v, u]
 
 
-@compiled()
+@compiled(in_place=True)
 def _product(a: Array, b: Array, sums: Array) -> float:
     """Scalar product of two fields; summed by columns, which can run in vector registers."""
     sums[:] = 0.0
@@ -296,7 +296,7 @@ def _conjugate_gradients(
     return longest
 
 
-@compiled()
+@compiled(in_place=True)
 def _apply(own: Array, edge: float, x: Array, product: Array) -> None:
     """Set product = A x; ``own`` is A's diagonal."""
     inner = x.shape[1] - 2

@@ -229,14 +229,10 @@ def _remembered(
     length = 2 * residuals.shape[1]
     moved, old = np.empty((rows.size, length), np.float32), residuals.reshape(residuals.shape[0], length)
     for trajectory in range(rows.size):
-        one, row = moved[trajectory], rows[trajectory]
+        row = rows[trajectory]
         for axis in range(2):
             known = motions[trajectory, axis] - predicted[trajectory, axis]
-            one[axis] = known if ages[trajectory] > 0 else np.float32(0)
-        if row < 0:
-            one[2:] = 0
-        else:
-            before = old[row]
-            for place in range(length - 2):
-                one[place + 2] = before[place]
+            moved[trajectory, axis] = known if ages[trajectory] > 0 else np.float32(0)
+        for place in range(length - 2):
+            moved[trajectory, place + 2] = old[row, place] if row >= 0 else np.float32(0)
     return moved.reshape(rows.size, residuals.shape[1], 2), summed

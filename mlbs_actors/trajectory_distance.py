@@ -53,7 +53,7 @@ def occupied_cells(positions: Array, side: int, left: int, top: int, width: int,
     return occupied
 
 
-@compiled()
+@compiled(in_place=True)
 def occupy(occupied: Array, positions: Array, side: int, left: int, top: int) -> None:
     """Add those of other positions to :func:`occupied_cells`."""
     high, wide, first_x, first_y = side * occupied.shape[0], side * occupied.shape[1], side * left, side * top

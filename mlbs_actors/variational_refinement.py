@@ -126,7 +126,7 @@ def _continue(rows: Array, row: np.uint64, width: int) -> None:
     rows[row + np.uint64(width + 1)] = rows[row + np.uint64(width)]
 
 
-@compiled()
+@compiled(in_place=True)
 def _read_flow(rows: Array, y: int, width: int, flow: Array) -> None:
     for part in range(2):
         known, change = _row(_U + part, y, width), _row(_DU + part, y, width)
@@ -137,7 +137,7 @@ def _read_flow(rows: Array, y: int, width: int, flow: Array) -> None:
         _continue(rows, known, width)
 
 
-@compiled()
+@compiled(in_place=True)
 def _write_flow(rows: Array, y: int, width: int, flow: Array) -> None:
     one, change, half = np.uint64(1), _row(_SPARE, 0, width), np.uint64(_half(width))
     for part in range(2):
@@ -151,7 +151,7 @@ def _write_flow(rows: Array, y: int, width: int, flow: Array) -> None:
             flow[part, y, x] = rows[known + at] + rows[change + at]
 
 
-@compiled()
+@compiled(in_place=True)
 def _warp(
     rows: Array, y: int, width: int, source: Array, target: Array, left: int, top: int, margin: int,
     places: Array,
@@ -196,7 +196,7 @@ def _warp(
     _continue(rows, difference - one, width)
 
 
-@compiled()
+@compiled(in_place=True)
 def _derive(rows: Array, y: int, width: int, last: int, of: int, along_x: int, along_y: int) -> None:
     """Differences of the pixels on both sides, once for the frame's mean and once for its difference."""
     above, below = max(y - 1, 0), min(y + 1, last)
@@ -222,7 +222,7 @@ def _kept(part: int, y: int, width: int, side: int) -> np.uint64:
     return _row(_KINDS, 0, width) + np.uint64((((y & (_ROWS - 1)) * 2 + side) * _PARTS + part) * _half(width))
 
 
-@compiled()
+@compiled(in_place=True)
 def _bind(rows: Array, y: int, width: int, last: int) -> None:
     """The system's part for smoothness: what binds a pixel to its neighbours."""
     following = min(y + 1, last)
@@ -241,7 +241,7 @@ def _bind(rows: Array, y: int, width: int, last: int) -> None:
     rows[right + np.uint64(width)] = 0
 
 
-@compiled()
+@compiled(in_place=True)
 def _fit(rows: Array, y: int, width: int, last: int) -> None:
     """The system's part for grey levels and slopes that are to stay, and then all of the pixel's own; the
     diagonal is turned over, for it is divided by only."""
@@ -303,7 +303,7 @@ def _drawn(
     return beside + below * after - above * before
 
 
-@compiled()
+@compiled(in_place=True)
 def _part(rows: Array, y: int, width: int) -> None:
     """Keep a row's system parted: half a sweep reads one half of it and does half of the work."""
     made, even, odd = _made(0, width), _kept(0, y, width, 0), _kept(0, y, width, 1)
@@ -312,7 +312,7 @@ def _part(rows: Array, y: int, width: int) -> None:
         rows[even + at], rows[odd + at] = rows[made + at + at], rows[made + at + at + np.uint64(1)]
 
 
-@compiled()
+@compiled(in_place=True)
 def _relax(rows: Array, y: int, width: int, side: int) -> None:
     """Half a sweep: every other pixel of a row, from its neighbours, which are of the other half."""
     half = _half(width)

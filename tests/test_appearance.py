@@ -131,7 +131,7 @@ def test_a_row_is_read_as_by_bilinear_interpolation_held_inside_the_image(shape:
     residual = rng.uniform(-0.99, 0.99, (*shape, 2)).astype(np.float32)
     found = row_room(shape[1])
     for y in range(shape[0]):
-        read_row(padded_planes(image), y, residual[y], 0, shape[1], found)
+        read_row(padded_planes(image), y, residual, 0, shape[1], found)
         for x in range(shape[1]):
             right, down = x + float(residual[y, x, 0]), y + float(residual[y, x, 1])
             left, top = int(np.floor(right)), int(np.floor(down))

@@ -7,12 +7,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
 
 from mlbs_actors import compilation
 from mlbs_actors.actors.parts import has_kernels
 from mlbs_actors.claim_labelling import label_claims
+from mlbs_actors.messages import Array
 
 _CALLER = """
 from mlbs_actors.called import STEP, one
@@ -111,3 +114,36 @@ def test_kernels_are_kept_that_are_younger_than_the_modules(
     assert not has_kernels(tmp_path)
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/elsewhere")  # where nobody looks
     assert has_kernels(tmp_path)
+
+
+@compilation.compiled(in_place=True)
+def _add_row(row: Array, total: Array) -> None:
+    part = row[:]
+    for place in range(part.size):
+        total[place] += part[place]
+
+
+@compilation.compiled(in_place=True)
+def _make_array(values: Array) -> float:
+    return float(np.zeros(values.size)[0])
+
+
+@compilation.compiled(in_place=True)
+def _give_part(values: Array) -> Array:
+    return values[1:]
+
+
+def test_a_kernel_in_place_leaves_arrays_to_those_who_made_them() -> None:
+    rows, total = np.arange(12.0).reshape(3, 4), np.zeros(4)
+    before = sys.getrefcount(rows), sys.getrefcount(total)
+    for row in rows:
+        _add_row(row, total)
+    del row
+    np.testing.assert_array_equal(total, rows.sum(axis=0))
+    assert (sys.getrefcount(rows), sys.getrefcount(total)) == before
+
+
+@pytest.mark.parametrize("kernel", [_make_array, _give_part])
+def test_a_kernel_in_place_that_makes_or_returns_an_array_is_refused(kernel: Dispatcher) -> None:
+    with pytest.raises(NumbaError):
+        kernel(np.zeros(3))
