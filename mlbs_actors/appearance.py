@@ -196,37 +196,35 @@ def learn_colours(
     half, third, rate = np.float32(0.5), np.float32(1 / (3 * SPREAD_STEP)), np.float32(_SPREAD_RATE)
     planes, colours, won = padded_planes(image), row_room(width), np.empty(width, np.int64)
     for y in range(mask.shape[0]):
-        found = 0
+        found, told = 0, mask[y]
         for x in range(width):
             won[found] = x  # kept if it counts: a branch would be mispredicted
-            found += int(mask[y, x])
+            found += int(told[np.uint64(x)])
         if found == 0:
             continue
-        for k in range(found):
-            x = won[k]
+        for x in won[:found]:
             if count[y, x] == 0:
                 residual[y, x, 0], residual[y, x, 1] = 0, 0
         read_row(planes, y, residual, won[0], won[found - 1] + 1, colours)
-        for k in range(found):
-            x = won[k]
-            known, slot = int(count[y, x]), 0
+        for x in won[:found]:
+            stack, known, slot = samples[y, x], int(count[y, x]), 0
             blue, green, red = colours[0, x], colours[1, x], colours[2, x]
             if known > 0:
                 last = int(newest[y, x])
                 slot = last + 1 if last + 1 < capacity else 0
                 difference = (
-                    abs(blue - np.float32(samples[y, x, 0, last]))
-                    + abs(green - np.float32(samples[y, x, 1, last]))
-                    + abs(red - np.float32(samples[y, x, 2, last]))
+                    abs(blue - np.float32(stack[0, last]))
+                    + abs(green - np.float32(stack[1, last]))
+                    + abs(red - np.float32(stack[2, last]))
                 )
                 # The running median steps towards the new difference and never past it.
                 old = np.float32(spread[y, x])
                 step = min(max(difference * third - old, -rate), rate)
                 spread[y, x] = np.uint8(np.int32(min(old + step + half, np.float32(255))))
             # By way of int32, which takes one instruction.
-            samples[y, x, 0, slot] = np.uint8(np.int32(blue + half))
-            samples[y, x, 1, slot] = np.uint8(np.int32(green + half))
-            samples[y, x, 2, slot] = np.uint8(np.int32(red + half))
+            stack[0, slot] = np.uint8(np.int32(blue + half))
+            stack[1, slot] = np.uint8(np.int32(green + half))
+            stack[2, slot] = np.uint8(np.int32(red + half))
             newest[y, x] = np.uint8(slot)
             count[y, x] = np.uint8(min(known + 1, capacity))
 

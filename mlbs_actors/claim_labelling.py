@@ -232,8 +232,8 @@ def cut_claims(
         claims.cost, own, box, claims.boxes, shadow, ground.strength, positions, claims.tracks, (x, y), shape,
         side, rules.pull,
     )  # fmt: skip
-    image = frame[y : min(y + height * side, shape[0]), x : min(x + width * side, shape[1])].copy()
-    weights = weights_of(image, rules.contrast)
+    part = (x, y, min(width * side, shape[1] - x), min(height * side, shape[0] - y))
+    weights = weights_of(frame, part, rules.contrast)
     label_costs = np.full(own.size, rules.label_cost)
     label_costs[0] = 0  # the background is always there
     labels, found = label_levels(
@@ -266,10 +266,11 @@ def publish_claims(
     """
     x, y = (claims.corner[0] + box[0]) * claims.side, (claims.corner[1] + box[1]) * claims.side
     height, width = labelling.shape
+    ids = claims.ids[own]
     for v in range(height):
         row, target = labelling[v], published[y + v, x : x + width]
         for u in range(width):
-            target[u] = claims.ids[own[row[u]]]
+            target[np.uint64(u)] = ids[np.uint64(row[np.uint64(u)])]
     clean_labels(published, (x, y, width, height), limits[0], limits[1])
     labels = published[y : y + height, x : x + width].copy()
     tally(labels, claims, own, box, tallied)
@@ -291,7 +292,7 @@ def tally(labels: Array, claims: Claims, own: Array, box: Box, tallied: Tally) -
         row, floor, u, y = labels[v], claims.normaliser[top + v // side, left:], 0, corner_y + v
         while u < row.size:
             label, start = row[u], u
-            while u < row.size and row[u] == label:
+            while u < row.size and row[np.uint64(u)] == label:
                 u += 1
             if label == BACKGROUND:
                 continue
@@ -303,7 +304,9 @@ def tally(labels: Array, claims: Claims, own: Array, box: Box, tallied: Tally) -
             sums[1] += (first + last) * length // 2
             sums[2] += y * length
             costs = claims.cost[one, top + v // side, left:]
+            likelihood = tallied.likelihood[one]
             for cell in range(start // side, (u - 1) // side + 1):
                 posterior = LIKELIHOOD[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
                 for _ in range(max(start, cell * side), min(u, (cell + 1) * side)):
-                    tallied.likelihood[one] += posterior
+                    likelihood += posterior
+            tallied.likelihood[one] = likelihood

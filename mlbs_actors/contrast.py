@@ -14,7 +14,7 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.errors import ConfigError, FrameError
-from mlbs_actors.image_rows import padded_planes
+from mlbs_actors.image_rows import padded_part
 from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS
 from mlbs_actors.messages import Array
 
@@ -60,7 +60,8 @@ def contrast_weights(image: Array, strength: float = 0.8, scale: float = 200.0) 
         )
     if not 0 < scale < math.inf:
         raise ConfigError(f"The contrast scale is {scale}; give a positive number of squared grey levels.")
-    return np.asarray(weights_of(np.ascontiguousarray(image), weights_by_distance(strength, scale)))
+    whole = (0, 0, image.shape[1], image.shape[0])
+    return np.asarray(weights_of(np.ascontiguousarray(image), whole, weights_by_distance(strength, scale)))
 
 
 @functools.lru_cache(maxsize=16)
@@ -75,11 +76,12 @@ def weights_by_distance(strength: float, scale: float) -> Array:
 
 
 @compiled()
-def weights_of(image: Array, table: Array) -> Array:
-    """:func:`contrast_weights` of a C-contiguous image, by a table of :func:`weights_by_distance`."""
-    height, width = image.shape[:2]
+def weights_of(image: Array, box: tuple[int, int, int, int], table: Array) -> Array:
+    """:func:`contrast_weights` of a part of a C-contiguous image: left, top, width and height; by a table of
+    :func:`weights_by_distance`."""
+    left, top, width, height = box
     weights = np.empty((height, width, 4), np.int32)
-    _weigh(padded_planes(image), table, np.empty((4, width), np.int32), weights)
+    _weigh(padded_part(image, left, top, width, height), table, np.empty((4, width), np.int32), weights)
     return weights
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.contrast import COST_QUANTUM
 from mlbs_actors.messages import COST_STEP, Array
+from mlbs_actors.points_in_box import points_in_box
 
 __all__ = ["claimed_costs"]
 
@@ -54,12 +55,22 @@ def _track_pulls(
     pulls = np.empty(((tracks[:, 1] - tracks[:, 0]).sum(), 4), np.int64)
     count = 0
     for label in range(len(tracks)):
-        for point in range(tracks[label, 0], tracks[label, 1]):
-            x = min(max(int(np.rint(positions[point, 0])), 0), shape[1] - 1) - corner[0]
-            y = min(max(int(np.rint(positions[point, 1])), 0), shape[0] - 1) - corner[1]
-            if places[label, 0] <= y < places[label, 1] and places[label, 2] <= x < places[label, 3]:
-                pulls[count, 0], pulls[count, 1], pulls[count, 2], pulls[count, 3] = label, y, x, -pull
-                count += 1
+        own = positions[tracks[label, 0] : tracks[label, 1]]
+        top, bottom = places[label, 0] + corner[1], places[label, 1] + corner[1]
+        left, right = places[label, 2] + corner[0], places[label, 3] + corner[0]
+        # What lies outside the frame has the pull at its border.
+        inside = points_in_box(
+            own,
+            left if left > 0 else -np.inf,
+            top if top > 0 else -np.inf,
+            right if right < shape[1] else np.inf,
+            bottom if bottom < shape[0] else np.inf,
+        )
+        for point in inside:
+            x = min(max(int(np.rint(own[point, 0])), 0), shape[1] - 1) - corner[0]
+            y = min(max(int(np.rint(own[point, 1])), 0), shape[0] - 1) - corner[1]
+            pulls[count, 0], pulls[count, 1], pulls[count, 2], pulls[count, 3] = label, y, x, -pull
+            count += 1
     return pulls[:count]
 
 

@@ -8,23 +8,29 @@ from mlbs_actors.compilation import compiled
 from mlbs_actors.lanes import LANES, Lanes, broadcast, load, maximum, store
 from mlbs_actors.messages import Array
 
-__all__ = ["padded_planes", "read_row", "row_room"]
+__all__ = ["padded_part", "padded_planes", "read_row", "row_room"]
 
 
 @compiled()
 def padded_planes(image: Array) -> Array:
-    """The channels of a C-contiguous image (h, w, 3), with its border once more around: (3, h + 2, w + 2).
+    """:func:`padded_part` of a whole image."""
+    return padded_part(image, 0, 0, image.shape[1], image.shape[0])
+
+
+@compiled()
+def padded_part(image: Array, left: int, top: int, width: int, height: int) -> Array:
+    """The channels of a part of a C-contiguous image (H, W, 3), with the part's border once more around it:
+    (3, height + 2, width + 2).
 
     Behind them is room, so that a register may be read that begins in the last row.
     """
-    height, width = image.shape[0], image.shape[1]
     size = 3 * (height + 2) * (width + 2)
     planes = np.empty(size + LANES, np.uint8)[:size].reshape(3, height + 2, width + 2)
     if height == 0:
         return planes
     pixels = image.reshape(-1)
     for y in range(height + 2):
-        first = 3 * width * min(max(y - 1, 0), height - 1)
+        first = 3 * ((top + min(max(y - 1, 0), height - 1)) * image.shape[1] + left)
         row = pixels[first : first + 3 * width]
         blues, greens, reds = planes[0, y], planes[1, y], planes[2, y]
         for x in range(width):
@@ -61,13 +67,11 @@ def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room:
     room : Array
         :func:`row_room`. Its first three rows become the colours, the others are the residual's.
     """
-    flat, rests, row = planes.reshape(-1), residual.reshape(-1), room.reshape(-1)
+    flat, rests, row = planes.reshape(-1), residual[y].reshape(-1), room.reshape(-1)
     height, width, length = planes.shape[1], np.uint64(planes.shape[2]), np.uint64(room.shape[1])
     first = first // LANES * LANES
-    begin = 2 * y * residual.shape[1]
     for pixel in range(first, min(end, residual.shape[1])):
-        at = np.uint64(begin + 2 * pixel)
-        room[3, pixel], room[4, pixel] = rests[at], rests[at + np.uint64(1)]
+        room[3, pixel], room[4, pixel] = rests[np.uint64(2 * pixel)], rests[np.uint64(2 * pixel + 1)]
     zero, one = broadcast(np.float32(0), LANES), broadcast(np.float32(1), LANES)
     for start in range(first, end, LANES):
         x = np.uint64(start)

@@ -191,8 +191,7 @@ def _sorted_pairs(nearest_of: Array) -> tuple[Array, Array]:
     count = nearest_of.shape[0]
     higher_start, lower_start = np.zeros(count + 1, np.int32), np.zeros(count + 1, np.int32)
     for i in range(count):
-        for k in range(nearest_of.shape[1]):
-            j = nearest_of[i, k]
+        for j in nearest_of[i]:
             if j < 0:
                 break
             higher_start[max(i, j) + 1] += 1
@@ -203,8 +202,7 @@ def _sorted_pairs(nearest_of: Array) -> tuple[Array, Array]:
     told = higher_start[-1]
     place, lower = higher_start[:-1].copy(), np.empty(told, np.int32)
     for i in range(count):
-        for k in range(nearest_of.shape[1]):
-            j = nearest_of[i, k]
+        for j in nearest_of[i]:
             if j < 0:
                 break
             lower[place[max(i, j)]] = min(i, j)

@@ -12,6 +12,7 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.lanes import LANES, Lanes, broadcast, broadcast_lane, load, minimum, shifted, store
 from mlbs_actors.messages import Array, Region
+from mlbs_actors.points_in_box import points_in_box
 
 __all__ = ["closed_distance", "occupied_cells", "occupy", "to_occupied", "trajectory_distance"]
 
@@ -53,16 +54,14 @@ def occupied_cells(positions: Array, side: int, left: int, top: int, width: int,
     return occupied
 
 
-@compiled(in_place=True)
+@compiled()
 def occupy(occupied: Array, positions: Array, side: int, left: int, top: int) -> None:
     """Add those of other positions to :func:`occupied_cells`."""
-    high, wide, first_x, first_y = side * occupied.shape[0], side * occupied.shape[1], side * left, side * top
-    for point in range(positions.shape[0]):
-        x = np.int64(np.rint(positions[point, 0])) - first_x
-        y = np.int64(np.rint(positions[point, 1])) - first_y
-        # One branch, as most trajectories are elsewhere.
-        if (x >= 0) & (x < wide) & (y >= 0) & (y < high):
-            occupied[y // side, x // side] = True
+    x, y, height, width = side * left, side * top, side * occupied.shape[0], side * occupied.shape[1]
+    for point in points_in_box(positions, x, y, x + width, y + height):
+        column = (np.int64(np.rint(positions[point, 0])) - x) // side
+        row = (np.int64(np.rint(positions[point, 1])) - y) // side
+        occupied[row, column] = True
 
 
 @compiled()

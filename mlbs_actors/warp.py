@@ -78,12 +78,13 @@ def _find_sources(
     part, step = np.empty((2, count), np.float32), np.empty((2, count), np.float32)
     rest, inside = np.empty((2, count), np.float32), np.empty(count, np.bool_)
     missed = np.empty(count + 1, np.int32)
-    moves, rests = motion.reshape(-1), new_residual.reshape(-1)
+    all_moves, all_rests, pair = motion.reshape(-1), new_residual.reshape(-1), 2 * count
     # Loops without a branch, and in 32 bits, run in vector registers.
     for y in range(source.shape[0]):
-        begin = 2 * y * count
+        begin, end, sources = y * pair, (y + 1) * pair, source[y]
+        moves, rests = all_moves[begin:end], all_rests[begin:end]
         for x in range(count):
-            move_x, move_y = moves[np.uint64(begin + 2 * x)], moves[np.uint64(begin + 2 * x + 1)]
+            move_x, move_y = moves[np.uint64(2 * x)], moves[np.uint64(2 * x + 1)]
             # Halves round upwards whatever the sign, so that a pan is treated alike everywhere.
             whole_x, whole_y = np.floor(move_x + half), np.floor(move_y + half)
             # q lies this far from the nearest pixel. Exact in single precision, as q itself is not.
@@ -103,14 +104,13 @@ def _find_sources(
         _gather(stored, place, rest)
         for x in range(count):
             miss_x, miss_y = step[0, x] + rest[0, x] - part[0, x], step[1, x] + rest[1, x] - part[1, x]
-            source[y, x] = place[x] if inside[x] else np.int32(-1)
-            rests[np.uint64(begin + 2 * x)] = miss_x if inside[x] else zero
-            rests[np.uint64(begin + 2 * x + 1)] = miss_y if inside[x] else zero
+            sources[x] = place[x] if inside[x] else np.int32(-1)
+            rests[np.uint64(2 * x)] = miss_x if inside[x] else zero
+            rests[np.uint64(2 * x + 1)] = miss_y if inside[x] else zero
         found = 0
         for x in range(count):
             missed[found] = x  # kept if it counts: a branch would be mispredicted
-            at = np.uint64(begin + 2 * x)
-            found += int(max(abs(rests[at]), abs(rests[at + np.uint64(1)])) > half)
+            found += int(max(abs(rests[np.uint64(2 * x)]), abs(rests[np.uint64(2 * x + 1)])) > half)
         for i in range(found):
             x = missed[i]
             best, miss_x, miss_y = _best_around(
@@ -118,8 +118,8 @@ def _find_sources(
             )
             if miss_x * miss_x + miss_y * miss_y >= np.float32(MAX_MISS_PX**2):
                 best, miss_x, miss_y = -1, zero, zero
-            source[y, x] = best
-            rests[begin + 2 * x], rests[begin + 2 * x + 1] = miss_x, miss_y
+            sources[x] = best
+            rests[2 * x], rests[2 * x + 1] = miss_x, miss_y
 
 
 @compiled(inline="always")
@@ -192,69 +192,27 @@ def warp_map(
     return value, share
 
 
-@compiled()
+@compiled(in_place=True)
 def interpolate_map(
     values: Array, motion: Array, shift_x: int, shift_y: int, needed: Array, value: Array, share: Array
 ) -> None:
     """:func:`warp_map` into zeros, from a region that begins so far from the new one's corner."""
-    count = needed.shape[1]
-    place, inside = np.empty(count, np.int32), np.empty(count, np.bool_)
-    parts = np.empty((2, count), np.float32)
-    for y in range(needed.shape[0]):
-        _find_corners(y, values.shape, motion, shift_x, shift_y, needed, place, inside, parts)
-        _interpolate_inside(y, values, place, inside, parts, value, share)
-        for x in range(count):
-            if needed[y, x] and not inside[x]:
-                left = x + shift_x + int(np.floor(motion[y, x, 0]))
-                top = y + shift_y + int(np.floor(motion[y, x, 1]))
-                _interpolate_at_border(y, x, values, left, top, parts[0, x], parts[1, x], value, share)
-
-
-@compiled(in_place=True)
-def _find_corners(
-    y: int, shape: tuple[int, int], motion: Array, shift_x: int, shift_y: int, needed: Array, place: Array,
-    inside: Array, parts: Array,
-) -> None:  # fmt: skip
-    """Of a row's pixels: between which values of a map they come to lie, whether all four are there, and how
-    far, x and y, past the first one. Without a branch: this runs in vector registers."""
-    height, width, moves = np.int32(shape[0]), np.int32(shape[1]), motion.reshape(-1)
-    first = 2 * y * needed.shape[1]
-    for x in range(needed.shape[1]):
-        at = np.uint64(first + 2 * x)
-        move_x, move_y = moves[at], moves[at + np.uint64(1)]
-        whole_x, whole_y = np.floor(move_x), np.floor(move_y)
-        parts[0, x], parts[1, x] = move_x - whole_x, move_y - whole_y
-        left, top = np.int32(x + shift_x) + np.int32(whole_x), np.int32(y + shift_y) + np.int32(whole_y)
-        there = (left >= 0) & (left < width - np.int32(1)) & (top >= 0) & (top < height - np.int32(1))
-        inside[x] = there & needed[y, x]
-        place[x] = top * width + left if there else np.int32(0)
-
-
-@compiled(in_place=True)
-def _interpolate_inside(
-    y: int, values: Array, place: Array, inside: Array, parts: Array, value: Array, share: Array
-) -> None:
-    if values.shape[0] < 2 or values.shape[1] < 2:
-        return
-    flat, one = values.reshape(-1), np.float32(1)
-    right, lower = np.uint64(1), np.uint64(values.shape[1])
-    for x in range(place.size):
-        at, along, down = np.uint64(np.uint32(place[x])), parts[0, x], parts[1, x]
-        above = (one - along) * flat[at] + along * flat[at + right]
-        at += lower
-        below = (one - along) * flat[at] + along * flat[at + right]
-        value[y, x] = (one - down) * above + down * below if inside[x] else np.float32(0)
-        share[y, x] = one if inside[x] else np.float32(0)
-
-
-@compiled(in_place=True)
-def _interpolate_at_border(
-    y: int, x: int, values: Array, left: int, top: int, along: np.float32, down: np.float32, value: Array,
-    share: Array,
-) -> None:  # fmt: skip
+    height, width = values.shape
     one = np.float32(1)
-    for row, row_share in ((top, one - down), (top + 1, down)):
-        for column, column_share in ((left, one - along), (left + 1, along)):
-            if 0 <= row < values.shape[0] and 0 <= column < values.shape[1]:
-                value[y, x] += row_share * column_share * values[row, column]
-                share[y, x] += row_share * column_share
+    for y in range(needed.shape[0]):
+        for x in range(needed.shape[1]):
+            if not needed[y, x]:
+                continue
+            whole_x, whole_y = np.floor(motion[y, x, 0]), np.floor(motion[y, x, 1])
+            left, top = x + shift_x + int(whole_x), y + shift_y + int(whole_y)
+            along, down = motion[y, x, 0] - whole_x, motion[y, x, 1] - whole_y
+            if 0 <= left < width - 1 and 0 <= top < height - 1:
+                above = (one - along) * values[top, left] + along * values[top, left + 1]
+                below = (one - along) * values[top + 1, left] + along * values[top + 1, left + 1]
+                value[y, x], share[y, x] = (one - down) * above + down * below, one
+                continue
+            for row, row_share in ((top, one - down), (top + 1, down)):
+                for column, column_share in ((left, one - along), (left + 1, along)):
+                    if 0 <= row < height and 0 <= column < width:
+                        value[y, x] += row_share * column_share * values[row, column]
+                        share[y, x] += row_share * column_share
