@@ -1,9 +1,9 @@
 """What a frame of a steady crowd costs by the number of objects in it, in one process and through Ray.
 
-Through Ray each number is run twice, there and back, and the run that took less counts: what else runs on a
-shared machine only adds to it, most where much memory is used. Still runs vary by several per cent, which is
-as much as an object costs: believe the mean over all further objects, not the step from one number to the
-next.
+Through Ray each number is run three times, there, back and there again, and the run that took least counts:
+what else runs on a shared machine only adds to it, most where much memory is used. Still runs vary by several
+per cent, which is as much as an object costs: believe the mean over all further objects, not the step from
+one number to the next.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ def measure_layers(
         say(f"layers: {count} objects in this process ({number + 1} of {len(objects)})")
         sequence = open_sequence(_scene(setting, count), None)
         alone[count] = steady_cost(play(setting.played(sequence), setting.config), setting.warm)
-    there_and_back = (*through_ray, *reversed(through_ray))
-    for number, count in enumerate(there_and_back):
-        say(f"layers: {count} objects through Ray ({number + 1} of {len(there_and_back)})")
+    turns = (*through_ray, *reversed(through_ray), *through_ray)
+    for number, count in enumerate(turns):
+        say(f"layers: {count} objects through Ray ({number + 1} of {len(turns)})")
         name = _scene(setting, count)
         scene = replace(setting, sequences={name: open_sequence(name, None)})
         open_reader = partial(EndlessReader, scene.endless_video(name))
