@@ -1,15 +1,15 @@
 """What a frame of a steady crowd costs by the number of objects in it, in one process and through Ray.
 
-Through Ray each number is run three times, there, back and there again, and the run that took least counts:
-what else runs on a shared machine only adds to it, most where much memory is used. Still runs vary by several
-per cent, which is as much as an object costs: believe the mean over all further objects, not the step from
-one number to the next.
+Through Ray all numbers are run in three rounds, there, back and there again, and the round counts whose growth
+is the median: what else runs on a shared machine changes within minutes, by more than what an object costs, so
+that runs of different rounds say little about each other. Believe the mean over all further objects, not the
+step from one number to the next.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import pairwise
@@ -31,12 +31,14 @@ __all__ = [
     "layers_table",
     "mean_further_object_ms",
     "measure_layers",
+    "median_round",
     "processes_table",
 ]
 
 OBJECTS = (1, 3, 8, 16, 32)
 #: Through Ray each takes a minute, of which most is the start of the processes.
 OBJECTS_THROUGH_RAY = (3, 8, 16)
+_ROUNDS = 3
 
 #: The number of objects of an ordinary frame, which the others are held against.
 ORDINARY = 3
@@ -51,19 +53,18 @@ def measure_layers(
 ) -> Finding:
     """Play the scene ``steady-crowd`` at 640×480 with each number of objects."""
     alone: dict[int, EngineCost] = {}
-    runs: dict[int, list[PipelineCost]] = {count: [] for count in through_ray}
+    rounds: list[dict[int, PipelineCost]] = []
     for number, count in enumerate(objects):
         say(f"layers: {count} objects in this process ({number + 1} of {len(objects)})")
         sequence = open_sequence(_scene(setting, count), None)
         alone[count] = steady_cost(play(setting.played(sequence), setting.config), setting.warm)
-    turns = (*through_ray, *reversed(through_ray), *through_ray)
-    for number, count in enumerate(turns):
-        say(f"layers: {count} objects through Ray ({number + 1} of {len(turns)})")
-        name = _scene(setting, count)
-        scene = replace(setting, sequences={name: open_sequence(name, None)})
-        open_reader = partial(EndlessReader, scene.endless_video(name))
-        runs[count].append(pipeline_cost(scene, None, open_reader, record_in))
-    together = {count: min(of_count, key=lambda one: one.all_cpu_ms) for count, of_count in runs.items()}
+    for turn in range(_ROUNDS):
+        costs = {}
+        for count in reversed(through_ray) if turn % 2 else through_ray:
+            say(f"layers: {count} objects through Ray (round {turn + 1} of {_ROUNDS})")
+            costs[count] = _cost_through_ray(setting, count)
+        rounds.append({count: costs[count] for count in through_ray})
+    together = median_round(rounds)
     plot = Plot(
         "A frame by the number of its objects (640×480, 1 % of the frame each), in one process",
         "objects",
@@ -79,10 +80,25 @@ def measure_layers(
         "in_process": _figures(alone, {count: cost.cpu_ms for count, cost in alone.items()}),
         "through_ray": _figures(together, {count: cost.all_cpu_ms for count, cost in together.items()}),
     }
-    for count, of_count in runs.items():
-        figures["through_ray"][str(count)]["all_runs_cpu_ms"] = [one.all_cpu_ms for one in of_count]
+    for count in through_ray:
+        figures["through_ray"][str(count)]["all_rounds_cpu_ms"] = [one[count].all_cpu_ms for one in rounds]
     tables = (layers_table(alone), *([processes_table(together)] if together else []))
     return Finding(tables, figures, {"layers": plot})
+
+
+def _cost_through_ray(setting: Setting, objects: int) -> PipelineCost:
+    name = _scene(setting, objects)
+    scene = replace(setting, sequences={name: open_sequence(name, None)})
+    return pipeline_cost(scene, None, partial(EndlessReader, scene.endless_video(name)), record_in)
+
+
+def median_round(rounds: Sequence[Mapping[int, PipelineCost]]) -> Mapping[int, PipelineCost]:
+    """The one whose growth from the fewest to the most objects is the median."""
+
+    def growth(costs: Mapping[int, PipelineCost]) -> float:
+        return costs[max(costs)].all_cpu_ms / costs[min(costs)].all_cpu_ms if costs else 0.0
+
+    return sorted(rounds, key=growth)[len(rounds) // 2]
 
 
 def _figures(
