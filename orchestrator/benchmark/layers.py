@@ -2,8 +2,8 @@
 
 Through Ray all numbers are run in three rounds, there, back and there again, and the round counts whose
 growth is the median: what else runs on a shared machine changes within minutes, by more than what an object
-costs, so that runs of different rounds say little about each other. Believe the mean over all further objects,
-not the step from one number to the next.
+costs, so that runs of different rounds say little about each other. Believe the mean over all further
+objects, not the step from one number to the next.
 """
 
 from __future__ import annotations
