@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -40,11 +41,22 @@ def compiled(*, in_place: bool = False, **options: Any) -> Callable[[Function], 
         # Numba compiles anew what lies in a changed file, but not what calls it from another one, into which
         # it has been built. So what is kept counts only as long as no module has changed.
         kernel._cache._cache_file._source_stamp = _stamp(Path(function.__code__.co_filename).parent)
-        kernel._cache.load_overload = _packing(kernel._cache.load_overload)
+        kernel._cache.load_overload = _before_kernels(_packing(kernel._cache.load_overload))
         kept: Function = kernel
         return kept
 
     return compile_and_keep
+
+
+def _before_kernels(load: Callable[..., Any]) -> Callable[..., Any]:
+    """``load``, of a kernel's cache, which is asked before any kernel is there: what they make arrays with
+    comes first. It takes a quarter of a second, which who has no kernel need not wait."""
+
+    def loaded(*given: Any) -> Any:
+        importlib.import_module("mlbs_actors.array_memory")
+        return load(*given)
+
+    return loaded
 
 
 class _Packed:
