@@ -9,11 +9,13 @@ Differs from the paper, which trusts the N-cut alone:
 * Flow bleeds over smooth ground. Trajectories that move without evidence of it have no part in the N-cut
   test.
 * Disconnection alone never makes a label, and groups with few trajectories stay unlabelled.
+* A cluster that holds together firmly is spared the test for a while. It costs less time, and fewer clusters
+  fall apart by an accident of the flow.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 
 import numpy as np
@@ -103,9 +105,14 @@ def bled_trajectories(
 
 
 def split_labels(
-    affinity: sp.csr_array, labels: Array, config: AffinityConfig, next_label: int, bled: Array
-) -> Array:
-    """Put every cluster to the N-cut test; parts that fall off get fresh labels.
+    affinity: sp.csr_array,
+    labels: Array,
+    config: AffinityConfig,
+    next_label: int,
+    bled: Array,
+    spared: Collection[int] = (),
+) -> tuple[Array, Array]:
+    """Put clusters to the N-cut test; parts that fall off get fresh labels.
 
     The part with most trajectories keeps the label. Trajectories without a label are clustered too. Those
     that have bled tie nothing together; they, and the few that hung on them alone, go where the random walk
@@ -120,25 +127,33 @@ def split_labels(
         From here on labels are unused.
     bled : (n,) bool
         From :func:`bled_trajectories`.
+    spared : collection of int
+        Labels that are not put to the test.
 
     Returns
     -------
-    (n,) int64
+    labels : (n,) int64
+    firm : (m,) int64
+        Labels of clusters that are firm (:func:`~mlbs_actors.normalized_cut.recursive_cut`).
     """
     known, classes = label_classes(labels, bled)
-    clusters = recursive_cut(affinity, config.cut_threshold, config.cut_side_tracks, classes)
-    result, adrift = _named(labels, bled, known, classes, clusters, next_label)
+    if spared:
+        tested = np.append(~np.isin(known, list(spared)), False)  # the last for those of no class
+        classes = np.where(tested[classes], classes, -1)
+    clusters, firm = recursive_cut(affinity, config.cut_threshold, config.cut_side_tracks, classes)
+    result, adrift, names = _named(labels, bled, known, classes, clusters, next_label)
     if adrift.any():
         # All others hold still: the walk is asked only where those adrift go.
         result[adrift] = _decided(propagate_absorbing, affinity, result)[adrift]
-    return result
+    return result, names[firm]
 
 
 @compiled()
 def _named(
     labels: Array, bled: Array, known: Array, classes: Array, clusters: Array, next_label: int
-) -> tuple[Array, Array]:
-    """Labels of the clusters that each label has fallen into, and which trajectories are adrift.
+) -> tuple[Array, Array, Array]:
+    """Labels of the clusters that each label has fallen into, which trajectories are adrift, and each
+    cluster's label.
 
     Labels that are too small to be cut stay as they are.
     """
@@ -173,7 +188,7 @@ def _named(
             result[i], adrift[i] = UNLABELLED, has_bled[own[i]]
         elif parts[own[i]] > 1:
             result[i], adrift[i] = UNLABELLED, True
-    return result, adrift
+    return result, adrift, names
 
 
 def split_origins(before: Array, labels: Array) -> dict[int, int]:

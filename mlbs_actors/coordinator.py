@@ -276,10 +276,13 @@ class Coordinator:
             if state.clustered:
                 carried = propagate_labels(affinity, state.labels, config.affinity)
                 fresh = max(registry.state.next_layer, int(carried.max(initial=0)) + 1)
-                labels = split_labels(affinity, carried, config.affinity, fresh, bled)
+                labels, firm = split_labels(
+                    affinity, carried, config.affinity, fresh, bled, registry.spared_labels()
+                )
+                registry.spare(firm)
                 origins = split_origins(carried, labels)
             else:
-                labels = split_labels(affinity, np.full(len(bled), UNLABELLED), config.affinity, 0, bled)
+                labels, _ = split_labels(affinity, np.full(len(bled), UNLABELLED), config.affinity, 0, bled)
                 spacing = config.trajectories.seed_spacing_px * scale
                 labels = background_first(labels, state.trajectories, scale, spacing)
                 origins = {}

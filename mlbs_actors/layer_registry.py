@@ -27,6 +27,9 @@ from mlbs_actors.reidentification import SIGNATURE_BINS, Sighting, best_sleeper,
 
 __all__ = ["LayerRegistry", "RegistryState"]
 
+#: Clusterings at which an object is not put to the N-cut test after one that it has passed firmly.
+_SPARED = 3
+
 
 @dataclass(frozen=True, slots=True)
 class RegistryState:
@@ -44,6 +47,8 @@ class RegistryState:
         Last frame awake; older than the newest frame = asleep.
     judged, moving : (k,) int64
         Clusterings it has been through, and in how many of them it moved against the camera.
+    spared : (k,) int64
+        Clusterings that it may pass without the N-cut test.
     tracked : (k,) int64
         Last frame with enough trajectories; a layer can stay awake a little longer on its published pixels.
     centroids, velocities : (k, 2) float64
@@ -65,6 +70,7 @@ class RegistryState:
     origins: Array
     judged: Array
     moving: Array
+    spared: Array
     seen: Array
     tracked: Array
     centroids: Array
@@ -79,6 +85,7 @@ class RegistryState:
     def empty() -> RegistryState:
         """No object yet."""
         return RegistryState(
+            np.zeros(0, np.int64),
             np.zeros(0, np.int64),
             np.zeros(0, np.int64),
             np.zeros(0, np.int64),
@@ -130,6 +137,24 @@ class LayerRegistry:
         judged = np.array([label in speeds for label in labels], bool)
         moving = np.array([speeds.get(label, -np.inf) >= least for label in labels], bool)
         self.state = replace(state, judged=state.judged + judged, moving=state.moving + moving)
+
+    def spared_labels(self) -> list[int]:
+        """Labels of objects that need not be put to the N-cut test at this clustering."""
+        labels: list[int] = self.state.labels[self.state.spared > 0].tolist()
+        return labels
+
+    def spare(self, firm: Array) -> None:
+        """Take note of what the N-cut test of a clustering has told.
+
+        Parameters
+        ----------
+        firm : (m,) int64
+            Labels that hold together firmly, from :func:`~mlbs_actors.clustering.split_labels`. Objects among
+            them are spared the test at the next ``_SPARED`` clusterings: what moves apart does so slowly.
+        """
+        state = self.state
+        proven = (state.labels > BACKGROUND) & np.isin(state.labels, firm)
+        self.state = replace(state, spared=np.where(proven, _SPARED, np.maximum(state.spared - 1, 0)))
 
     def ages(self, frame_index: int) -> dict[int, int]:
         """Frames since birth of every label, the background being older than all.
@@ -206,6 +231,7 @@ class LayerRegistry:
                 ),
                 judged=np.concatenate([[0], state.judged]),
                 moving=np.concatenate([[0], state.moving]),
+                spared=np.concatenate([[0], state.spared]),
                 seen=np.concatenate([[frame_index], state.seen]),
                 tracked=np.concatenate([[frame_index], state.tracked]),
                 centroids=np.concatenate([np.zeros((1, 2)), state.centroids]),
@@ -317,6 +343,7 @@ class LayerRegistry:
             origins=np.where(np.isin(origins, labels), origins, UNLABELLED),
             judged=state.judged[rows],
             moving=state.moving[rows],
+            spared=state.spared[rows],
             seen=state.seen[rows],
             tracked=state.tracked[rows],
             centroids=state.centroids[rows],

@@ -32,6 +32,8 @@ EXACT_NODES = 64
 #: Rounding in single precision moves the least eigenvalue that a factorisation of n nodes sees by less than
 #: this · n (n + 1), of a matrix with at most 2 on its diagonal (Higham, Accuracy and Stability, §10.1).
 ROUNDING = 1.2e-7
+#: A cluster is firm if all its cuts have an N-cut value above the threshold times this.
+FIRM = 3.0
 #: Eigenvectors tried for each cut.
 EIGENVECTORS = 3
 
@@ -200,7 +202,7 @@ def _severed(affinity: Array, order: Array) -> Array:
 
 def recursive_cut(
     affinity: sp.csr_array, threshold: float, min_side: int, apart: Array | None = None
-) -> Array:
+) -> tuple[Array, Array]:
     """Split a graph into clusters while the best N-cut of a cluster is below the threshold.
 
     Parameters
@@ -216,8 +218,11 @@ def recursive_cut(
 
     Returns
     -------
-    (n,) int64
+    clusters : (n,) int64
         Cluster of every node, 0 … C−1 by falling size; −1 for nodes in parts smaller than ``min_side``.
+    firm : (C,) bool
+        Clusters of which it is certain that no cut has an N-cut value below ``FIRM`` times the threshold; it
+        is not asked of the larger side of a cut.
     """
     pointers, neighbours, weights = affinity.indptr, affinity.indices, affinity.data
     labels = np.full(affinity.shape[0], -1, np.int64)
@@ -229,25 +234,27 @@ def recursive_cut(
         for start, end in zip(starts.tolist(), ends, strict=False)
         if end - start >= min_side
     ]
-    clusters = []
+    clusters: list[tuple[Array, bool]] = []
     while waiting:
         nodes, small = waiting.pop()
         if len(nodes) < min_side:
             continue
+        firm = False
         if small is None:
             most = max(len(nodes) // EXACT_NODES, 1)
             edges = _kept_edges(pointers, neighbours, weights, nodes)
             small = _SmallGraph(*coarsen(*edges, most), len(nodes))
-        if not holds_together(small.joined, threshold):
+            firm = holds_together(small.joined, FIRM * threshold)
+        if not firm and not holds_together(small.joined, threshold):
             cut = best_cut(small.joined, np.bincount(small.group), min_side)
             if cut.value < threshold:
                 waiting += [_one_side(nodes, small, side) for side in (cut.side, ~cut.side)]
                 continue
-        clusters.append(nodes)
-    clusters.sort(key=lambda nodes: (-len(nodes), int(nodes[0])))
-    for label, nodes in enumerate(clusters):
+        clusters.append((nodes, firm))
+    clusters.sort(key=lambda cluster: (-len(cluster[0]), int(cluster[0][0])))
+    for label, (nodes, _) in enumerate(clusters):
         labels[nodes] = label
-    return labels
+    return labels, np.array([firm for _, firm in clusters], bool)
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,14 +78,21 @@ def test_without_any_label_there_is_nothing_to_carry() -> None:
 
 
 def split(affinity: sp.csr_array, labels: Array, next_label: int = 1, bled: Array | None = None) -> Array:
-    return split_labels(
-        affinity, labels, CUTS, next_label, np.zeros(len(labels), bool) if bled is None else bled
-    )
+    none = np.zeros(len(labels), bool)
+    return split_labels(affinity, labels, CUTS, next_label, none if bled is None else bled)[0]
 
 
 def test_the_largest_part_keeps_the_label_and_the_others_get_fresh_ones() -> None:
     labels = split(blocks(8, 12, 6), np.full(26, 4), next_label=9)
     assert labels.tolist() == [9] * 8 + [4] * 12 + [10] * 6
+
+
+def test_what_is_spared_stays_together_and_the_others_do_not() -> None:
+    labels, none = np.repeat([4, 2], [20, 15]), np.zeros(35, bool)
+    affinity = blocks(8, 12, 6, 9)
+    spared, firm = split_labels(affinity, labels, CUTS, 9, none, spared=[4])
+    assert spared.tolist() == [4] * 20 + [9] * 6 + [2] * 9
+    assert sorted(firm.tolist()) == [2, 9]
 
 
 def test_a_cluster_that_holds_together_is_left_alone() -> None:
@@ -168,10 +175,12 @@ def test_clusters_are_named_as_label_by_label(seed: int) -> None:
     clusters = np.where((found < 0) | bled, -1, numbers[3 * classes + np.maximum(found, 0)])
     clusters[classes == seed % 4] = -1  # and one that is too small to be cut
     clusters = np.unique(np.r_[-1, clusters], return_inverse=True)[1][1:] - 1
-    result, adrift = clustering._named(labels, bled, known, classes, clusters, 50)
+    result, adrift, names = clustering._named(labels, bled, known, classes, clusters, 50)
     expected, expected_adrift = named_by_masks(labels, bled, clusters, 50)
     np.testing.assert_array_equal(result, expected)
     np.testing.assert_array_equal(adrift, expected_adrift)
+    for cluster, name in enumerate(names):
+        assert set(expected[clusters == cluster].tolist()) == {name}
 
 
 def test_what_hangs_on_a_cluster_by_bled_trajectories_alone_keeps_its_label() -> None:

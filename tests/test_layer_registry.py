@@ -484,3 +484,15 @@ def test_what_has_no_trajectories_is_not_judged() -> None:
     for _ in range(30):
         stream.registry.judge({}, 1.0)
     assert stream.registry.ages(6)[stream.labels["car"]] == 6
+
+
+def test_an_object_that_holds_together_firmly_is_spared_the_next_three_tests() -> None:
+    stream = Stream()
+    stream.see({"car": Thing(), "bus": Thing(place=(300.0, 300.0))}, at_once=True)
+    car, bus = stream.labels["car"], stream.labels["bus"]
+    stream.see({"car": Thing(), "bus": Thing(place=(300.0, 300.0)), "new": Thing(place=(500.0, 50.0))})
+    candidate, spared = stream.labels["new"], []
+    for firm in ([BACKGROUND, car, candidate], [], [], [], [bus, car]):
+        stream.registry.spare(np.array(firm, np.int64))
+        spared.append(set(stream.registry.spared_labels()))
+    assert spared == [{car}, {car}, {car}, set(), {car, bus}]

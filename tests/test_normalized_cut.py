@@ -15,6 +15,7 @@ from mlbs_actors.graph_coarsening import coarsen
 from mlbs_actors.messages import Array
 from mlbs_actors.normalized_cut import (
     EXACT_NODES,
+    FIRM,
     NO_EDGE,
     ROUNDING,
     TwoWayCut,
@@ -23,6 +24,11 @@ from mlbs_actors.normalized_cut import (
     ncut_value,
     recursive_cut,
 )
+
+
+def clusters_of(*given: object, **named: object) -> Array:
+    """The clusters that :func:`recursive_cut` finds."""
+    return recursive_cut(*given, **named)[0]  # type: ignore[arg-type]
 
 
 def random_graph(nodes: int, seed: int, density: float = 0.6) -> Array:
@@ -141,7 +147,7 @@ def test_small_and_large_clusters_are_cut_where_the_dense_eigenvectors_say(nodes
     points = two_clouds(nodes)
     affinity = neighbour_graph(points, 1.5)
     best = thresholded_ncut(affinity, 5)
-    labels = recursive_cut(sp.csr_array(affinity), 1.1 * best, 5)
+    labels = clusters_of(sp.csr_array(affinity), 1.1 * best, 5)
     assert labels.max() == 1
     assert ncut_value(affinity, labels == 0) <= 1.1 * best
     left = points[:, 0] < 0
@@ -158,7 +164,7 @@ def test_a_node_that_stands_for_many_counts_as_many() -> None:
 def test_what_is_to_be_kept_apart_is_never_in_one_cluster() -> None:
     affinity, _ = block_graph([60], between=0.0)
     apart = np.repeat([0, 1, -1], [20, 30, 10])
-    labels = recursive_cut(sp.csr_array(affinity), 1e-2, 5, apart)
+    labels = clusters_of(sp.csr_array(affinity), 1e-2, 5, apart)
     np.testing.assert_array_equal(labels, np.repeat([1, 0, -1], [20, 30, 10]))
 
 
@@ -187,26 +193,26 @@ def test_the_smallest_clusters_can_be_cut_into_single_nodes(nodes: int) -> None:
 @pytest.mark.parametrize("between", [0.0, 1e-5])
 def test_blocks_are_told_apart_and_numbered_by_falling_size(sizes: list[int], between: float) -> None:
     affinity, block = block_graph(sizes, between)
-    labels = recursive_cut(sp.csr_array(affinity), threshold=1e-2, min_side=5)
+    labels = clusters_of(sp.csr_array(affinity), threshold=1e-2, min_side=5)
     np.testing.assert_array_equal(labels, block)
 
 
 def test_blocks_that_hold_together_stay_one_cluster() -> None:
     affinity, _ = block_graph([30, 30], between=0.3)
-    assert set(recursive_cut(sp.csr_array(affinity), threshold=1e-2, min_side=5).tolist()) == {0}
+    assert set(clusters_of(sp.csr_array(affinity), threshold=1e-2, min_side=5).tolist()) == {0}
 
 
 def test_a_higher_threshold_splits_more() -> None:
     affinity, block = block_graph([30, 25], between=0.01)
-    coarse = recursive_cut(sp.csr_array(affinity), threshold=1e-3, min_side=5)
-    fine = recursive_cut(sp.csr_array(affinity), threshold=0.1, min_side=5)
+    coarse = clusters_of(sp.csr_array(affinity), threshold=1e-3, min_side=5)
+    fine = clusters_of(sp.csr_array(affinity), threshold=0.1, min_side=5)
     assert set(coarse.tolist()) == {0}
     np.testing.assert_array_equal(fine, block)
 
 
 def test_every_cluster_that_is_left_cannot_be_split_below_the_threshold() -> None:
     affinity = neighbour_graph(np.random.default_rng(5).uniform(0, 12, (300, 2)), 1.2)
-    labels = recursive_cut(sp.csr_array(affinity), threshold=0.08, min_side=6)
+    labels = clusters_of(sp.csr_array(affinity), threshold=0.08, min_side=6)
     assert labels.max() >= 2
     for label in range(labels.max() + 1):
         nodes = np.flatnonzero(labels == label)
@@ -229,33 +235,33 @@ def test_the_small_graph_of_what_is_left_sums_the_affinities_of_its_nodes() -> N
 
 def test_parts_that_are_too_small_get_no_cluster() -> None:
     affinity, block = block_graph([20, 4, 2], between=0.0)
-    labels = recursive_cut(sp.csr_array(affinity), threshold=1e-2, min_side=5)
+    labels = clusters_of(sp.csr_array(affinity), threshold=1e-2, min_side=5)
     assert set(labels[block == 0].tolist()) == {0}
     assert set(labels[block > 0].tolist()) == {-1}
 
 
 def test_an_edge_as_good_as_none_joins_nothing() -> None:
     affinity, block = block_graph([20, 15], between=0.1 * NO_EDGE)
-    np.testing.assert_array_equal(recursive_cut(sp.csr_array(affinity), 1e-30, 5), block)
+    np.testing.assert_array_equal(clusters_of(sp.csr_array(affinity), 1e-30, 5), block)
 
 
 def test_a_graph_without_edges_or_nodes_has_no_cluster() -> None:
-    assert recursive_cut(sp.csr_array((0, 0)), 1e-2, 5).shape == (0,)
-    assert recursive_cut(sp.csr_array((7, 7)), 1e-2, 5).tolist() == [-1] * 7
+    assert clusters_of(sp.csr_array((0, 0)), 1e-2, 5).shape == (0,)
+    assert clusters_of(sp.csr_array((7, 7)), 1e-2, 5).tolist() == [-1] * 7
 
 
 def test_the_graph_that_is_cut_is_left_as_it_was() -> None:
     affinity = sp.csr_array(block_graph([20, 15], between=0.1 * NO_EDGE)[0])
     before = affinity.copy()
-    recursive_cut(affinity, 1e-2, 5)
+    clusters_of(affinity, 1e-2, 5)
     assert affinity.nnz == before.nnz
     np.testing.assert_array_equal(affinity.data, before.data)
 
 
 def test_equal_graphs_give_equal_clusters() -> None:
     affinity = sp.csr_array(neighbour_graph(two_clouds(400, seed=2), 1.5))
-    first = recursive_cut(affinity, 0.05, 8)
-    second = recursive_cut(affinity.copy(), 0.05, 8)
+    first = clusters_of(affinity, 0.05, 8)
+    second = clusters_of(affinity.copy(), 0.05, 8)
     assert first.max() >= 1
     assert first.tobytes() == second.tobytes()
 
@@ -301,3 +307,25 @@ def test_connected_parts_are_those_of_scipy_numbered_by_their_first_nodes() -> N
     assert len(starts) == count + 1
     for one in range(count):
         np.testing.assert_array_equal(ordered[starts[one] : starts[one + 1]], np.flatnonzero(part == one))
+
+
+@pytest.mark.parametrize("between", np.geomspace(2e-3, 0.5, 12))
+def test_a_cluster_is_firm_exactly_if_its_best_cut_is_far_above_the_threshold(between: float) -> None:
+    affinity, _ = block_graph([6, 5], between)
+    values = scipy.linalg.eigh(np.diag(affinity.sum(axis=1)) - affinity, np.diag(affinity.sum(axis=1)))[0]
+    clusters, firm = recursive_cut(sp.csr_array(affinity), 1e-2, 2)
+    assert len(firm) == clusters.max() + 1
+    if len(firm) == 1:
+        assert firm[0] == (values[1] > FIRM * 1e-2)
+        assert not firm[0] or exhaustive_ncut(affinity, 2) > FIRM * 1e-2
+    else:
+        assert exhaustive_ncut(affinity, 2) < 1e-2
+
+
+def test_of_each_cluster_it_is_told_whether_it_is_firm() -> None:
+    loose, _ = block_graph([20, 20], between=0.006)
+    tight, _ = block_graph([30], between=0.0)
+    affinity = scipy.linalg.block_diag(loose, tight, tight[:25, :25])
+    clusters, firm = recursive_cut(sp.csr_array(affinity), 1e-2, 5)
+    np.testing.assert_array_equal(clusters, np.repeat([0, 1, 2], [40, 30, 25]))
+    assert firm.tolist() == [False, True, True]
