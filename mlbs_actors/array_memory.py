@@ -33,7 +33,7 @@ LARGEST = 2**18
 _WORD = 8
 #: Blocks begin where a line of the caches does, and so do their arrays. Between is a word that tells the
 #: block's list, one that tells the next block in it, and Numba's own count of references.
-_LINE, _HEAD = 64, 64
+_LINE = 64
 _TO_NUMBER = 16  # from a block's begin to what is Numba's
 #: Sizes up to 16 lines are multiples of a line; those up to twice as much, of two lines; and so on.
 _SIZES_AN_OCTAVE = 16
