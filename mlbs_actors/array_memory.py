@@ -37,7 +37,7 @@ _LINE = 64
 _TO_NUMBER = 16  # from a block's begin to what is Numba's
 #: Sizes up to 16 lines are multiples of a line; those up to twice as much, of two lines; and so on.
 _SIZES_AN_OCTAVE = 16
-_OCTAVES = 10
+_OCTAVES = (LARGEST // (_SIZES_AN_OCTAVE * _LINE)).bit_length()
 #: Of the lists' words: the lock, alone in its line, and then each list's first block, by its address.
 _FIRST_LIST = _LINE
 _LISTS_BYTES = _FIRST_LIST + _WORD * (_SIZES_AN_OCTAVE * (_OCTAVES + 1) + 1)

@@ -15,7 +15,7 @@ Differs from the paper, which trusts the N-cut alone:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -110,7 +110,7 @@ def split_labels(
     config: AffinityConfig,
     next_label: int,
     bled: Array,
-    spared: Collection[int] = (),
+    spared: Array | Sequence[int] = (),
 ) -> tuple[Array, Array]:
     """Put clusters to the N-cut test; parts that fall off get fresh labels.
 
@@ -127,7 +127,7 @@ def split_labels(
         From here on labels are unused.
     bled : (n,) bool
         From :func:`bled_trajectories`.
-    spared : collection of int
+    spared : (k,) int64
         Labels that are not put to the test.
 
     Returns
@@ -137,9 +137,8 @@ def split_labels(
         Labels of clusters that are firm (:func:`~mlbs_actors.normalized_cut.recursive_cut`).
     """
     known, classes = label_classes(labels, bled)
-    if spared:
-        tested = np.append(~np.isin(known, list(spared)), False)  # the last for those of no class
-        classes = np.where(tested[classes], classes, -1)
+    tested = np.append(~np.isin(known, spared), False)  # the last for those of no class
+    classes = np.where(tested[classes], classes, -1)
     clusters, firm = recursive_cut(affinity, config.cut_threshold, config.cut_side_tracks, classes)
     result, adrift, names = _named(labels, bled, known, classes, clusters, next_label)
     if adrift.any():

@@ -138,10 +138,9 @@ class LayerRegistry:
         moving = np.array([speeds.get(label, -np.inf) >= least for label in labels], bool)
         self.state = replace(state, judged=state.judged + judged, moving=state.moving + moving)
 
-    def spared_labels(self) -> list[int]:
-        """Labels of objects that need not be put to the N-cut test at this clustering."""
-        labels: list[int] = self.state.labels[self.state.spared > 0].tolist()
-        return labels
+    def spared_labels(self) -> Array:
+        """Labels (m,) int64 of objects that need not be put to the N-cut test at this clustering."""
+        return np.asarray(self.state.labels[self.state.spared > 0])
 
     def spare(self, firm: Array) -> None:
         """Take note of what the N-cut test of a clustering has told.
