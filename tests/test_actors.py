@@ -404,8 +404,8 @@ def test_a_stream_that_waits_for_its_turn_goes_on_with_it_and_can_be_drained_bef
     started = [
         node.start(spec(name, FakeReader([*pictures], tmp_path / name))) for name in ("drained", "goes on")
     ]
-    for stream in started:
-        stream.advance().result(timeout=200)  # the first burst takes no turn
+    # The first burst takes no turn.
+    first = [stream.advance().result(timeout=200) for stream in started]
     waiting = [stream.advance() for stream in started]
     final = started[0].stop(drain=True)
     assert final is not None
@@ -413,7 +413,7 @@ def test_a_stream_that_waits_for_its_turn_goes_on_with_it_and_can_be_drained_bef
     assert rows(tmp_path / "drained") == rows_in_one_process(parts, pictures[: final.read])
     assert not waiting[1].done()
     held.set_result(None)
-    assert waiting[1].result(timeout=200).read > final.read
+    assert waiting[1].result(timeout=200).read > first[1].read
     run_to_end(started[1])
     assert rows(tmp_path / "goes on") == rows_in_one_process(parts, pictures)
 

@@ -170,7 +170,7 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
     born = memory.share(capture(Memory(4)), slots.take("state"))
     served = kept.serve.remote(again)
     with take(offer) as channel:
-        channel.send(LayerStart(SavedLayer(3, "object", -1), born))
+        channel.send(LayerStart(SavedLayer(3, "object", -1), born, memory.known(("frame", "evidence"))))
         notes = FrameNotes(SharedFrame(evidence, picture(0), None, told, frame, None))
         answer = slots.take("posterior")
         channel.send(notes.to(3, answer))

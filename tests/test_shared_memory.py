@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import textwrap
@@ -105,25 +104,30 @@ def test_slots_of_a_frame_are_lent_again_in_the_same_order() -> None:
     assert [one.descriptor for one in again] == [one.descriptor for one in first]
 
 
-def test_all_slots_of_some_kinds_can_be_found_at_once() -> None:
+def test_slots_that_one_process_has_met_can_be_found_by_another_at_once() -> None:
     slots, writer, reader = SlotPool(), SharedMemory(), SharedMemory()
     kinds: tuple[SlotKind, ...] = ("frame", "frame", "posterior")
     taken = [writer.share(noise(4, 4, seed), slots.take(kind)) for seed, kind in enumerate(kinds)]
-    empty = slots.take("frame")  # never written, so there is nothing to be found yet
-    reader.learn(os.getpid(), ("frame", "segmentation"))
-    found = set(map(tuple, reader.places()[:, :2].tolist()))  # and what other tests have made
-    first, second, other = ((one.slot.owner, one.slot.descriptor) for one in taken)
-    assert {first, second} <= found
-    assert found.isdisjoint({other, (empty.owner, empty.descriptor)})
+    reader.learn(writer.known(("frame", "segmentation")))
+    found = set(map(tuple, reader.places()[:, :2].tolist()))
+    assert found == {(one.slot.owner, one.slot.descriptor) for one in taken[:2]}
     for seed, one in enumerate(taken):
         assert np.array_equal(reader.taken(one), noise(4, 4, seed))
 
 
-def test_who_looks_for_slots_of_an_owner_that_is_gone_finds_none() -> None:
+def test_who_is_told_of_slots_of_an_owner_that_is_gone_finds_none() -> None:
     reader = SharedMemory()
-    kinds: tuple[SlotKind, ...] = ("frame",)
-    reader.learn(2**22 + 1, kinds)  # beyond the greatest process id
+    reader.learn([Slot("frame", 2**22 + 1, 3, 1)])  # beyond the greatest process id
     assert len(reader.places()) == 0
+
+
+def test_no_two_messages_of_an_owner_have_the_same_turn() -> None:
+    slots = SlotPool()
+    taken = [slots.take("frame"), slots.take("frame"), slots.take("evidence")]
+    slots.give_back(taken[:1])
+    taken.append(slots.take("frame"))
+    assert len({one.turn for one in taken}) == len(taken)
+    assert min(one.turn for one in taken) > 0
 
 
 def test_a_message_that_is_read_too_late_is_refused() -> None:

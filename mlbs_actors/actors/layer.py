@@ -37,10 +37,13 @@ class LayerStart:
     own : SavedLayer
     state : Shared
         Of its part.
+    slots : tuple of Slot
+        Those that it will have to read, as far as they are known.
     """
 
     own: SavedLayer
     state: Shared[CapturedState]
+    slots: tuple[Slot, ...]
 
 
 class LayerWork:
@@ -99,7 +102,8 @@ class LayerWork:
         if last is None:
             raise LayerError(f"Layer {self._own.layer} has failed; start the stream again.")
         own = SavedLayer(self._own.layer, self._own.kind, last)
-        return LayerStart(own, self._memory.share(capture(self.part.state), slot))
+        state = self._memory.share(capture(self.part.state), slot)
+        return LayerStart(own, state, self._memory.known(_READ))
 
 
 class LayerActor:
@@ -151,7 +155,7 @@ class LayerActor:
         own = start.own
         part = self._parts.layer(self._config, own.layer, own.kind)
         part.state = self._memory.taken(start.state).state(type(part.state))
-        self._memory.learn(start.state.slot.owner, _READ)
+        self._memory.learn(start.slots)
         loop = self._parts.loop(part, self._memory)
         self._work = LayerWork(own, part, self._memory, loop)
 

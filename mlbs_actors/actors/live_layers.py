@@ -98,15 +98,16 @@ class LiveLayers:
                 self._release(layer)
         for own in evidence.tracks:
             self._living.setdefault(own.layer, _Living(own.kind, -1)).last_frame = evidence.frame_index
-        return tuple(self._housed())
+        return tuple(self._housed(evidence))
 
     def release_all(self) -> None:
         """Give all processes back, each once it serves no more."""
         for layer in list(self._living):
             self._release(layer)
 
-    def _housed(self) -> Iterator[tuple[int, ChannelOffer]]:
-        waiting = deque(layer for layer, living in self._living.items() if living.process is None)
+    def _housed(self, evidence: FrameEvidence) -> Iterator[tuple[int, ChannelOffer]]:
+        # Of those that do this frame: by their answer it is known that they have read the state they got.
+        waiting = deque(own.layer for own in evidence.tracks if self._living[own.layer].process is None)
         awaited = 0 if self._begun else min(len(waiting), _FIRST_LAYERS)
         self._begun = True
         while len(self._asked) < min(len(waiting), max(awaited, 1)):
@@ -118,7 +119,7 @@ class LiveLayers:
                 self._living[layer].process = process
                 self._living[layer].served = process.serve.remote(self._run)
                 yield layer, offer
-            else:  # who it was asked for has retired
+            else:  # who it was asked for has retired, or sleeps
                 self._give_back(process)
             awaited = max(awaited - 1, 0)
 

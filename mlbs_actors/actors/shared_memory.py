@@ -21,10 +21,10 @@ import mmap
 import os
 import pickle
 import struct
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
+from itertools import count
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
@@ -47,6 +47,8 @@ SlotKind = Literal["frame", "evidence", "posterior", "segmentation", "appearance
 ALIGNMENT = 64
 #: Least memory of a slot, bytes; it grows by doubling.
 _LEAST_BYTES = 1 << 16
+#: What no message has.
+_NO_TURN = 0
 #: At the begin of a slot: the turn in which it was written, and how many arrays it holds.
 HEADER = struct.Struct("<2q")
 #: Then for each array: where it is, the character of its type, how many dimensions it has, and its shape.
@@ -68,7 +70,7 @@ class Slot:
     descriptor : int
         The owner's file descriptor of the memory.
     turn : int
-        How often it has been lent.
+        How many slots its owner had lent by then: no other message has that number.
     """
 
     kind: SlotKind
@@ -101,14 +103,15 @@ class SlotPool:
 
     def __init__(self) -> None:
         self._free: dict[SlotKind, list[Slot]] = {}
+        self._turns = count(1)
 
     def take(self, kind: SlotKind) -> Slot:
         """Lend a slot."""
-        free = self._free.setdefault(kind, [])
+        free, turn = self._free.setdefault(kind, []), next(self._turns)
         if free:
             last = free.pop()
-            return Slot(kind, last.owner, last.descriptor, last.turn + 1)
-        return Slot(kind, os.getpid(), os.memfd_create(f"{_NAME}{kind}"), 1)
+            return Slot(kind, last.owner, last.descriptor, turn)
+        return Slot(kind, os.getpid(), os.memfd_create(f"{_NAME}{kind}"), turn)
 
     def give_back(self, slots: Sequence[Slot]) -> None:
         """Take slots of a frame back whose messages nobody reads any more.
@@ -124,8 +127,8 @@ class SharedMemory:
     """A process's own view of the slots of one stream."""
 
     def __init__(self) -> None:
-        # Each with what it is read through.
-        self._maps: dict[tuple[int, int], tuple[mmap.mmap, memoryview]] = {}
+        # By kind, owner and descriptor, each with what it is read through.
+        self._maps: dict[tuple[SlotKind, int, int], tuple[mmap.mmap, memoryview]] = {}
         self._reductions = {**copyreg.dispatch_table, np.ndarray: _reduced_array}
 
     def share(self, message: Message, slot: Slot) -> Shared[Message]:
@@ -180,7 +183,7 @@ class SharedMemory:
             places.append(begin)
             end = begin + array.nbytes
         memory = self._mapped(slot, end, grow=True)[0]
-        HEADER.pack_into(memory, 0, 0, 0)  # who reads too late is told so from now on
+        HEADER.pack_into(memory, 0, _NO_TURN, 0)  # who reads too late is told so from now on
         row = HEADER.size
         for array, begin in zip(arrays, places, strict=True):
             shape = (*array.shape, 0, 0, 0)[:_MOST_DIMENSIONS]
@@ -193,25 +196,30 @@ class SharedMemory:
     def read(self, slot: Slot, size: int) -> list[Array]:
         """Read what was :meth:`put`; views as :meth:`taken` returns them, and it raises the same."""
         whole, memory = self._mapped(slot, size, grow=False)
-        turn, count = HEADER.unpack_from(whole)
+        turn, arrays = HEADER.unpack_from(whole)
         if turn != slot.turn:
             raise LayerError(
                 "A message was read after its memory had been lent again; start the stream again."
             )
-        places = PLACE.iter_unpack(memory[HEADER.size : HEADER.size + count * PLACE.size])
+        places = PLACE.iter_unpack(memory[HEADER.size : HEADER.size + arrays * PLACE.size])
         return [
             np.ndarray(shape[:dimensions], _TYPES[kind], memory, begin)
             for begin, kind, dimensions, *shape in places
         ]
 
-    def learn(self, owner: int, kinds: Collection[SlotKind]) -> None:
-        """Find all slots of these kinds that an owner has, for who is slow where it meets a new one."""
-        names = {f"memfd:{_NAME}{kind} (deleted)": kind for kind in kinds}
-        with suppress(OSError, ActorLostError):  # an owner that is gone is missed where its slots are read
-            for one in Path(f"/proc/{owner}/fd").iterdir():
-                kind = names.get(one.readlink().name)
-                if kind is not None and one.stat().st_size:
-                    self._mapped(Slot(kind, owner, int(one.name), 0), 0, grow=False)
+    def known(self, kinds: Collection[SlotKind]) -> tuple[Slot, ...]:
+        """Slots of these kinds that have been read or written here, without a message of theirs."""
+        return tuple(Slot(*key, _NO_TURN) for key in self._maps if key[0] in kinds)
+
+    def learn(self, slots: Iterable[Slot]) -> None:
+        """Find slots that another process has known, for who is slow where it meets a new one.
+
+        They are told, not looked for among its owner's descriptors: there the same memory is found under
+        numbers that are soon those of another one.
+        """
+        for slot in slots:
+            with suppress(ActorLostError):  # an owner that is gone is missed where its slots are read
+                self._mapped(slot, 0, grow=False)
 
     def places(self) -> Array:
         """Owner, descriptor, address and size of the slots that have been read or written here, (n, 4) int64.
@@ -219,14 +227,14 @@ class SharedMemory:
         Sizes are in bytes. All is valid until one of them is found to have grown.
         """
         rows = [
-            (*key, np.frombuffer(memory, np.uint8).ctypes.data, len(whole))
-            for key, (whole, memory) in self._maps.items()
+            (owner, descriptor, np.frombuffer(memory, np.uint8).ctypes.data, len(whole))
+            for (_, owner, descriptor), (whole, memory) in self._maps.items()
         ]
         return np.array(rows, np.int64).reshape(-1, 4)
 
     def _mapped(self, slot: Slot, size: int, *, grow: bool) -> tuple[mmap.mmap, memoryview]:
         """A slot's memory, and what it is read through."""
-        key = (slot.owner, slot.descriptor)
+        key = (slot.kind, slot.owner, slot.descriptor)
         known = self._maps.get(key)
         if known is not None and len(known[0]) >= size:
             return known
