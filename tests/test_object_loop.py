@@ -258,11 +258,21 @@ def test_memory_that_was_lent_again_is_left_to_python(stream: Stream) -> None:
     place = Place(notes)
     place.step(notes[0].note)
     (evidence, *_) = [one for one in stream.lent if one.kind == "evidence"][1:]
-    stream.memory.put((np.zeros(8),), replace(evidence, turn=2))
+    stream.memory.put((np.zeros(8),), replace(evidence, turn=evidence.turn + 100))
     stream.own_end.send(notes[1].note)
     place.work.go_on(stream.layers_end)
     with pytest.raises(LayerError, match="lent again"):
         place.step(stream.layers_end.receive())
+
+
+def test_a_layer_that_moves_is_told_which_slots_its_process_has_met(stream: Stream) -> None:
+    notes = frames(stream)
+    place = Place(notes)
+    place.step(notes[0].note)
+    moving = place.work.hand_over(SlotPool().take("state"))
+    told = {(one.kind, one.descriptor) for one in moving.slots}
+    kinds = ("frame", "evidence", "segmentation")
+    assert told == {(one.kind, one.descriptor) for one in stream.lent if one.kind in kinds}
 
 
 @pytest.mark.parametrize("room", ["too small", "unknown"])

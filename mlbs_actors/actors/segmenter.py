@@ -256,7 +256,7 @@ class Labelling:
         return self.under_way > 0 and self._opened.has_note()
 
     def next(self) -> LabelledFrame:
-        """Wait for the next label map; take the slots back that were needed until then."""
+        """Wait for the next label map; take the slots back that were lent for the one before it."""
         labelled: LabelledFrame = self._opened.receive()
         self.under_way -= 1
         if len(self._in_use) > self.under_way + 1:

@@ -47,7 +47,7 @@ SlotKind = Literal["frame", "evidence", "posterior", "segmentation", "appearance
 ALIGNMENT = 64
 #: Least memory of a slot, bytes; it grows by doubling.
 _LEAST_BYTES = 1 << 16
-#: What no message has.
+#: A turn that no message has.
 _NO_TURN = 0
 #: At the begin of a slot: the turn in which it was written, and how many arrays it holds.
 HEADER = struct.Struct("<2q")
@@ -70,7 +70,7 @@ class Slot:
     descriptor : int
         The owner's file descriptor of the memory.
     turn : int
-        How many slots its owner had lent by then: no other message has that number.
+        How often its owner had lent a slot by then, this time included: no other message has that number.
     """
 
     kind: SlotKind
