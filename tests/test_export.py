@@ -47,7 +47,7 @@ def masks(run: Path, stream: str) -> dict[str, Array]:
 
 def test_coco_is_read_by_pycocotools_and_gives_back_every_mask(run: Path, tmp_path: Path) -> None:
     coco = COCO(str(export("coco", run, tmp_path / "run.json")))
-    assert [video["name"] for video in coco.dataset["videos"]] == ["yard", "gate", "gone"]
+    assert [video["name"] for video in coco.dataset["videos"]] == ["yard", "gate"]  # one has no label map
     assert len(coco.imgs) == 2 * 39
     for image in coco.imgs.values():
         stream, name = image["file_name"].removesuffix(".png").split("/")

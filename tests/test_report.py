@@ -48,6 +48,7 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_stream(folder / "yard"),
         StreamState("a<b>", "failed", error="The file <is> gone."),
     ]
+    (folder / "a<b>").mkdir()
     write_run(folder, states)
     return folder
 
@@ -234,6 +235,14 @@ def test_the_report_can_be_read_without_seeing_it(run_folder: Path) -> None:
     for attributes in tags.of("div"):  # what scrolls must be reachable by key and have a name
         assert attributes["tabindex"] == "0"
         assert attributes["aria-label"]
+
+
+def test_a_stream_that_could_not_be_opened_has_no_link_to_files(tmp_path: Path) -> None:
+    write_run(tmp_path, [StreamState("gone", "failed", error="There is no such file.")])
+    page = render_report(tmp_path)
+    assert 'href="gone/"' not in page
+    assert "nothing to plot: no label map is committed." in page
+    assert page.count("0 of 1 stream complete") == 2
 
 
 def test_the_report_tells_how_often_a_stream_went_back(tmp_path: Path) -> None:

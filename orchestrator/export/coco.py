@@ -17,7 +17,8 @@ CATEGORY = 1
 def write_coco(run: Path, out: Path) -> None:
     """Write the run's objects as COCO instances.
 
-    Each stream is a video; ``track_id`` of an annotation is the layer's id, unique within its video.
+    Each stream that has a label map is a video; ``track_id`` of an annotation is the layer's id, unique
+    within its video.
 
     Parameters
     ----------
@@ -28,15 +29,16 @@ def write_coco(run: Path, out: Path) -> None:
     videos: list[dict[str, Any]] = []
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
-    for number, name in enumerate(streams_of(run), start=1):
-        videos.append({"id": number, "name": name})
+    for name in streams_of(run):
         for frame in recorded_stream(run / name):
+            if not videos or videos[-1]["name"] != name:
+                videos.append({"id": len(videos) + 1, "name": name})
             image = {
                 "id": len(images) + 1,
                 "file_name": f"{name}/{frame.name}.png",
                 "width": frame.width,
                 "height": frame.height,
-                "video_id": number,
+                "video_id": len(videos),
                 "frame_id": frame.index,
             }
             images.append(image)
@@ -46,7 +48,7 @@ def write_coco(run: Path, out: Path) -> None:
                     {
                         "id": len(annotations) + 1,
                         "image_id": image["id"],
-                        "video_id": number,
+                        "video_id": len(videos),
                         "category_id": CATEGORY,
                         "track_id": one.layer,
                         "segmentation": {"size": [frame.height, frame.width], "counts": one.code},

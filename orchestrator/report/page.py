@@ -38,6 +38,7 @@ class _Stream:
 
     name: str
     source: str
+    has_folder: bool
     status: dict[str, Any]
     overlay_error: str | None
     overlays: tuple[str, ...]
@@ -114,6 +115,7 @@ def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) ->
     return _Stream(
         name=folder.name,
         source=source,
+        has_folder=folder.is_dir(),
         status=status,
         overlay_error=error.read_text(encoding="utf-8").strip() if error.exists() else None,
         overlays=tuple(path.name for _, path in overlays(folder)),
