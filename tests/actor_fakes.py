@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -77,6 +77,23 @@ def crowd(frames: int, most: int) -> list[Array]:
     return pictures
 
 
+def still_evidence(
+    layers: Sequence[LayerEvidence], frame_index: int, retired: tuple[int, ...] = ()
+) -> FrameEvidence:
+    """Evidence of a frame in which nothing moves but what the layers say."""
+    return joined_evidence(
+        layers,
+        frame_index=frame_index,
+        shape=SHAPE,
+        camera=np.eye(3),
+        flow=np.zeros((2, 2, 2), np.float16),
+        flow_reliable=np.ones((2, 2), bool),
+        unexplained=np.zeros((1, 1), np.uint8),
+        retired=retired,
+        latency_frames=0,
+    )
+
+
 @dataclass
 class Memory:
     """State of a part: a checksum of all that it was told."""
@@ -135,17 +152,7 @@ class _Coordinator:
             for layer in live
         )
         self.state.last |= dict.fromkeys(live, t)
-        return joined_evidence(
-            layers,
-            frame_index=t,
-            shape=SHAPE,
-            camera=np.eye(3),
-            flow=np.zeros((2, 2, 2), np.float16),
-            flow_reliable=np.ones((2, 2), bool),
-            unexplained=np.zeros((1, 1), np.uint8),
-            retired=retired,
-            latency_frames=0,
-        )
+        return still_evidence(layers, t, retired)
 
 
 class _Layer:

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import ray
-from actor_fakes import CONFIG, SHAPE
+from actor_fakes import CONFIG, still_evidence
 from conftest import RaySession
-from joined_evidence import joined_evidence
 
 from mlbs_actors.actors.channels import ChannelOffer
 from mlbs_actors.actors.live_layers import LiveLayers
@@ -49,19 +48,12 @@ class Pool:
 
 def evidence(frame: int, layers: tuple[int, ...]) -> FrameEvidence:
     nothing = np.zeros((0, 2), np.float32)
-    return joined_evidence(
+    return still_evidence(
         [
             LayerEvidence(layer, "object" if layer else "background", frame - 1, nothing, nothing)
             for layer in layers
         ],
-        frame_index=frame,
-        shape=SHAPE,
-        camera=np.eye(3),
-        flow=np.zeros((2, 2, 2), np.float16),
-        flow_reliable=np.ones((2, 2), np.bool_),
-        unexplained=np.zeros((1, 1), np.uint8),
-        retired=(),
-        latency_frames=0,
+        frame,
     )
 
 

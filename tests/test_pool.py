@@ -13,7 +13,6 @@ import pytest
 import ray
 from actor_fakes import (
     CONFIG,
-    SHAPE,
     FakeParts,
     FakeReader,
     Memory,
@@ -23,10 +22,10 @@ from actor_fakes import (
     rows_in_one_process,
     run_to_end,
     spec,
+    still_evidence,
     wait_until,
 )
 from conftest import RaySession
-from joined_evidence import joined_evidence
 from ray.exceptions import RayActorError
 
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
@@ -153,16 +152,8 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
     # What the first stream's coordinator has asked for before may still come.
     ray.get(kept.release.remote(run))
     ray.get(kept.serve.remote(run))
-    evidence = joined_evidence(
-        [LayerEvidence(3, "object", -1, np.zeros((1, 2), np.float32), np.zeros((1, 2), np.float32))],
-        frame_index=0,
-        shape=SHAPE,
-        camera=np.eye(3),
-        flow=np.zeros((2, 2, 2), np.float16),
-        flow_reliable=np.ones((2, 2), np.bool_),
-        unexplained=np.zeros((1, 1), np.uint8),
-        retired=(),
-        latency_frames=0,
+    evidence = still_evidence(
+        [LayerEvidence(3, "object", -1, np.zeros((1, 2), np.float32), np.zeros((1, 2), np.float32))], 0
     )
     slots, memory = SlotPool(), SharedMemory()
     told = memory.share(evidence, slots.take("evidence"))

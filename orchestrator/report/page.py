@@ -12,6 +12,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.wording import count_of
 from orchestrator.report import charts
 from orchestrator.report.history import LayerLife, StreamHistory, frame_ranges, read_history
 from orchestrator.report.pictures import StripPicture, overlay_strip
@@ -80,7 +81,7 @@ def render_report(folder: Path) -> str:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    environment.globals |= {"charts": charts, "stage_colours": _stage_colours}
+    environment.globals |= {"charts": charts, "count_of": count_of, "stage_colours": _stage_colours}
     return environment.get_template("report.html").render(
         run=run,
         status=status,
