@@ -3,7 +3,8 @@
 An object is evaluated inside its *region* only: the box of its trajectories and of its pixels in the last
 published map, moved by its own motion, with a margin. It is wide around what can turn out to be far larger:
 an object that is new, enters at the frame's border, or comes back from behind something, where trajectories
-get lost. An object in full view, whose trajectories cover its pixels, needs half of it.
+get lost. An object in full view, whose trajectories cover its pixels, needs a quarter of it, and more where
+parts of it, legs say, move otherwise than the whole.
 
 What lies outside every object's region is background without a question, so that the background's own
 posterior matters inside these regions only. The regions follow from what every layer is sent, so that the
@@ -69,7 +70,8 @@ def region_of_object(
     positions, motions : (n, 2) float32
         Its trajectories at t, px.
     margins_px : (float, float)
-        Margins around trajectories and pixels, px of a 640×480 frame: of any object, and of one in full view.
+        Margins around trajectories and pixels, px of a 640×480 frame: of any object, and of one in full view,
+        to which comes by how much one of its trajectories leaves the median of its motions.
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
     cell : int
@@ -84,13 +86,14 @@ def region_of_object(
         pixels.
     """
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
-    move_x, move_y = told[5], told[6]
+    move_x, move_y, apart = told[5], told[6], 0.0
     if len(positions):
         x0, y0, x1, y1 = bounds(positions)
         left, top, right, bottom = np.float64(x0), np.float64(y0), np.float64(x1), np.float64(y1)
         if told[0]:
             back_x, back_y = median_of_motions(motions)
             move_x, move_y = -np.float64(back_x), -np.float64(back_y)
+            apart = _farthest(motions, back_x, back_y)
     elif not told[0]:
         return 0, 0, 0, 0
     if told[0]:
@@ -99,7 +102,9 @@ def region_of_object(
         right, bottom = max(right, moved_x + told[3]), max(bottom, moved_y + told[4])
     inside = told[1] > 0 and told[2] > 0 and told[1] + told[3] < width and told[2] + told[4] < height
     in_full_view = told[0] and inside and told[0] <= len(positions) * _COVERED_PX * scale**2
-    margin = scale * (min(margins_px) if in_full_view else margins_px[0])
+    margin = scale * margins_px[0]
+    if in_full_view:
+        margin = min(margin, scale * margins_px[1] + apart)
     x, y, wide, high = box_within(left, top, right, bottom, margin, height, width)
     if wide * high == 0:
         return x, y, wide, high
@@ -118,6 +123,15 @@ def box_of(region: Region) -> tuple[int, int, int, int]:
 def median_of_motions(motions: Array) -> tuple[float, float]:
     """Median of some motions (n ≥ 1, 2), px: of x and of y."""
     return np.median(motions[:, 0]), np.median(motions[:, 1])
+
+
+@compiled()
+def _farthest(motions: Array, x: float, y: float) -> float:
+    """By how much one of some motions differs most from another one, in x or in y, px."""
+    most = np.float32(0)
+    for one in range(len(motions)):
+        most = max(most, abs(motions[one, 0] - np.float32(x)), abs(motions[one, 1] - np.float32(y)))
+    return np.float64(most)
 
 
 @compiled()

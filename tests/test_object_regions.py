@@ -66,6 +66,18 @@ def test_an_object_in_full_view_has_a_narrow_region() -> None:
     assert object_region(covered, seen, SHAPE, (4.0, 8.0)) == object_region(covered, seen, SHAPE, (4.0, 4.0))
 
 
+def test_the_region_is_wider_by_what_leaves_the_objects_motion() -> None:
+    seen, covered = published(0, owned(CAR)), tracks(1, grid(CAR, 2))
+
+    def margin(by: float) -> int:
+        motions = covered.motions.copy()
+        motions[5] += np.float32(by), np.float32(0)
+        motions[7] += np.float32(0), np.float32(-by / 2)
+        return CAR.x - object_region(replace(covered, motions=motions), seen, SHAPE, MARGINS).x
+
+    assert [margin(by) for by in (0.0, 3.0, -3.0, 50.0)] == [2, 5, 5, 6]  # at most that of any object
+
+
 def test_contested_is_the_union_of_the_objects_regions_and_of_no_others() -> None:
     far = Region(5, 90, 20, 20)
     everyone = [tracks(BACKGROUND, grid(WHOLE)), tracks(1, grid(CAR)), tracks(2, grid(far))]
