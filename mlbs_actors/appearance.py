@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.image_rows import padded_planes, read_row, row_room
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.warp import nearest_sources
@@ -122,7 +123,7 @@ def warp_model(model: AppearanceModel, new_region: Region, motion: Array) -> App
     return AppearanceModel(new_region, *moved)
 
 
-@compiled()
+@compiled(forceinline=True)
 def moved_stacks(
     samples: Array, count: Array, newest: Array, spread: Array, residual: Array, shift_x: int, shift_y: int,
     motion: Array,
@@ -133,9 +134,9 @@ def moved_stacks(
     new_samples = np.empty((shape[0], shape[1], 3, samples.shape[3]), np.uint8)
     new_count, new_newest = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
     new_spread = np.empty(shape, np.uint8)
-    told = (source.reshape(-1), count.reshape(-1), newest.reshape(-1), spread.reshape(-1))
-    room = (new_count.reshape(-1), new_newest.reshape(-1), new_spread.reshape(-1))
-    old, new = samples.reshape(-1), new_samples.reshape(-1)
+    told = (flattened(source), flattened(count), flattened(newest), flattened(spread))
+    room = (flattened(new_count), flattened(new_newest), flattened(new_spread))
+    old, new = flattened(samples), flattened(new_samples)
     if size % 8 == 0:  # in words: fewer to copy
         _take_over(told, old.view(np.uint64), size // 8, room, new.view(np.uint64))
     else:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = ["factorised", "node_place", "set_solution"]
@@ -40,7 +41,7 @@ def factorised(screening: Array, edge: float) -> Array:
         if node + width < size:
             lower[node, width] = -edge  # the very element beside the diagonal where a line is one node
     # Places in a flat array, without a sign: thousands of slices of a dozen elements would take longer.
-    flat, factor, line = lower.reshape(-1), np.empty(width + 1), np.uint64(width + 1)
+    flat, factor, line = flattened(lower), np.empty(width + 1), np.uint64(width + 1)
     for node in range(size):
         own = np.uint64(node) * line
         for k in range(width + 1):

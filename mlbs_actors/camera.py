@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = ["CameraEvidence", "camera_evidence", "camera_homography", "homography_motion", "shrunk_homography"]
@@ -178,7 +179,7 @@ def _flow_sources(flow: Array, step_x: np.float32, step_y: np.float32) -> Array:
     height, width = flow.shape[:2]
     sources, one = np.empty((height, width, 2), np.float32), np.uint64(1)
     for y in range(height):
-        moved, place = flow[y].reshape(-1), sources[y].reshape(-1)  # in vector registers when flat
+        moved, place = flattened(flow[y]), flattened(sources[y])  # in vector registers when flat
         for x in range(width):
             at = np.uint64(2 * x)
             place[at] = np.float32(np.int32(x)) + moved[at] / step_x

@@ -15,6 +15,7 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import length_scale
+from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array, Region
 
 __all__ = [
@@ -122,7 +123,7 @@ def mean_colours(frame: Array, left: int, top: int, height: int, width: int, sid
     rows, columns = -(-height // side), -(-width // side)
     means, scale = np.empty((rows, columns, 3), np.uint8), np.float32(1.0 / (side * side))
     sums = np.empty(3 * columns * side, np.int32)  # of each column of pixels in a row of cells
-    pixels, results = frame.reshape(-1), means.reshape(-1)
+    pixels, results = flattened(frame), flattened(means)
     for y in range(rows):
         sums[:] = 0
         for v in range(y * side, (y + 1) * side):

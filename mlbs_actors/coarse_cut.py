@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.label_cost_energy import UNDECIDED, LabelCostEnergy, UndecidedEnergy, undecided_energy
 from mlbs_actors.messages import Array
 
@@ -198,7 +199,7 @@ def _halve(weights: Array, across: Array, down: Array, pairs: Array, shares: Arr
     (height, width, _), (rows, columns, _) = weights.shape, halved.shape
     # Diagonal pairs of blocks share one pair of pixels each; to the left of the first block is none.
     diagonal, anti, beside, below = pairs[0], pairs[1], shares[0], shares[1]
-    results = halved.reshape(-1)
+    results = flattened(halved)
     for v in range(rows):
         y, upright, own = 2 * v + 1, across[v], results[4 * columns * v : 4 * columns * (v + 1)]
         _diagonal_pairs(weights, y, diagonal, anti)
@@ -233,7 +234,7 @@ def _outlines_along_blocks(weights: Array) -> tuple[Array, Array]:
     rows, columns = (height + 1) // 2, (width + 1) // 2
     across, down = np.zeros((rows, 2 * columns + 1), np.int32), np.zeros((height + 1, columns), np.int32)
     onward, back = np.empty(width, np.int32), np.empty(width, np.int32)
-    under, flat = np.zeros(2 * columns, np.int32), weights.reshape(-1)
+    under, flat = np.zeros(2 * columns, np.int32), flattened(weights)
     for y in range(height):
         own, upright, level = flat[4 * width * y : 4 * width * (y + 1)], across[y // 2], down[y]
         for x in range(width):  # one after the other: only so each is read once
@@ -259,7 +260,7 @@ def _diagonal_pairs(weights: Array, y: int, diagonal: Array, anti: Array) -> Non
     diagonal[:] = 0
     anti[:] = 0
     if y < height:
-        own = weights[y].reshape(-1)
+        own = flattened(weights[y])
         for u in range(width // 2):
             at, first = np.uint64(u), np.uint64(8 * u)
             diagonal[at], anti[at] = own[first + np.uint64(6)], own[first + np.uint64(3)]

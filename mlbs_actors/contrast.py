@@ -14,6 +14,7 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.errors import ConfigError, FrameError
+from mlbs_actors.flattened import flattened
 from mlbs_actors.image_rows import padded_part
 from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS
 from mlbs_actors.messages import Array
@@ -90,7 +91,7 @@ def _weigh(planes: Array, table: Array, distances: Array, weights: Array) -> Non
     """Weights from an image's padded planes, with room for the distances of a row, (4, w) int32."""
     height, width, last = weights.shape[0], weights.shape[1], np.int32(table.shape[1] - 1)
     beside, below, diagonal, anti = distances[0], distances[1], distances[2], distances[3]
-    results = weights.reshape(-1)
+    results = flattened(weights)
     for y in range(height):
         for k in range(4):  # without a branch: this runs in vector registers
             down, right = NEIGHBOUR_OFFSETS[k]

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.label_cost_energy import (
     NEIGHBOUR_OFFSETS,
     UNDECIDED,
@@ -90,8 +91,8 @@ def decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> t
     labels = np.full((height, width), UNDECIDED, np.int16)
     certain = np.zeros(label_count, np.bool_)
     queue = np.empty(height * width, np.int32)
-    label_of, best_of, open_weight_of = labels.reshape(-1), best.reshape(-1), open_weight.reshape(-1)
-    least_of, second_of, weights_of = least.reshape(-1), second.reshape(-1), weights.reshape(-1, 4)
+    label_of, best_of, open_weight_of = flattened(labels), flattened(best), flattened(open_weight)
+    least_of, second_of, weights_of = flattened(least), flattened(second), weights.reshape(-1, 4)
     while True:
         evidence = np.zeros(label_count, np.int64)
         for pixel in range(labels.size):
@@ -164,7 +165,7 @@ def _compare_costs(
 def _sum_weights(weights: Array, total: Array) -> None:
     """Add up the weights to all neighbours of each pixel, (H, W) int32, into zeros."""
     height, width = total.shape
-    flat = weights.reshape(-1)
+    flat = flattened(weights)
     for y in range(height):
         own, first = total[y], 4 * y * width
         for x in range(width):
@@ -227,7 +228,7 @@ def movable(
             offered[labels[p]] += 1
         for label in range(refund.size):
             refund[label] = refund[label] if offered[label] == used[label] else 0
-    ends, weights = neighbour.reshape(-1), weight.reshape(-1)
+    ends, weights = flattened(neighbour), flattened(weight)
     nothing, moving = broadcast(np.int32(0), 8), broadcast(np.int32(alpha), 8)
     # The labels if all move that still may.
     moved = labels.astype(np.int32)

@@ -17,6 +17,7 @@ import maxflow
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.label_cost_energy import UndecidedEnergy
 from mlbs_actors.lanes import (
     broadcast,
@@ -223,8 +224,8 @@ def _move_graph(
         local[nodes[i]] = i
     surplus = np.empty(nodes.size, np.int32)
     near, capacity = np.empty((nodes.size, 8), np.int32), np.empty((nodes.size, 8), np.int32)
-    ends, weights = neighbour.reshape(-1), weight.reshape(-1)
-    near_of, capacity_of = near.reshape(-1), capacity.reshape(-1)
+    ends, weights = flattened(neighbour), flattened(weight)
+    near_of, capacity_of = flattened(near), flattened(capacity)
     nothing, outside = broadcast(np.int32(0), 8), broadcast(np.int32(-1), 8)
     moving = broadcast(np.int32(alpha), 8)
     naming = shifted(broadcast(np.int32(1), 8), nothing, 4)  # the first four neighbours name each pair once

@@ -15,6 +15,7 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
+from mlbs_actors.flattened import flattened
 from mlbs_actors.inverse_search import (
     FlowLevel,
     SearchEffort,
@@ -188,7 +189,7 @@ def _inverted(flow: Array) -> Array:
     _, height, width = flow.shape
     inverse, place = np.empty_like(flow), np.empty(width, np.int32)
     right, bottom, zero = np.float32(width - 1), np.float32(height - 1), np.float32(0)
-    along, down = flow[0].reshape(-1), flow[1].reshape(-1)
+    along, down = flattened(flow[0]), flattened(flow[1])
     for y in range(height):
         u, v = inverse[0, y], inverse[1, y]
         for x in range(width):
@@ -215,7 +216,7 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
     slope = np.empty(2 * width, np.float32)
     along, across = np.empty(width, np.float32), np.empty(width, np.float32)
     inside, near = np.empty(width, np.bool_), np.empty(width, np.int32)
-    back, rows = reverse.reshape(-1), flow.reshape(height, -1)
+    back, rows = flattened(reverse), flow.reshape(height, -1)
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     one = np.uint64(1)
     for y in range(height):
@@ -257,7 +258,7 @@ def reliable_at(
     reliable = np.zeros(xs.size, np.bool_)
     by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
     shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
-    back = reverse.reshape(-1)
+    back = flattened(reverse)
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     for point in range(xs.size):
         x, y = xs[point], ys[point]

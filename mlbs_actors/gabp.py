@@ -45,6 +45,7 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config
 from mlbs_actors.errors import SolverError
+from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 from mlbs_actors.node_grid import bilinear_taps, grid_shape, lump, nodes_of_cells, point_misfit, to_pixels
 from mlbs_actors.screened_poisson import solve
@@ -289,7 +290,7 @@ def check_solved(residual: float, tolerance: float) -> None:
 @compiled()
 def _all_finite(values: Array) -> bool:
     finite = True
-    for value in values.reshape(-1):
+    for value in flattened(values):
         finite &= np.isfinite(value)
     return finite
 

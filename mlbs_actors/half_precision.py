@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = ["single_precision"]
@@ -19,7 +20,7 @@ def single_precision(bits: Array, top: int, bottom: int, left: int, right: int) 
     float32: rows from top to bottom, columns from left to right."""
     channels = bits.shape[2]
     length = (right - left) * channels
-    moved, flat = np.empty((bottom - top) * length, np.int32), bits.reshape(-1)
+    moved, flat = np.empty((bottom - top) * length, np.int32), flattened(bits)
     for y in range(top, bottom):
         begin = (y * bits.shape[1] + left) * channels
         row = flat[begin : begin + length]

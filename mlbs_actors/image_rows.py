@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.lanes import LANES, Lanes, broadcast, load, maximum, store
 from mlbs_actors.messages import Array
 
@@ -28,7 +29,7 @@ def padded_part(image: Array, left: int, top: int, width: int, height: int) -> A
     planes = np.empty(size + LANES, np.uint8)[:size].reshape(3, height + 2, width + 2)
     if height == 0:
         return planes
-    pixels = image.reshape(-1)
+    pixels = flattened(image)
     for y in range(height + 2):
         first = 3 * ((top + min(max(y - 1, 0), height - 1)) * image.shape[1] + left)
         row = pixels[first : first + 3 * width]
@@ -67,7 +68,7 @@ def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room:
     room : Array
         :func:`row_room`. Its first three rows become the colours, the others are the residual's.
     """
-    flat, rests, row = planes.reshape(-1), residual[y].reshape(-1), room.reshape(-1)
+    flat, rests, row = flattened(planes), flattened(residual[y]), flattened(room)
     height, width, length = planes.shape[1], np.uint64(planes.shape[2]), np.uint64(room.shape[1])
     first = first // LANES * LANES
     for pixel in range(first, min(end, residual.shape[1])):

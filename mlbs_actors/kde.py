@@ -28,6 +28,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, warp_model
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config
+from mlbs_actors.flattened import flattened
 from mlbs_actors.image_rows import padded_planes, read_row, row_room
 from mlbs_actors.lanes import (
     LANES,
@@ -205,7 +206,7 @@ def _least_spreads(
     height, width = planes.shape[1] - 2, planes.shape[2] - 2
     above = y - 1 if y > 0 else min(1, height - 1)
     below = y + 1 if y + 1 < height else max(height - 2, 0)
-    flat, row, one, two = planes.reshape(-1), np.uint64(planes.shape[2]), np.uint64(1), np.uint64(2)
+    flat, row, one, two = flattened(planes), np.uint64(planes.shape[2]), np.uint64(1), np.uint64(2)
     for start in range(first // LANES * LANES, end, LANES):
         across, down = broadcast(np.float32(0), LANES), broadcast(np.float32(0), LANES)
         for channel in range(3):
@@ -260,7 +261,7 @@ def log_densities(
     height, width = result.shape
     slots = samples.shape[3]
     whole = -(-slots // LANES) * LANES
-    stacks, stack = samples.reshape(-1), np.empty(3 * whole, np.uint8)
+    stacks, stack = flattened(samples), np.empty(3 * whole, np.uint8)
     planes, colours = padded_planes(image), row_room(width)
     least, asked = np.zeros(colours.shape[1], np.float32), np.empty(width, np.int64)
     density, places, told = np.empty(result.size, np.float32), np.empty(result.size, np.int64), 0
@@ -289,7 +290,7 @@ def log_densities(
                 kernels = _sum_of_kernels(stack, np.uint64(0), whole, blue, green, red, scale, number)
             density[told], places[told] = norm[bandwidth] * kernels / np.float32(number), place
             told += 1
-    logs, results = np.empty(told, np.float32), result.reshape(-1)
+    logs, results = np.empty(told, np.float32), flattened(result)
     row_log(density[:told], logs)
     for pixel in range(told):
         results[np.uint64(places[pixel])] = logs[pixel]

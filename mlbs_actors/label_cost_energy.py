@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = [
@@ -326,7 +327,7 @@ def _around(
     neighbour, weight = np.empty((rows.size, 8), np.int32), np.empty((rows.size, 8), np.int32)
     known, saved = np.empty(rows.size, np.int16), np.empty(rows.size, np.int32)
     # Flat unsigned indices, and no look for the border in the interior: half the time.
-    label_of, position_of, weights_of = labels.reshape(-1), position.reshape(-1), weights.reshape(-1, 4)
+    label_of, position_of, weights_of = flattened(labels), flattened(position), weights.reshape(-1, 4)
     for i in range(rows.size):
         y, x = rows[i], columns[i]
         pixel = y * width + x

@@ -13,6 +13,7 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
+from mlbs_actors.flattened import flattened
 from mlbs_actors.fusion import LIKELIHOOD, RATIO_STEP, add_appearance, appearance_tables
 from mlbs_actors.half_precision import single_precision
 from mlbs_actors.messages import (
@@ -188,14 +189,14 @@ def sum_terms(
     # The part of the flow that is read, in single precision.
     first, start = top[0], left[0]
     flow = single_precision(flow_bits, first, bottom[-1] + 1, start, right[-1] + 1)
-    flows, row_length = flow.reshape(-1), flow.shape[1]
+    flows, row_length = flattened(flow), flow.shape[1]
     one, half, step = np.float32(1), np.float32(0.5), np.float32(COST_STEP)
     width, columns = needed.shape[1], unexplained.shape[1]
     # Places in flat arrays, without a sign: it would be looked at before each is read.
-    asked, known, shares = needed.reshape(-1), prior.reshape(-1), share.reshape(-1)
-    distances, leads = away.reshape(-1), advantage.reshape(-1)
-    moves, variances, costs = motion.reshape(-1), variance.reshape(-1), cost.reshape(-1)
-    errors, trust = unexplained.reshape(-1), reliable.reshape(-1)
+    asked, known, shares = flattened(needed), flattened(prior), flattened(share)
+    distances, leads = flattened(away), flattened(advantage)
+    moves, variances, costs = flattened(motion), flattened(variance), flattened(cost)
+    errors, trust = flattened(unexplained), flattened(reliable)
     for y in range(needed.shape[0]):
         above, below, lower = top[y] * columns, bottom[y] * columns, down[y]
         for x in range(width):

@@ -15,6 +15,7 @@ from mlbs_actors.coarse_cut import costs_of_blocks, of_blocks, opened
 from mlbs_actors.compilation import compiled
 from mlbs_actors.cut_pruning import decide
 from mlbs_actors.expansion_course import expand_in_turn, started
+from mlbs_actors.flattened import flattened
 from mlbs_actors.label_cost_energy import costs_of_pixels, left_open
 from mlbs_actors.label_removal import gains_by_removal
 from mlbs_actors.messages import Array
@@ -129,7 +130,7 @@ def _search(
             ):
                 return False
             break
-    flat = labels.reshape(-1)
+    flat = flattened(labels)
     for i in range(pixels.size):
         flat[pixels[i]] = own[i]
     return True

@@ -20,6 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = ["min_cut"]
@@ -51,7 +52,7 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
     on_sink_side : (n,) bool
     """
     count = surplus.size
-    ends, room = neighbour.reshape(-1), residual.reshape(-1)
+    ends, room = flattened(neighbour), flattened(residual)
     # Level in the tree, 1 beside the sink and 0 outside; the pixels that have yet to grow, by their levels.
     level, parent = np.zeros(count, np.int32), np.full(count, _TO_SINK, np.int8)
     queue, waiting = np.empty(count + 1, np.int32), np.zeros(count, np.bool_)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = [
@@ -63,9 +64,9 @@ def to_pixels(values: Array, spacing: int, height: int, width: int) -> Array:
     left, right, along = _pixel_taps(width, columns, spacing)
     top, bottom, down = _pixel_taps(height, rows, spacing)
     length = width * components
-    wide, flat, one = np.empty((rows, length), np.float32), pixels.reshape(-1), np.float32(1)
+    wide, flat, one = np.empty((rows, length), np.float32), flattened(pixels), np.float32(1)
     for v in range(rows):
-        nodes, line = values[v].reshape(-1), wide[v]
+        nodes, line = flattened(values[v]), wide[v]
         for x in range(width):
             share = along[x]
             for component in range(components):
@@ -113,7 +114,7 @@ def nodes_of_cells(values: Array, spacing: int, side: int, height: int, width: i
     for row in range(rows):
         summed[:] = 0
         for y in range(row * side, (row + 1) * side):  # past the border the last row and column go on
-            summed += pixels[min(y, height - 1)].reshape(-1)
+            summed += flattened(pixels[min(y, height - 1)])
         for column in range(columns):
             for x in range(column * side, (column + 1) * side):
                 near = min(x, width - 1) * components
@@ -155,7 +156,7 @@ def bilinear_taps(points: Array, rows: int, columns: int, spacing: int) -> tuple
 @compiled()
 def point_misfit(values: Array, field: Array, nodes: Array, shares: Array) -> Array:
     """Points' values (n, 2) less those of a (2, gh, gw) field."""
-    flat, count = field.reshape(-1), field.shape[1] * field.shape[2]
+    flat, count = flattened(field), field.shape[1] * field.shape[2]
     misfit = np.empty((values.shape[0], 2))
     for point in range(values.shape[0]):
         for axis in range(2):

@@ -2,8 +2,9 @@
 
 It calls, one after the other, the kernels that :mod:`mlbs_actors.background_frame` calls by way of the
 functions around them. An object is small, and its process wakes for a millisecond a frame: those functions
-would take longer than its kernels do. What the terms are, and how they differ from the paper's, is said in
-:mod:`mlbs_actors.layer`.
+would take longer than its kernels do. For the same reason what is only called from here is put in place
+(``forceinline``): a call hands over all numbers of all arrays, by code that is in no cache. What the terms
+are, and how they differ from the paper's, is said in :mod:`mlbs_actors.layer`.
 """
 
 from __future__ import annotations
@@ -216,7 +217,7 @@ def object_frame(
     return region, following, (image, trusted, cost, log_ratio, samples, velocity), trust, residual
 
 
-@compiled()
+@compiled(forceinline=True)
 def _finished(
     by: ObjectParameters, tables: tuple[Array, ...], layer: np.uint16, side: int,
     shown: tuple[Array, Array, Array], region: Box, model: Model,
@@ -237,7 +238,7 @@ def _finished(
     return posterior
 
 
-@compiled()
+@compiled(forceinline=True)
 def _evaluated(
     by: ObjectParameters, tables: tuple[Array, ...], own: tuple[np.uint16, int, int, int, bool],
     seen: tuple[Array, ...], region: Box, last_region: Box, last_image: Array, posterior: Array,

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.lanes import absolute, broadcast, load, maximum, multiply_add, store, sum_of_lanes
 from mlbs_actors.messages import Array
 
@@ -40,10 +41,10 @@ def search_patches(
     """Motion of each patch, (rows, columns, 2), in two passes: from the top left, and back."""
     rows, columns, shape = down.size, across.size, gray.shape
     gray, around, slope_x, slope_y = (
-        gray.reshape(-1),
-        around.reshape(-1),
-        slope_x.reshape(-1),
-        slope_y.reshape(-1),
+        flattened(gray),
+        flattened(around),
+        flattened(slope_x),
+        flattened(slope_y),
     )
     motions = np.empty((rows, columns, 2), np.float32)
     slopes = np.empty((rows, columns, 5), np.float32)
@@ -247,7 +248,7 @@ def densify(
     """
     shape, width = gray.shape, window.shape[2]
     stride, continued = np.uint64(shape[1]), np.uint64(shape[1] + 2 * MARGIN)
-    gray, around, sums = gray.reshape(-1), around.reshape(-1), window.reshape(-1)
+    gray, around, sums = flattened(gray), flattened(around), flattened(window)
     one = broadcast(np.float32(1), PATCH)
     for row in range(down.size):
         for column in range(across.size):

@@ -16,6 +16,7 @@ import numpy as np
 
 from mlbs_actors.camera import shrunk_homography
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = ["photometric_advantage"]
@@ -31,7 +32,7 @@ LEAST_NOISE, MOST_NOISE = 1.5, 3.0
 OWN_BELIEVED, CAMERA_BELIEVED = 4.0, 2.5
 
 
-@compiled()
+@compiled(forceinline=True)
 def photometric_advantage(
     before: Array, now: Array, motion: Array, camera: Array, side: float, corner: Corner,
     last_corner: Corner, own: Array, largest: np.float32,
@@ -79,7 +80,7 @@ def photometric_advantage(
 @compiled(in_place=True)
 def _write_grey(image: Array, grey: Array, border: int) -> None:
     """Brightness of BGR pixels, rounded as cv2 does, inside an image with a border above and on the left."""
-    colours = image.reshape(-1)
+    colours = flattened(image)
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             pixel, one, two = np.uint64(3 * (y * image.shape[1] + x)), np.uint64(1), np.uint64(2)
@@ -102,9 +103,9 @@ def _misfits(
     height, width = newest.shape
     bottom, right = last.shape[0] - 4, last.shape[1] - 4
     # In one row each: from one short row to the next it takes as long as the row itself.
-    sources, moves = np.empty((4, newest.size), np.float32), motion.reshape(-1)
+    sources, moves = np.empty((4, newest.size), np.float32), flattened(motion)
     own_x, own_y, camera_x, camera_y = sources[0], sources[1], sources[2], sources[3]
-    inside, cells = known.reshape(-1), newest.reshape(-1)
+    inside, cells = flattened(known), flattened(newest)
     for v in range(height):
         y = np.float64(v + corner[1])
         for u in range(width):
@@ -144,7 +145,7 @@ def _misfit(quads: Array, newest: Array, source_x: Array, source_y: Array) -> Ar
 
     Of the sources only their parts of a pixel are left.
     """
-    flat, stride, byte = quads.reshape(-1), np.int32(quads.shape[1]), np.int32(255)
+    flat, stride, byte = flattened(quads), np.int32(quads.shape[1]), np.int32(255)
     outside, right, bottom = np.float32(-1), np.float32(quads.shape[1] - 3), np.float32(quads.shape[0] - 3)
     around, misfit = np.empty(newest.size, np.int32), np.empty(newest.size, np.int32)
     # Loops without a branch run in vector registers: out of the image a source stays on its border.

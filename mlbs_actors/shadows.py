@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 from mlbs_actors.object_regions import box_of
 from mlbs_actors.trajectory_distance import trajectory_distance
@@ -178,7 +179,7 @@ def smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) -> 
     first, last = max(reach - left, 0), min(picture.shape[1] + reach - left, width + 2 * reach)
     column, row = np.empty(3 * (width + 2 * reach), np.int32), np.empty(3 * width, np.int32)
     smooth = np.empty((height, width, 3), np.uint8)
-    pixels, results, length = picture.reshape(-1), smooth.reshape(-1), picture.shape[1]
+    pixels, results, length = flattened(picture), flattened(smooth), picture.shape[1]
     for y in range(height):
         inside = column[3 * first : 3 * last]
         inside[:] = 0

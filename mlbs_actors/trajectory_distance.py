@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.lanes import LANES, Lanes, broadcast, broadcast_lane, load, minimum, shifted, store
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.points_in_box import points_in_box
@@ -72,7 +73,7 @@ def to_occupied(occupied: Array, side: int) -> Array:
     stride, told = room + 2 * _BORDER, np.empty(occupied.shape, np.float32)
     cells = np.full((height + 2 * _BORDER) * stride, np.float32(np.inf))
     # Cells past the right border, up to a whole register, are told too: no way is shorter by way of them.
-    own, results, infinite = occupied.reshape(-1), told.reshape(-1), broadcast(np.float32(np.inf), LANES)
+    own, results, infinite = flattened(occupied), flattened(told), broadcast(np.float32(np.inf), LANES)
     for y in range(height):
         first = (y + _BORDER) * stride + _BORDER
         for x in range(width):

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.lanes import LANES, broadcast, load, square_root, store
 from mlbs_actors.messages import Array
 
@@ -173,7 +174,7 @@ def _warp(
         there = min(max(there_y + rows[v + at], zero), bottom)
         places[at] += np.int32(np.int32(there) * np.int32(stride))
         rows[down + at] = there - np.float32(np.int32(there))
-    shown = target.reshape(-1)
+    shown = flattened(target)
     for x in range(width):  # the only one that reads here and there
         at = np.uint64(x)
         place, share = np.uint64(np.uint32(places[at])), rows[across + at]
@@ -181,7 +182,7 @@ def _warp(
         place += np.uint64(stride)
         lower = shown[place] + share * (shown[place + one] - shown[place])
         rows[difference + at] = upper + rows[down + at] * (lower - upper)
-    gray, first = source.reshape(-1), np.uint64((y + top) * source.shape[1] + left)
+    gray, first = flattened(source), np.uint64((y + top) * source.shape[1] + left)
     own = _row(_SPARE, 2, width)
     for x in range(width):
         at = np.uint64(x)

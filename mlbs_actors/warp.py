@@ -25,6 +25,7 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["MAX_MISS_PX", "interpolate_map", "nearest_sources", "warp_map"]
@@ -33,7 +34,7 @@ __all__ = ["MAX_MISS_PX", "interpolate_map", "nearest_sources", "warp_map"]
 MAX_MISS_PX = 1.0
 
 
-@compiled()
+@compiled(forceinline=True)
 def nearest_sources(residual: Array, shift_x: int, shift_y: int, motion: Array) -> tuple[Array, Array]:
     """Which stack of frame t−1 each pixel of frame t takes over, and its new residual.
 
@@ -70,7 +71,7 @@ def nearest_sources(residual: Array, shift_x: int, shift_y: int, motion: Array) 
 def _find_sources(
     residual: Array, motion: Array, shift_x: int, shift_y: int, source: Array, new_residual: Array
 ) -> None:
-    stored, half, zero = residual.reshape(-1), np.float32(0.5), np.float32(0)
+    stored, half, zero = flattened(residual), np.float32(0.5), np.float32(0)
     height, width = np.int32(residual.shape[0]), np.int32(residual.shape[1])
     count = source.shape[1]
     column, row, place = np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)
@@ -78,7 +79,7 @@ def _find_sources(
     part, step = np.empty((2, count), np.float32), np.empty((2, count), np.float32)
     rest, inside = np.empty((2, count), np.float32), np.empty(count, np.bool_)
     missed = np.empty(count + 1, np.int32)
-    all_moves, all_rests, pair = motion.reshape(-1), new_residual.reshape(-1), 2 * count
+    all_moves, all_rests, pair = flattened(motion), flattened(new_residual), 2 * count
     # Loops without a branch, and in 32 bits, run in vector registers.
     for y in range(source.shape[0]):
         begin, end, sources = y * pair, (y + 1) * pair, source[y]

@@ -48,6 +48,7 @@ from mlbs_actors.actors.layer_notes import (
 from mlbs_actors.actors.object_frame_call import address_of_frame, called_at
 from mlbs_actors.actors.shared_memory import SharedMemory
 from mlbs_actors.compilation import compiled
+from mlbs_actors.flattened import flattened
 from mlbs_actors.flow import flow_size
 from mlbs_actors.gabp import check_solved
 from mlbs_actors.layer import OUTSIDE_COST, Layer
@@ -328,7 +329,7 @@ def _put(slots: Array, words: Array, last: tuple[Array, ...]) -> tuple[int, int]
     if slot == 0:
         return 0, 0
     sign(slot, 0, 0)  # who reads too late is told so from now on
-    maps = (cost.reshape(-1), log_ratio.view(np.uint8).reshape(-1), samples.reshape(-1))
+    maps = (flattened(cost), flattened(log_ratio.view(np.uint8)), flattened(samples))
     kinds, shape = (ord("B"), ord("b"), ord("B")), (cost.shape[0], cost.shape[1])
     for number in range(3):
         put_array(slot, number, begin, maps[number], kinds[number], 2, shape)
