@@ -2,9 +2,9 @@
 
 It calls, one after the other, the kernels that :mod:`mlbs_actors.background_frame` calls by way of the
 functions around them. An object is small, and its process wakes for a millisecond a frame: those functions
-would take longer than its kernels do. For the same reason what is only called from here is put in place
-(``forceinline``): a call hands over all numbers of all arrays, by code that is in no cache. What the terms
-are, and how they differ from the paper's, is said in :mod:`mlbs_actors.layer`.
+would take longer than its kernels do. For the same reason some that are called once a frame are put in
+place (``forceinline``): a call hands over all numbers of all arrays, by code that is in no cache. What the
+terms are, and how they differ from the paper's, is said in :mod:`mlbs_actors.layer`.
 """
 
 from __future__ import annotations

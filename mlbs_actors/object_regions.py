@@ -86,14 +86,13 @@ def region_of_object(
         pixels.
     """
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
-    move_x, move_y, apart = told[5], told[6], 0.0
+    move_x, move_y = told[5], told[6]
     if len(positions):
         x0, y0, x1, y1 = bounds(positions)
         left, top, right, bottom = np.float64(x0), np.float64(y0), np.float64(x1), np.float64(y1)
         if told[0]:
             back_x, back_y = median_of_motions(motions)
             move_x, move_y = -np.float64(back_x), -np.float64(back_y)
-            apart = _farthest(motions, back_x, back_y)
     elif not told[0]:
         return 0, 0, 0, 0
     if told[0]:
@@ -104,7 +103,7 @@ def region_of_object(
     in_full_view = told[0] and inside and told[0] <= len(positions) * _COVERED_PX * scale**2
     margin = scale * margins_px[0]
     if in_full_view:
-        margin = min(margin, scale * margins_px[1] + apart)
+        margin = min(margin, scale * margins_px[1] + _farthest(motions, -move_x, -move_y))
     x, y, wide, high = box_within(left, top, right, bottom, margin, height, width)
     if wide * high == 0:
         return x, y, wide, high
