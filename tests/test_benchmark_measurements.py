@@ -23,7 +23,6 @@ from orchestrator.benchmark.layers import (
     layers_table,
     mean_further_object_ms,
     measure_layers,
-    median_round,
     processes_table,
 )
 from orchestrator.benchmark.memory import KindMemory, memory_by_kind, memory_table, stream_mib
@@ -38,7 +37,14 @@ from orchestrator.benchmark.process_costs import (
     process_tree,
     sum_by_kind,
 )
-from orchestrator.benchmark.ray_cost import PipelineCost, StartUp, cost_table, cpu_ms_by_kind, start_up
+from orchestrator.benchmark.ray_cost import (
+    PipelineCost,
+    StartUp,
+    SteadyCost,
+    cost_table,
+    cpu_ms_by_kind,
+    start_up,
+)
 from orchestrator.benchmark.setting import Setting
 from orchestrator.benchmark.sizes import measure_sizes
 from orchestrator.benchmark.streams import StreamsCost, most_frames_a_second, streams_table
@@ -222,21 +228,18 @@ def test_the_mean_of_further_objects_counts_from_an_ordinary_frame_on() -> None:
 
 
 def test_through_ray_the_cost_of_a_further_object_is_that_of_all_processes() -> None:
-    start = StartUp(2.0, 9.0, 10.0)
-    few = PipelineCost(50.0, 20.0, {"object layer": 3.0, "coordinator": 17.0}, start)
-    more = PipelineCost(40.0, 25.0, {"object layer": 6.0, "coordinator": 20.0}, start)
+    few = SteadyCost(50.0, 20.0, {"object layer": 3.0, "coordinator": 17.0})
+    more = SteadyCost(40.0, 25.0, {"object layer": 6.0, "coordinator": 20.0})
     rows = [line.split() for line in processes_table({3: few, 5: more}).splitlines()]
     assert rows[1] == ["3", "20", "20", "3", "1.00", "-", "-", "-"]
     assert rows[2] == ["5", "25", "26", "6", "1.30", "3", "15", "15"]
 
 
-def test_of_rounds_through_ray_the_one_with_the_median_growth_counts() -> None:
-    start = StartUp(2.0, 9.0, 10.0)
-    rounds = [
-        {count: PipelineCost(50.0, 20.0, {"coordinator": cost}, start) for count, cost in round_.items()}
-        for round_ in ({3: 20.0, 16: 42.0}, {3: 30.0, 16: 51.0}, {3: 22.0, 16: 40.0})
-    ]
-    assert median_round(rounds) is rounds[2]
+def test_the_mean_of_some_windows_counts_each_kind_of_process_in_all_of_them() -> None:
+    first = SteadyCost(100.0, 10.0, {"coordinator": 8.0, "spare layer": 2.0})
+    mean = SteadyCost.mean([first, SteadyCost(50.0, 20.0, {"coordinator": 10.0})])
+    assert (mean.frames_a_second, mean.wall_ms) == pytest.approx((1e3 / 15, 15.0))
+    assert mean.cpu_ms == {"coordinator": 9.0, "spare layer": 1.0}
 
 
 def test_the_empty_parts_send_the_engines_own_messages_for_every_frame() -> None:
@@ -313,7 +316,7 @@ from functools import partial
 from orchestrator.ray_session import ray_settings
 with ray_settings(None) as scratch:
     from orchestrator.benchmark import command
-    command.measure_layers = partial(command.measure_layers, objects=(1,), through_ray=(1,))
+    command.measure_layers = partial(command.measure_layers, objects=(1,), through_ray=(1, 4))
     command.measure_streams = partial(command.measure_streams, streams=(1,))
     command.measure_births = partial(command.measure_births, scenes=("late-entry",), size=(96, 64))
     sys.exit(command.main(sys.argv[1:], scratch))
@@ -346,10 +349,12 @@ def test_the_pipeline_is_measured_beside_empty_methods(tmp_path: Path) -> None:
 def test_a_crowd_is_measured_in_one_process_and_through_ray(tmp_path: Path) -> None:
     figures = measured("layers", tmp_path)
     assert figures["in_process"]["1"]["all_cpu_ms"] > 0
-    through_ray = figures["through_ray"]["1"]
-    assert through_ray["cpu_ms"]["object layer"] > 0
-    assert len(through_ray["all_rounds_cpu_ms"]) == 3
-    assert through_ray["all_cpu_ms"] in through_ray["all_rounds_cpu_ms"]
+    one, four = (figures["through_ray"][objects] for objects in ("1", "4"))
+    assert 0 < one["cpu_ms"]["object layer"] < four["cpu_ms"]["object layer"]
+    assert one["all_cpu_ms"] < four["all_cpu_ms"]
+    turns = one["turns_cpu_ms"]
+    assert len(turns) == len(four["turns_cpu_ms"]) == 6
+    assert one["all_cpu_ms"] == pytest.approx(sum(turns) / len(turns))
 
 
 @pytest.mark.ray

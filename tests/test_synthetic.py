@@ -193,6 +193,18 @@ def test_the_steady_crowd_shows_as_many_objects_as_asked_for_of_one_percent_each
         assert area.max() < 0.012
 
 
+def test_neighbours_in_the_steady_crowd_never_move_alike() -> None:
+    made = scene_from_uri("synthetic:steady-crowd?frames=60&objects=32")
+    for index in range(4, 60, 4):
+        labels, flow = made.labels(index), made.flow(index)
+        objects = range(1, 33)
+        places = np.array([np.argwhere(labels == one).mean(axis=0) for one in objects])
+        motions = np.array([flow[labels == one].mean(axis=0) for one in objects])
+        near = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) < 50
+        apart = np.hypot(*(motions[:, None] - motions[None]).transpose(2, 0, 1))
+        assert apart[near & ~np.eye(32, dtype=bool)].min() > 1.0
+
+
 def test_the_number_of_objects_is_asked_for_only_where_it_is_left_open() -> None:
     assert len(set(np.unique(scene("steady-crowd", frames=1).labels(0)).tolist())) == 9
     with pytest.raises(ConfigError, match="steady-crowd"):

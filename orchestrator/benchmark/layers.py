@@ -1,9 +1,9 @@
 """What a frame of a steady crowd costs by the number of objects in it, in one process and through Ray.
 
-Through Ray all numbers are run in three rounds, there, back and there again, and the round counts whose
-growth is the median: what else runs on a shared machine changes within minutes, by more than what an object
-costs, so that runs of different rounds say little about each other. Believe the mean over all further
-objects, not the step from one number to the next.
+Through Ray there is a stream of each number in one session, and they take turns, there and back: what else
+runs on a shared machine changes within minutes, by more than what an object costs, so that what is measured
+one after the other says little of the difference. Believe the mean over all further objects, not the step
+from one number to the next.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from typing import Any
 
 from orchestrator.benchmark.engine_run import EngineCost, play, steady_cost
 from orchestrator.benchmark.finding import Finding
-from orchestrator.benchmark.pipeline import record_in
+from orchestrator.benchmark.pipeline import pipeline
 from orchestrator.benchmark.played_video import EndlessReader
 from orchestrator.benchmark.plots import Plot
-from orchestrator.benchmark.ray_cost import PipelineCost, pipeline_cost
+from orchestrator.benchmark.ray_cost import SteadyCost
 from orchestrator.benchmark.setting import Setting, say
 from orchestrator.evaluation.datasets import open_sequence
 from orchestrator.evaluation.figures import format_number, format_table
@@ -31,14 +31,12 @@ __all__ = [
     "layers_table",
     "mean_further_object_ms",
     "measure_layers",
-    "median_round",
     "processes_table",
 ]
 
 OBJECTS = (1, 3, 8, 16, 32)
-#: Through Ray each takes a minute, of which most is the start of the processes.
 OBJECTS_THROUGH_RAY = (3, 8, 16)
-_ROUNDS = 3
+_TURNS = 6
 
 #: The number of objects of an ordinary frame, which the others are held against.
 ORDINARY = 3
@@ -53,18 +51,12 @@ def measure_layers(
 ) -> Finding:
     """Play the scene ``steady-crowd`` at 640×480 with each number of objects."""
     alone: dict[int, EngineCost] = {}
-    rounds: list[dict[int, PipelineCost]] = []
     for number, count in enumerate(objects):
         say(f"layers: {count} objects in this process ({number + 1} of {len(objects)})")
         sequence = open_sequence(_scene(setting, count), None)
         alone[count] = steady_cost(play(setting.played(sequence), setting.config), setting.warm)
-    for turn in range(_ROUNDS):
-        costs = {}
-        for count in reversed(through_ray) if turn % 2 else through_ray:
-            say(f"layers: {count} objects through Ray (round {turn + 1} of {_ROUNDS})")
-            costs[count] = _cost_through_ray(setting, count)
-        rounds.append({count: costs[count] for count in through_ray})
-    together = median_round(rounds)
+    turns = _costs_through_ray(setting, through_ray) if through_ray else {}
+    together = {count: SteadyCost.mean(costs) for count, costs in turns.items()}
     plot = Plot(
         "A frame by the number of its objects (640×480, 1 % of the frame each), in one process",
         "objects",
@@ -80,29 +72,29 @@ def measure_layers(
         "in_process": _figures(alone, {count: cost.cpu_ms for count, cost in alone.items()}),
         "through_ray": _figures(together, {count: cost.all_cpu_ms for count, cost in together.items()}),
     }
-    for count in through_ray:
-        figures["through_ray"][str(count)]["all_rounds_cpu_ms"] = [one[count].all_cpu_ms for one in rounds]
+    for count, costs in turns.items():
+        figures["through_ray"][str(count)]["turns_cpu_ms"] = [one.all_cpu_ms for one in costs]
     tables = (layers_table(alone), *([processes_table(together)] if together else []))
     return Finding(tables, figures, {"layers": plot})
 
 
-def _cost_through_ray(setting: Setting, objects: int) -> PipelineCost:
-    name = _scene(setting, objects)
-    scene = replace(setting, sequences={name: open_sequence(name, None)})
-    return pipeline_cost(scene, None, partial(EndlessReader, scene.endless_video(name)), record_in)
-
-
-def median_round(rounds: Sequence[Mapping[int, PipelineCost]]) -> Mapping[int, PipelineCost]:
-    """The one whose growth from the fewest to the most objects is the median."""
-
-    def growth(costs: Mapping[int, PipelineCost]) -> float:
-        return costs[max(costs)].all_cpu_ms / costs[min(costs)].all_cpu_ms if costs else 0.0
-
-    return sorted(rounds, key=growth)[len(rounds) // 2]
+def _costs_through_ray(setting: Setting, objects: Sequence[int]) -> dict[int, list[SteadyCost]]:
+    """What each number of objects costs in each of the turns."""
+    names = [_scene(setting, count) for count in objects]
+    scenes = replace(setting, sequences={name: open_sequence(name, None) for name in names})
+    videos = [scenes.endless_video(name) for name in names]
+    say(f"layers: {', '.join(map(str, objects))} objects through Ray, by turns")
+    with pipeline(setting.config, setting.folder) as session:
+        for video in videos:
+            session.start(partial(EndlessReader, video))
+        windows = session.windows_by_turns(setting.warm, setting.steady, _TURNS)
+    return {
+        count: [SteadyCost.of(one) for one in turns] for count, turns in zip(objects, windows, strict=True)
+    }
 
 
 def _figures(
-    costs: Mapping[int, EngineCost] | Mapping[int, PipelineCost], cpu_ms: Mapping[int, float]
+    costs: Mapping[int, EngineCost] | Mapping[int, SteadyCost], cpu_ms: Mapping[int, float]
 ) -> dict[str, Any]:
     further, mean = further_object_ms(cpu_ms), mean_further_object_ms(cpu_ms)
     return {
@@ -153,7 +145,7 @@ def layers_table(costs: Mapping[int, EngineCost]) -> str:
     return format_table(["objects", "found", "wall ms", "cpu ms", *_GROWTH], rows)
 
 
-def processes_table(costs: Mapping[int, PipelineCost]) -> str:
+def processes_table(costs: Mapping[int, SteadyCost]) -> str:
     """The same through Ray, with the CPU time of all processes, and of those that are objects."""
     growth = _growth({count: cost.all_cpu_ms for count, cost in costs.items()})
     rows = [

@@ -12,8 +12,8 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -37,6 +37,7 @@ from mlbs_actors.actors.stream_protocol import (
     GapStatus,
     Snapshot,
     SourceFrame,
+    StreamProgress,
     StreamSink,
     StreamSpec,
 )
@@ -245,6 +246,8 @@ class Pipeline:
     _config: Config
     _folder: Path
     _streams: list[StreamActors] = field(default_factory=list)
+    #: What is under way, and of which stream.
+    _bursts: dict[Future[StreamProgress], int] = field(default_factory=dict)
 
     def start(
         self,
@@ -283,30 +286,83 @@ class Pipeline:
         frames : int
             Label maps of each stream that the window holds at least.
         """
-        bursts = {stream.advance(): number for number, stream in enumerate(self._streams)}
-        begin, before = 0.0, dict[int, Process]()
-        counts = dict.fromkeys(bursts.values(), 0)
-        arrived_before: dict[int, int] = {}
-        while True:
-            ready, _ = wait(bursts, return_when=FIRST_COMPLETED)
-            for burst in ready:
-                number = bursts.pop(burst)
-                counts[number] = burst.result().read
-                bursts[self._streams[number].advance()] = number
-            if not before:
-                if min(counts.values()) >= warm and self._settled() and self._stands_by():
-                    begin, before = time.monotonic(), process_tree(os.getpid())
-                    arrived_before = {number: self._arrived(number) for number in counts}
-            elif min(self._arrived(number) - arrived_before[number] for number in counts) >= frames:
-                break
+        numbers = range(len(self._streams))
+        self._warm_up(warm)
+        window = self._window(numbers, frames)
+        self._stop()
+        return window
+
+    def windows_by_turns(self, warm: int, frames: int, turns: int) -> list[list[SteadyWindow]]:
+        """Drive the streams, which must not end, one after the other, there and back; stop them.
+
+        So what else runs on a shared machine, whose speed changes within minutes, weighs on all alike.
+
+        Parameters
+        ----------
+        warm, frames : int
+            As for :meth:`steady_window`.
+        turns : int
+
+        Returns
+        -------
+        list of list of SteadyWindow
+            For each stream one of each turn, in which no other stream was driven.
+        """
+        self._warm_up(warm)
+        numbers = range(len(self._streams))
+        windows: list[list[SteadyWindow]] = [[] for _ in numbers]
+        for turn in range(turns):
+            for number in reversed(numbers) if turn % 2 else numbers:
+                wait(self._bursts)  # the last stream's
+                self._bursts.clear()
+                self._drive([number], lambda read: bool(read))
+                windows[number].append(self._window([number], frames))
+        self._stop()
+        return windows
+
+    def _warm_up(self, warm: int) -> None:
+        """Drive all streams until they are steady: no process is starting any more."""
+        numbers = range(len(self._streams))
+        least = dict.fromkeys(numbers, 0)
+
+        def steady(read: Mapping[int, int]) -> bool:
+            least.update(read)
+            return min(least.values()) >= warm and self._settled() and self._stands_by()
+
+        self._drive(numbers, steady)
+
+    def _window(self, numbers: Sequence[int], frames: int) -> SteadyWindow:
+        """Drive some streams, which are driven already, until each has had so many label maps more."""
+        begin, before = time.monotonic(), process_tree(os.getpid())
+        arrived = {number: self._arrived(number) for number in numbers}
+        self._drive(numbers, lambda _: all(self._arrived(one) - arrived[one] >= frames for one in numbers))
         end, after = time.monotonic(), process_tree(os.getpid())
         memory = {pid: private_bytes(pid) for pid in after}
         kinds = kinds_of(after, os.getpid(), self._layer_kinds())
         kinds |= {pid: STANDBY for pid in after if (self._folder / "waiting" / str(pid)).exists()}
+        count = sum(begin < one.seconds <= end for number in numbers for one in self.arrivals(number))
+        return SteadyWindow(begin, end, count, before, after, kinds, memory)
+
+    def _drive(self, numbers: Sequence[int], enough: Callable[[Mapping[int, int]], bool]) -> None:
+        """Have streams read on until it is enough, which is asked after bursts with what was read by then.
+
+        The next bursts are under way at the end.
+        """
+        for number in set(numbers) - set(self._bursts.values()):
+            self._bursts[self._streams[number].advance()] = number
+        while True:
+            ready, _ = wait(self._bursts, return_when=FIRST_COMPLETED)
+            read = {}
+            for burst in ready:
+                number = self._bursts.pop(burst)
+                read[number] = burst.result().read
+                self._bursts[self._streams[number].advance()] = number
+            if enough(read):
+                return
+
+    def _stop(self) -> None:
         for stream in self._streams:
             stream.stop(drain=False)
-        arrived = sum(begin < one.seconds <= end for number in counts for one in self.arrivals(number))
-        return SteadyWindow(begin, end, arrived, before, after, kinds, memory)
 
     def arrivals(self, number: int) -> list[Arrival]:
         """All label maps of a stream that have come to the sink, in order."""

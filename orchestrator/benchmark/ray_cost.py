@@ -23,6 +23,7 @@ from orchestrator.evaluation.figures import format_number, format_table
 __all__ = [
     "PipelineCost",
     "StartUp",
+    "SteadyCost",
     "cpu_ms_by_kind",
     "mean_of_kinds",
     "measure_ray",
@@ -55,7 +56,7 @@ class StartUp:
 
 
 @dataclass(frozen=True)
-class PipelineCost:
+class SteadyCost:
     """A frame of one stream in steady state.
 
     Attributes
@@ -63,18 +64,39 @@ class PipelineCost:
     frames_a_second, wall_ms : float
     cpu_ms : dict of str to float
         CPU time of the session's processes by kind, ms a frame.
-    start_up : StartUp
     """
 
     frames_a_second: float
     wall_ms: float
     cpu_ms: dict[str, float]
-    start_up: StartUp
+
+    @staticmethod
+    def of(window: SteadyWindow) -> SteadyCost:
+        """What a window of the stream tells."""
+        return SteadyCost(window.frames_a_second, 1e3 / window.frames_a_second, cpu_ms_by_kind(window))
+
+    @staticmethod
+    def mean(costs: Sequence[SteadyCost]) -> SteadyCost:
+        """Of windows of the same length."""
+        wall_ms = fmean(one.wall_ms for one in costs)
+        return SteadyCost(1e3 / wall_ms, wall_ms, mean_of_kinds([one.cpu_ms for one in costs]))
 
     @property
     def all_cpu_ms(self) -> float:
         """CPU time of all processes, ms a frame."""
         return sum(self.cpu_ms.values())
+
+
+@dataclass(frozen=True)
+class PipelineCost(SteadyCost):
+    """The same, and how long it took to become steady.
+
+    Attributes
+    ----------
+    start_up : StartUp
+    """
+
+    start_up: StartUp
 
 
 def measure_ray(setting: Setting) -> Finding:
@@ -126,10 +148,9 @@ def pipeline_cost(
     """
     with pipeline(setting.config, setting.folder, parts) as session:
         stream = session.start(open_reader, open_record)
-        window = session.steady_window(setting.warm, setting.steady)
-        wall_ms = 1e3 / window.frames_a_second
-        started = start_up(session.started, session.ready, session.arrivals(stream), wall_ms)
-    return PipelineCost(window.frames_a_second, wall_ms, cpu_ms_by_kind(window), started)
+        steady = SteadyCost.of(session.steady_window(setting.warm, setting.steady))
+        started = start_up(session.started, session.ready, session.arrivals(stream), steady.wall_ms)
+    return PipelineCost(steady.frames_a_second, steady.wall_ms, steady.cpu_ms, started)
 
 
 def _no_record(folder: Path) -> StreamSink:

@@ -161,14 +161,16 @@ def _crowd(stage: Stage) -> None:
 
 
 def _steady_crowd(stage: Stage) -> None:
-    """Each object circles in a cell of its own, so that none hides another."""
+    """Each object circles in a cell of its own, so that none hides another, and not in step with those
+    beside it: objects that touch and move alike would be one."""
     stage.pan(1.0)
     stage.background(props=3)
     columns, rows = 7, 5
     for label in range(1, stage.objects + 1):
         column, row = divmod(label * 17 % (columns * rows), rows)
         place = CANVAS / columns * (column - columns // 2), 0.75 * CANVAS / rows * (row - rows // 2)
-        angle = stage.time * 2 * np.pi / stage.rng.uniform(26, 34) + stage.rng.uniform(0, 2 * np.pi)
+        # Half a circle from left to right, a quarter from top to bottom.
+        angle = stage.time * 2 * np.pi / 30 + np.pi / 2 * (2 * column + row)
         stage.thing(label, (place[0] + 6 * np.cos(angle), place[1] + 9 * np.sin(angle)), (16.5, 15.5))
 
 
