@@ -306,7 +306,6 @@ def tally(labels: Array, claims: Claims, own: Array, box: Box, tallied: Tally) -
             costs = claims.cost[one, top + v // side, left:]
             likelihood = tallied.likelihood[one]
             for cell in range(start // side, (u - 1) // side + 1):
-                posterior = LIKELIHOOD[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
-                for _ in range(max(start, cell * side), min(u, (cell + 1) * side)):
-                    likelihood += posterior
+                pixels = min(u, (cell + 1) * side) - max(start, cell * side)
+                likelihood += pixels * LIKELIHOOD[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
             tallied.likelihood[one] = likelihood

@@ -263,7 +263,7 @@ class PosteriorConfig(_Section):
         32.0, ge=0, description="Margin of an object's region around its trajectories and pixels, px."
     )
     covered_margin_px: float = Field(
-        8.0,
+        5.0,
         ge=0,
         description="The same, if it is less, where trajectories that move alike cover an object that "
         "touches no border, px.",
