@@ -83,14 +83,17 @@ def _costs_through_ray(setting: Setting, objects: Sequence[int]) -> dict[int, li
     names = [_scene(setting, count) for count in objects]
     scenes = replace(setting, sequences={name: open_sequence(name, None) for name in names})
     videos = [scenes.endless_video(name) for name in names]
-    say(f"layers: {', '.join(map(str, objects))} objects through Ray, by turns")
+    costs: dict[int, list[SteadyCost]] = {count: [] for count in objects}
+    told = f"layers: {', '.join(map(str, objects))} objects through Ray, by turns"
+    say(f"{told}: until all processes are there")
     with pipeline(setting.config, setting.folder) as session:
         for video in videos:
             session.start(partial(EndlessReader, video))
-        windows = session.windows_by_turns(setting.warm, setting.steady, _TURNS)
-    return {
-        count: [SteadyCost.of(one) for one in turns] for count, turns in zip(objects, windows, strict=True)
-    }
+        for turn, windows in enumerate(session.turns(setting.warm, setting.steady, _TURNS)):
+            say(f"{told} ({turn + 1} of {_TURNS} done)")
+            for count, window in zip(objects, windows, strict=True):
+                costs[count].append(SteadyCost.of(window))
+    return costs
 
 
 def _figures(

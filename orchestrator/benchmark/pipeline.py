@@ -292,7 +292,7 @@ class Pipeline:
         self._stop()
         return window
 
-    def windows_by_turns(self, warm: int, frames: int, turns: int) -> list[list[SteadyWindow]]:
+    def turns(self, warm: int, frames: int, turns: int) -> Iterator[list[SteadyWindow]]:
         """Drive the streams, which must not end, one after the other, there and back; stop them.
 
         So what else runs on a shared machine, whose speed changes within minutes, weighs on all alike.
@@ -303,22 +303,22 @@ class Pipeline:
             As for :meth:`steady_window`.
         turns : int
 
-        Returns
-        -------
-        list of list of SteadyWindow
-            For each stream one of each turn, in which no other stream was driven.
+        Yields
+        ------
+        list of SteadyWindow
+            Of each turn one for each stream, in which no other one was driven.
         """
         self._warm_up(warm)
         numbers = range(len(self._streams))
-        windows: list[list[SteadyWindow]] = [[] for _ in numbers]
         for turn in range(turns):
+            windows = {}
             for number in reversed(numbers) if turn % 2 else numbers:
                 wait(self._bursts)  # the last stream's
                 self._bursts.clear()
-                self._drive([number], lambda read: bool(read))
-                windows[number].append(self._window([number], frames))
+                self._drive([number], bool)
+                windows[number] = self._window([number], frames)
+            yield [windows[number] for number in numbers]
         self._stop()
-        return windows
 
     def _warm_up(self, warm: int) -> None:
         """Drive all streams until they are steady: no process is starting any more."""
