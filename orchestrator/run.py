@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -72,7 +73,7 @@ def run(
     MlbsError
         If Ray cannot be started, or the run's own files cannot be written.
     """
-    folder = RunFolder(arguments.output.absolute())
+    folder = RunFolder(arguments.output.resolve())
     sourceless = [stream for stream in streams if stream.name in missing]
     for stream in sourceless:
         _say(f"{arguments.streams}, line {stream.line}: {missing[stream.name]}")
@@ -327,7 +328,8 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
         lines.append(f"and at {folder.path / 'report.html'}")
     if any(state.interrupted for state in states):
         but = ", without --watch" if arguments.watch else ""
-        lines.append(f"To go on with what was interrupted, give the same command with --resume{but}.")
+        given = f"--resume --output {shlex.quote(str(folder.path))}"
+        lines.append(f"To go on with what was interrupted, give the same command with {given}{but}.")
     return "\n".join(lines)
 
 

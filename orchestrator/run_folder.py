@@ -39,6 +39,9 @@ _SAME = {
     "max_side": "--max-side",
 }
 
+#: So many changes are told of parameters that are not those of the run that is to be gone on with.
+_MOST_CHANGES = 3
+
 #: Least time between two writings of ``status.json``, s.
 _STATUS_SECONDS = 0.5
 
@@ -109,9 +112,10 @@ class RunFolder:
             if begun.get(key) == description[key]:
                 continue
             if key != "sources" or not self._has_all_recorded(begun.get(key, {}), description[key]):
+                changes = "" if key == "sources" else f" ({_changes(begun.get(key), description[key])})"
                 raise ConfigError(
-                    f"The run in {self.path} had other {meaning}; give the same ones as then (see its "
-                    "run.json), or another folder with --output."
+                    f"The run in {self.path} had other {meaning}{changes}; give the same ones as then (see "
+                    "its run.json), or another folder with --output."
                 )
         return begun
 
@@ -234,6 +238,27 @@ class StatusFile:
             "streams": streams,
         }
         replace_file(self._path, (json.dumps(status, indent=1) + "\n").encode())
+
+
+def _changes(before: Any, now: Any) -> str:
+    """In words, how a part of a run's description was and is."""
+    told = list(_differences(before, now))
+    more = len(told) - _MOST_CHANGES
+    return "; ".join(told[:_MOST_CHANGES]) + (f"; and {more} more" if more > 0 else "")
+
+
+def _differences(before: Any, now: Any, name: str = "") -> Iterator[str]:
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in sorted(before.keys() | now.keys()):
+            yield from _differences(before.get(key), now.get(key), f"{name}.{key}" if name else key)
+    elif before != now:
+        yield f"{name} was {_given(before)}, now {_given(now)}".lstrip()
+
+
+def _given(value: Any) -> str:
+    if value is None:
+        return "not given"
+    return ", ".join(value) if isinstance(value, list) else str(value)
 
 
 def describe_run(

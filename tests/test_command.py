@@ -228,16 +228,17 @@ def test_the_main_script_takes_the_demo_list_where_no_list_is_given(
     assert ended.stdout.splitlines() == arguments
 
 
-@pytest.mark.parametrize(("status", "told"), [(0, True), (1, True), (2, False)])
-def test_the_main_script_says_how_to_use_own_videos_unless_its_flags_are_wrong(
-    tmp_path: Path, status: int, told: bool
+@pytest.mark.parametrize("flags", [[], ["--streams", "l"]])
+def test_the_main_script_says_how_to_use_own_videos_and_becomes_the_program_that_signals_are_for(
+    tmp_path: Path, flags: list[str]
 ) -> None:
     script = _with_stubs(tmp_path / "root")
     python = tmp_path / "root/.venv/bin/python"
-    python.write_text(f"#!/bin/sh\nexit {status}\n")
-    ended = subprocess.run([script], cwd=tmp_path, capture_output=True, text=True, timeout=20, check=False)
-    assert ended.returncode == status
-    assert ("For your own videos" in ended.stderr) == told
+    python.write_text("#!/bin/sh\nkill -INT $$\nexit 3\n")
+    started = subprocess.Popen([script, *flags], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    _, stderr = started.communicate(timeout=20)
+    assert started.returncode == -signal.SIGINT
+    assert ("For your own videos" in stderr) == (not flags)
 
 
 def test_an_output_folder_that_holds_a_run_is_refused_untouched(tmp_path: Path) -> None:
@@ -464,7 +465,10 @@ def test_a_signal_ends_a_run_cleanly_with_all_that_was_read_committed(
         run.send_signal(number)
         _, stderr = run.communicate(timeout=60)
     assert run.returncode == 128 + number, stderr
-    for words in ("a second signal ends the run at once", "give the same command with --resume."):
+    for words in (
+        "a second signal ends the run at once",
+        f"give the same command with --resume --output {output}.",
+    ):
         assert stderr.count(words) == 1
     status = json.loads((output / "status.json").read_text())["streams"]["demo"]
     assert status["state"] == "partial"

@@ -234,10 +234,19 @@ def test_a_run_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
     assert folder.refuse_other(plain | {"started": "later"})["started"] == plain["started"]
     other_config = Config.model_validate({"layers": {"lookahead": 1}})
     for description, words in (
-        (describe_run([listed("yard", "yard.mp4")], other_config, frozenset({"masks"}), None), "parameters"),
+        (
+            describe_run([listed("yard", "yard.mp4")], other_config, frozenset({"masks"}), None),
+            r"parameters \(layers.lookahead was 0, now 1\)",
+        ),
         (describe_run([listed("yard", "other.mp4")], Config(), frozenset({"masks"}), None), "streams"),
-        (describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"parquet"}), None), "--save"),
-        (describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), 7), "--max-frames"),
+        (
+            describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"parquet"}), None),
+            r"--save \(was masks, now parquet\)",
+        ),
+        (
+            describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), 7),
+            r"--max-frames \(was not given, now 7\)",
+        ),
         (describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), None, 64), "--max-side"),
     ):
         with pytest.raises(ConfigError, match=f"had other .*{words}"):
