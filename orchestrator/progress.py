@@ -10,10 +10,12 @@ from collections.abc import Callable, Sequence
 from datetime import timedelta
 from typing import Protocol, TextIO
 
-from rich.console import Console
+from rich.box import SIMPLE_HEAD
+from rich.console import Console, Group
 from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from orchestrator.stream_state import ENDED, StreamState
 
@@ -21,6 +23,9 @@ __all__ = ["JsonLines", "LiveTable", "Progress", "progress_for"]
 
 #: Least time between two lines about a stream whose state is the same, s.
 _LINE_SECONDS = 5.0
+
+#: Streams that the table has at least, and lines that are reckoned for a note.
+_LEAST_SHOWN, _NOTE_LINES = 3, 2
 
 _STYLES = {"running": "green", "done": "dim", "partial": "yellow", "failed": "red", "waiting": "dim"}
 
@@ -100,20 +105,26 @@ class LiveTable:
         """Draw the last states and give the terminal back."""
         self._live.stop()
 
-    def _table(self, states: Sequence[StreamState]) -> Table:
+    def _table(self, states: Sequence[StreamState]) -> Group:
         states = sorted(states, key=lambda state: state.rank)
-        shown = states[: max(3, self._console.height - 7)]
-        table = Table(caption=_summary(states, len(shown)), caption_justify="left")
+        shown: list[StreamState] = []
+        room = self._console.height - 7
+        for state in states:
+            room -= 1 + _NOTE_LINES * bool(_note(state))
+            if room < 0 and len(shown) >= _LEAST_SHOWN:
+                break
+            shown.append(state)
+        # Notes go below: beside the figures a terminal of 80 columns has no room for a sentence.
+        notes = "".join(f"{state.name}: {note}\n" for state in shown if (note := _note(state)))
+        table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
         for heading in ("stream", "state"):
             table.add_column(heading, no_wrap=True)
         for heading in ("read", "committed", "frames/s", "left", "layers", "lost"):
             table.add_column(heading, justify="right", no_wrap=True)
-        table.add_column("note", overflow="fold")
         for state in shown:
             rate = f"{state.frames_per_second:.1f}" if state.frames_per_second else ""
             lost = state.dropped + state.quarantined
             left = state.seconds_left
-            note = state.error or (f"waits for {state.waits_for}" if state.waits_for else "")
             table.add_row(
                 escape(state.name),
                 f"[{_STYLES.get(state.state, 'cyan')}]{state.state}[/]",
@@ -123,9 +134,12 @@ class LiveTable:
                 "" if left is None else str(timedelta(seconds=round(left))),
                 str(state.layers) if state.layers else "",
                 str(lost) if lost else "",
-                escape(note),
             )
-        return table
+        return Group(table, Text(notes + _summary(states, len(shown))))
+
+
+def _note(state: StreamState) -> str:
+    return state.error or (f"waits for {state.waits_for}" if state.waits_for else "")
 
 
 def _read(state: StreamState) -> str:

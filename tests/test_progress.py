@@ -43,8 +43,8 @@ def test_a_running_stream_gets_a_line_every_five_seconds_if_it_moves() -> None:
     assert [line["read"] for line in lines(output)] == [0, 5, 10, 15, 20]
 
 
-def table(states: list[StreamState], height: int = 40) -> str:
-    console = Console(file=io.StringIO(), force_terminal=True, width=110, height=height, no_color=True)
+def table(states: list[StreamState], height: int = 40, width: int = 110) -> str:
+    console = Console(file=io.StringIO(), force_terminal=True, width=width, height=height, no_color=True)
     progress = LiveTable(console)
     progress.update(states)
     progress.close()
@@ -73,6 +73,22 @@ def test_the_table_shows_how_much_is_left_where_that_is_known_and_what_a_start_w
     assert "of 600" not in table([done])  # the header was wrong, and the stream is whole
 
 
+def test_on_a_narrow_terminal_a_note_is_still_a_sentence_and_what_is_shown_fits() -> None:
+    states = [
+        StreamState(f"w{number}", "running", read=1234, committed=1200, frames_per_second=17.25, length=12345)
+        for number in range(9)
+    ]
+    states += [
+        StreamState(f"b{number}", "failed", error=f"The file {number} is gone.") for number in range(9)
+    ]
+    shown = table([*states, StreamState("gate", "starting")], height=24, width=80)
+    assert "b0: The file 0 is gone.\n" in shown.replace("\r", "").replace(" \n", "\n")
+    last = shown[shown.rindex("stream") :].splitlines()[:-1]  # the last one gives the cursor back
+    assert len(last) < 24
+    assert "frames/s" in last[-1]
+    assert "12345" in last[2]
+
+
 def test_the_table_adds_up_what_all_streams_have_done() -> None:
     shown = table(
         [
@@ -99,7 +115,7 @@ def test_streams_at_work_come_first_then_those_gone_wrong_waiting_and_done() -> 
     order = ["d done", "w waiting", "f failed", "r running", "e waiting", "s stalled", "p partial", "x done"]
     states = [StreamState(*name.split()) for name in order]  # type: ignore[arg-type]
     shown = table(states).splitlines()
-    names = [line.split()[1] for line in shown if any(f" {name.split()[0]} " in line for name in order)]
+    names = [line.split()[0] for line in shown if any(f" {name.split()[0]} " in line for name in order)]
     assert names[-8:] == ["r", "s", "f", "p", "w", "e", "d", "x"]
 
 
