@@ -87,9 +87,8 @@ def _costs_through_ray(setting: Setting, objects: Sequence[int]) -> dict[int, li
     told = f"layers: {', '.join(map(str, objects))} objects through Ray, by turns"
     say(f"{told}: until all processes are there")
     with pipeline(setting.config, setting.folder) as session:
-        for video in videos:
-            session.start(partial(EndlessReader, video))
-        for turn, windows in enumerate(session.turns(setting.warm, setting.steady, _TURNS)):
+        each = [[session.start(partial(EndlessReader, video))] for video in videos]
+        for turn, windows in enumerate(session.turns(setting.warm, setting.steady, _TURNS, each)):
             say(f"{told} ({turn + 1} of {_TURNS} done)")
             for count, window in zip(objects, windows, strict=True):
                 costs[count].append(SteadyCost.of(window))

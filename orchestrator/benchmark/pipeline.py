@@ -292,8 +292,10 @@ class Pipeline:
         self._stop()
         return window
 
-    def turns(self, warm: int, frames: int, turns: int) -> Iterator[list[SteadyWindow]]:
-        """Drive the streams, which must not end, one after the other, there and back; stop them.
+    def turns(
+        self, warm: int, frames: int, turns: int, groups: Sequence[Sequence[int]]
+    ) -> Iterator[list[SteadyWindow]]:
+        """Drive groups of streams, which must not end, one after the other, there and back; stop them.
 
         So what else runs on a shared machine, whose speed changes within minutes, weighs on all alike.
 
@@ -302,22 +304,23 @@ class Pipeline:
         warm, frames : int
             As for :meth:`steady_window`.
         turns : int
+        groups : sequence of sequence of int
+            Numbers of the streams that are driven together.
 
         Yields
         ------
         list of SteadyWindow
-            Of each turn one for each stream, in which no other one was driven.
+            Of each turn one for each group, in which no other stream was driven.
         """
         self._warm_up(warm)
-        numbers = range(len(self._streams))
         for turn in range(turns):
-            windows = {}
-            for number in reversed(numbers) if turn % 2 else numbers:
-                wait(self._bursts)  # the last stream's
+            windows = []
+            for group in reversed(groups) if turn % 2 else groups:
+                wait(self._bursts)  # the last group's
                 self._bursts.clear()
-                self._drive([number], bool)
-                windows[number] = self._window([number], frames)
-            yield [windows[number] for number in numbers]
+                self._drive(group, bool)
+                windows.append(self._window(group, frames))
+            yield windows[::-1] if turn % 2 else windows
         self._stop()
 
     def _warm_up(self, warm: int) -> None:

@@ -25,6 +25,7 @@ from orchestrator.evaluation.figures import format_number, format_table
 __all__ = ["STREAMS", "StreamsCost", "fleet_table", "measure_streams", "most_frames_a_second"]
 
 STREAMS = (1, 2, 4, 8)
+_TURNS = 6
 
 #: Nodes that are reckoned for so many cameras with so many pictures a second each.
 _NODES = (2, 8, 16, 64)
@@ -61,25 +62,26 @@ class StreamsCost:
 def measure_streams(setting: Setting, streams: tuple[int, ...] = STREAMS) -> Finding:
     """Run each sequence through Ray once, twice … at once; none waits for a place, as in a run it might.
 
-    Each number of streams is run twice, there and back (1, 2, 4, 8, 8, 4, 2, 1), and the means count: where
-    the machine's own speed changes meanwhile, it does so for all of them.
+    All streams are in one session, in which one, two … of them take turns, there and back: where the
+    machine's own speed changes meanwhile, it does so for all numbers. The means count.
     """
     tables, figures, plots = [], {}, {}
     for number, name in enumerate(setting.sequences):
         video = setting.endless_video(name)
         runs: dict[int, list[StreamsCost]] = {count: [] for count in streams}
         alone: list[Mapping[str, float]] = []
-        there_and_back = (*streams, *reversed(streams))
-        for step, count in enumerate(there_and_back):
-            say(f"streams: {name}, {count} at once ({step + 1} of {len(there_and_back)})")
-            with pipeline(setting.config, setting.folder) as session:
-                for _ in range(count):
-                    session.start(partial(EndlessReader, video))
-                window = session.steady_window(setting.warm, setting.steady)
-            runs[count].append(StreamsCost.of(window))
-            if count == streams[0]:
-                objects = sum(kind == "object layer" for kind in window.kinds.values()) // count
-                alone.append(cpu_ms_by_kind(window))
+        told = f"streams: {name}, {', '.join(map(str, streams))} at once, by turns"
+        say(f"{told}: until all processes are there")
+        with pipeline(setting.config, setting.folder) as session:
+            numbers = [session.start(partial(EndlessReader, video)) for _ in range(max(streams))]
+            groups = [numbers[:count] for count in streams]
+            for turn, windows in enumerate(session.turns(setting.warm, setting.steady, _TURNS, groups)):
+                say(f"{told} ({turn + 1} of {_TURNS} done)")
+                for count, window in zip(streams, windows, strict=True):
+                    runs[count].append(StreamsCost.of(window))
+                alone.append(cpu_ms_by_kind(windows[0]))
+                kinds = list(windows[0].kinds.values())
+        objects = kinds.count("object layer") // len(numbers)
         one = StageCosts.of(mean_of_kinds(alone), objects)
         costs = {count: StreamsCost.mean(of_count) for count, of_count in runs.items()}
         most = most_frames_a_second(cores(), costs[streams[0]].cpu_ms)
