@@ -3,7 +3,7 @@
 An object is evaluated inside its *region* only: the box of its trajectories and of its pixels in the last
 published map, moved by its own motion, with a margin. It is wide around what can turn out to be far larger:
 an object that is new, enters at the frame's border, or comes back from behind something, where trajectories
-get lost. An object in full view, whose trajectories cover its pixels, needs a quarter of it, and more where
+get lost. An object in full view, whose trajectories cover its pixels, needs a sixth of it, and more where
 parts of it, legs say, move otherwise than the whole.
 
 What lies outside every object's region is background without a question, so that the background's own

@@ -17,7 +17,7 @@ from typing import Any
 
 from orchestrator.benchmark.engine_run import EngineCost, play, steady_cost
 from orchestrator.benchmark.finding import Finding
-from orchestrator.benchmark.pipeline import pipeline
+from orchestrator.benchmark.pipeline import TURNS, pipeline
 from orchestrator.benchmark.played_video import EndlessReader
 from orchestrator.benchmark.plots import Plot
 from orchestrator.benchmark.ray_cost import SteadyCost
@@ -36,7 +36,6 @@ __all__ = [
 
 OBJECTS = (1, 3, 8, 16, 32)
 OBJECTS_THROUGH_RAY = (3, 8, 16)
-_TURNS = 6
 
 #: The number of objects of an ordinary frame, which the others are held against.
 ORDINARY = 3
@@ -88,8 +87,8 @@ def _costs_through_ray(setting: Setting, objects: Sequence[int]) -> dict[int, li
     say(f"{told}: until all processes are there")
     with pipeline(setting.config, setting.folder) as session:
         each = [[session.start(partial(EndlessReader, video))] for video in videos]
-        for turn, windows in enumerate(session.turns(setting.warm, setting.steady, _TURNS, each)):
-            say(f"{told} ({turn + 1} of {_TURNS} done)")
+        for turn, windows in enumerate(session.turns(setting.warm, setting.steady, each)):
+            say(f"{told} ({turn + 1} of {TURNS} done)")
             for count, window in zip(objects, windows, strict=True):
                 costs[count].append(SteadyCost.of(window))
     return costs

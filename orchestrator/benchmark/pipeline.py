@@ -15,55 +15,28 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from mlbs_actors import Config
 from mlbs_actors.actors import Node, PoolPolicy, StreamActors
-from mlbs_actors.actors.parts import (
-    CoordinatorPart,
-    EngineParts,
-    LayerPart,
-    NoteLoop,
-    PartFactory,
-    SegmenterPart,
-)
-from mlbs_actors.actors.shared_memory import SharedMemory
-from mlbs_actors.actors.stream_protocol import (
-    FrameReader,
-    GapStatus,
-    Snapshot,
-    SourceFrame,
-    StreamProgress,
-    StreamSink,
-    StreamSpec,
-)
-from mlbs_actors.messages import (
-    Array,
-    FrameEvidence,
-    LayerAppearance,
-    LayerKind,
-    LayerPosterior,
-    Segmentation,
-)
+from mlbs_actors.actors.parts import EngineParts, PartFactory
+from mlbs_actors.actors.stream_protocol import FrameReader, StreamProgress, StreamSink, StreamSpec
+from orchestrator.benchmark.noting_parts import SPARE, NotingParts, NotingSink
 from orchestrator.benchmark.process_costs import Process, kinds_of, private_bytes, process_tree
 from orchestrator.command_line import SAVED
 from orchestrator.ray_session import ray_session
 from orchestrator.sinks.record import StreamRecord
 
-__all__ = ["Arrival", "Pipeline", "SteadyWindow", "pipeline", "record_in"]
+__all__ = ["TURNS", "Arrival", "Pipeline", "SteadyWindow", "pipeline", "record_in"]
 
 #: Between two looks at whether the layer processes have started, s.
 _LOOK_SECONDS = 0.2
 
-#: What a layer process is as long as it has been no layer.
-SPARE = "spare layer"
-
-#: Among the stages of a label map on its way to the sink: when it was made.
-_LABELLED = "labelled"
+#: How often streams that are compared take turns.
+TURNS = 6
 
 #: What the processes are that wait for the next stream.
 STANDBY = "standby"
@@ -123,106 +96,6 @@ class SteadyWindow:
         return self.frames / (self.end - self.begin)
 
 
-@dataclass(frozen=True)
-class _NotingParts:
-    """Other parts, and a file for each layer process that says what it is; one for those that wait."""
-
-    parts: PartFactory
-    folder: Path
-    waiting: Path
-
-    def coordinator(self, config: Config) -> CoordinatorPart:
-        self._wait_no_more()
-        return self.parts.coordinator(config)
-
-    def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
-        if self._own_note.exists():  # else the layer begins in the segmenter's process
-            self._note("background layer" if kind == "background" else "object layer")
-        return self.parts.layer(config, layer, kind)
-
-    def loop(self, part: LayerPart, memory: SharedMemory) -> NoteLoop | None:
-        return self.parts.loop(part, memory)
-
-    def segmenter(self, config: Config) -> SegmenterPart:
-        self._wait_no_more()
-        return _NotingSegmenter(self.parts.segmenter(config))
-
-    def warm_layer(self) -> None:
-        self.parts.warm_layer()
-        self._note(SPARE)
-
-    def warm_stream(self) -> None:
-        self.parts.warm_stream()
-        (self.waiting / str(os.getpid())).touch()
-
-    def _wait_no_more(self) -> None:
-        (self.waiting / str(os.getpid())).unlink(missing_ok=True)
-
-    def _note(self, kind: str) -> None:
-        self._own_note.write_text(kind, encoding="utf-8")
-
-    @property
-    def _own_note(self) -> Path:
-        return self.folder / str(os.getpid())
-
-
-class _NotingSegmenter:
-    """Another segmenter, which notes in each label map when it was made."""
-
-    def __init__(self, part: SegmenterPart) -> None:
-        self._part = part
-
-    @property
-    def state(self) -> Any:
-        """See :class:`SegmenterPart`."""
-        return self._part.state
-
-    @state.setter
-    def state(self, state: Any) -> None:
-        self._part.state = state
-
-    def step(self, evidence: FrameEvidence, frame: Array, posteriors: list[LayerPosterior]) -> Segmentation:
-        """See :class:`SegmenterPart`."""
-        made = self._part.step(evidence, frame, posteriors)
-        return replace(made, stage_ms={**made.stage_ms, _LABELLED: time.monotonic()})
-
-
-class _NotingSink:
-    """Another sink, and a line for each label map that came to it."""
-
-    def __init__(self, open_sink: Callable[[], StreamSink], notes: Path) -> None:
-        self._sink = open_sink()
-        self.opening = self._sink.opening
-        self._notes = notes.open("w", encoding="ascii", buffering=1)
-
-    def write(
-        self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
-    ) -> int:
-        """See :class:`StreamSink`."""
-        objects = " ".join(str(layer.layer) for layer in segmentation.layers)
-        stage_ms = dict(segmentation.stage_ms)
-        labelled = stage_ms.pop(_LABELLED)
-        self._notes.write(f"{time.monotonic()} {labelled} {frame.index} {objects}\n")
-        return self._sink.write(replace(segmentation, stage_ms=stage_ms), frame, background)
-
-    def gap(self, index: int, pts: float, status: GapStatus) -> int:
-        """See :class:`StreamSink`."""
-        return self._sink.gap(index, pts, status)
-
-    def keep(self, snapshot: Snapshot) -> bool:
-        """See :class:`StreamSink`."""
-        return self._sink.keep(snapshot)
-
-    def provisional(self) -> None:
-        """See :class:`StreamSink`."""
-        self._sink.provisional()
-
-    def close(self, *, whole: bool) -> int:
-        """See :class:`StreamSink`."""
-        self._notes.close()
-        return self._sink.close(whole=whole)
-
-
 def record_in(folder: Path) -> StreamSink:
     """Open a record with the parts that a run without ``--save`` has."""
     return StreamRecord(folder, folder.name, frozenset(SAVED))
@@ -258,7 +131,7 @@ class Pipeline:
         """Start a stream; return its number, by which :meth:`arrivals` knows it."""
         number = len(self._streams)
         open_sink = partial(
-            _NotingSink, partial(open_record, self._folder / f"record-{number}"), self._notes(number)
+            NotingSink, partial(open_record, self._folder / f"record-{number}"), self._notes(number)
         )
         spec = StreamSpec(f"stream {number}", self._config, open_reader, open_sink, max_frames)
         self._streams.append(self._node.start(spec))
@@ -292,9 +165,7 @@ class Pipeline:
         self._stop()
         return window
 
-    def turns(
-        self, warm: int, frames: int, turns: int, groups: Sequence[Sequence[int]]
-    ) -> Iterator[list[SteadyWindow]]:
+    def turns(self, warm: int, frames: int, groups: Sequence[Sequence[int]]) -> Iterator[list[SteadyWindow]]:
         """Drive groups of streams, which must not end, one after the other, there and back; stop them.
 
         So what else runs on a shared machine, whose speed changes within minutes, weighs on all alike.
@@ -303,17 +174,16 @@ class Pipeline:
         ----------
         warm, frames : int
             As for :meth:`steady_window`.
-        turns : int
         groups : sequence of sequence of int
             Numbers of the streams that are driven together.
 
         Yields
         ------
         list of SteadyWindow
-            Of each turn one for each group, in which no other stream was driven.
+            Of each of the :data:`TURNS` one for each group, in which no other stream was driven.
         """
         self._warm_up(warm)
-        for turn in range(turns):
+        for turn in range(TURNS):
             windows = []
             for group in reversed(groups) if turn % 2 else groups:
                 wait(self._bursts)  # the last group's
@@ -424,7 +294,7 @@ def pipeline(config: Config, scratch: Path, parts: PartFactory | None = None) ->
         ready = time.monotonic()
         signal.signal(signal.SIGTERM, at_sigterm)  # Ray replaces it, and would end without the block's exits
         folder = Path(name)
-        noting = _NotingParts(parts or EngineParts(), folder / "layers", folder / "waiting")
+        noting = NotingParts(parts or EngineParts(), folder / "layers", folder / "waiting")
         noting.folder.mkdir()
         noting.waiting.mkdir()
         node = Node(parts=noting)

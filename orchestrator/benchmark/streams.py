@@ -14,7 +14,7 @@ from statistics import fmean
 from orchestrator.admission import STREAM_BYTES, cores
 from orchestrator.benchmark.finding import Finding
 from orchestrator.benchmark.node_model import StageCosts, most_cameras, simulate
-from orchestrator.benchmark.pipeline import SteadyWindow, pipeline
+from orchestrator.benchmark.pipeline import TURNS, SteadyWindow, pipeline
 from orchestrator.benchmark.played_video import EndlessReader
 from orchestrator.benchmark.plots import Plot
 from orchestrator.benchmark.process_costs import cpu_growth
@@ -25,7 +25,6 @@ from orchestrator.evaluation.figures import format_number, format_table
 __all__ = ["STREAMS", "StreamsCost", "fleet_table", "measure_streams", "most_frames_a_second"]
 
 STREAMS = (1, 2, 4, 8)
-_TURNS = 6
 
 #: Nodes that are reckoned for so many cameras with so many pictures a second each.
 _NODES = (2, 8, 16, 64)
@@ -75,8 +74,8 @@ def measure_streams(setting: Setting, streams: tuple[int, ...] = STREAMS) -> Fin
         with pipeline(setting.config, setting.folder) as session:
             numbers = [session.start(partial(EndlessReader, video)) for _ in range(max(streams))]
             groups = [numbers[:count] for count in streams]
-            for turn, windows in enumerate(session.turns(setting.warm, setting.steady, _TURNS, groups)):
-                say(f"{told} ({turn + 1} of {_TURNS} done)")
+            for turn, windows in enumerate(session.turns(setting.warm, setting.steady, groups)):
+                say(f"{told} ({turn + 1} of {TURNS} done)")
                 for count, window in zip(streams, windows, strict=True):
                     runs[count].append(StreamsCost.of(window))
                 alone.append(cpu_ms_by_kind(windows[0]))
