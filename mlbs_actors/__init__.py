@@ -2,6 +2,14 @@
 
 from typing import TYPE_CHECKING
 
+try:
+    import cv2
+except ImportError as error:
+    raise ImportError(
+        f"mlbs_actors needs OpenCV ({error}); unless you want another flavour of it: "
+        "pip install opencv-python-headless"
+    ) from None
+
 from mlbs_actors.config import Config, load_config
 from mlbs_actors.errors import (
     ConfigError,
@@ -17,6 +25,11 @@ from mlbs_actors.messages import LayerSummary, Region, Segmentation
 if TYPE_CHECKING:
     from mlbs_actors.subtractor import MultilayerSubtractor
 
+__version__ = "0.1.0"
+
+if not (4, 10) <= tuple(map(int, cv2.__version__.split(".")[:2])) < (6, 0):
+    raise ImportError(f"mlbs_actors needs OpenCV 4.10 to 5, not {cv2.__version__}; install one of those.")
+
 __all__ = [
     "Config",
     "ConfigError",
@@ -30,6 +43,7 @@ __all__ = [
     "SinkError",
     "SolverError",
     "SourceError",
+    "__version__",
     "load_config",
 ]
 

@@ -77,7 +77,7 @@ def held_frame(
         labels,
         trajectories.evidence,
         camera,
-        np.zeros((*size, 2), np.float16) if flow is None else _halved(flow.backward),
+        np.zeros((*size, 2), np.float16) if flow is None else flow.backward.astype(np.float16),
         np.zeros(size, bool) if flow is None else flow.backward_reliable,
         _quantised(against_camera.unexplained),
         stage_ms,
@@ -108,7 +108,7 @@ def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array,
         motions=-sample_flow(flow.forward, held.positions, flow.step),
         evidence=np.clip(advantage, *EVIDENCE_BOUNDS),
         camera=camera,
-        flow=_halved(-flow.forward),
+        flow=-flow.forward.astype(np.float16),
         flow_reliable=flow.forward_reliable(),
         unexplained=_quantised(evidence.unexplained),
     )
@@ -171,9 +171,3 @@ def by_layer(
 
 def _quantised(unexplained: Array) -> Array:
     return np.asarray(cv2.convertScaleAbs(unexplained, alpha=1.0 / UNEXPLAINED_STEP))
-
-
-def _halved(flow: Array) -> Array:
-    """The same in half precision; NumPy takes five times as long."""
-    # A plain number, which the stubs do not know.
-    return np.asarray(cv2.add(flow, 0.0, dtype=cv2.CV_16F))  # type: ignore[call-overload]

@@ -19,7 +19,6 @@ from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from mlbs_actors.errors import LayerError, MlbsError
 from mlbs_actors.pickling import pickled_by_values
@@ -42,7 +41,8 @@ __all__ = [
     "received",
 ]
 
-Array = npt.NDArray[Any]
+# Not npt.NDArray: since NumPy 2.5 that is an alias which hides its class, and states are checked by class.
+Array = np.ndarray[Any, np.dtype[Any]]
 LayerKind = Literal["background", "object", "other"]
 
 #: Id of the background layer.

@@ -2,21 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
+from threading import Lock
+from typing import Any
 
 import numpy as np
 
 from mlbs_actors.config import Config
-from mlbs_actors.coordinator import Coordinator
+from mlbs_actors.coordinator import Coordinator, CoordinatorState
 from mlbs_actors.determinism import single_threaded
-from mlbs_actors.errors import ConfigError
+from mlbs_actors.errors import ConfigError, MlbsError
 from mlbs_actors.inspection import FrameInspection, inspect_frame
 from mlbs_actors.layer import Layer
-from mlbs_actors.messages import Array, FrameEvidence, Segmentation, received
-from mlbs_actors.segmenter import Segmenter
+from mlbs_actors.layer_state import LayerState
+from mlbs_actors.messages import Array, FrameEvidence, LayerKind, Segmentation, received
+from mlbs_actors.segmenter import Segmenter, SegmenterState
+from mlbs_actors.state_file import capture
 
 __all__ = ["MultilayerSubtractor"]
+
+
+@dataclass(frozen=True, slots=True)
+class _LayerAtWork:
+    kind: LayerKind
+    state: LayerState
+
+
+@dataclass(frozen=True, slots=True)
+class _SubtractorState:
+    """All that steers the next frame."""
+
+    coordinator: CoordinatorState
+    segmenter: SegmenterState
+    layers: Mapping[int, _LayerAtWork]
+    waiting: Mapping[int, Array]
+    published: Mapping[int, Segmentation]
 
 
 class MultilayerSubtractor:
@@ -34,6 +57,14 @@ class MultilayerSubtractor:
     ------
     ConfigError
         If ``config`` is something else, a file's name for instance.
+
+    Notes
+    -----
+    A subtractor belongs to one thread at a time: called while it is at work, it raises an
+    :class:`~mlbs_actors.errors.MlbsError`. Several subtractors in several threads are no trouble.
+
+    It can be pickled between two frames. What is restored of it goes on as the original would have, to the
+    byte, with the same versions of the packages on the same kind of CPU.
 
     Examples
     --------
@@ -57,6 +88,30 @@ class MultilayerSubtractor:
         self._layers: dict[int, Layer] = {}
         self._waiting: dict[int, Array] = {}
         self._published: dict[int, Segmentation] = {}
+        self._lock = Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        with self._at_work():
+            # Not the parts themselves: pickle forgets which arrays may be written to, and kernels are
+            # compiled for one kind or the other.
+            state = _SubtractorState(
+                self._coordinator.state,
+                self._segmenter.state,
+                {layer: _LayerAtWork(one.kind, one.state) for layer, one in self._layers.items()},
+                self._waiting,
+                self._published,
+            )
+            return {"config": self.config, "inspector": self._inspector, "state": capture(state)}
+
+    def __setstate__(self, pickled: dict[str, Any]) -> None:
+        self.__init__(pickled["config"], pickled["inspector"])  # type: ignore[misc]
+        state = pickled["state"].state(_SubtractorState)
+        self._coordinator = Coordinator(self.config, state.coordinator)
+        self._segmenter = Segmenter(self.config, state.segmenter)
+        self._layers = {
+            layer: Layer(self.config, layer, one.kind, one.state) for layer, one in state.layers.items()
+        }
+        self._waiting, self._published = state.waiting, state.published
 
     def apply(self, frame: Array) -> list[Segmentation]:
         """Take the next frame.
@@ -75,12 +130,14 @@ class MultilayerSubtractor:
         ------
         FrameError
             If the frame has another type.
+        MlbsError
+            If another thread, or the inspector, calls while a frame is worked on; that frame goes on.
         """
-        index = self._coordinator.state.next_frame
         if isinstance(frame, np.ndarray):  # of anything else the coordinator says what is wrong
             frame = frame.copy()  # the caller may reuse its buffer
             frame.setflags(write=False)
-        with single_threaded():
+        with self._at_work(), single_threaded():
+            index = self._coordinator.state.next_frame
             wanted = self._coordinator.feedback_index(index)
             feedback = None if wanted is None else partial(self._published.__getitem__, wanted)
             evidence = self._coordinator.step(index, frame, feedback)
@@ -88,9 +145,21 @@ class MultilayerSubtractor:
             return [self._label(one) for one in evidence]
 
     def flush(self) -> list[Segmentation]:
-        """Return the results of the frames still held; the stream has ended."""
-        with single_threaded():
+        """Return the results of the frames still held; the stream has ended. Raises as :meth:`apply` does."""
+        with self._at_work(), single_threaded():
             return [self._label(one) for one in self._coordinator.flush()]
+
+    @contextmanager
+    def _at_work(self) -> Iterator[None]:
+        if not self._lock.acquire(blocking=False):
+            raise MlbsError(
+                "This MultilayerSubtractor is at work on a frame; give each thread a subtractor of its own, "
+                "or wait until apply has returned."
+            )
+        try:
+            yield
+        finally:
+            self._lock.release()
 
     def _label(self, made: FrameEvidence) -> Segmentation:
         evidence = received(made)

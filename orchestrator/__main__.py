@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
 import signal
 import sys
 from collections.abc import Sequence
 
 __all__ = ["main"]
+
+#: What the class alone can do without: modules of the extra ``run``.
+_NEEDED = ("av", "filelock", "jinja2", "PIL", "pyarrow", "pycocotools", "ray", "rich")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -15,6 +19,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     # is ended too.
     signal.signal(signal.SIGTERM, _exit)
     signal.signal(signal.SIGINT, _exit)
+    missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
+    if missing:
+        print(
+            f"Packages are missing that a run needs ({', '.join(missing)}); pip install 'mlbs-actors[run]'.",
+            file=sys.stderr,
+        )
+        return 2
     # Imported here, because that takes a second, in which a signal may come.
     from orchestrator.command import run_command
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
+from orchestrator.credentials import mask
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 
 __all__ = ["SAVABLE", "SAVED", "Arguments", "parse"]
@@ -147,16 +148,12 @@ def parse(argv: Sequence[str]) -> Arguments:
     given = _parser().parse_args(argv)
     if given.resume and given.watch:
         raise ConfigError("--watch cannot go with --resume; leave one of them out.")
-    if given.address is not None and given.address.startswith("ray://"):
-        raise ConfigError(
-            "--address cannot be a ray:// proxy; run on a machine of the cluster and give HOST:PORT or auto."
-        )
     return Arguments(
         streams=given.streams,
-        output=given.output,
+        output=_folder(given.output),
         config=given.config,
         overrides=tuple(given.overrides),
-        address=given.address,
+        address=None if given.address is None else _cluster_address(given.address),
         resume=given.resume,
         save=_parts(given.save),
         monitor=None if given.monitor is None else _monitor_address(given.monitor),
@@ -165,6 +162,29 @@ def parse(argv: Sequence[str]) -> Arguments:
         max_side=given.max_side,
         watch=given.watch,
     )
+
+
+def _folder(text: str) -> Path:
+    if "://" in text:
+        raise ConfigError(
+            f"--output takes a folder of this machine, not {mask(text)!r}; mount the storage and name the "
+            "folder, or copy the results there afterwards."
+        )
+    return Path(text)
+
+
+def _cluster_address(text: str) -> str:
+    if text.startswith("ray://"):
+        raise ConfigError(
+            "--address cannot be a ray:// proxy; run on a machine of the cluster and give HOST:PORT or auto."
+        )
+    host, _, port = text.rpartition(":")
+    if text != "auto" and not (host and port.isascii() and port.isdecimal() and 0 < int(port) < 2**16):
+        raise ConfigError(
+            f"--address takes HOST:PORT, such as 10.0.0.5:6379, or auto for the cluster of this machine; "
+            f"not {mask(text)!r}."
+        )
+    return text
 
 
 def _parts(text: str) -> frozenset[str]:
@@ -222,8 +242,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--streams", type=Path, required=True, metavar="LIST", help="the list of streams")
     parser.add_argument(
         "--output",
-        type=Path,
-        default=Path("out"),
+        default="out",
         metavar="DIR",
         help="folder for the results; one that holds a run is refused without --resume (default: out)",
     )

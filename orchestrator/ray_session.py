@@ -107,12 +107,19 @@ def _remove(scratch: Path) -> None:
 
 
 def _new_scratch() -> tuple[Path, int]:
-    """Make a folder that is this process's as long as the returned descriptor is open."""
+    """Make a folder that is this process's as long as the returned descriptor is open.
+
+    A run that begins at the same moment takes a folder that is not locked yet for abandoned and removes it,
+    at any point between these lines; then there is another try.
+    """
     while True:
         scratch = Path(tempfile.mkdtemp(prefix=_SCRATCH_PREFIX, dir=_SCRATCH_PARENT))
-        own = os.open(scratch, os.O_RDONLY)
+        try:
+            own = os.open(scratch, os.O_RDONLY)
+        except FileNotFoundError:
+            continue
         fcntl.flock(own, fcntl.LOCK_EX)
-        if scratch.exists():  # another run may have taken it for abandoned before it was locked
+        if scratch.exists():
             return scratch, own
         os.close(own)
 

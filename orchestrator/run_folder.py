@@ -16,6 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import cv2
 from filelock import FileLock, Timeout
 
 from mlbs_actors.config import Config
@@ -28,7 +29,7 @@ from orchestrator.stream_state import ENDED, StreamState
 
 __all__ = ["RunFolder", "StatusFile", "describe_run"]
 
-_PACKAGES = ("mlbs-actors", "ray", "numpy", "scipy", "opencv-python-headless", "PyMaxflow", "numba", "av")
+_PACKAGES = ("mlbs-actors", "ray", "numpy", "scipy", "PyMaxflow", "numba", "av")
 
 #: What a run that is resumed must have in common with its beginning: keys of ``run.json``.
 _SAME = {
@@ -284,7 +285,11 @@ def describe_run(
         "max_side": max_side,
         "command": [mask(word) for word in command],
         "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
-        "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
+        "versions": {
+            "python": platform.python_version(),
+            "opencv": cv2.__version__,  # of whichever of its packages
+            **{name: _version(name) for name in _PACKAGES},
+        },
         "machine": {"cpu": _cpu(), "system": platform.platform()},
     }
 

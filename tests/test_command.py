@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -102,6 +104,10 @@ def test_set_may_be_given_once_or_often() -> None:
         (["--save", "mask"], "knows no 'mask'"),
         (["--save", ""], "--save names nothing"),
         (["--address", "ray://head:10001"], "HOST:PORT"),
+        (["--address", "nohost"], "HOST:PORT"),
+        (["--address", ":6379"], "HOST:PORT"),
+        (["--address", "head:port"], "HOST:PORT"),
+        (["--output", "s3://bucket/out"], "mount the storage"),
     ],
 )
 def test_what_is_not_there_is_refused_with_a_sentence(flags: list[str], words: str) -> None:
@@ -267,7 +273,7 @@ def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) ->
     assert (folder.path / "report.html").stat().st_size
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere.invalid:6379", "head", ":"])
+@pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere.invalid:6379"])
 def test_a_cluster_that_cannot_be_reached_ends_with_status_2_soon(tmp_path: Path, address: str) -> None:
     path, output = stream_list(tmp_path, "synthetic:demo"), tmp_path / "out"
     started = time.monotonic()
@@ -345,6 +351,38 @@ def test_what_a_killed_run_has_left_is_removed_and_nothing_of_a_living_one(
             }
             assert (kept / "token").exists()
         living.kill()
+
+
+@pytest.mark.parametrize("moment", ["before it is opened", "before it is locked"])
+def test_a_new_folder_that_a_run_beside_takes_for_abandoned_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    make, lock, removed = tempfile.mkdtemp, fcntl.flock, []
+
+    def run_beside(folder: Path) -> None:
+        if not removed:  # the first folder only
+            removed.append(folder)
+            folder.rmdir()
+
+    def made(prefix: str, dir: Path) -> str:
+        folder = make(prefix=prefix, dir=dir)
+        if moment == "before it is opened":
+            run_beside(Path(folder))
+        return folder
+
+    def locked(descriptor: int, operation: int) -> None:
+        if moment == "before it is locked" and operation == fcntl.LOCK_EX:
+            run_beside(Path(f"/proc/self/fd/{descriptor}").resolve())
+        lock(descriptor, operation)
+
+    monkeypatch.delitem(sys.modules, "ray", raising=False)
+    monkeypatch.setattr(ray_session, "_SCRATCH_PARENT", tmp_path)
+    monkeypatch.setattr(tempfile, "mkdtemp", made)
+    monkeypatch.setattr(fcntl, "flock", locked)
+    with ray_settings(None) as scratch:
+        assert removed
+        assert [scratch] == list(tmp_path.iterdir())
+        assert scratch not in removed
 
 
 # Whole runs

@@ -43,6 +43,7 @@ class NumberedSequence:
 
     def __init__(self, frames: int, with_truth: Collection[int] | None = None) -> None:
         self.name = "numbered"
+        self.remark = None
         self.stems = tuple(f"{index:05d}" for index in range(1, frames + 1))
         self.with_truth = range(frames) if with_truth is None else with_truth
 

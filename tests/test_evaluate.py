@@ -313,6 +313,29 @@ def test_frames_without_truth_are_known_but_not_scored(sequence_folder: Path) ->
     assert sequence.frame(1).shape == (6, 8, 3)
 
 
+def test_truth_of_0_and_255_alone_is_one_object_and_this_is_told(
+    sequence_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in (sequence_folder / "gt").iterdir():
+        write_label_map(path, 255 * (np.asarray(Image.open(path)) > 0))
+    write_run(sequence_folder, tmp_path / "out", [1, 3], half_right())
+    figures = tmp_path / "figures.json"
+    truth = f"clip={sequence_folder}/gt"
+    assert main(["--run", str(tmp_path / "out"), "--truth", truth, "--json", str(figures)]) == 0
+    assert "clip: the truth holds 0 and 255 alone" in capsys.readouterr().out
+    # The first frame is right; of the second two of the four pixels found are right, and of the four sought.
+    assert json.loads(figures.read_text())["mean"]["two_label_f"] == pytest.approx(75)
+
+
+def test_255_beside_an_object_is_not_judged(sequence_folder: Path) -> None:
+    truth = np.asarray(Image.open(sequence_folder / "gt/00003.png")).copy()
+    truth[:, :3] = 255
+    write_label_map(sequence_folder / "gt/00003.png", truth)
+    sequence = FolderSequence("clip", sequence_folder / "gt", sequence_folder / "frames")
+    np.testing.assert_array_equal(sequence.truth(2), truth)
+    assert sequence.remark is None
+
+
 def test_truth_without_its_frame_is_refused(sequence_folder: Path) -> None:
     (sequence_folder / "frames" / "00003.jpg").unlink()
     with pytest.raises(SourceError, match="00003"):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
-from mlbs_actors import Config, ConfigError, FrameError, MultilayerSubtractor, Segmentation
+from mlbs_actors import Config, ConfigError, FrameError, MlbsError, MultilayerSubtractor, Segmentation
+from mlbs_actors.inspection import FrameInspection
 from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
@@ -49,6 +52,48 @@ def pan() -> tuple[SyntheticScene, list[Array], list[Segmentation]]:
     video = scene("pan", frames=60)
     pictures = pictures_of(video, 12)
     return video, pictures, run(pictures)
+
+
+def test_a_call_from_another_thread_while_a_frame_is_worked_on_is_refused_and_does_no_harm(
+    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+) -> None:
+    _, pictures, expected = pan
+    refusals: list[BaseException | None] = []
+
+    def call_from_another_thread(_: FrameInspection) -> None:
+        with ThreadPoolExecutor(1) as other:
+            refusals.append(other.submit(subtractor.apply, pictures[0]).exception())
+            refusals.append(other.submit(subtractor.flush).exception())
+
+    subtractor = MultilayerSubtractor(inspector=call_from_another_thread)
+    results = [one for picture in pictures for one in subtractor.apply(picture)] + subtractor.flush()
+    assert len(refusals) == 2 * len(pictures)
+    assert all(isinstance(one, MlbsError) and "of its own" in str(one) for one in refusals)
+    assert as_bytes(results) == as_bytes(expected)
+
+
+def test_subtractors_in_threads_of_their_own_do_not_disturb_each_other(
+    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+) -> None:
+    _, pictures, expected = pan
+    with ThreadPoolExecutor(3) as threads:
+        for results in threads.map(run, [pictures] * 3):
+            assert as_bytes(results) == as_bytes(expected)
+
+
+@pytest.mark.parametrize("taken", [2, 7])  # while frames are held, and later
+def test_what_is_restored_from_a_pickle_goes_on_as_the_original(
+    pan: tuple[SyntheticScene, list[Array], list[Segmentation]], taken: int
+) -> None:
+    _, pictures, expected = pan
+    original = MultilayerSubtractor(Config())
+    results = [one for picture in pictures[:taken] for one in original.apply(picture)]
+    pickled = pickle.dumps(original)
+    original.apply(pictures[0])  # what becomes of the original is nothing to the copy
+    restored = pickle.loads(pickled)
+    assert restored.config == original.config
+    results += [one for picture in pictures[taken:] for one in restored.apply(picture)] + restored.flush()
+    assert as_bytes(results) == as_bytes(expected)
 
 
 def test_something_else_than_a_configuration_is_refused() -> None:

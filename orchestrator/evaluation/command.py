@@ -38,7 +38,8 @@ Score label maps against truth.
   scripts/evaluate --data data --ablate                     what each stage of the method gives
   scripts/evaluate --data data --disturb                    how much accidents of parameters and input cost
 
-Truth maps are PNG: 0 = background, 1 ... 254 = objects, 255 = not judged. Figures are percent, except
+Truth maps are PNG: 0 = background, 1 ... 254 = objects, 255 = not judged (an
+object where 0 and 255 are the only values, as in DAVIS 2016). Figures are percent, except
 extra (layers off the truth per 100 frames), switches (of identity), delay (median frames from an object's
 entry until it is found; synthetic scenes only) and ms (wall time a frame). The first two matter most:
 
@@ -218,6 +219,8 @@ def _print_figures(results: Sequence[SequenceResult]) -> None:
         if rows:
             print(format_table(["sequence", *(heading for heading, _ in columns)], rows) + "\n")
     for result in results:
+        if result.remark:
+            print(f"{result.name}: {result.remark}")
         for path in result.sheets:
             print(f"{result.name}: see {path}")
 

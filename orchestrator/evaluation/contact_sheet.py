@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import Array
-from orchestrator.evaluation.metrics import IGNORE
+from orchestrator.evaluation.metrics import NOT_JUDGED
 from orchestrator.evaluation.sequence_scorer import ExtraLayer
 from orchestrator.sinks.drawing import draw_labels
 from orchestrator.sinks.layer_colours import layer_colour
@@ -92,7 +92,7 @@ def contact_sheet(frames: Sequence[SheetFrame]) -> Array:
     width = min(width, frames[0].image.shape[1])
     cells = []
     for frame in frames:
-        judged_truth = np.where(frame.truth == IGNORE, 0, frame.truth)
+        judged_truth = np.where(frame.truth == NOT_JUDGED, 0, frame.truth)
         pictures = [
             overlay(frame.image, frame.labels, width),
             overlay(frame.image, judged_truth, width),
@@ -125,7 +125,7 @@ def extra_layer_sheet(extras: Iterable[tuple[ExtraLayer, Array]]) -> Array:
 def _difference(frame: SheetFrame, width: int) -> Array:
     grey = cv2.cvtColor(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
     picture = (grey * 0.5).astype(np.uint8)
-    found, true, judged = frame.labels > 0, frame.truth > 0, frame.truth != IGNORE
+    found, true, judged = frame.labels > 0, frame.truth > 0, frame.truth != NOT_JUDGED
     picture[found & true & judged] = FOUND
     picture[found & ~true & judged] = FALSE
     picture[~found & true & judged] = MISSED

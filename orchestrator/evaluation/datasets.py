@@ -1,11 +1,13 @@
 """Sequences with truth: folders of pictures, and synthetic scenes.
 
 A *sequence folder* holds ``frames/`` (pictures in name order) and ``gt/`` (PNG label maps with the stems of
-their frames; frames without one are not scored). A *data root* is searched for such folders at any depth.
+their frames; frames without one are not scored). 255 is "not judged", but the one object of a truth that holds
+0 and 255 alone, as DAVIS 2016's does. A *data root* is searched for such folders at any depth.
 """
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +18,7 @@ from PIL import Image
 
 from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.messages import Array
+from orchestrator.evaluation.metrics import NOT_JUDGED
 from orchestrator.sources.images import decode_image
 from orchestrator.sources.presence import images_of
 from orchestrator.sources.synthetic import SCHEME, SyntheticScene, scene_from_uri
@@ -46,6 +49,10 @@ class Sequence(Protocol):
     @property
     def stems(self) -> tuple[str, ...]:
         """One a frame, in order: the stem of its mask file."""
+
+    @property
+    def remark(self) -> str | None:
+        """A sentence on how the truth is read, where that is not plain."""
 
     def frame(self, index: int) -> Array:
         """Frame ``index``, (H, W, 3) uint8 BGR."""
@@ -95,6 +102,18 @@ class FolderSequence:
                 )
         self.stems = tuple(self._frames or self._truth)
 
+    @property
+    def remark(self) -> str | None:
+        """How the truth is read, if it holds 0 and 255 alone."""
+        if not self._is_binary:
+            return None
+        return "the truth holds 0 and 255 alone, as DAVIS 2016 does; 255 is read as one object."
+
+    @functools.cached_property
+    def _is_binary(self) -> bool:
+        values = set().union(*(np.unique(_truth_map(path)).tolist() for path in self._truth.values()))
+        return NOT_JUDGED in values and values <= {0, NOT_JUDGED}
+
     def frame(self, index: int) -> Array:
         """Frame ``index``, (H, W, 3) uint8 BGR."""
         path = self._frames.get(self.stems[index])
@@ -114,10 +133,10 @@ class FolderSequence:
         path = self._truth.get(self.stems[index])
         if path is None:
             return None
-        labels = read_label_map(path)
-        if labels.max(initial=0) > 255:
-            raise SourceError(f"{path} holds labels above 255; truth is 0 … 254, and 255 for not judged.")
-        return labels.astype(np.uint8)
+        labels = _truth_map(path)
+        if self._is_binary:
+            labels = (labels == NOT_JUDGED).astype(np.uint8)
+        return labels
 
     def motion(self, index: int) -> Array | None:
         """None: the exact motion of a real video is not known."""
@@ -131,6 +150,7 @@ class SceneSequence:
         self.name = name
         self._scene = scene
         self.stems = tuple(f"{index:05d}" for index in range(len(scene)))
+        self.remark = None
 
     def frame(self, index: int) -> Array:
         """Frame ``index``, (H, W, 3) uint8 BGR."""
@@ -147,6 +167,13 @@ class SceneSequence:
     def motion(self, index: int) -> Array | None:
         """Exact backward motion of frame ``index``, (H, W, 2) float32 px."""
         return self._scene.flow(index)
+
+
+def _truth_map(path: Path) -> Array:
+    labels = read_label_map(path)
+    if labels.max(initial=0) > NOT_JUDGED:
+        raise SourceError(f"{path} holds labels above 255; truth is 0 … 254, and 255 for not judged.")
+    return labels.astype(np.uint8)
 
 
 def read_label_map(path: Path) -> Array:

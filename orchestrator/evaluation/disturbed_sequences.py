@@ -20,6 +20,7 @@ class _ChangedSequence:
     def __init__(self, sequence: Sequence) -> None:
         self.name = sequence.name
         self.stems = sequence.stems
+        self.remark = sequence.remark
         self._sequence = sequence
 
     def frame(self, index: int) -> Array:

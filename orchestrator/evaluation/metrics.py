@@ -24,7 +24,7 @@ from mlbs_actors.errors import FrameError
 from mlbs_actors.messages import Array
 
 __all__ = [
-    "IGNORE",
+    "NOT_JUDGED",
     "Agreement",
     "FrameOverlap",
     "count_overlap",
@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 #: Truth value of the pixels that are not judged.
-IGNORE = 255
+NOT_JUDGED = 255
 
 MIN_ENTRY_AREA = 400  # visible px from which an object counts as entered
 MIN_ENTRY_SPEED = 1.0  # px/frame against its surroundings
@@ -100,7 +100,7 @@ def count_overlap(labels: Array, truth: Array, index: int = 0) -> FrameOverlap:
             f"frame {index}: the label map is {labels.shape} and the truth {truth.shape} (rows, columns); "
             "score masks at the size of their truth"
         )
-    judged = truth != IGNORE
+    judged = truth != NOT_JUDGED
     object_ids, object_rank = _ranks(truth[judged])
     label_ids, label_rank = _ranks(labels[judged])
     joint = object_rank * len(label_ids) + label_rank
@@ -230,10 +230,10 @@ def moving_objects(truth: Array, flow: Array) -> list[int]:
     -----
     The surroundings are the pixels within 12 px of the object that are not its own; both motions are means.
     """
-    areas = np.bincount(truth.ravel(), minlength=IGNORE + 1)
+    areas = np.bincount(truth.ravel(), minlength=NOT_JUDGED + 1)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * SURROUNDINGS + 1, 2 * SURROUNDINGS + 1))
     moving = []
-    for truth_id in range(1, IGNORE):
+    for truth_id in range(1, NOT_JUDGED):
         if areas[truth_id] < MIN_ENTRY_AREA:
             continue
         own = truth == truth_id

@@ -94,6 +94,8 @@ class SequenceResult:
         Mean wall time a frame by stage, ms.
     sheets : tuple of str
         Pictures written.
+    remark : str or None
+        A sentence on how the truth was read.
     error : str or None
     """
 
@@ -103,6 +105,7 @@ class SequenceResult:
     ms_per_frame: float | None = None
     stage_ms: dict[str, float] = field(default_factory=dict)
     sheets: tuple[str, ...] = ()
+    remark: str | None = None
     error: str | None = None
 
 
@@ -167,6 +170,7 @@ def score_sequence(
         score=score,
         missing=sum(index not in labelled for index in with_truth),
         sheets=_write_sheets(sheet_folder, sequence, score, sheet_frames) if sheet_folder else (),
+        remark=sequence.remark,
     )
 
 
