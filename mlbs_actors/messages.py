@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 # Not npt.NDArray: since NumPy 2.5 that is an alias which hides its class, and states are checked by class.
-Array = np.ndarray[Any, np.dtype[Any]]
+Array = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 LayerKind = Literal["background", "object", "other"]
 
 #: Id of the background layer.

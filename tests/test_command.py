@@ -357,7 +357,8 @@ def test_what_a_killed_run_has_left_is_removed_and_nothing_of_a_living_one(
 def test_a_new_folder_that_a_run_beside_takes_for_abandoned_is_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
-    make, lock, removed = tempfile.mkdtemp, fcntl.flock, []
+    make, lock = tempfile.mkdtemp, fcntl.flock
+    removed: list[Path] = []
 
     def run_beside(folder: Path) -> None:
         if not removed:  # the first folder only

@@ -1,8 +1,8 @@
 """Sequences with truth: folders of pictures, and synthetic scenes.
 
 A *sequence folder* holds ``frames/`` (pictures in name order) and ``gt/`` (PNG label maps with the stems of
-their frames; frames without one are not scored). 255 is "not judged", but the one object of a truth that holds
-0 and 255 alone, as DAVIS 2016's does. A *data root* is searched for such folders at any depth.
+their frames; frames without one are not scored). 255 is "not judged", but the one object of a truth that
+holds 0 and 255 alone, as DAVIS 2016's does. A *data root* is searched for such folders at any depth.
 """
 
 from __future__ import annotations
