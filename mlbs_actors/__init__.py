@@ -43,7 +43,6 @@ __all__ = [
     "SinkError",
     "SolverError",
     "SourceError",
-    "__version__",
     "load_config",
 ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import importlib.util
 import json
 import os
 import shutil
@@ -25,6 +26,7 @@ from PIL import Image
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator import ray_session
+from orchestrator.__main__ import main
 from orchestrator.command_line import SAVED, parse
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.ray_session import ray_settings
@@ -282,6 +284,17 @@ def test_a_cluster_that_cannot_be_reached_ends_with_status_2_soon(tmp_path: Path
     assert "cannot be joined" in ended.stderr
     assert not output.exists()
     assert time.monotonic() - started < 60
+
+
+def test_without_the_packages_of_a_run_the_command_names_them_and_how_to_get_them(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name in ("av", "ray") else name)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of the test run stay
+    assert main(["--help"]) == 2
+    message = capsys.readouterr().err
+    assert "(av, ray)" in message
+    assert "[run]" in message
 
 
 def test_settings_of_ray_come_before_ray_or_not_at_all() -> None:

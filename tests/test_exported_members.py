@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import importlib.metadata
 import inspect
 import pkgutil
 import subprocess
@@ -66,6 +67,7 @@ def test_the_package_gives_out_these_names() -> None:
     assert imported - {"TYPE_CHECKING"} <= set(mlbs_actors.__all__)
     assert all(hasattr(mlbs_actors, name) for name in mlbs_actors.__all__)
     assert not hasattr(mlbs_actors, "nothing")
+    assert mlbs_actors.__version__ == importlib.metadata.version("mlbs-actors")
 
 
 def test_a_process_that_runs_no_part_of_the_engine_does_not_load_it() -> None:
@@ -110,6 +112,18 @@ def test_only_the_actors_import_ray_and_nothing_here_imports_the_orchestrator() 
             assert not any(name.startswith("mlbs_actors.actors") for name in imported_modules(path)), (
                 path.name
             )
+
+
+@pytest.mark.parametrize(
+    ("opencv", "words"),
+    [("None", "pip install opencv-python-headless"), ("types.SimpleNamespace(__version__='4.9.0')", "4.10")],
+)
+def test_without_a_fitting_opencv_the_import_says_what_to_do(opencv: str, words: str) -> None:
+    code = f"import sys, types; sys.modules['cv2'] = {opencv}; import mlbs_actors"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    last_line = ended.stderr.splitlines()[-1]
+    assert last_line.startswith("ImportError: mlbs_actors needs OpenCV")
+    assert words in last_line
 
 
 def test_the_engine_runs_without_ray() -> None:
