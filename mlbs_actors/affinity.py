@@ -62,7 +62,7 @@ def displacement_spread(state: TrajectoryState, config: AffinityConfig, scale: f
     return max(floor, 2.0 * config.motion_relative * median_length(state.motions, state.ages >= 1))
 
 
-@compiled()
+@compiled
 def _symmetric(first: Array, second: Array, values: Array, size: int) -> tuple[Array, Array, Array]:
     """Row pointers, columns and values of the symmetric matrix of some sorted pairs."""
     pointers, before = np.zeros(size + 1, np.int32), np.zeros(size, np.int32)
@@ -84,7 +84,7 @@ def _symmetric(first: Array, second: Array, values: Array, size: int) -> tuple[A
     return pointers, columns, filled
 
 
-@compiled()
+@compiled
 def _distances(
     first: Array,
     second: Array,

@@ -24,7 +24,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.image_rows import padded_planes, read_row, row_room
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.warp import nearest_sources
@@ -123,7 +122,7 @@ def warp_model(model: AppearanceModel, new_region: Region, motion: Array) -> App
     return AppearanceModel(new_region, *moved)
 
 
-@compiled(forceinline=True)
+@compiled
 def moved_stacks(
     samples: Array, count: Array, newest: Array, spread: Array, residual: Array, shift_x: int, shift_y: int,
     motion: Array,
@@ -134,9 +133,9 @@ def moved_stacks(
     new_samples = np.empty((shape[0], shape[1], 3, samples.shape[3]), np.uint8)
     new_count, new_newest = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
     new_spread = np.empty(shape, np.uint8)
-    told = (flattened(source), flattened(count), flattened(newest), flattened(spread))
-    room = (flattened(new_count), flattened(new_newest), flattened(new_spread))
-    old, new = flattened(samples), flattened(new_samples)
+    told = (source.reshape(-1), count.reshape(-1), newest.reshape(-1), spread.reshape(-1))
+    room = (new_count.reshape(-1), new_newest.reshape(-1), new_spread.reshape(-1))
+    old, new = samples.reshape(-1), new_samples.reshape(-1)
     if size % 8 == 0:  # in words: fewer to copy
         _take_over(told, old.view(np.uint64), size // 8, room, new.view(np.uint64))
     else:
@@ -144,7 +143,7 @@ def moved_stacks(
     return new_samples, new_count, new_newest, new_spread, new_residual
 
 
-@compiled(in_place=True)
+@compiled
 def _take_over(
     told: tuple[Array, Array, Array, Array],
     old: Array,
@@ -188,7 +187,7 @@ def update(model: AppearanceModel, image: Array, mask: Array) -> None:
     learn_colours(model.samples, model.count, model.newest, model.spread, model.residual, image, mask)
 
 
-@compiled()
+@compiled
 def learn_colours(
     samples: Array, count: Array, newest: Array, spread: Array, residual: Array, image: Array, mask: Array
 ) -> None:
@@ -243,7 +242,7 @@ def median_colours(model: AppearanceModel) -> Array:
     return colours
 
 
-@compiled()
+@compiled
 def _medians(samples: Array, count: Array, colours: Array) -> None:
     ordered = np.empty(samples.shape[3], np.uint8)
     for y in range(count.shape[0]):

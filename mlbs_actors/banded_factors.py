@@ -10,13 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = ["factorised", "node_place", "set_solution"]
 
 
-@compiled()
+@compiled
 def factorised(screening: Array, edge: float) -> Array:
     """L and D of a grid.
 
@@ -41,7 +40,7 @@ def factorised(screening: Array, edge: float) -> Array:
         if node + width < size:
             lower[node, width] = -edge  # the very element beside the diagonal where a line is one node
     # Places in a flat array, without a sign: thousands of slices of a dozen elements would take longer.
-    flat, factor, line = flattened(lower), np.empty(width + 1), np.uint64(width + 1)
+    flat, factor, line = lower.reshape(-1), np.empty(width + 1), np.uint64(width + 1)
     for node in range(size):
         own = np.uint64(node) * line
         for k in range(width + 1):
@@ -55,7 +54,7 @@ def factorised(screening: Array, edge: float) -> Array:
     return lower
 
 
-@compiled()
+@compiled
 def set_solution(lower: Array, rhs: Array, solution: Array) -> None:
     """Solve A d = rhs.
 
@@ -83,7 +82,7 @@ def set_solution(lower: Array, rhs: Array, solution: Array) -> None:
         value[node] = solution[node_place(node, rows, columns)] = total
 
 
-@compiled(inline="always")
+@compiled
 def node_place(node: int, rows: int, columns: int) -> tuple[int, int]:
     """Row and column of a node of a grid: they are numbered along its shorter side."""
     return (node // columns, node % columns) if rows >= columns else (node % rows, node // rows)

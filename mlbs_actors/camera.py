@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = ["CameraEvidence", "camera_evidence", "camera_homography", "homography_motion", "shrunk_homography"]
@@ -62,7 +61,7 @@ def _enlargement(matrix: Array) -> float:
     return float(xx * yy - xy * yx)
 
 
-@compiled()
+@compiled
 def homography_motion(matrix: Array, positions: Array) -> Array:
     """Backward motion that a homography gives each point.
 
@@ -87,7 +86,7 @@ def homography_motion(matrix: Array, positions: Array) -> Array:
     return motions
 
 
-@compiled()
+@compiled
 def shrunk_homography(matrix: Array, step: tuple[float, float]) -> Array:
     """The same homography between pictures of which every pixel is ``step`` px wide and high.
 
@@ -173,13 +172,13 @@ def camera_evidence(
     return CameraEvidence(*_in_noise(camera_error, flow_error, noise))
 
 
-@compiled()
+@compiled
 def _flow_sources(flow: Array, step_x: np.float32, step_y: np.float32) -> Array:
     """x and y of where each pixel comes from, (h, w, 2) float32, px of the shrunk frame."""
     height, width = flow.shape[:2]
     sources, one = np.empty((height, width, 2), np.float32), np.uint64(1)
     for y in range(height):
-        moved, place = flattened(flow[y]), flattened(sources[y])  # in vector registers when flat
+        moved, place = flow[y].reshape(-1), sources[y].reshape(-1)  # in vector registers when flat
         for x in range(width):
             at = np.uint64(2 * x)
             place[at] = np.float32(np.int32(x)) + moved[at] / step_x
@@ -187,7 +186,7 @@ def _flow_sources(flow: Array, step_x: np.float32, step_y: np.float32) -> Array:
     return sources
 
 
-@compiled()
+@compiled
 def _median_error(error: Array) -> float:
     """Median of every fourth pixel, which tells as much; means over 25 whole numbers are counted by value."""
     counts, values = np.zeros(25 * 255 + 1, np.int32), np.zeros(25 * 255 + 1, np.float32)
@@ -208,7 +207,7 @@ def _median_error(error: Array) -> float:
     return 0.0
 
 
-@compiled()
+@compiled
 def _in_noise(camera_error: Array, flow_error: Array, noise: np.float32) -> tuple[Array, Array]:
     """What the camera leaves unexplained and what the flow explains better, × noise."""
     unexplained, advantage = np.empty_like(camera_error), np.empty_like(camera_error)
@@ -219,7 +218,7 @@ def _in_noise(camera_error: Array, flow_error: Array, noise: np.float32) -> tupl
     return unexplained, advantage
 
 
-@compiled()
+@compiled
 def _differences(current: Array, one: Array, other: Array, mapping: Array) -> Array:
     """Absolute differences of a grey frame to two others, (2, h, w) uint8; 0 where the mapping leads out."""
     height, width = current.shape

@@ -15,7 +15,6 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import length_scale
-from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array, Region
 
 __all__ = [
@@ -117,13 +116,13 @@ def cells_won(labels: Array, layer: int, region: Region, side: int, trusted: Arr
     return share, learnt
 
 
-@compiled()
+@compiled
 def mean_colours(frame: Array, left: int, top: int, height: int, width: int, side: int) -> Array:
     """:func:`mean_of_cells` of a part of a frame (H, W, 3): for a small one faster than to ask cv2."""
     rows, columns = -(-height // side), -(-width // side)
     means, scale = np.empty((rows, columns, 3), np.uint8), np.float32(1.0 / (side * side))
     sums = np.empty(3 * columns * side, np.int32)  # of each column of pixels in a row of cells
-    pixels, results = flattened(frame), flattened(means)
+    pixels, results = frame.reshape(-1), means.reshape(-1)
     for y in range(rows):
         sums[:] = 0
         for v in range(y * side, (y + 1) * side):
@@ -145,7 +144,7 @@ def mean_colours(frame: Array, left: int, top: int, height: int, width: int, sid
     return means
 
 
-@compiled()
+@compiled
 def count_won(
     labels: Array, layer: np.uint16, left: int, top: int, width: int, height: int, side: int, trusted: Array,
     share: Array, learnt: Array,

@@ -136,7 +136,7 @@ class CutRules(NamedTuple):
     max_sweeps: int
 
 
-@compiled()
+@compiled
 def label_claims(
     frame: Array, claims: Claims, positions: Array, ground: Ground, rules: CutRules,
     limits: tuple[float, float], published: Array, tallied: Tally,
@@ -197,7 +197,7 @@ def label_claims(
     return unsolved, shady
 
 
-@compiled()
+@compiled
 def cut_claims(
     frame: Array, claims: Claims, own: Array, box: Box, positions: Array, ground: Ground, rules: CutRules
 ) -> tuple[Array, bool, Energy, Darkness]:
@@ -242,7 +242,7 @@ def cut_claims(
     return labels, found, (costs, weights, label_costs, pulls, places), dark
 
 
-@compiled()
+@compiled
 def publish_claims(
     labelling: Array, claims: Claims, own: Array, box: Box, limits: tuple[float, float],
     dark: Darkness, published: Array, tallied: Tally,
@@ -277,7 +277,7 @@ def publish_claims(
     return look_over(labels, dark[0], dark[1], dark[2], claims.side)
 
 
-@compiled()
+@compiled
 def tally(labels: Array, claims: Claims, own: Array, box: Box, tallied: Tally) -> None:
     """Fill in what the labels (height, width) in a box of claims look like, for the layers that claim there
     (``own``) alone; what was filled in for them before is forgotten."""

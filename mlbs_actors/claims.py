@@ -18,7 +18,7 @@ from mlbs_actors.messages import Array
 __all__ = ["claims_of_layers"]
 
 
-@compiled()
+@compiled
 def claims_of_layers(
     cost: Array,
     places: Array,

@@ -18,7 +18,7 @@ from mlbs_actors.messages import BACKGROUND, Array
 __all__ = ["clean_labels"]
 
 
-@compiled()
+@compiled
 def clean_labels(labels: Array, box: tuple[int, int, int, int], speck_px: float, hole_px: float) -> None:
     """Remove small components of every label in a box, in place.
 
@@ -53,7 +53,7 @@ def clean_labels(labels: Array, box: tuple[int, int, int, int], speck_px: float,
                 _give_away(cleaned, rows[own], starts[own], ends[own])
 
 
-@compiled()
+@compiled
 def _measured(
     labels: Array, rows: Array, starts: Array, ends: Array, of_run: Array,
     beyond: tuple[bool, bool, bool, bool], area_beyond: int,
@@ -79,7 +79,7 @@ def _measured(
     return label_of, areas
 
 
-@compiled()
+@compiled
 def _give_away(labels: Array, rows: Array, starts: Array, ends: Array) -> None:
     """Give a component to the label that most of the pixels around it have, the lowest of several."""
     top, bottom = max(rows[0] - 1, 0), min(rows[-1] + 2, labels.shape[0])

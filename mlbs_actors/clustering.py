@@ -147,7 +147,7 @@ def split_labels(
     return result, names[firm]
 
 
-@compiled()
+@compiled
 def _named(
     labels: Array, bled: Array, known: Array, classes: Array, clusters: Array, next_label: int
 ) -> tuple[Array, Array, Array]:
@@ -261,7 +261,7 @@ def residual_speed(trajectories: TrajectoryState) -> Array:
     return np.asarray(_mean_speed(trajectories.residuals, trajectories.ages))
 
 
-@compiled()
+@compiled
 def _mean_speed(residuals: Array, ages: Array) -> Array:
     speed = np.empty(ages.size)
     for i in range(ages.size):

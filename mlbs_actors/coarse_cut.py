@@ -20,7 +20,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.label_cost_energy import UNDECIDED, LabelCostEnergy, UndecidedEnergy, undecided_energy
 from mlbs_actors.messages import Array
 
@@ -87,7 +86,7 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
     return Band(labels, rest, of_blocks(blocks, rest.pixels, rest.row, labels.shape[1]))
 
 
-@compiled()
+@compiled
 def opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
     """The labels of the blocks' pixels, open beside the outlines; and which labels are elsewhere."""
     rows, columns = blocks.shape
@@ -114,7 +113,7 @@ def opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Ar
     return labels, seen[1:].copy()
 
 
-@compiled()
+@compiled
 def of_blocks(blocks: Array, pixels: Array, row: Array, width: int) -> Array:
     """Labels (n,) intp of the blocks that some pixels of an image lie in."""
     labels = np.empty(pixels.size, np.intp)
@@ -123,7 +122,7 @@ def of_blocks(blocks: Array, pixels: Array, row: Array, width: int) -> Array:
     return labels
 
 
-@compiled()
+@compiled
 def costs_of_blocks(
     unary: Array, side: int, extras: Array, places: Array, weights: Array
 ) -> tuple[Array, Array, Array]:
@@ -143,7 +142,7 @@ def costs_of_blocks(
     return sums, _halved_weights(weights), boxes
 
 
-@compiled(in_place=True)
+@compiled
 def _sum_unary(
     unary: Array, side: int, extras: Array, places: Array, height: int, width: int, sums: Array
 ) -> None:
@@ -180,7 +179,7 @@ def _sum_unary(
                 total[u] = min(total[u], most)
 
 
-@compiled()
+@compiled
 def _halved_weights(weights: Array) -> Array:
     """Pair weights (rows, columns, 4) int32 of blocks: those of their pixels, lowered to what the cheapest
     straight outline costs that lies within a pixel of the blocks' edge."""
@@ -192,14 +191,14 @@ def _halved_weights(weights: Array) -> Array:
     return halved
 
 
-@compiled(in_place=True)
+@compiled
 def _halve(weights: Array, across: Array, down: Array, pairs: Array, shares: Array, halved: Array) -> None:
     """:func:`_halved_weights` by what :func:`_outlines_along_blocks` tells, with room for two rows of
     diagonal pairs, int32, and two of the shares that are left to straight ones, ones of float64."""
     (height, width, _), (rows, columns, _) = weights.shape, halved.shape
     # Diagonal pairs of blocks share one pair of pixels each; to the left of the first block is none.
     diagonal, anti, beside, below = pairs[0], pairs[1], shares[0], shares[1]
-    results = flattened(halved)
+    results = halved.reshape(-1)
     for v in range(rows):
         y, upright, own = 2 * v + 1, across[v], results[4 * columns * v : 4 * columns * (v + 1)]
         _diagonal_pairs(weights, y, diagonal, anti)
@@ -226,7 +225,7 @@ def _halve(weights: Array, across: Array, down: Array, pairs: Array, shares: Arr
         halved[v, columns - 1, 0] = 0
 
 
-@compiled()
+@compiled
 def _outlines_along_blocks(weights: Array) -> tuple[Array, Array]:
     """What an outline along one block costs: to the right of each column of pixels, (rows, 2 · columns + 1),
     the last but one once more at the image's border; and below each row of pixels, (H + 1, columns)."""
@@ -234,7 +233,7 @@ def _outlines_along_blocks(weights: Array) -> tuple[Array, Array]:
     rows, columns = (height + 1) // 2, (width + 1) // 2
     across, down = np.zeros((rows, 2 * columns + 1), np.int32), np.zeros((height + 1, columns), np.int32)
     onward, back = np.empty(width, np.int32), np.empty(width, np.int32)
-    under, flat = np.zeros(2 * columns, np.int32), flattened(weights)
+    under, flat = np.zeros(2 * columns, np.int32), weights.reshape(-1)
     for y in range(height):
         own, upright, level = flat[4 * width * y : 4 * width * (y + 1)], across[y // 2], down[y]
         for x in range(width):  # one after the other: only so each is read once
@@ -252,7 +251,7 @@ def _outlines_along_blocks(weights: Array) -> tuple[Array, Array]:
     return across, down
 
 
-@compiled(in_place=True)
+@compiled
 def _diagonal_pairs(weights: Array, y: int, diagonal: Array, anti: Array) -> None:
     """Weights from a block's last row of pixels to the blocks down right and down left, for each column; 0
     where it has only one row."""
@@ -260,7 +259,7 @@ def _diagonal_pairs(weights: Array, y: int, diagonal: Array, anti: Array) -> Non
     diagonal[:] = 0
     anti[:] = 0
     if y < height:
-        own = flattened(weights[y])
+        own = weights[y].reshape(-1)
         for u in range(width // 2):
             at, first = np.uint64(u), np.uint64(8 * u)
             diagonal[at], anti[at] = own[first + np.uint64(6)], own[first + np.uint64(3)]

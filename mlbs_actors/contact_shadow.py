@@ -86,7 +86,7 @@ def shadow_strips(
     return found
 
 
-@compiled()
+@compiled
 def look_over(labels: Array, mean: Array, spread: Array, brightness: Array, side: int) -> Seen:
     """The cells without light, the label map's runs, and the pieces of objects to look at more closely; runs
     are only looked for if there is such a cell."""
@@ -97,14 +97,14 @@ def look_over(labels: Array, mean: Array, spread: Array, brightness: Array, side
     return unlit, runs, _unlit_pieces(labels, runs[0], runs[1], runs[2], runs[3], unlit, side)
 
 
-@compiled()
+@compiled
 def nothing_seen() -> Seen:
     """:func:`look_over` a map in which nothing lacks light."""
     none = np.zeros(0, np.int64)
     return np.zeros((0, 0), np.bool_), (none, none, none, none), np.zeros((0, 5), np.int64)
 
 
-@compiled()
+@compiled
 def _unlit(mean: Array, spread: Array, brightness: Array) -> Array:
     """What is much darker than the ground, and alike in all channels."""
     unlit = np.empty(mean.shape, np.bool_)
@@ -116,7 +116,7 @@ def _unlit(mean: Array, spread: Array, brightness: Array) -> Array:
     return unlit
 
 
-@compiled()
+@compiled
 def _unlit_pieces(
     labels: Array, rows: Array, starts: Array, ends: Array, component: Array, unlit: Array, side: int
 ) -> Array:
@@ -148,7 +148,7 @@ def _unlit_pieces(
     return pieces[:found]
 
 
-@compiled()
+@compiled
 def _foot(
     labels: Array, rows: Array, starts: Array, ends: Array, component: Array, piece: int, left: int, top: int,
     width: int, height: int, unlit: Array, side: int, highest: float, least: float,
@@ -182,7 +182,7 @@ def _foot(
     return body, above, foot, (first, highest_row, last, lowest_row)
 
 
-@compiled()
+@compiled
 def _wide(mask: Array, least: float) -> Array:
     """What of a mask lies in horizontal runs of at least so many px, rounded down to an odd number."""
     wide = np.zeros(mask.shape, np.bool_)
@@ -205,7 +205,7 @@ def _steepness(frame: Array, box: Region) -> Array:
     return np.ascontiguousarray(cv2.blur(np.hypot(*slopes), (5, 5))[slices_in(box, around)])
 
 
-@compiled()
+@compiled
 def _resting(
     foot: Array, above: Array, slopes: Array, left: int, top: int, steepest: np.float32, least: float,
     gap: float,
@@ -243,7 +243,7 @@ def _resting(
     return resting
 
 
-@compiled()
+@compiled
 def _take_strip(grown_core: Array, foot: Array, body: Array, found: Array, left: int, top: int) -> None:
     """Add what of the foot the strip's edges reach, and what of the body is under that, down to the ground:
     the shadow's lighter rim. The foot's box begins at (left, top) of what is found."""

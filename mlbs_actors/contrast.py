@@ -14,7 +14,6 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.errors import ConfigError, FrameError
-from mlbs_actors.flattened import flattened
 from mlbs_actors.image_rows import padded_part
 from mlbs_actors.label_cost_energy import NEIGHBOUR_OFFSETS
 from mlbs_actors.messages import Array
@@ -76,7 +75,7 @@ def weights_by_distance(strength: float, scale: float) -> Array:
     return np.rint(table / COST_QUANTUM).astype(np.int32)
 
 
-@compiled()
+@compiled
 def weights_of(image: Array, box: tuple[int, int, int, int], table: Array) -> Array:
     """:func:`contrast_weights` of a part of a C-contiguous image: left, top, width and height; by a table of
     :func:`weights_by_distance`."""
@@ -86,12 +85,12 @@ def weights_of(image: Array, box: tuple[int, int, int, int], table: Array) -> Ar
     return weights
 
 
-@compiled(in_place=True)
+@compiled
 def _weigh(planes: Array, table: Array, distances: Array, weights: Array) -> None:
     """Weights from an image's padded planes, with room for the distances of a row, (4, w) int32."""
     height, width, last = weights.shape[0], weights.shape[1], np.int32(table.shape[1] - 1)
     beside, below, diagonal, anti = distances[0], distances[1], distances[2], distances[3]
-    results = flattened(weights)
+    results = weights.reshape(-1)
     for y in range(height):
         for k in range(4):  # without a branch: this runs in vector registers
             down, right = NEIGHBOUR_OFFSETS[k]

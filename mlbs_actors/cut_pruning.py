@@ -30,7 +30,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.label_cost_energy import (
     NEIGHBOUR_OFFSETS,
     UNDECIDED,
@@ -74,7 +73,7 @@ def prune(whole: LabelCostEnergy) -> Pruning:
     return Pruning(labels, undecided_energy(whole, labels, certain))
 
 
-@compiled()
+@compiled
 def decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> tuple[Array, Array]:
     """Labels, and which of them are certain."""
     label_count, height, width = unary.shape
@@ -91,8 +90,8 @@ def decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> t
     labels = np.full((height, width), UNDECIDED, np.int16)
     certain = np.zeros(label_count, np.bool_)
     queue = np.empty(height * width, np.int32)
-    label_of, best_of, open_weight_of = flattened(labels), flattened(best), flattened(open_weight)
-    least_of, second_of, weights_of = flattened(least), flattened(second), weights.reshape(-1, 4)
+    label_of, best_of, open_weight_of = labels.reshape(-1), best.reshape(-1), open_weight.reshape(-1)
+    least_of, second_of, weights_of = least.reshape(-1), second.reshape(-1), weights.reshape(-1, 4)
     while True:
         evidence = np.zeros(label_count, np.int64)
         for pixel in range(labels.size):
@@ -142,7 +141,7 @@ def decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> t
     return labels, certain
 
 
-@compiled(in_place=True)
+@compiled
 def _compare_costs(
     unary: Array, places: Array, folded: Array, best: Array, least: Array, second: Array
 ) -> None:
@@ -161,11 +160,11 @@ def _compare_costs(
                 least_of[at] = min(cost, lowest)
 
 
-@compiled(in_place=True)
+@compiled
 def _sum_weights(weights: Array, total: Array) -> None:
     """Add up the weights to all neighbours of each pixel, (H, W) int32, into zeros."""
     height, width = total.shape
-    flat = flattened(weights)
+    flat = weights.reshape(-1)
     for y in range(height):
         own, first = total[y], 4 * y * width
         for x in range(width):
@@ -182,7 +181,7 @@ def _sum_weights(weights: Array, total: Array) -> None:
                 others[np.uint64(x + right)] += flat[np.uint64(first + 4 * x + k)]
 
 
-@compiled()
+@compiled
 def movable(
     candidates: Array, costs: Array, chosen: Array, neighbour: Array, weight: Array, label_costs: Array,
     labels: Array, used: Array, alpha: int,
@@ -228,7 +227,7 @@ def movable(
             offered[labels[p]] += 1
         for label in range(refund.size):
             refund[label] = refund[label] if offered[label] == used[label] else 0
-    ends, weights = flattened(neighbour), flattened(weight)
+    ends, weights = neighbour.reshape(-1), weight.reshape(-1)
     nothing, moving = broadcast(np.int32(0), 8), broadcast(np.int32(alpha), 8)
     # The labels if all move that still may.
     moved = labels.astype(np.int32)

@@ -20,7 +20,7 @@ __all__ = ["claimed_costs"]
 _QUANTA = np.int32(round(COST_STEP / COST_QUANTUM))
 
 
-@compiled()
+@compiled
 def claimed_costs(
     cost: Array, own: Array, box: tuple[int, int, int, int], claims: Array, shadow: Array,
     strength: np.float32, positions: Array, tracks: Array, corner: tuple[int, int], shape: tuple[int, int],
@@ -43,7 +43,7 @@ def claimed_costs(
     return costs, places, _track_pulls(positions, tracks[own], places * side, corner, shape, pull)
 
 
-@compiled()
+@compiled
 def _track_pulls(
     positions: Array, tracks: Array, places: Array, corner: tuple[int, int], shape: tuple[int, int], pull: int
 ) -> Array:
@@ -74,7 +74,7 @@ def _track_pulls(
     return pulls[:count]
 
 
-@compiled()
+@compiled
 def _discount_shadows(costs: Array, places: Array, shadow: Array, strength: np.float32) -> None:
     """Take away, as far as a cell is a shadow, what an object has over the background, and a little more."""
     for label in range(1, costs.shape[0]):

@@ -17,7 +17,6 @@ import maxflow
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.label_cost_energy import UndecidedEnergy
 from mlbs_actors.lanes import (
     broadcast,
@@ -34,7 +33,7 @@ from mlbs_actors.min_cut import min_cut
 __all__ = ["free_expansion", "freeing_expansion", "may_free", "paid_expansion", "paid_for"]
 
 
-@compiled()
+@compiled
 def free_expansion(
     neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array, price: Array
 ) -> tuple[Array, np.int64, Array]:
@@ -68,7 +67,7 @@ def free_expansion(
     return moves, flow - unmoved, surplus
 
 
-@compiled()
+@compiled
 def may_free(labels: Array, nodes: Array, left: Array, paid: Array, label_costs: Array) -> bool:
     """Whether it could pay to free labels of their cost; else :func:`free_expansion` found the best moves.
 
@@ -94,7 +93,7 @@ def may_free(labels: Array, nodes: Array, left: Array, paid: Array, label_costs:
     return bool((missing > 0).any())
 
 
-@compiled()
+@compiled
 def freeing_expansion(
     neighbour: Array,
     weight: Array,
@@ -173,7 +172,7 @@ def paid_expansion(
     return on_sink_side, int(flow - unmoved) - int(rest.label_costs[paid].sum())
 
 
-@compiled()
+@compiled
 def paid_for(labels: Array, nodes: Array, kept: Array) -> Array:
     """The nodes' labels that a move could free of their cost, ascending; ``kept`` as of
     :func:`~mlbs_actors.cut_pruning.movable`."""
@@ -208,7 +207,7 @@ def _cut_with_label_costs(
     return np.int64(graph.maxflow()), graph.get_grid_segments(ids)
 
 
-@compiled()
+@compiled
 def _move_graph(
     neighbour: Array, weight: Array, labels: Array, alpha: int, nodes: Array, price: Array
 ) -> tuple[Array, Array, Array, np.int64]:
@@ -224,8 +223,8 @@ def _move_graph(
         local[nodes[i]] = i
     surplus = np.empty(nodes.size, np.int32)
     near, capacity = np.empty((nodes.size, 8), np.int32), np.empty((nodes.size, 8), np.int32)
-    ends, weights = flattened(neighbour), flattened(weight)
-    near_of, capacity_of = flattened(near), flattened(capacity)
+    ends, weights = neighbour.reshape(-1), weight.reshape(-1)
+    near_of, capacity_of = near.reshape(-1), capacity.reshape(-1)
     nothing, outside = broadcast(np.int32(0), 8), broadcast(np.int32(-1), 8)
     moving = broadcast(np.int32(alpha), 8)
     naming = shifted(broadcast(np.int32(1), 8), nothing, 4)  # the first four neighbours name each pair once

@@ -128,7 +128,7 @@ class Course:
             turn += 1
 
 
-@compiled()
+@compiled
 def started(
     first: Array, pixel: Array, cost: Array, label_count: int, labels: Array
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
@@ -142,7 +142,7 @@ def started(
     return chosen, used, changed_at, news_at, came_from, expanded_at
 
 
-@compiled()
+@compiled
 def expand_in_turn(
     alphas: Array, turn: int, first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array,
     label_costs: Array, labels: Array, chosen: Array, used: Array, lost_at: Array, changed_at: Array,
@@ -207,7 +207,7 @@ def expand_in_turn(
     return alphas.size, step, energy, nothing, nothing, nothing
 
 
-@compiled(in_place=True)
+@compiled
 def _take(
     neighbour: Array, labels: Array, chosen: Array, used: Array, lost_at: Array, changed_at: Array,
     news_at: Array, came_from: Array, step: int, alpha: int, nodes: Array, price: Array, moves: Array,
@@ -228,7 +228,7 @@ def _take(
         used[alpha] += 1
 
 
-@compiled()
+@compiled
 def _nothing_new(
     candidates: Array, label_costs: Array, labels: Array, used: Array, lost_at: Array, news_at: Array,
     expanded_at: int, alpha: int,
@@ -248,7 +248,7 @@ def _nothing_new(
     return True
 
 
-@compiled()
+@compiled
 def _worth_expanding(
     neighbour: Array, kept: Array, labels: Array, used: Array, lost_at: Array, changed_at: Array,
     news_at: Array, came_from: Array, expanded_at: int, alpha: int, nodes: Array,

@@ -15,7 +15,6 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
-from mlbs_actors.flattened import flattened
 from mlbs_actors.inverse_search import (
     FlowLevel,
     SearchEffort,
@@ -171,7 +170,7 @@ def _on_level(box: Region, level: int, shape: tuple[int, int]) -> Region:
     return Region(left, top, right - left, bottom - top)
 
 
-@compiled()
+@compiled
 def _full_size(flow: Array, step_x: float, step_y: float) -> Array:
     """Flow planes (2, h, w) in px of the shrunk frame as (h, w, 2) in full-size px."""
     _, height, width = flow.shape
@@ -183,13 +182,13 @@ def _full_size(flow: Array, step_x: float, step_y: float) -> Array:
     return scaled
 
 
-@compiled()
+@compiled
 def _inverted(flow: Array) -> Array:
     """The flow the other way, planes (2, h, w): u with u(x) = −flow(x + u(x)), to a pixel in two rounds."""
     _, height, width = flow.shape
     inverse, place = np.empty_like(flow), np.empty(width, np.int32)
     right, bottom, zero = np.float32(width - 1), np.float32(height - 1), np.float32(0)
-    along, down = flattened(flow[0]), flattened(flow[1])
+    along, down = flow[0].reshape(-1), flow[1].reshape(-1)
     for y in range(height):
         u, v = inverse[0, y], inverse[1, y]
         for x in range(width):
@@ -205,7 +204,7 @@ def _inverted(flow: Array) -> Array:
     return inverse
 
 
-@compiled()
+@compiled
 def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks: tuple[float, ...]) -> Array:
     """The checks of `DenseFlow.thresholds`, inside the frame."""
     height, width = flow.shape[:2]
@@ -216,7 +215,7 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
     slope = np.empty(2 * width, np.float32)
     along, across = np.empty(width, np.float32), np.empty(width, np.float32)
     inside, near = np.empty(width, np.bool_), np.empty(width, np.int32)
-    back, rows = flattened(reverse), flow.reshape(height, -1)
+    back, rows = reverse.reshape(-1), flow.reshape(height, -1)
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     one = np.uint64(1)
     for y in range(height):
@@ -249,7 +248,7 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
     return reliable
 
 
-@compiled()
+@compiled
 def reliable_at(
     flow: Array, reverse: Array, step_x: float, step_y: float, checks: tuple[float, ...], xs: Array, ys: Array
 ) -> Array:
@@ -258,7 +257,7 @@ def reliable_at(
     reliable = np.zeros(xs.size, np.bool_)
     by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
     shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
-    back = flattened(reverse)
+    back = reverse.reshape(-1)
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     for point in range(xs.size):
         x, y = xs[point], ys[point]
@@ -277,13 +276,13 @@ def reliable_at(
     return reliable
 
 
-@compiled(inline="always")
+@compiled
 def _across(upper: np.float32, middle: np.float32, lower: np.float32) -> tuple[np.float32, np.float32]:
     """Scharr's smoothing and difference over three rows."""
     return np.float32(3) * (upper + lower) + np.float32(10) * middle, lower - upper
 
 
-@compiled(inline="always")
+@compiled
 def _slope(
     left: np.float32, right: np.float32, sheared_left: np.float32, sheared: np.float32,
     sheared_right: np.float32, by_x: np.float32, by_y: np.float32,
@@ -294,7 +293,7 @@ def _slope(
     return along * along + down * down
 
 
-@compiled(inline="always")
+@compiled
 def _there(
     u: np.float32, v: np.float32, x: int, y: int, width: int, height: int, shrink_x: np.float32,
     shrink_y: np.float32,
@@ -310,7 +309,7 @@ def _there(
     return bool(inside), near, there_x - np.float32(column), there_y - np.float32(row)
 
 
-@compiled(inline="always")
+@compiled
 def _back(
     back: Array, near: np.int32, width: int, along: np.float32, across: np.float32
 ) -> tuple[np.float32, np.float32]:
@@ -327,7 +326,7 @@ def _back(
     return back_u, back_v
 
 
-@compiled(inline="always")
+@compiled
 def _confirmed(
     u: np.float32, v: np.float32, back_u: np.float32, back_v: np.float32, gradient: np.float32,
     limits: tuple[np.float32, ...],

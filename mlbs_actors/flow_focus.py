@@ -67,7 +67,7 @@ def focus_cells(
     return np.asarray(cv2.dilate(cells, np.ones((2 * GROWN + 1, 2 * GROWN + 1), np.uint8)), bool)
 
 
-@compiled()
+@compiled
 def _cells(
     piece: Array, stats: Array, positions: Array, motions: Array, objects: Array, width: np.float32,
     height: np.float32,
@@ -122,7 +122,7 @@ def _most(boxes: list[Region], shape: tuple[int, int]) -> bool:
     return sum(box.area for box in boxes) > MOST * shape[0] * shape[1]
 
 
-@compiled()
+@compiled
 def _parts(cells: Array) -> Array:
     """Disjoint rectangles around all cells, (n, 4) int64: left, top, width and height.
 
@@ -150,7 +150,7 @@ def _parts(cells: Array) -> Array:
     return found
 
 
-@compiled()
+@compiled
 def _shrunk(cells: Array, part: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
     """The smallest rectangle around the cells of a part; without height if there are none."""
     top, bottom, left, right = part[1], part[0], part[3], part[2]
@@ -162,7 +162,7 @@ def _shrunk(cells: Array, part: tuple[int, int, int, int]) -> tuple[int, int, in
     return min(top, bottom), bottom, left, right
 
 
-@compiled()
+@compiled
 def _cut_costs(cells: Array) -> Array:
     """Cost of a cut above each row: the cells of the rectangles on both sides, and the seam."""
     rows, columns = cells.shape

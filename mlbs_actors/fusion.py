@@ -171,7 +171,7 @@ def appearance_tables(half_confidence: float) -> tuple[Array, Array]:
     return trust, np.exp(ratio)
 
 
-@compiled(in_place=True)
+@compiled
 def _add_known(
     known: Array, matched: Array, place: Array, down: int, right: int, log_ratio: Array, samples: Array,
     trust: Array, ratio_of: Array,
@@ -190,7 +190,7 @@ def _add_known(
             matching[at] += own * ratio_of[ratios[place_of_own]]
 
 
-@compiled()
+@compiled
 def _fallback(known: Array, matched: Array) -> Array:
     height, width = known.shape
     fallback = np.empty((height, width), np.int8)
@@ -205,7 +205,7 @@ def _fallback(known: Array, matched: Array) -> Array:
     return fallback
 
 
-@compiled()
+@compiled
 def add_appearance(
     cost: Array,
     log_ratio: Array,
@@ -232,7 +232,7 @@ def add_appearance(
             fused[y, x] = np.uint8(np.int32(min(max(value, least), most)))
 
 
-@compiled()
+@compiled
 def _fuse(
     fused: Array, total: Array, place: Array, down: int, right: int, outside_cost: int, cost: Array,
     log_ratio: Array, samples: Array, fallback: Array, trust: Array, ratio_of: Array, strength: np.float32,
@@ -259,7 +259,7 @@ def _fuse(
             sums[y, x] += likelihood[part[y, x]]
 
 
-@compiled()
+@compiled
 def _normaliser(total: Array) -> Array:
     height, width = total.shape
     normaliser, logs = np.empty((height, width), np.uint8), np.empty(width, np.float32)

@@ -45,7 +45,6 @@ import numpy as np
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config
 from mlbs_actors.errors import SolverError
-from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 from mlbs_actors.node_grid import bilinear_taps, grid_shape, lump, nodes_of_cells, point_misfit, to_pixels
 from mlbs_actors.screened_poisson import solve
@@ -287,15 +286,15 @@ def check_solved(residual: float, tolerance: float) -> None:
         )
 
 
-@compiled()
+@compiled
 def _all_finite(values: Array) -> bool:
     finite = True
-    for value in flattened(values):
+    for value in values.reshape(-1):
         finite &= np.isfinite(value)
     return finite
 
 
-@compiled()
+@compiled
 def _told_inside(
     positions: Array, motions: Array, corner: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[Array, Array, Array]:
@@ -311,7 +310,7 @@ def _told_inside(
     return inside, points[:count], moved[:count]
 
 
-@compiled()
+@compiled
 def solved_field(
     positions: Array, motions: Array, prior_mean: Array, corner: tuple[int, int], shape: tuple[int, int],
     numbers: tuple[Any, ...],
@@ -376,7 +375,7 @@ def solved_field(
     return mean, variance, point_weights, iterations, residual
 
 
-@compiled()
+@compiled
 def _robust_deviation(
     points: Array, motions: Array, prior: Array, spacing: int, edge: float, point_precision: float,
     prior_precision: float, robust_px: float, robust_rounds: int, tolerance: float, max_iterations: int,
@@ -401,7 +400,7 @@ def _robust_deviation(
     return deviation, weights, iterations, residual
 
 
-@compiled()
+@compiled
 def _robust_weights(misfit: Array, robust_px: float) -> Array:
     squared = np.empty(misfit.shape[0])
     for point in range(squared.size):

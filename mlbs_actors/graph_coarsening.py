@@ -51,7 +51,7 @@ class _Level(NamedTuple):
     within: Array
 
 
-@compiled()
+@compiled
 def coarsen(pointers: Array, neighbours: Array, weights: Array, most: int) -> tuple[Array, Array]:
     """Join nodes as long as some belong together.
 
@@ -90,7 +90,7 @@ def coarsen(pointers: Array, neighbours: Array, weights: Array, most: int) -> tu
     return group, _dense(level)
 
 
-@compiled()
+@compiled
 def _dense(level: _Level) -> Array:
     matrix = np.zeros((level.sizes.size, level.sizes.size))
     for node in range(level.sizes.size):
@@ -100,7 +100,7 @@ def _dense(level: _Level) -> Array:
     return matrix
 
 
-@compiled()
+@compiled
 def _match(level: _Level, most: int, closeness: float) -> tuple[Array, int]:
     """Node of the next graph for each node, and their number."""
     pointers, neighbours, weights, sizes = level.pointers, level.neighbours, level.weights, level.sizes
@@ -129,7 +129,7 @@ def _match(level: _Level, most: int, closeness: float) -> tuple[Array, int]:
     return parent, left
 
 
-@compiled()
+@compiled
 def _contract(level: _Level, parent: Array, left: int) -> _Level:
     """The next graph: parallel edges summed, those inside a node added to what is within."""
     pointers, neighbours, weights, edges = level.pointers, level.neighbours, level.weights, level.edges

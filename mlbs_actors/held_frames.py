@@ -38,7 +38,7 @@ class HeldFrame:
     evidence : (n,) float32
         As in :class:`~mlbs_actors.trajectories.TrajectoryState`.
     camera : (3, 3) float64
-    flow : (h, w, 2) float16
+    flow : (h, w, 2) float32
     flow_reliable : (h, w) bool
     unexplained : (h, w) uint8
         As in :class:`~mlbs_actors.messages.FrameEvidence`.
@@ -77,7 +77,7 @@ def held_frame(
         labels,
         trajectories.evidence,
         camera,
-        np.zeros((*size, 2), np.float16) if flow is None else flow.backward.astype(np.float16),
+        np.zeros((*size, 2), np.float32) if flow is None else _rounded(flow.backward),
         np.zeros(size, bool) if flow is None else flow.backward_reliable,
         _quantised(against_camera.unexplained),
         stage_ms,
@@ -108,7 +108,7 @@ def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array,
         motions=-sample_flow(flow.forward, held.positions, flow.step),
         evidence=np.clip(advantage, *EVIDENCE_BOUNDS),
         camera=camera,
-        flow=-flow.forward.astype(np.float16),
+        flow=_rounded(-flow.forward),
         flow_reliable=flow.forward_reliable(),
         unexplained=_quantised(evidence.unexplained),
     )
@@ -145,7 +145,7 @@ def relabelled(
     return tuple(result)
 
 
-@compiled()
+@compiled
 def by_layer(
     live: Array, owner: Array, evidence: Array, least: np.float32, positions: Array, motions: Array
 ) -> tuple[Array, Array, Array]:
@@ -171,3 +171,9 @@ def by_layer(
 
 def _quantised(unexplained: Array) -> Array:
     return np.asarray(cv2.convertScaleAbs(unexplained, alpha=1.0 / UNEXPLAINED_STEP))
+
+
+def _rounded(flow: Array) -> Array:
+    """Flow in single precision that has the digits of half precision: more would be noise."""
+    rounded: Array = flow.astype(np.float16).astype(np.float32)
+    return rounded

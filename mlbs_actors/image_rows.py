@@ -5,20 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.lanes import LANES, Lanes, broadcast, load, maximum, store
 from mlbs_actors.messages import Array
 
 __all__ = ["padded_part", "padded_planes", "read_row", "row_room"]
 
 
-@compiled()
+@compiled
 def padded_planes(image: Array) -> Array:
     """:func:`padded_part` of a whole image."""
     return padded_part(image, 0, 0, image.shape[1], image.shape[0])
 
 
-@compiled()
+@compiled
 def padded_part(image: Array, left: int, top: int, width: int, height: int) -> Array:
     """The channels of a part of a C-contiguous image (H, W, 3), with the part's border once more around it:
     (3, height + 2, width + 2).
@@ -29,7 +28,7 @@ def padded_part(image: Array, left: int, top: int, width: int, height: int) -> A
     planes = np.empty(size + LANES, np.uint8)[:size].reshape(3, height + 2, width + 2)
     if height == 0:
         return planes
-    pixels = flattened(image)
+    pixels = image.reshape(-1)
     for y in range(height + 2):
         first = 3 * ((top + min(max(y - 1, 0), height - 1)) * image.shape[1] + left)
         row = pixels[first : first + 3 * width]
@@ -43,13 +42,13 @@ def padded_part(image: Array, left: int, top: int, width: int, height: int) -> A
     return planes
 
 
-@compiled()
+@compiled
 def row_room(width: int) -> Array:
     """Room for :func:`read_row`: (5, whole registers), float32."""
     return np.zeros((5, -(-width // LANES) * LANES), np.float32)
 
 
-@compiled(in_place=True)
+@compiled
 def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room: Array) -> None:
     """Bilinear colours of a part of an image's row, each less than 1 px off its pixel, held inside the image.
 
@@ -68,7 +67,7 @@ def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room:
     room : Array
         :func:`row_room`. Its first three rows become the colours, the others are the residual's.
     """
-    flat, rests, row = flattened(planes), flattened(residual[y]), flattened(room)
+    flat, rests, row = planes.reshape(-1), residual[y].reshape(-1), room.reshape(-1)
     height, width, length = planes.shape[1], np.uint64(planes.shape[2]), np.uint64(room.shape[1])
     first = first // LANES * LANES
     for pixel in range(first, min(end, residual.shape[1])):
@@ -90,7 +89,7 @@ def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room:
             store(row, np.uint64(channel) * length + x, upper * top + level * middle + lower * bottom)
 
 
-@compiled(inline="always")
+@compiled
 def _weighed(flat: Array, at: np.uint64, before: Lanes, here: Lanes, after: Lanes) -> Lanes:
     """Sum of some lanes of an image, of the next ones and of those after these, by their shares."""
     one, two = np.uint64(1), np.uint64(2)

@@ -87,7 +87,7 @@ def flow_levels(gray: Array, count: int) -> list[FlowLevel]:
     return levels
 
 
-@compiled()
+@compiled
 def _continued(gray: Array) -> Array:
     """A frame as float32, its outermost pixels repeated ``MARGIN`` times."""
     height, width = gray.shape
@@ -135,7 +135,7 @@ def improve_flow(
         )  # fmt: skip
 
 
-@compiled()
+@compiled
 def _improve(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, flow: Array, boxes: Array, iterations: int,
     refinements: int, stride: int,

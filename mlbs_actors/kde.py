@@ -28,7 +28,6 @@ from numpy.polynomial import Chebyshev, Polynomial
 from mlbs_actors.appearance import SPREAD_STEP, AppearanceModel, warp_model
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config
-from mlbs_actors.flattened import flattened
 from mlbs_actors.image_rows import padded_planes, read_row, row_room
 from mlbs_actors.lanes import (
     LANES,
@@ -94,7 +93,7 @@ class AppearanceParameters:
         return cls(colours.bandwidth_floor, registration / side, colours.half_confidence_samples)
 
 
-@compiled(in_place=True)
+@compiled
 def mean_trust(count: Array, trust: Array) -> float:
     """Mean of a table's values, those of :func:`confidence`, at some numbers of samples; 0 of none."""
     total = 0.0
@@ -194,7 +193,7 @@ def density_tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
     return exponent, ((bandwidth * np.sqrt(2.0 * np.pi)) ** -3).astype(np.float32)
 
 
-@compiled(in_place=True)
+@compiled
 def _least_spreads(
     planes: Array, y: int, first: int, end: int, floor: np.float32, registration: np.float32, least: Array
 ) -> None:
@@ -206,7 +205,7 @@ def _least_spreads(
     height, width = planes.shape[1] - 2, planes.shape[2] - 2
     above = y - 1 if y > 0 else min(1, height - 1)
     below = y + 1 if y + 1 < height else max(height - 2, 0)
-    flat, row, one, two = flattened(planes), np.uint64(planes.shape[2]), np.uint64(1), np.uint64(2)
+    flat, row, one, two = planes.reshape(-1), np.uint64(planes.shape[2]), np.uint64(1), np.uint64(2)
     for start in range(first // LANES * LANES, end, LANES):
         across, down = broadcast(np.float32(0), LANES), broadcast(np.float32(0), LANES)
         for channel in range(3):
@@ -235,7 +234,7 @@ def _least_spreads(
         store(least, x, minimum(rounded(width_of), broadcast(np.float32(255), LANES)))
 
 
-@compiled(in_place=True)
+@compiled
 def _squared_slope(
     planes: Array, above: int, y: int, below: int, x: int, left: int, right: int
 ) -> np.float32:
@@ -252,7 +251,7 @@ def _squared_slope(
     return np.float32(across * across + down * down)
 
 
-@compiled()
+@compiled
 def log_densities(
     samples: Array, count: Array, spread: Array, residual: Array, image: Array, needed: Array,
     floor: np.float32, registration: np.float32, exponent: Array, norm: Array, result: Array,
@@ -261,7 +260,7 @@ def log_densities(
     height, width = result.shape
     slots = samples.shape[3]
     whole = -(-slots // LANES) * LANES
-    stacks, stack = flattened(samples), np.empty(3 * whole, np.uint8)
+    stacks, stack = samples.reshape(-1), np.empty(3 * whole, np.uint8)
     planes, colours = padded_planes(image), row_room(width)
     least, asked = np.zeros(colours.shape[1], np.float32), np.empty(width, np.int64)
     density, places, told = np.empty(result.size, np.float32), np.empty(result.size, np.int64), 0
@@ -290,13 +289,13 @@ def log_densities(
                 kernels = _sum_of_kernels(stack, np.uint64(0), whole, blue, green, red, scale, number)
             density[told], places[told] = norm[bandwidth] * kernels / np.float32(number), place
             told += 1
-    logs, results = np.empty(told, np.float32), flattened(result)
+    logs, results = np.empty(told, np.float32), result.reshape(-1)
     row_log(density[:told], logs)
     for pixel in range(told):
         results[np.uint64(places[pixel])] = logs[pixel]
 
 
-@compiled(in_place=True)
+@compiled
 def _sum_of_kernels(
     stacks: Array, at: np.uint64, slots: int, blue: np.float32, green: np.float32, red: np.float32,
     scale: np.float32, known: np.int64,

@@ -24,7 +24,7 @@ UNLABELLED = -1
 REMEMBERED = 256
 
 
-@compiled()
+@compiled
 def label_classes(labels: Array, left_out: Array) -> tuple[Array, Array]:
     """Number the labels that there are.
 
@@ -50,7 +50,7 @@ def label_classes(labels: Array, left_out: Array) -> tuple[Array, Array]:
     return known, classes
 
 
-@compiled()
+@compiled
 def label_places(labels: Array, known: Array) -> Array:
     """Where labels stand among the known ones.
 
@@ -78,7 +78,7 @@ def label_places(labels: Array, known: Array) -> Array:
     return places
 
 
-@compiled()
+@compiled
 def _known_labels(labels: Array, left_out: Array) -> Array:
     """The labels that there are, ascending."""
     known, count = np.empty(labels.size, np.int64), 0
@@ -102,7 +102,7 @@ def distinct_labels(labels: Array) -> set[int]:
     return set(_known_labels(labels, labels == UNLABELLED).tolist())
 
 
-@compiled()
+@compiled
 def likeliest(share: Array, known: Array) -> Array:
     """Label of the largest share of each row (n, k), the first of equal ones; −1 where all are 0."""
     labels = np.full(len(share), UNLABELLED, np.int64)
@@ -114,7 +114,7 @@ def likeliest(share: Array, known: Array) -> Array:
     return labels
 
 
-@compiled()
+@compiled
 def class_medians(values: Array, classes: Array, count: int) -> Array:
     """Median of each class's values (n,), (count,) float64; every class has some."""
     starts, medians = np.zeros(count + 1, np.int64), np.empty(count)
@@ -132,7 +132,7 @@ def class_medians(values: Array, classes: Array, count: int) -> Array:
     return medians
 
 
-@compiled()
+@compiled
 def median_length(vectors: Array, chosen: Array) -> float:
     """Median length of some of the vectors (n, 2); NaN if there are none."""
     lengths, found = np.empty(chosen.size, vectors.dtype), 0

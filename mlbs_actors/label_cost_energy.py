@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = [
@@ -173,7 +172,7 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     return UndecidedEnergy(pixels, row, Offers(*offers), neighbour, weight, label_costs, elsewhere)
 
 
-@compiled(inline="always")
+@compiled
 def _neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, int]:
     """Row and column of a neighbour, and where the weight to it is found: row, column and direction."""
     v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
@@ -182,7 +181,7 @@ def _neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, i
     return v, u, v, u, k - 4
 
 
-@compiled()
+@compiled
 def left_open(
     unary: Array, side: int, extras: Array, places: Array, weights: Array, label_costs: Array, labels: Array,
     elsewhere: Array,
@@ -198,7 +197,7 @@ def left_open(
     return pixels, row, offers, neighbour, weight, np.where(elsewhere, 0, label_costs)
 
 
-@compiled()
+@compiled
 def costs_of_pixels(
     unary: Array, side: int, extras: Array, places: Array, height: int, width: int
 ) -> tuple[Array, Array]:
@@ -217,7 +216,7 @@ def costs_of_pixels(
     return spread, boxes
 
 
-@compiled()
+@compiled
 def _offers(
     unary: Array, side: int, extras: Array, places: Array, weights: Array, labels: Array, begins: Array,
     column: Array, known: Array, saved: Array, position: Array,
@@ -239,7 +238,7 @@ def _offers(
     return first, pixel, cost
 
 
-@compiled(in_place=True)
+@compiled
 def _count_offers(side: int, places: Array, begins: Array, position: Array, first: Array) -> None:
     """``first`` of `Offers`, into zeros."""
     for label in range(len(places)):
@@ -250,7 +249,7 @@ def _count_offers(side: int, places: Array, begins: Array, position: Array, firs
             first[label + 1] -= _open_before(y, left, position, begins)
 
 
-@compiled(in_place=True)
+@compiled
 def _write_offers(
     unary: Array, side: int, places: Array, weights: Array, labels: Array, begins: Array, column: Array,
     known: Array, saved: Array, position: Array, cell_of: Array, pixel: Array, cost: Array,
@@ -271,13 +270,13 @@ def _write_offers(
                 count += 1
 
 
-@compiled(in_place=True)
+@compiled
 def _open_before(y: int, x: int, position: Array, begins: Array) -> int:
     """How many undecided pixels come before a place in a row, or at its end, from what `_numbered` tells."""
     return int(position[y, x] if x < position.shape[1] else begins[y + 1])
 
 
-@compiled(in_place=True)
+@compiled
 def _saved_by(label: int, labels: Array, weights: Array, y: int, x: int) -> int:
     """Sum of the weights to a pixel's neighbours of one label."""
     saved = 0
@@ -288,7 +287,7 @@ def _saved_by(label: int, labels: Array, weights: Array, y: int, x: int) -> int:
     return saved
 
 
-@compiled()
+@compiled
 def cost_of_labels(first: Array, pixel: Array, cost: Array, labels: Array) -> Array:
     """:meth:`Offers.chosen` from the fields of `Offers`."""
     chosen = np.empty(labels.size, np.int32)
@@ -299,7 +298,7 @@ def cost_of_labels(first: Array, pixel: Array, cost: Array, labels: Array) -> Ar
     return chosen
 
 
-@compiled()
+@compiled
 def _numbered(labels: Array) -> tuple[Array, Array, Array]:
     """Flat indices of the undecided pixels, ascending; how many of them come before each row, (H + 1,), and
     before each pixel, (H, W) int32: that is the position of an undecided one."""
@@ -317,7 +316,7 @@ def _numbered(labels: Array) -> tuple[Array, Array, Array]:
     return pixels[:count], begins, position
 
 
-@compiled()
+@compiled
 def _around(
     weights: Array, labels: Array, position: Array, rows: Array, columns: Array
 ) -> tuple[Array, Array, Array, Array]:
@@ -327,7 +326,7 @@ def _around(
     neighbour, weight = np.empty((rows.size, 8), np.int32), np.empty((rows.size, 8), np.int32)
     known, saved = np.empty(rows.size, np.int16), np.empty(rows.size, np.int32)
     # Flat unsigned indices, and no look for the border in the interior: half the time.
-    label_of, position_of, weights_of = flattened(labels), flattened(position), weights.reshape(-1, 4)
+    label_of, position_of, weights_of = labels.reshape(-1), position.reshape(-1), weights.reshape(-1, 4)
     for i in range(rows.size):
         y, x = rows[i], columns[i]
         pixel = y * width + x
@@ -356,7 +355,7 @@ def _around(
     return neighbour, weight, known, saved
 
 
-@compiled()
+@compiled
 def _image_energy(unary: Array, weights: Array, labels: Array) -> np.int64:
     """Unary and pair terms; the first four neighbours name each pair once."""
     total = np.int64(0)
@@ -372,7 +371,7 @@ def _image_energy(unary: Array, weights: Array, labels: Array) -> np.int64:
     return total
 
 
-@compiled()
+@compiled
 def energy_of_labels(
     chosen: Array, neighbour: Array, weight: Array, label_costs: Array, labels: Array
 ) -> np.int64:

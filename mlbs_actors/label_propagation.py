@@ -59,7 +59,7 @@ def propagate_soft(affinity: sp.csr_array, labels: Array, classes: int, restart:
     )
 
 
-@compiled()
+@compiled
 def _walk(
     pointers: Array,
     neighbours: Array,
@@ -149,7 +149,7 @@ def propagate_absorbing(affinity: sp.csr_array, labels: Array, classes: int) -> 
     return share
 
 
-@compiled()
+@compiled
 def _absorbing_system(
     pointers: Array, neighbours: Array, weights: Array, labels: Array, classes: int
 ) -> tuple[Array, Array, Array, Array, Array]:

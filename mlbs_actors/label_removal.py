@@ -82,7 +82,7 @@ def removable_labels(rest: UndecidedEnergy, course: Course) -> tuple[Array, Arra
     return removable, used
 
 
-@compiled()
+@compiled
 def gains_by_removal(
     first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array, label_costs: Array,
     labels: Array, chosen: Array, used: Array,
@@ -107,7 +107,7 @@ def gains_by_removal(
     return gain > 0
 
 
-@compiled()
+@compiled
 def _shared_out(
     first: Array, pixel: Array, cost: Array, neighbour: Array, labels: Array, label: int, allowed: Array
 ) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from mlbs_actors.messages import BACKGROUND, Array
 __all__ = ["layers_of", "note_sightings", "sightings"]
 
 
-@compiled()
+@compiled
 def layers_of(labels: Array, known: Array, origins: Array, pooled: Array, other: int) -> Array:
     """Layer ids of labels (n,) int64, −1 for none, by the registry's rows; see `LayerRegistry.layers_of`."""
     rows, origin_rows = label_places(labels, known), label_places(origins, known)
@@ -24,7 +24,7 @@ def layers_of(labels: Array, known: Array, origins: Array, pooled: Array, other:
     return layers
 
 
-@compiled()
+@compiled
 def sightings(known: Array, labels: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
     """Row of each trajectory's label, −1 if it is not known; how many each has, and their mean positions and
     motions (k, 4)."""
@@ -42,7 +42,7 @@ def sightings(known: Array, labels: Array, positions: Array, motions: Array) -> 
     return rows, counts, means
 
 
-@compiled()
+@compiled
 def note_sightings(
     enough: Array, means: Array, signatures: Array, frame_index: int, seen: Array, tracked: Array,
     centroids: Array, velocities: Array, known_signatures: Array,

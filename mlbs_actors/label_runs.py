@@ -10,7 +10,7 @@ from mlbs_actors.messages import Array
 __all__ = ["label_runs"]
 
 
-@compiled()
+@compiled
 def label_runs(labels: Array, diagonal: bool) -> tuple[Array, Array, Array, Array]:
     """Find the runs and the connected components of all labels.
 
@@ -65,7 +65,7 @@ def label_runs(labels: Array, diagonal: bool) -> tuple[Array, Array, Array, Arra
     return rows, starts, ends, component
 
 
-@compiled()
+@compiled
 def _root(parent: Array, run: int) -> int:
     while parent[run] != run:
         parent[run] = parent[parent[run]]

@@ -13,9 +13,7 @@ import numpy as np
 
 from mlbs_actors.compilation import compiled
 from mlbs_actors.config import Config, length_scale
-from mlbs_actors.flattened import flattened
 from mlbs_actors.fusion import LIKELIHOOD, RATIO_STEP, add_appearance, appearance_tables
-from mlbs_actors.half_precision import single_precision
 from mlbs_actors.messages import (
     COST_STEP,
     UNEXPLAINED_STEP,
@@ -103,7 +101,7 @@ def layer_cost(
         motion,
         np.float32(side),
         variance,
-        evidence.flow.view(np.uint16),
+        evidence.flow,
         evidence.flow_reliable,
         evidence.unexplained,
         cells.x,
@@ -154,7 +152,7 @@ def _tables(
     )
 
 
-@compiled()
+@compiled
 def _taps(first: int, count: int, length: float, grid: int) -> tuple[Array, Array, Array]:
     """Between which two places of a grid's axis the centres of some cells lie, and their share in the second.
 
@@ -170,33 +168,29 @@ def _taps(first: int, count: int, length: float, grid: int) -> tuple[Array, Arra
     return low, high, share
 
 
-@compiled()
+@compiled
 def sum_terms(
-    needed: Array, motion: Array, side: np.float32, variance: Array, flow_bits: Array, reliable: Array,
+    needed: Array, motion: Array, side: np.float32, variance: Array, flow: Array, reliable: Array,
     unexplained: Array, first_column: int, first_row: int, width_in_cells: float, height_in_cells: float,
     heard: Array, prior: Array, share: Array, away: Array, advantage: Array, distant: np.float32,
     photometric: np.float32, flow_variance: np.float32, neutral: np.float32, disagreement: Array,
     surprise: Array, offset: np.float32, cost: Array,
 ) -> None:  # fmt: skip
-    """:func:`layer_cost` into costs of nothing; the flow comes by its bits, and for the whole frame, like the
-    two maps beside it."""
+    """:func:`layer_cost` into costs of nothing; the flow and the two maps beside it are the whole frame's."""
     # As a rule the cells are those of the flow's grid, and no place lies between two of it.
     same = width_in_cells == unexplained.shape[1] and height_in_cells == unexplained.shape[0]
     if needed.size == 0:
         return
     top, bottom, down = _taps(first_row, needed.shape[0], height_in_cells, unexplained.shape[0])
     left, right, along = _taps(first_column, needed.shape[1], width_in_cells, unexplained.shape[1])
-    # The part of the flow that is read, in single precision.
-    first, start = top[0], left[0]
-    flow = single_precision(flow_bits, first, bottom[-1] + 1, start, right[-1] + 1)
-    flows, row_length = flattened(flow), flow.shape[1]
+    flows = flow.reshape(-1)
     one, half, step = np.float32(1), np.float32(0.5), np.float32(COST_STEP)
     width, columns = needed.shape[1], unexplained.shape[1]
     # Places in flat arrays, without a sign: it would be looked at before each is read.
-    asked, known, shares = flattened(needed), flattened(prior), flattened(share)
-    distances, leads = flattened(away), flattened(advantage)
-    moves, variances, costs = flattened(motion), flattened(variance), flattened(cost)
-    errors, trust = flattened(unexplained), flattened(reliable)
+    asked, known, shares = needed.reshape(-1), prior.reshape(-1), share.reshape(-1)
+    distances, leads = away.reshape(-1), advantage.reshape(-1)
+    moves, variances, costs = motion.reshape(-1), variance.reshape(-1), cost.reshape(-1)
+    errors, trust = unexplained.reshape(-1), reliable.reshape(-1)
     for y in range(needed.shape[0]):
         above, below, lower = top[y] * columns, bottom[y] * columns, down[y]
         for x in range(width):
@@ -205,7 +199,7 @@ def sum_terms(
                 continue
             nats = offset + (distant * distances[cell] - photometric * leads[cell])
             a, two, odd = np.uint64(above + left[x]), np.uint64(2), np.uint64(1)
-            near = two * np.uint64((top[y] - first) * row_length + left[x] - start)
+            near = two * a
             weight, flow_x, flow_y = heard[errors[a]] * trust[a], flows[near], flows[near + odd]
             if not same:
                 b = np.uint64(above + right[x])
@@ -219,7 +213,7 @@ def sum_terms(
                 weight = heard[np.uint64(np.int64(error + half))]
                 weight *= w00 * trust[a] + w01 * trust[b] + w10 * trust[c] + w11 * trust[d]
                 right_of = two * np.uint64(right[x] - left[x])
-                under = two * np.uint64((bottom[y] - top[y]) * row_length)
+                under = two * np.uint64((bottom[y] - top[y]) * columns)
                 flow_x = w00 * flow_x + w01 * flows[near + right_of]
                 flow_x += w10 * flows[near + under] + w11 * flows[near + under + right_of]
                 flow_y = w00 * flow_y + w01 * flows[near + odd + right_of]
@@ -261,7 +255,7 @@ def quantised_colours(log_density: Array, count: Array, needed: Array, largest: 
     return log_ratio, samples
 
 
-@compiled(in_place=True)
+@compiled
 def quantise_colours(
     log_density: Array, count: Array, needed: Array, largest: np.float32, log_ratio: Array, samples: Array
 ) -> None:
@@ -323,7 +317,7 @@ def finished_posterior(
     return posterior
 
 
-@compiled()
+@compiled
 def finish_posterior(
     cost: Array, log_ratio: Array, samples: Array, fallback: Array, normaliser: Array, left: int, top: int,
     won: Array, trust: Array, ratio_of: Array, strength: np.float32, likelihood: Array, posterior: Array,

@@ -25,7 +25,7 @@ from mlbs_actors.trajectory_distance import (
 __all__ = ["near_trajectories", "trusted_background", "unexplained_cells"]
 
 
-@compiled()
+@compiled
 def near_trajectories(
     positions: Array, start: int, end: int, side: int, left: int, top: int, unexplained: Array, least: float,
     close: np.float32, learn: np.float32, near: np.float32, fade: np.float32, trusted: Array, away: Array,
@@ -113,7 +113,7 @@ def trusted_background(
     return trusted
 
 
-@compiled()
+@compiled
 def _judged(
     own: Array, others: Array, unexplained: Array, least: float, keep_off: np.float32, learn: np.float32,
     beside: np.float32,

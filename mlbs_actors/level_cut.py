@@ -15,7 +15,6 @@ from mlbs_actors.coarse_cut import costs_of_blocks, of_blocks, opened
 from mlbs_actors.compilation import compiled
 from mlbs_actors.cut_pruning import decide
 from mlbs_actors.expansion_course import expand_in_turn, started
-from mlbs_actors.flattened import flattened
 from mlbs_actors.label_cost_energy import costs_of_pixels, left_open
 from mlbs_actors.label_removal import gains_by_removal
 from mlbs_actors.messages import Array
@@ -23,14 +22,14 @@ from mlbs_actors.messages import Array
 __all__ = ["is_large", "label_levels"]
 
 
-@compiled()
+@compiled
 def is_large(weights: Array, level: int, most_cut_whole: tuple[int, ...]) -> bool:
     """Whether pixels with these pair weights are labelled coarse to fine; level 0 are the image's."""
     most = most_cut_whole[min(level, len(most_cut_whole) - 1)]
     return bool(weights.shape[0] * weights.shape[1] > most)
 
 
-@compiled()
+@compiled
 def label_levels(
     unary: Array, side: int, extras: Array, places: Array, weights: Array, label_costs: Array,
     most_cut_whole: tuple[int, ...], max_sweeps: int,
@@ -72,7 +71,7 @@ def label_levels(
     return labels, found
 
 
-@compiled()
+@compiled
 def _label_band(
     unary: Array, side: int, extras: Array, places: Array, weights: Array, label_costs: Array, blocks: Array
 ) -> tuple[Array, bool]:
@@ -85,7 +84,7 @@ def _label_band(
     return labels, _search(labels, elsewhere, pixels, offers, neighbour, weight, costs, start, 1)
 
 
-@compiled()
+@compiled
 def _label_undecided(
     unary: Array, places: Array, weights: Array, label_costs: Array, max_sweeps: int
 ) -> tuple[Array, bool]:
@@ -100,7 +99,7 @@ def _label_undecided(
     return labels, _search(labels, certain, pixels, offers, neighbour, weight, costs, start, max_sweeps)
 
 
-@compiled()
+@compiled
 def _search(
     labels: Array, elsewhere: Array, pixels: Array, offers: tuple[Array, Array, Array], neighbour: Array,
     weight: Array, label_costs: Array, own: Array, max_sweeps: int,
@@ -130,7 +129,7 @@ def _search(
             ):
                 return False
             break
-    flat = flattened(labels)
+    flat = labels.reshape(-1)
     for i in range(pixels.size):
         flat[pixels[i]] = own[i]
     return True

@@ -121,7 +121,7 @@ class FrameEvidence:
     camera : (3, 3) float64
         Homography that takes homogeneous pixels of frame t to where they were in frame t−1 if they
         belong to the background.
-    flow : (h, w, 2) float16
+    flow : (h, w, 2) float32
         Dense backward flow t → t−1 in full-size px, on a grid ``H / h`` times coarser than the frame.
         Zeros for frame 0.
     flow_reliable : (h, w) bool

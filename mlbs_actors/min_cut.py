@@ -20,7 +20,6 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = ["min_cut"]
@@ -31,7 +30,7 @@ _TO_SINK, _LOST = 8, 9
 _EDGE_BITS, _OPPOSITE = np.uint64(3), np.uint64(4)
 
 
-@compiled()
+@compiled
 def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64, Array]:
     """Cut a graph of n pixels.
 
@@ -52,7 +51,7 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
     on_sink_side : (n,) bool
     """
     count = surplus.size
-    ends, room = flattened(neighbour), flattened(residual)
+    ends, room = neighbour.reshape(-1), residual.reshape(-1)
     # Level in the tree, 1 beside the sink and 0 outside; the pixels that have yet to grow, by their levels.
     level, parent = np.zeros(count, np.int32), np.full(count, _TO_SINK, np.int8)
     queue, waiting = np.empty(count + 1, np.int32), np.zeros(count, np.bool_)
@@ -99,7 +98,7 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
     return flow, level > 0
 
 
-@compiled(in_place=True)
+@compiled
 def _send(
     amount: int, pixel: np.uint64, ends: Array, room: Array, parent: Array, surplus: Array, orphans: Array
 ) -> tuple[int, int]:
@@ -128,7 +127,7 @@ def _send(
     return amount, lost
 
 
-@compiled(in_place=True)
+@compiled
 def _adopt(
     lost: int, depth: int, ends: Array, room: Array, level: Array, parent: Array, orphans: Array,
     queue: Array, waiting: Array, tail: int,

@@ -71,7 +71,7 @@ def merge_by_motion(
     return labels
 
 
-@compiled()
+@compiled
 def _merge(
     first: Array, second: Array, distance: Array, labels: Array, known: Array, classes: Array, ages: Array,
     young_frames: int, quantile: float, most_distance: float, most_object_distance: float,
@@ -109,7 +109,7 @@ def _merge(
         sizes[best_older] += sizes[best_younger]
 
 
-@compiled()
+@compiled
 def border_motion(
     first: Array, second: Array, distance: Array, classes: Array, count: int, quantile: float
 ) -> tuple[Array, Array, Array]:

@@ -18,7 +18,7 @@ __all__ = ["nearest", "neighbour_pairs"]
 CELL_POINTS = 3.0
 
 
-@compiled()
+@compiled
 def neighbour_pairs(positions: Array, wanted: int, radius: float) -> tuple[Array, Array]:
     """Pairs of points of which one is among the nearest of the other.
 
@@ -39,7 +39,7 @@ def neighbour_pairs(positions: Array, wanted: int, radius: float) -> tuple[Array
     return _sorted_pairs(nearest(positions, wanted, radius))
 
 
-@compiled()
+@compiled
 def nearest(positions: Array, wanted: int, radius: float) -> Array:
     """The nearest points of each, without itself.
 
@@ -98,7 +98,7 @@ def nearest(positions: Array, wanted: int, radius: float) -> Array:
     return found
 
 
-@compiled(in_place=True)
+@compiled
 def _count_within(squared: Array, near: int, limit: np.float32) -> np.int32:
     count = np.int32(0)
     for k in range(near):
@@ -106,7 +106,7 @@ def _count_within(squared: Array, near: int, limit: np.float32) -> np.int32:
     return count
 
 
-@compiled(in_place=True)
+@compiled
 def _limit(squared: Array, near: int, wanted: int, most: np.float32, whole: bool) -> np.float32:
     """A squared distance within which so many of the near points lie, no more if possible; else the least
     with all.
@@ -136,7 +136,7 @@ def _limit(squared: Array, near: int, wanted: int, most: np.float32, whole: bool
             most, more = middle, within
 
 
-@compiled(in_place=True)
+@compiled
 def _take(
     squared: Array, point: Array, near: int, limit: np.float32, itself: int, room: Array, found: Array
 ) -> None:
@@ -161,7 +161,7 @@ def _take(
         taken += 1
 
 
-@compiled()
+@compiled
 def _cells(positions: Array) -> tuple[float, Array, Array, Array, Array]:
     """Side of a cell, column and row of each point, and the points cell by cell: where each starts, which."""
     count = positions.shape[0]
@@ -185,7 +185,7 @@ def _cells(positions: Array) -> tuple[float, Array, Array, Array, Array]:
     return cell, column, row, start, members
 
 
-@compiled()
+@compiled
 def _sorted_pairs(nearest_of: Array) -> tuple[Array, Array]:
     """Each pair once, the lower index first, sorted by both: counted off by the higher, then by the lower."""
     count = nearest_of.shape[0]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = [
@@ -23,7 +22,7 @@ __all__ = [
 ]
 
 
-@compiled()
+@compiled
 def grid_shape(shape: tuple[int, int], spacing: int) -> tuple[int, int]:
     """Rows and columns of the nodes of an (h, w) region."""
     return -(-shape[0] // spacing), -(-shape[1] // spacing)
@@ -51,7 +50,7 @@ def node_positions(shape: tuple[int, int], spacing: int) -> Array:
     return nodes
 
 
-@compiled()
+@compiled
 def to_pixels(values: Array, spacing: int, height: int, width: int) -> Array:
     """The nodes' values (gh, gw, c) at the pixels of an (h, w) region, (h, w, c), bilinear, float32.
 
@@ -64,9 +63,9 @@ def to_pixels(values: Array, spacing: int, height: int, width: int) -> Array:
     left, right, along = _pixel_taps(width, columns, spacing)
     top, bottom, down = _pixel_taps(height, rows, spacing)
     length = width * components
-    wide, flat, one = np.empty((rows, length), np.float32), flattened(pixels), np.float32(1)
+    wide, flat, one = np.empty((rows, length), np.float32), pixels.reshape(-1), np.float32(1)
     for v in range(rows):
-        nodes, line = flattened(values[v]), wide[v]
+        nodes, line = values[v].reshape(-1), wide[v]
         for x in range(width):
             share = along[x]
             for component in range(components):
@@ -81,7 +80,7 @@ def to_pixels(values: Array, spacing: int, height: int, width: int) -> Array:
     return pixels
 
 
-@compiled()
+@compiled
 def nodes_of_cells(values: Array, spacing: int, side: int, height: int, width: int) -> tuple[Array, int]:
     """Of which the means over the pixels of each cell of an (h, w) region are interpolated.
 
@@ -114,7 +113,7 @@ def nodes_of_cells(values: Array, spacing: int, side: int, height: int, width: i
     for row in range(rows):
         summed[:] = 0
         for y in range(row * side, (row + 1) * side):  # past the border the last row and column go on
-            summed += flattened(pixels[min(y, height - 1)])
+            summed += (pixels[min(y, height - 1)]).reshape(-1)
         for column in range(columns):
             for x in range(column * side, (column + 1) * side):
                 near = min(x, width - 1) * components
@@ -123,7 +122,7 @@ def nodes_of_cells(values: Array, spacing: int, side: int, height: int, width: i
     return means, 1
 
 
-@compiled()
+@compiled
 def _pixel_taps(length: int, nodes: int, spacing: int) -> tuple[Array, Array, Array]:
     """The two nodes along one axis that each pixel lies between, and the share of the second."""
     first, second = np.empty(length, np.int64), np.empty(length, np.int64)
@@ -136,7 +135,7 @@ def _pixel_taps(length: int, nodes: int, spacing: int) -> tuple[Array, Array, Ar
     return first, second, share
 
 
-@compiled()
+@compiled
 def bilinear_taps(points: Array, rows: int, columns: int, spacing: int) -> tuple[Array, Array]:
     """Indices (n, 4) of the nodes around each point, and the point's shares (n, 4) in them; they sum to 1."""
     nodes, shares = np.empty((points.shape[0], 4), np.int64), np.empty((points.shape[0], 4))
@@ -153,10 +152,10 @@ def bilinear_taps(points: Array, rows: int, columns: int, spacing: int) -> tuple
     return nodes, shares
 
 
-@compiled()
+@compiled
 def point_misfit(values: Array, field: Array, nodes: Array, shares: Array) -> Array:
     """Points' values (n, 2) less those of a (2, gh, gw) field."""
-    flat, count = flattened(field), field.shape[1] * field.shape[2]
+    flat, count = field.reshape(-1), field.shape[1] * field.shape[2]
     misfit = np.empty((values.shape[0], 2))
     for point in range(values.shape[0]):
         for axis in range(2):
@@ -167,7 +166,7 @@ def point_misfit(values: Array, field: Array, nodes: Array, shares: Array) -> Ar
     return misfit
 
 
-@compiled()
+@compiled
 def lump(
     nodes: Array, shares: Array, weights: Array, point_precision: float, measured: Array, precision: float,
     rows: int, columns: int,

@@ -90,7 +90,7 @@ def holds_together(affinity: Array, threshold: float) -> bool:
     return not failed
 
 
-@compiled()
+@compiled
 def _degrees(affinity: Array) -> tuple[Array, Array]:
     """The diagonal of D, (n,), and that of D^-½."""
     degree, scale = np.empty(len(affinity)), np.empty(len(affinity))
@@ -100,7 +100,7 @@ def _degrees(affinity: Array) -> tuple[Array, Array]:
     return degree, scale
 
 
-@compiled()
+@compiled
 def _shifted_laplacian(affinity: Array, threshold: np.float32) -> Array:
     """The normalised Laplacian with its smallest eigenvalue moved from 0 to 2, less threshold · I."""
     count = len(affinity)
@@ -147,7 +147,7 @@ def best_cut(affinity: Array, sizes: Array, min_side: int) -> TwoWayCut:
     return TwoWayCut(*_best_threshold(affinity, degree, sizes, vectors.T, min_side))
 
 
-@compiled()
+@compiled
 def _normalised(affinity: Array) -> tuple[Array, Array]:
     """The transpose of D^-½ A D^-½, as LAPACK wants it, and the diagonal of D.
 
@@ -161,7 +161,7 @@ def _normalised(affinity: Array) -> tuple[Array, Array]:
     return normalised, degree
 
 
-@compiled()
+@compiled
 def _best_threshold(
     affinity: Array, degree: Array, sizes: Array, vectors: Array, min_side: int
 ) -> tuple[float, Array]:
@@ -185,7 +185,7 @@ def _best_threshold(
     return best, side
 
 
-@compiled()
+@compiled
 def _severed(affinity: Array, order: Array) -> Array:
     """Sum of the edges that a cut after each position of the order severs."""
     across = np.zeros(order.size)
@@ -279,7 +279,7 @@ def _within(side: Array, group: Array, joined: Array) -> tuple[Array, Array]:
     return (np.cumsum(side) - 1)[group], joined[np.ix_(side, side)]
 
 
-@compiled()
+@compiled
 def _kept_edges(
     pointers: Array, neighbours: Array, weights: Array, nodes: Array
 ) -> tuple[Array, Array, Array]:
@@ -302,7 +302,7 @@ def _kept_edges(
     return kept_pointers, kept_neighbours[:kept], kept_weights[:kept]
 
 
-@compiled()
+@compiled
 def _parts(pointers: Array, neighbours: Array, weights: Array, apart: Array) -> tuple[Array, Array]:
     """Connected parts of a symmetric graph, by their first nodes; see :func:`recursive_cut` for ``apart``.
 

@@ -90,7 +90,7 @@ class ObjectView:
                 evidence.positions,
                 evidence.motions,
                 evidence.camera,
-                evidence.flow.view(np.uint16),
+                evidence.flow,
                 evidence.flow_reliable,
                 evidence.unexplained,
                 unexplained_cells(evidence, side),
@@ -141,7 +141,7 @@ _NOTHING = received(
 )
 
 
-@compiled()
+@compiled
 def object_frame(
     parameters: tuple[float, ...], numbers: tuple[Any, ...], tables: tuple[Array, ...],
     own: tuple[np.uint16, int, int, int, bool], seen: tuple[Array, ...], shown: tuple[Array, Array, Array],
@@ -158,8 +158,8 @@ def object_frame(
         Its id; side of a cell, px; which of all trajectories are its; and whether it had a part in the last
         frame.
     seen : frame, positions, motions, camera, flow, reliable, unexplained, unexplained cells
-        (H, W, 3) uint8; what :class:`~mlbs_actors.messages.FrameEvidence` has, the flow by its bits as
-        uint16; and :func:`~mlbs_actors.learning.unexplained_cells`.
+        (H, W, 3) uint8; what :class:`~mlbs_actors.messages.FrameEvidence` has; and
+        :func:`~mlbs_actors.learning.unexplained_cells`.
     shown : labels, normaliser, fallback
         Of the last frame's :class:`~mlbs_actors.messages.Segmentation`.
     told : (7,) float64
@@ -217,7 +217,7 @@ def object_frame(
     return region, following, (image, trusted, cost, log_ratio, samples, velocity), trust, residual
 
 
-@compiled(forceinline=True)
+@compiled
 def _finished(
     by: ObjectParameters, tables: tuple[Array, ...], layer: np.uint16, side: int,
     shown: tuple[Array, Array, Array], region: Box, model: Model,
@@ -238,7 +238,7 @@ def _finished(
     return posterior
 
 
-@compiled(forceinline=True)
+@compiled
 def _evaluated(
     by: ObjectParameters, tables: tuple[Array, ...], own: tuple[np.uint16, int, int, int, bool],
     seen: tuple[Array, ...], region: Box, last_region: Box, last_image: Array, posterior: Array,

@@ -56,7 +56,7 @@ def _told(one: LayerSummary | None) -> tuple[float, ...]:
     return one.area, *box_of(one.region), *one.velocity
 
 
-@compiled()
+@compiled
 def region_of_object(
     told: Array, positions: Array, motions: Array, margins_px: tuple[float, float], scale: float, cell: int,
     height: int, width: int,
@@ -118,13 +118,13 @@ def box_of(region: Region) -> tuple[int, int, int, int]:
     return region.x, region.y, region.width, region.height
 
 
-@compiled()
+@compiled
 def median_of_motions(motions: Array) -> tuple[float, float]:
     """Median of some motions (n ≥ 1, 2), px: of x and of y."""
     return np.median(motions[:, 0]), np.median(motions[:, 1])
 
 
-@compiled()
+@compiled
 def _farthest(motions: Array, x: float, y: float) -> float:
     """By how much one of some motions differs most from another one, in x or in y, px."""
     most = np.float32(0)
@@ -133,14 +133,14 @@ def _farthest(motions: Array, x: float, y: float) -> float:
     return np.float64(most)
 
 
-@compiled()
+@compiled
 def bounds(positions: Array) -> tuple[float, float, float, float]:
     """Least x and y, largest x and y of some positions (n ≥ 1, 2)."""
     x, y = positions[:, 0], positions[:, 1]
     return x.min(), y.min(), x.max(), y.max()
 
 
-@compiled()
+@compiled
 def box_within(
     left: float, top: float, right: float, bottom: float, margin: float, height: int, width: int
 ) -> tuple[int, int, int, int]:
@@ -150,7 +150,7 @@ def box_within(
     return x, y, end_x - x, end_y - y
 
 
-@compiled()
+@compiled
 def _within(place: int, length: int) -> int:
     return min(max(place, 0), length)
 
@@ -188,7 +188,7 @@ def contested(
     return Region(*box), inside
 
 
-@compiled()
+@compiled
 def _contested(
     told: Array, positions: Array, motions: Array, counts: Array, margins_px: tuple[float, float],
     scale: float, cell: int, height: int, width: int,

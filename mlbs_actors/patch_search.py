@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.lanes import absolute, broadcast, load, maximum, multiply_add, store, sum_of_lanes
 from mlbs_actors.messages import Array
 
@@ -26,14 +25,14 @@ MARGIN = 16
 STRIP = 8
 
 
-@compiled()
+@compiled
 def patch_places(start: int, length: int, stride: int) -> Array:
     """Where patches begin along one axis: the last one ends where the part does."""
     last = start + length - PATCH
     return np.minimum(np.arange(start, last + stride, stride), last)
 
 
-@compiled()
+@compiled
 def search_patches(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, flow: Array, across: Array, down: Array,
     iterations: int,
@@ -41,10 +40,10 @@ def search_patches(
     """Motion of each patch, (rows, columns, 2), in two passes: from the top left, and back."""
     rows, columns, shape = down.size, across.size, gray.shape
     gray, around, slope_x, slope_y = (
-        flattened(gray),
-        flattened(around),
-        flattened(slope_x),
-        flattened(slope_y),
+        gray.reshape(-1),
+        around.reshape(-1),
+        slope_x.reshape(-1),
+        slope_y.reshape(-1),
     )
     motions = np.empty((rows, columns, 2), np.float32)
     slopes = np.empty((rows, columns, 5), np.float32)
@@ -62,7 +61,7 @@ def search_patches(
     return motions
 
 
-@compiled()
+@compiled
 def _pass(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], motions: Array,
     slopes: Array, across: Array, down: Array, iterations: int,
@@ -119,7 +118,7 @@ def _pass(
 # calls would move more arguments than a patch has rows.
 
 
-@compiled(inline="always")
+@compiled
 def _descended(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
     u: np.float32, v: np.float32, slopes: Array,
@@ -139,7 +138,7 @@ def _descended(
     return u, v, squares - mean * total
 
 
-@compiled(inline="always")
+@compiled
 def _source_place(
     shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
 ) -> tuple[np.uint64, np.float32, np.float32]:
@@ -154,7 +153,7 @@ def _source_place(
     return there, across, down
 
 
-@compiled(inline="always")
+@compiled
 def _place(width: int, y: int, x: int, row: int, column: int) -> np.uint64:
     """Place of a patch's pixel in a flat frame."""
     return (
@@ -162,7 +161,7 @@ def _place(width: int, y: int, x: int, row: int, column: int) -> np.uint64:
     )
 
 
-@compiled(inline="always")
+@compiled
 def _slopes(
     slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
@@ -183,7 +182,7 @@ def _slopes(
     return np.float32(xx), np.float32(xy), np.float32(yy), np.float32(sum_x), np.float32(sum_y)
 
 
-@compiled(inline="always")
+@compiled
 def _mismatch(
     gray: Array, around: Array, shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
 ) -> np.float32:
@@ -203,7 +202,7 @@ def _mismatch(
     return squared - mean * plain
 
 
-@compiled(inline="always")
+@compiled
 def _differences(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
     u: np.float32, v: np.float32,
@@ -224,14 +223,14 @@ def _differences(
     return sum_of_lanes(summed), sum_of_lanes(squares), sum_of_lanes(along), sum_of_lanes(below)
 
 
-@compiled(inline="always")
+@compiled
 def _row_difference(gray: Array, here: np.uint64, upper: Any, lower: Any, down: np.float32) -> Any:
     """What lies between two rows of the continued frame more than in a patch's row."""
     moved = multiply_add(broadcast(down, PATCH), lower - upper, upper)
     return moved - load(gray, here, PATCH)
 
 
-@compiled(in_place=True)
+@compiled
 def densify(
     gray: Array,
     around: Array,
@@ -248,7 +247,7 @@ def densify(
     """
     shape, width = gray.shape, window.shape[2]
     stride, continued = np.uint64(shape[1]), np.uint64(shape[1] + 2 * MARGIN)
-    gray, around, sums = flattened(gray), flattened(around), flattened(window)
+    gray, around, sums = gray.reshape(-1), around.reshape(-1), window.reshape(-1)
     one = broadcast(np.float32(1), PATCH)
     for row in range(down.size):
         for column in range(across.size):
@@ -273,7 +272,7 @@ def densify(
                 window[axis, y, x] /= window[2, y, x]
 
 
-@compiled(inline="always")
+@compiled
 def _between(values: Array, at: np.uint64, share: np.float32) -> Any:
     """As many values as a patch has columns, by a share of a pixel further to the right."""
     left = load(values, at, PATCH)

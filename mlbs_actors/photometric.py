@@ -16,7 +16,6 @@ import numpy as np
 
 from mlbs_actors.camera import shrunk_homography
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = ["photometric_advantage"]
@@ -32,7 +31,7 @@ LEAST_NOISE, MOST_NOISE = 1.5, 3.0
 OWN_BELIEVED, CAMERA_BELIEVED = 4.0, 2.5
 
 
-@compiled(forceinline=True)
+@compiled
 def photometric_advantage(
     before: Array, now: Array, motion: Array, camera: Array, side: float, corner: Corner,
     last_corner: Corner, own: Array, largest: np.float32,
@@ -77,10 +76,10 @@ def photometric_advantage(
     return _compared(own_sums, camera_sums, _noise(camera_sums), own, known, largest)
 
 
-@compiled(in_place=True)
+@compiled
 def _write_grey(image: Array, grey: Array, border: int) -> None:
     """Brightness of BGR pixels, rounded as cv2 does, inside an image with a border above and on the left."""
-    colours = flattened(image)
+    colours = image.reshape(-1)
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             pixel, one, two = np.uint64(3 * (y * image.shape[1] + x)), np.uint64(1), np.uint64(2)
@@ -89,7 +88,7 @@ def _write_grey(image: Array, grey: Array, border: int) -> None:
             grey[y + border, x + border] = np.uint8((np.int32(weighed) + np.int32(1 << 14)) >> np.int32(15))
 
 
-@compiled()  # where the camera's horizon lies in the frame, a depth can be 0
+@compiled  # where the camera's horizon lies in the frame, a depth can be 0
 def _misfits(
     last: Array,
     newest: Array,
@@ -103,9 +102,9 @@ def _misfits(
     height, width = newest.shape
     bottom, right = last.shape[0] - 4, last.shape[1] - 4
     # In one row each: from one short row to the next it takes as long as the row itself.
-    sources, moves = np.empty((4, newest.size), np.float32), flattened(motion)
+    sources, moves = np.empty((4, newest.size), np.float32), motion.reshape(-1)
     own_x, own_y, camera_x, camera_y = sources[0], sources[1], sources[2], sources[3]
-    inside, cells = flattened(known), flattened(newest)
+    inside, cells = known.reshape(-1), newest.reshape(-1)
     for v in range(height):
         y = np.float64(v + corner[1])
         for u in range(width):
@@ -125,7 +124,7 @@ def _misfits(
     return own_misfit.reshape(newest.shape), camera_misfit.reshape(newest.shape)
 
 
-@compiled()
+@compiled
 def _quads(image: Array) -> Array:
     """All that is interpolated from a pixel on: its byte, and those of the pixels right, below and both."""
     quads, shift = np.zeros(image.shape, np.uint32), np.uint32(8)
@@ -139,13 +138,13 @@ def _quads(image: Array) -> Array:
     return quads
 
 
-@compiled()
+@compiled
 def _misfit(quads: Array, newest: Array, source_x: Array, source_y: Array) -> Array:
     """Absolute difference of pixels to their sources in the bordered last image, interpolated bilinearly.
 
     Of the sources only their parts of a pixel are left.
     """
-    flat, stride, byte = flattened(quads), np.int32(quads.shape[1]), np.int32(255)
+    flat, stride, byte = quads.reshape(-1), np.int32(quads.shape[1]), np.int32(255)
     outside, right, bottom = np.float32(-1), np.float32(quads.shape[1] - 3), np.float32(quads.shape[0] - 3)
     around, misfit = np.empty(newest.size, np.int32), np.empty(newest.size, np.int32)
     # Loops without a branch run in vector registers: out of the image a source stays on its border.
@@ -168,7 +167,7 @@ def _misfit(quads: Array, newest: Array, source_x: Array, source_y: Array) -> Ar
     return misfit
 
 
-@compiled()
+@compiled
 def _window_sums(values: Array) -> Array:
     """Sums of whole numbers over the window, the image mirrored at its border."""
     height, width = values.shape
@@ -186,7 +185,7 @@ def _window_sums(values: Array) -> Array:
     return result
 
 
-@compiled()
+@compiled
 def _noise(sums: Array) -> np.float32:
     """Median of every fourth window's mean, between the noise's bounds; counted by value, for what is above
     them all is one."""
@@ -207,7 +206,7 @@ def _noise(sums: Array) -> np.float32:
     return min(max(median, np.float32(LEAST_NOISE)), np.float32(MOST_NOISE))
 
 
-@compiled()
+@compiled
 def _compared(
     own_sums: Array, camera_sums: Array, noise: np.float32, own: Array, known: Array, largest: np.float32
 ) -> Array:

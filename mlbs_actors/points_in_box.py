@@ -9,13 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = ["points_in_box"]
 
 
-@compiled()
+@compiled
 def points_in_box(positions: Array, left: float, top: float, right: float, bottom: float) -> Array:
     """Find the points that lie in a box when rounded to whole numbers.
 
@@ -45,11 +44,11 @@ def points_in_box(positions: Array, left: float, top: float, right: float, botto
     return found[:size]
 
 
-@compiled(in_place=True)
+@compiled
 def _compare(
     positions: Array, left: np.float32, top: np.float32, right: np.float32, bottom: np.float32, inside: Array
 ) -> None:
-    flat = flattened(positions)
+    flat = positions.reshape(-1)
     for point in range(positions.shape[0]):
         x, y = np.rint(flat[np.uint64(2 * point)]), np.rint(flat[np.uint64(2 * point + 1)])
         inside[np.uint64(point)] = (x >= left) & (x < right) & (y >= top) & (y < bottom)

@@ -65,7 +65,7 @@ def group_regions(regions: Sequence[Region], shape: tuple[int, int]) -> list[Reg
     ]
 
 
-@compiled()
+@compiled
 def merge_boxes(corners: Array, height: int, width: int) -> Array:
     """Grow boxes by one pixel, or cell, and merge them until none overlap.
 

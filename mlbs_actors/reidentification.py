@@ -39,7 +39,7 @@ class Sighting:
     signatures: Array
 
 
-@compiled()
+@compiled
 def colours_at(frame: Array, positions: Array) -> Array:
     """Colours of the pixels nearest to some positions, (n, 3) uint8."""
     colours = np.empty((positions.shape[0], 3), np.uint8)
@@ -51,7 +51,7 @@ def colours_at(frame: Array, positions: Array) -> Array:
     return colours
 
 
-@compiled()
+@compiled
 def colour_signatures(rows: Array, colours: Array, count: int) -> Array:
     """Normalised colour histograms of some groups of pixels.
 

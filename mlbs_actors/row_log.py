@@ -21,7 +21,7 @@ _C0, _C1, _C2, _C3, _C4, _C5 = (
 _LOG_2 = np.float32(np.log(2.0))
 
 
-@compiled(in_place=True)
+@compiled
 def row_log(values: Array, logs: Array) -> None:
     """Logarithms within 3e-5 of exact.
 

@@ -15,7 +15,7 @@ PARTS = 32
 _ONE, _HALF = np.float32(1), np.float32(0.5)
 
 
-@compiled()
+@compiled
 def sample_flow(flow: Array, points: Array, step: tuple[float, float]) -> Array:
     """Bilinear flow vectors at full-size positions.
 
@@ -51,7 +51,7 @@ def sample_flow(flow: Array, points: Array, step: tuple[float, float]) -> Array:
     return sampled
 
 
-@compiled()
+@compiled
 def sample_map(values: Array, points: Array, step: tuple[float, float]) -> Array:
     """Bilinear values of a map (h, w) float32, (n,) float32; otherwise as :func:`sample_flow`."""
     height, width = values.shape
@@ -69,7 +69,7 @@ def sample_map(values: Array, points: Array, step: tuple[float, float]) -> Array
     return sampled
 
 
-@compiled(inline="always")
+@compiled
 def _beside(place: int, count: int) -> tuple[int, int]:
     """A place and the next one, as far as there are such."""
     return min(max(place, 0), count - 1), min(max(place + 1, 0), count - 1)

@@ -44,7 +44,7 @@ class Solution(NamedTuple):
     iterations: int
 
 
-@compiled()
+@compiled
 def solve(
     screening: Array, rhs: Array, edge: float, start: Array, tolerance: float, max_iterations: int
 ) -> Solution:
@@ -94,7 +94,7 @@ def solve(
     return Solution(value[:, 1:-1, 1:-1].copy(), residual, iterations)
 
 
-@compiled(in_place=True)
+@compiled
 def _residual(screening: Array, rhs: Array, edge: float, value: Array) -> float:
     """|b − A d| for d with a border of zeros, (k, rows + 2, columns + 2)."""
     rows, columns = screening.shape
@@ -118,7 +118,7 @@ def _residual(screening: Array, rhs: Array, edge: float, value: Array) -> float:
 # horizontal). A sweep writes into a second array: in place it could not run in vector registers.
 
 
-@compiled()
+@compiled
 def _pyramid(rows: int, columns: int, edge: float) -> tuple[Array, Array]:
     count, longer = 1, max(rows, columns)
     while longer > 1:
@@ -135,13 +135,13 @@ def _pyramid(rows: int, columns: int, edge: float) -> tuple[Array, Array]:
     return levels, edges
 
 
-@compiled(inline="always")
+@compiled
 def _level(buffer: Array, levels: Array, level: int) -> Array:
     start, rows, columns = levels[level, 0], levels[level, 1], levels[level, 2]
     return buffer[start : start + (rows + 2) * (columns + 2)].reshape(rows + 2, columns + 2)
 
 
-@compiled(in_place=True)
+@compiled
 def _sweep(
     value: Array,
     rhs: Array,
@@ -167,7 +167,7 @@ def _sweep(
             result[u] = own[u] + i[u] * misfit
 
 
-@compiled(in_place=True)
+@compiled
 def _v_cycle(
     value: Array, half: Array, rhs: Array, diagonal: Array, inverse: Array, levels: Array, edges: Array
 ) -> None:
@@ -207,7 +207,7 @@ def _v_cycle(
         _sweep(y, b, d, _level(inverse[0], levels, level), vertical, horizontal, x)
 
 
-@compiled()
+@compiled
 def _set_operators(screening: Array, diagonal: Array, inverse: Array, levels: Array, edges: Array) -> None:
     """Diagonal of every level's operator, and its reciprocal on either colour."""
     summed = np.zeros_like(diagonal)
@@ -231,7 +231,7 @@ def _set_operators(screening: Array, diagonal: Array, inverse: Array, levels: Ar
                     coarse[(v + 1) // 2, (u + 1) // 2] += s[v, u]
 
 
-@compiled(in_place=True)
+@compiled
 def _product(a: Array, b: Array, sums: Array) -> float:
     """Scalar product of two fields; summed by columns, which can run in vector registers."""
     sums[:] = 0.0
@@ -245,7 +245,7 @@ def _product(a: Array, b: Array, sums: Array) -> float:
     return total
 
 
-@compiled()
+@compiled
 def _conjugate_gradients(
     screening: Array, rhs: Array, edge: float, target: float, limit: int, value: Array
 ) -> int:
@@ -296,7 +296,7 @@ def _conjugate_gradients(
     return longest
 
 
-@compiled(in_place=True)
+@compiled
 def _apply(own: Array, edge: float, x: Array, product: Array) -> None:
     """Set product = A x; ``own`` is A's diagonal."""
     inner = x.shape[1] - 2

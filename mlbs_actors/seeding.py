@@ -80,7 +80,7 @@ def seed_trajectories(
     return TrajectoryState(ids, positions, motions, state.residuals, rows, ages, evidence, next_id)
 
 
-@compiled()
+@compiled
 def _seeded(
     ids: Array, positions: Array, motions: Array, rows: Array, ages: Array, evidence: Array, next_id: int,
     structure: Array, mean: float, wanted: Array, advantage: Array, least_advantage: float, backward: Array,
@@ -99,7 +99,7 @@ def _seeded(
     )
 
 
-@compiled()
+@compiled
 def _seeds(
     positions: Array, structure: Array, mean: float, wanted: Array, advantage: Array, least_advantage: float,
     shape: tuple[int, int], step: tuple[float, float], spacings: tuple[float, float],
@@ -115,14 +115,14 @@ def _seeds(
     return np.concatenate((seeds, more))
 
 
-@compiled()
+@compiled
 def _take(taken: Array, positions: Array, step: tuple[float, float]) -> None:
     """Mark the pixels of the shrunk frame where points are."""
     for point in range(positions.shape[0]):
         taken[pixel_of(positions, point, taken.shape, step)] = True
 
 
-@compiled()
+@compiled
 def _grid_seeds(
     structure: Array,
     mean: float,
@@ -166,7 +166,7 @@ def _grid_seeds(
     return points[:count].copy()
 
 
-@compiled()
+@compiled
 def _covered(taken: Array, y: int, x: int, half_width: Array) -> bool:
     """Whether a point is so near to a pixel, by half the width of the disc's rows."""
     reach = half_width.size - 1

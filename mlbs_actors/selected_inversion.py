@@ -10,13 +10,12 @@ import numpy as np
 
 from mlbs_actors.banded_factors import factorised, node_place
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array
 
 __all__ = ["inverse_diagonal"]
 
 
-@compiled()
+@compiled
 def inverse_diagonal(screening: Array, edge: float) -> Array:
     """Diagonal of A⁻¹, exactly.
 
@@ -40,7 +39,7 @@ def inverse_diagonal(screening: Array, edge: float) -> Array:
     # inverse[i, width + k] is Z's element (i, i + k), on both sides of the diagonal.
     inverse = np.zeros((size + width, 2 * width + 1))
     # Places in a flat array, without a sign, as in the factorisation.
-    flat, column, line = flattened(inverse), np.empty(width), np.uint64(2 * width + 1)
+    flat, column, line = inverse.reshape(-1), np.empty(width), np.uint64(2 * width + 1)
     diagonal = np.empty(screening.shape)
     for node in range(size - 1, -1, -1):
         column[:] = 0.0

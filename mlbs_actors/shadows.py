@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 from mlbs_actors.object_regions import box_of
 from mlbs_actors.trajectory_distance import trajectory_distance
@@ -159,7 +158,7 @@ def blur_weights(blur: float) -> Array:
     return np.asarray(weights, np.int32)
 
 
-@compiled()
+@compiled
 def darkened(
     picture: Array, weights: Array, ground: Array, box: tuple[int, int, int, int]
 ) -> tuple[Array, Array, Array, Array]:
@@ -167,7 +166,7 @@ def darkened(
     return _compared(smoothed(picture, weights, box), ground, box[1], box[0], picture.shape[:2], _LOG)
 
 
-@compiled()
+@compiled
 def smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) -> Array:
     """A box of a picture (h, w, 3) uint8, smoothed; past the picture's border it is mirrored at that."""
     left, top, width, height = box
@@ -179,7 +178,7 @@ def smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) -> 
     first, last = max(reach - left, 0), min(picture.shape[1] + reach - left, width + 2 * reach)
     column, row = np.empty(3 * (width + 2 * reach), np.int32), np.empty(3 * width, np.int32)
     smooth = np.empty((height, width, 3), np.uint8)
-    pixels, results, length = flattened(picture), flattened(smooth), picture.shape[1]
+    pixels, results, length = picture.reshape(-1), smooth.reshape(-1), picture.shape[1]
     for y in range(height):
         inside = column[3 * first : 3 * last]
         inside[:] = 0
@@ -203,7 +202,7 @@ def smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) -> 
     return smooth
 
 
-@compiled()
+@compiled
 def _mirrored(at: int, length: int) -> int:
     """A place of a row, mirrored at the row's first and last pixel."""
     while length > 1 and not 0 <= at < length:
@@ -211,7 +210,7 @@ def _mirrored(at: int, length: int) -> int:
     return at if length > 1 else 0
 
 
-@compiled()
+@compiled
 def likelihood_of_shadow(mean: Array, spread: Array, brightness: Array, variance: Array) -> Array:
     """:func:`shadow_likelihood` of a darkening's fields."""
     likelihood = np.empty(mean.shape, np.float32)
@@ -240,7 +239,7 @@ def _spread_into_objects(colour: Array, free: Array) -> Array:
     return ground
 
 
-@compiled()
+@compiled
 def _moments(colour: Array, free: Array, log_of: Array) -> Array:
     """Sums of log colour, its square and 1 over the free pixels of 2×2: (⌈h/2⌉, ⌈w/2⌉, 7) float32."""
     height, width = free.shape
@@ -257,7 +256,7 @@ def _moments(colour: Array, free: Array, log_of: Array) -> Array:
     return moments
 
 
-@compiled()
+@compiled
 def _take_where_found(moments: Array, ground: Array) -> None:
     """Put mean log colour and variance into ``ground`` where there is enough of it within the reach."""
     height, width, _ = ground.shape
@@ -273,7 +272,7 @@ def _take_where_found(moments: Array, ground: Array) -> None:
                 ground[y, x, 3] = variance
 
 
-@compiled()
+@compiled
 def _compared(
     smooth: Array, ground: Array, top: int, left: int, frame_shape: tuple[int, int], log_of: Array
 ) -> tuple[Array, Array, Array, Array]:
@@ -308,7 +307,7 @@ def _compared(
     return mean, spread, brightness, variance
 
 
-@compiled()
+@compiled
 def _between(pixel: int, ratio: float, count: int) -> tuple[int, int, float]:
     """The two pixels of a shrunk row of ``count`` next to a pixel of the row, and the share of the second."""
     place = min(max((pixel + 0.5) * ratio - 0.5, 0.0), count - 1.0)

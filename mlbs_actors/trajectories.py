@@ -115,7 +115,7 @@ def advance_trajectories(
     return advanced, survivors
 
 
-@compiled()
+@compiled
 def _advanced(
     ids: Array, positions: Array, rows: Array, ages: Array, evidence: Array, most_age: int,
     forward: Array, backward: Array, step: tuple[float, float], checks: tuple[float, ...],
@@ -151,14 +151,14 @@ def selected(state: TrajectoryState, positions: Array) -> TrajectoryState:
     return TrajectoryState(ids, places, motions, state.residuals, rows, ages, evidence, state.next_id)
 
 
-@compiled()
+@compiled
 def _at(
     chosen: Array, ids: Array, positions: Array, motions: Array, rows: Array, ages: Array, evidence: Array
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     return ids[chosen], positions[chosen], motions[chosen], rows[chosen], ages[chosen], evidence[chosen]
 
 
-@compiled()
+@compiled
 def evenly_spread(positions: Array, chosen: Array, spacing: float) -> Array:
     """Pick at most one point a square, so that every part of the frame has the same say.
 
@@ -214,7 +214,7 @@ def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -
     return replace(state, residuals=residuals, rows=np.arange(len(state)), evidence=evidence)
 
 
-@compiled()
+@compiled
 def _remembered(
     residuals: Array, rows: Array, ages: Array, motions: Array, predicted: Array, evidence: Array,
     advantage: Array,

@@ -22,7 +22,7 @@ __all__ = ["MOST_IN_SQUARE", "SQUARE", "pixel_of", "room_left", "within_room"]
 SQUARE, MOST_IN_SQUARE = 8, 7
 
 
-@compiled(inline="always")
+@compiled
 def pixel_of(
     positions: Array, point: int, shape: tuple[int, int], step: tuple[float, float]
 ) -> tuple[int, int]:
@@ -32,13 +32,13 @@ def pixel_of(
     return y, x
 
 
-@compiled()
+@compiled
 def _room_in_squares(shape: tuple[int, int]) -> Array:
     """What each square of a shrunk frame (h, w) takes while it is empty, (⌈h/8⌉, ⌈w/8⌉) int64."""
     return np.full((-(-shape[0] // SQUARE), -(-shape[1] // SQUARE)), MOST_IN_SQUARE)
 
 
-@compiled()
+@compiled
 def room_left(positions: Array, shape: tuple[int, int], step: tuple[float, float]) -> Array:
     """How many more trajectories each square takes, (⌈h/8⌉, ⌈w/8⌉) int64; below 0 where too many are.
 
@@ -58,7 +58,7 @@ def room_left(positions: Array, shape: tuple[int, int], step: tuple[float, float
     return room
 
 
-@compiled()
+@compiled
 def within_room(
     positions: Array, ages: Array, oldest: int, shape: tuple[int, int], step: tuple[float, float]
 ) -> Array:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.lanes import LANES, Lanes, broadcast, broadcast_lane, load, minimum, shifted, store
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.points_in_box import points_in_box
@@ -47,7 +46,7 @@ def trajectory_distance(positions: Array, cells: Region, side: int) -> Array:
     return np.asarray(to_occupied(occupied, side))
 
 
-@compiled()
+@compiled
 def occupied_cells(positions: Array, side: int, left: int, top: int, width: int, height: int) -> Array:
     """In which cells of a region, in units of cells, some positions lie: (h, w) bool."""
     occupied = np.zeros((height, width), np.bool_)
@@ -55,7 +54,7 @@ def occupied_cells(positions: Array, side: int, left: int, top: int, width: int,
     return occupied
 
 
-@compiled()
+@compiled
 def occupy(occupied: Array, positions: Array, side: int, left: int, top: int) -> None:
     """Add those of other positions to :func:`occupied_cells`."""
     x, y, height, width = side * left, side * top, side * occupied.shape[0], side * occupied.shape[1]
@@ -65,7 +64,7 @@ def occupy(occupied: Array, positions: Array, side: int, left: int, top: int) ->
         occupied[row, column] = True
 
 
-@compiled()
+@compiled
 def to_occupied(occupied: Array, side: int) -> Array:
     """Distance of cells of this side to the nearest of some: (h, w) float32, px; infinite without any."""
     height, width = occupied.shape
@@ -73,7 +72,7 @@ def to_occupied(occupied: Array, side: int) -> Array:
     stride, told = room + 2 * _BORDER, np.empty(occupied.shape, np.float32)
     cells = np.full((height + 2 * _BORDER) * stride, np.float32(np.inf))
     # Cells past the right border, up to a whole register, are told too: no way is shorter by way of them.
-    own, results, infinite = flattened(occupied), flattened(told), broadcast(np.float32(np.inf), LANES)
+    own, results, infinite = occupied.reshape(-1), told.reshape(-1), broadcast(np.float32(np.inf), LANES)
     for y in range(height):
         first = (y + _BORDER) * stride + _BORDER
         for x in range(width):
@@ -98,7 +97,7 @@ def to_occupied(occupied: Array, side: int) -> Array:
     return told
 
 
-@compiled(inline="always")
+@compiled
 def _stepped_from(cells: Array, place: np.uint64, near: np.uint64, stride: int) -> Lanes:
     """Some cells of a row after steps to them from the next row and the one behind it."""
     one, two, further = np.uint64(1), np.uint64(2), np.uint64(np.int64(near) + stride)
@@ -113,7 +112,7 @@ def _stepped_from(cells: Array, place: np.uint64, near: np.uint64, stride: int) 
     return stepped
 
 
-@compiled(inline="always")
+@compiled
 def _stepped_right(row: Lanes, before: Lanes) -> Lanes:
     """Some cells after steps along their row, from those left of them too: of 1, of up to 3, 7 and 15."""
     infinite = broadcast(np.float32(np.inf), LANES)
@@ -125,7 +124,7 @@ def _stepped_right(row: Lanes, before: Lanes) -> Lanes:
     return stepped
 
 
-@compiled(inline="always")
+@compiled
 def _stepped_left(row: Lanes, after: Lanes) -> Lanes:
     """:func:`_stepped_right` from the row's other end."""
     infinite = broadcast(np.float32(np.inf), LANES)
@@ -137,7 +136,7 @@ def _stepped_left(row: Lanes, after: Lanes) -> Lanes:
     return stepped
 
 
-@compiled()
+@compiled
 def closed_distance(distance: Array, radius: np.float32, side: int) -> Array:
     """Distance to the morphological closing of a set, from the distance to the set itself.
 

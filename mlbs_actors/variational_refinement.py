@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.lanes import LANES, broadcast, load, square_root, store
 from mlbs_actors.messages import Array
 
@@ -47,7 +46,7 @@ _PARTS = 7
 _FIRST, _ABOVE = 7, 14  # spare rows of the system, and of what binds the pixels above to these
 
 
-@compiled()
+@compiled
 def refine_flow(
     source: Array, target: Array, left: int, top: int, flow: Array, margin: int, sweeps: int
 ) -> None:
@@ -97,37 +96,37 @@ def refine_flow(
 # row's end are numbers like others, and no pixel reads them but with a weight of 0.
 
 
-@compiled(inline="always")
+@compiled
 def _half(width: int) -> int:
     """Room for every other pixel of a row, and what is done beside the last ones."""
     return width // (2 * LANES) * LANES + LANES + 2
 
 
-@compiled(inline="always")
+@compiled
 def _row(kind: int, y: int, width: int) -> np.uint64:
     """Where a row begins."""
     return np.uint64((kind * _ROWS + (y & (_ROWS - 1))) * 2 * _half(width))
 
 
-@compiled(inline="always")
+@compiled
 def _lanes(rows: Array, kind: int, y: int, width: int, x: int) -> Any:
     """Some pixels of a row from x on, counted from the one before its first."""
     return load(rows, _row(kind, y, width) + np.uint64(x), LANES)
 
 
-@compiled(inline="always")
+@compiled
 def _alike(value: np.float32) -> Any:
     return broadcast(value, LANES)
 
 
-@compiled(inline="always")
+@compiled
 def _continue(rows: Array, row: np.uint64, width: int) -> None:
     """Repeat a row's first and last pixel."""
     rows[row] = rows[row + np.uint64(1)]
     rows[row + np.uint64(width + 1)] = rows[row + np.uint64(width)]
 
 
-@compiled(in_place=True)
+@compiled
 def _read_flow(rows: Array, y: int, width: int, flow: Array) -> None:
     for part in range(2):
         known, change = _row(_U + part, y, width), _row(_DU + part, y, width)
@@ -138,7 +137,7 @@ def _read_flow(rows: Array, y: int, width: int, flow: Array) -> None:
         _continue(rows, known, width)
 
 
-@compiled(in_place=True)
+@compiled
 def _write_flow(rows: Array, y: int, width: int, flow: Array) -> None:
     one, change, half = np.uint64(1), _row(_SPARE, 0, width), np.uint64(_half(width))
     for part in range(2):
@@ -152,7 +151,7 @@ def _write_flow(rows: Array, y: int, width: int, flow: Array) -> None:
             flow[part, y, x] = rows[known + at] + rows[change + at]
 
 
-@compiled(in_place=True)
+@compiled
 def _warp(
     rows: Array, y: int, width: int, source: Array, target: Array, left: int, top: int, margin: int,
     places: Array,
@@ -174,7 +173,7 @@ def _warp(
         there = min(max(there_y + rows[v + at], zero), bottom)
         places[at] += np.int32(np.int32(there) * np.int32(stride))
         rows[down + at] = there - np.float32(np.int32(there))
-    shown = flattened(target)
+    shown = target.reshape(-1)
     for x in range(width):  # the only one that reads here and there
         at = np.uint64(x)
         place, share = np.uint64(np.uint32(places[at])), rows[across + at]
@@ -182,7 +181,7 @@ def _warp(
         place += np.uint64(stride)
         lower = shown[place] + share * (shown[place + one] - shown[place])
         rows[difference + at] = upper + rows[down + at] * (lower - upper)
-    gray, first = flattened(source), np.uint64((y + top) * source.shape[1] + left)
+    gray, first = source.reshape(-1), np.uint64((y + top) * source.shape[1] + left)
     own = _row(_SPARE, 2, width)
     for x in range(width):
         at = np.uint64(x)
@@ -197,7 +196,7 @@ def _warp(
     _continue(rows, difference - one, width)
 
 
-@compiled(in_place=True)
+@compiled
 def _derive(rows: Array, y: int, width: int, last: int, of: int, along_x: int, along_y: int) -> None:
     """Differences of the pixels on both sides, once for the frame's mean and once for its difference."""
     above, below = max(y - 1, 0), min(y + 1, last)
@@ -211,19 +210,19 @@ def _derive(rows: Array, y: int, width: int, last: int, of: int, along_x: int, a
     _continue(rows, y_slope, width)
 
 
-@compiled(inline="always")
+@compiled
 def _made(part: int, width: int) -> np.uint64:
     """Where a part of a row's system is made."""
     return _row(_SPARE, _FIRST + part, width)
 
 
-@compiled(inline="always")
+@compiled
 def _kept(part: int, y: int, width: int, side: int) -> np.uint64:
     """Where it is kept of every other pixel, parted."""
     return _row(_KINDS, 0, width) + np.uint64((((y & (_ROWS - 1)) * 2 + side) * _PARTS + part) * _half(width))
 
 
-@compiled(in_place=True)
+@compiled
 def _bind(rows: Array, y: int, width: int, last: int) -> None:
     """The system's part for smoothness: what binds a pixel to its neighbours."""
     following = min(y + 1, last)
@@ -242,7 +241,7 @@ def _bind(rows: Array, y: int, width: int, last: int) -> None:
     rows[right + np.uint64(width)] = 0
 
 
-@compiled(in_place=True)
+@compiled
 def _fit(rows: Array, y: int, width: int, last: int) -> None:
     """The system's part for grey levels and slopes that are to stay, and then all of the pixel's own; the
     diagonal is turned over, for it is divided by only."""
@@ -283,7 +282,7 @@ def _fit(rows: Array, y: int, width: int, last: int) -> None:
         store(rows, _made(_B2, width) + at, pull - push)
 
 
-@compiled(inline="always")
+@compiled
 def _drawn(
     rows: Array,
     flow: int,
@@ -304,7 +303,7 @@ def _drawn(
     return beside + below * after - above * before
 
 
-@compiled(in_place=True)
+@compiled
 def _part(rows: Array, y: int, width: int) -> None:
     """Keep a row's system parted: half a sweep reads one half of it and does half of the work."""
     made, even, odd = _made(0, width), _kept(0, y, width, 0), _kept(0, y, width, 1)
@@ -313,7 +312,7 @@ def _part(rows: Array, y: int, width: int) -> None:
         rows[even + at], rows[odd + at] = rows[made + at + at], rows[made + at + at + np.uint64(1)]
 
 
-@compiled(in_place=True)
+@compiled
 def _relax(rows: Array, y: int, width: int, side: int) -> None:
     """Half a sweep: every other pixel of a row, from its neighbours, which are of the other half."""
     half = _half(width)

@@ -25,7 +25,6 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.compilation import compiled
-from mlbs_actors.flattened import flattened
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["MAX_MISS_PX", "interpolate_map", "nearest_sources", "warp_map"]
@@ -34,7 +33,7 @@ __all__ = ["MAX_MISS_PX", "interpolate_map", "nearest_sources", "warp_map"]
 MAX_MISS_PX = 1.0
 
 
-@compiled(forceinline=True)
+@compiled
 def nearest_sources(residual: Array, shift_x: int, shift_y: int, motion: Array) -> tuple[Array, Array]:
     """Which stack of frame t−1 each pixel of frame t takes over, and its new residual.
 
@@ -67,11 +66,11 @@ def nearest_sources(residual: Array, shift_x: int, shift_y: int, motion: Array) 
     return source, new_residual
 
 
-@compiled()
+@compiled
 def _find_sources(
     residual: Array, motion: Array, shift_x: int, shift_y: int, source: Array, new_residual: Array
 ) -> None:
-    stored, half, zero = flattened(residual), np.float32(0.5), np.float32(0)
+    stored, half, zero = residual.reshape(-1), np.float32(0.5), np.float32(0)
     height, width = np.int32(residual.shape[0]), np.int32(residual.shape[1])
     count = source.shape[1]
     column, row, place = np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)
@@ -79,7 +78,7 @@ def _find_sources(
     part, step = np.empty((2, count), np.float32), np.empty((2, count), np.float32)
     rest, inside = np.empty((2, count), np.float32), np.empty(count, np.bool_)
     missed = np.empty(count + 1, np.int32)
-    all_moves, all_rests, pair = flattened(motion), flattened(new_residual), 2 * count
+    all_moves, all_rests, pair = motion.reshape(-1), new_residual.reshape(-1), 2 * count
     # Loops without a branch, and in 32 bits, run in vector registers.
     for y in range(source.shape[0]):
         begin, end, sources = y * pair, (y + 1) * pair, source[y]
@@ -123,12 +122,12 @@ def _find_sources(
             rests[2 * x], rests[2 * x + 1] = miss_x, miss_y
 
 
-@compiled(inline="always")
+@compiled
 def _is_inside(column: np.int32, row: np.int32, width: np.int32, height: np.int32) -> bool:
     return bool((column >= 0) & (column < width) & (row >= 0) & (row < height))
 
 
-@compiled(in_place=True)
+@compiled
 def _gather(stored: Array, places: Array, rest: Array) -> None:
     """Stored residuals (x and y in turn) at some places, into (2, n)."""
     for i in range(places.size):
@@ -137,7 +136,7 @@ def _gather(stored: Array, places: Array, rest: Array) -> None:
         rest[1, i] = stored[place * np.uint64(2) + np.uint64(1)]
 
 
-@compiled(in_place=True)
+@compiled
 def _best_around(
     stored: Array, height: int, width: int, row: int, column: int, part_x: np.float32, part_y: np.float32
 ) -> tuple[int, np.float32, np.float32]:
@@ -193,7 +192,7 @@ def warp_map(
     return value, share
 
 
-@compiled(in_place=True)
+@compiled
 def interpolate_map(
     values: Array, motion: Array, shift_x: int, shift_y: int, needed: Array, value: Array, share: Array
 ) -> None:

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from mlbs_actors.actors import Cluster, Node
-from mlbs_actors.actors.parts import has_kernels
 from mlbs_actors.actors.stream_protocol import FrameReader, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SinkError
+from mlbs_actors.kernel_cache import has_machine_code
 from mlbs_actors.wording import count_of
 from orchestrator.admission import available_memory, cores, places, places_here, warn_of_cameras
 from orchestrator.command_line import Arguments
@@ -230,7 +230,7 @@ def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int) -> No
         _say(f"Joining Ray at {arguments.address}; {count}.")
         return
     _say(f"Starting Ray; {count}, up to {limit} at a time.")
-    if not has_kernels():
+    if not has_machine_code():
         _say("This is the first run of this installation: it compiles for a minute or two, once.")
     endless = sum(not spec.replayable and spec.max_frames is None for spec in due)
     if (warning := warn_of_cameras(endless, len(due), limit)) is not None:

@@ -86,7 +86,7 @@ def still_evidence(
         frame_index=frame_index,
         shape=SHAPE,
         camera=np.eye(3),
-        flow=np.zeros((2, 2, 2), np.float16),
+        flow=np.zeros((2, 2, 2), np.float32),
         flow_reliable=np.ones((2, 2), bool),
         unexplained=np.zeros((1, 1), np.uint8),
         retired=retired,

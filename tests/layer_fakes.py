@@ -59,7 +59,7 @@ def frame_of(
         frame_index=frame_index,
         shape=SHAPE,
         camera=np.eye(3),
-        flow=np.full((*half, 2), flow, np.float16),
+        flow=np.full((*half, 2), flow, np.float32),
         flow_reliable=np.full(half, reliable),
         unexplained=np.full(half, 255, np.uint8),
         retired=(),

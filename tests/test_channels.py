@@ -70,16 +70,16 @@ def test_notes_of_any_size_come_in_order() -> None:
 
 def test_a_note_that_is_there_is_told() -> None:
     with echo() as (channel, _):
-        assert not channel.has_note()
+        assert not channel.has_message()
         channel.send("now")
         assert channel.receive() == "nownow"
-        assert not channel.has_note()
+        assert not channel.has_message()
 
 
 def test_both_ends_learn_that_the_other_process_was_killed_after_its_last_note() -> None:
     with echo() as (channel, other):
         channel.send("last")
-        while not channel.has_note():
+        while not channel.has_message():
             continue
         os.kill(other.pid, signal.SIGKILL)
         other.wait()

@@ -6,144 +6,103 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import numba
 import numpy as np
 import pytest
-from numba.core.dispatcher import Dispatcher
-from numba.core.errors import NumbaError
 
-from mlbs_actors import compilation
-from mlbs_actors.actors.parts import has_kernels
-from mlbs_actors.claim_labelling import label_claims
-from mlbs_actors.messages import Array
-
-_CALLER = """
-from mlbs_actors.called import STEP, one
+from mlbs_actors import compilation, errors, kernel_cache
 from mlbs_actors.compilation import compiled
 
-@compiled()
+config: Any = numba.config
+
+CALLER = """
+from mlbs_actors import compilation, kernel_cache
+from mlbs_actors.deeper.called import STEP, one
+
+known = kernel_cache.has_machine_code()
+
+@compilation.compiled
 def total():
     return STEP * one()
 
-print(total(), sum(total.stats.cache_hits.values()))
+print(total(), sum(total.stats.cache_hits.values()), int(known))
 """
 
-_CALLED = """
+CALLED = """
 from mlbs_actors.compilation import compiled
 
 STEP = {step}
 
-@compiled()
+@compiled
 def one():
     return {value}
 """
 
 
-def run(package: Path, step: int, value: int) -> tuple[int, int]:
-    """What a function gives whose constant and function come from another module; how often it was kept."""
-    called = package / "called.py"
-    if called.read_text() != (text := _CALLED.format(step=step, value=value)):
-        called.write_text(text)
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package with the decorator, and a kernel that calls another one of a sub-package."""
+    folder = tmp_path / "mlbs_actors"
+    (folder / "deeper").mkdir(parents=True)
+    for module in (compilation, kernel_cache, errors):
+        source = Path(str(module.__file__))
+        (folder / source.name).write_text(source.read_text())
+    for name in ("__init__", "deeper/__init__"):
+        (folder / f"{name}.py").touch()
+    (folder / "caller.py").write_text(CALLER)
+    return folder
+
+
+def run(package: Path, step: int, value: int, **environment: str) -> tuple[int, int, bool]:
+    """What a kernel gives whose constant and callee come from elsewhere; how often it was kept; and whether
+    machine code was known to be there."""
+    (package / "deeper/called.py").write_text(CALLED.format(step=step, value=value))
     done = subprocess.run(
         [sys.executable, "-c", "import mlbs_actors.caller"],
         cwd=package.parent,
-        env={**os.environ, "PYTHONPATH": str(package.parent)},
+        env={**os.environ, "PYTHONPATH": str(package.parent), **environment},
         stdout=subprocess.PIPE,
         text=True,
         check=True,
     )
-    result, kept = done.stdout.split()
-    return int(result), int(kept)
+    result, kept, known = map(int, done.stdout.split())
+    return result, kept, bool(known)
 
 
-def test_a_change_of_another_module_reaches_the_functions_that_use_it(tmp_path: Path) -> None:
-    package = tmp_path / "mlbs_actors"
-    package.mkdir()
-    source = Path(compilation.__file__).read_text()
-    for name, text in (("__init__", ""), ("compilation", source), ("called", ""), ("caller", _CALLER)):
-        (package / f"{name}.py").write_text(text)
-    assert run(package, 2, 10) == (20, 0)
-    assert run(package, 2, 10) == (20, 1)
-    assert run(package, 2, 11) == (22, 0)
-    assert run(package, 30, 11) == (330, 0)
+def test_a_change_of_another_module_reaches_the_functions_that_use_it(package: Path) -> None:
+    assert run(package, 2, 10) == (20, 0, False)
+    os.utime(package / "caller.py")
+    assert run(package, 2, 10)[0] == 20
+    assert run(package, 2, 10) == (20, 1, True)
+    assert run(package, 2, 11) == (22, 0, False)
+    assert run(package, 30, 11) == (330, 0, False)
 
 
-_LATE_CALLER = """
-from mlbs_actors.called import one
-from mlbs_actors.compilation import compiled
-
-first = one()
-kept = sum(one.stats.cache_hits.values())
-
-@compiled()
-def twice():
-    return 2 * one()
-
-print(first + twice(), kept)
-"""
+def test_machine_code_of_the_newest_versions_only_is_kept(package: Path) -> None:
+    for value in range(5):
+        run(package, 2, value)
+    assert len(list((package / "__pycache__").glob("kernels-*"))) == 3
+    assert run(package, 2, 4) == (8, 1, True)
 
 
-@pytest.mark.parametrize("loaded", [False, True])
-def test_a_kernel_that_was_kept_can_be_built_into_others(tmp_path: Path, loaded: bool) -> None:
-    package = tmp_path / "mlbs_actors"
-    package.mkdir()
-    source = Path(compilation.__file__).read_text()
-    for name, text in (("__init__", ""), ("compilation", source), ("called", ""), ("caller", _LATE_CALLER)):
-        (package / f"{name}.py").write_text(text)
-    if loaded:
-        run(package, 2, 10)
-        for kept in (package / "__pycache__").glob("caller.twice*"):  # which is to be built again
-            kept.unlink()
-    assert run(package, 2, 10) == (30, int(loaded))
-
-
-def test_kernels_are_kept_that_are_younger_than_the_modules(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_beside_a_package_that_is_read_only_the_user_s_cache_takes_the_machine_code(
+    package: Path, tmp_path: Path
 ) -> None:
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    assert isinstance(label_claims, Dispatcher)  # the one that is looked for
-    module = tmp_path / "claim_labelling.py"
-    kept = tmp_path / "__pycache__/claim_labelling.label_claims-1.py311.nbi"
-    module.touch()
-    assert not has_kernels(tmp_path)
-    kept.parent.mkdir()
-    kept.touch()
-    os.utime(module, (1, 1))
-    assert has_kernels(tmp_path)
-    os.utime(kept, (0, 0))  # of a version before
-    assert not has_kernels(tmp_path)
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "/elsewhere")  # where nobody looks
-    assert has_kernels(tmp_path)
+    cache = tmp_path / "cache"
+    (package / "__pycache__").write_text("nothing can be put into a file")
+    assert run(package, 2, 10, XDG_CACHE_HOME=str(cache)) == (20, 0, False)
+    assert run(package, 2, 10, XDG_CACHE_HOME=str(cache)) == (20, 1, True)
+    assert [folder.name for folder in cache.iterdir()] == ["mlbs-actors"]
 
 
-@compilation.compiled(in_place=True)
-def _add_row(row: Array, total: Array) -> None:
-    part = row[:]
-    for place in range(part.size):
-        total[place] += part[place]
+def test_the_place_of_a_caller_s_own_kernels_stays_as_it_is() -> None:
+    before = config.CACHE_DIR
 
+    @compiled
+    def twice(values: np.ndarray) -> np.ndarray:
+        return 2 * values
 
-@compilation.compiled(in_place=True)
-def _make_array(values: Array) -> float:
-    return float(np.zeros(values.size)[0])
-
-
-@compilation.compiled(in_place=True)
-def _give_part(values: Array) -> Array:
-    return values[1:]
-
-
-def test_a_kernel_in_place_leaves_arrays_to_those_who_made_them() -> None:
-    rows, total = np.arange(12.0).reshape(3, 4), np.zeros(4)
-    before = sys.getrefcount(rows), sys.getrefcount(total)
-    for row in rows:
-        _add_row(row, total)
-    del row
-    np.testing.assert_array_equal(total, rows.sum(axis=0))
-    assert (sys.getrefcount(rows), sys.getrefcount(total)) == before
-
-
-@pytest.mark.parametrize("kernel", [_make_array, _give_part])
-def test_a_kernel_in_place_that_makes_or_returns_an_array_is_refused(kernel: Dispatcher) -> None:
-    with pytest.raises(NumbaError):
-        kernel(np.zeros(3))
+    assert before == config.CACHE_DIR
+    assert twice(np.ones(2)).tolist() == [2.0, 2.0]

@@ -268,7 +268,7 @@ def test_the_maps_of_a_frame_share_one_grid() -> None:
         assert evidence.shape == SHAPE
         assert evidence.flow.shape == (*grid, 2)
         assert evidence.flow_reliable.shape == evidence.unexplained.shape == grid
-        assert evidence.flow.dtype == np.float16
+        assert evidence.flow.dtype == np.float32
         assert evidence.unexplained.dtype == np.uint8
     for t in (0, 6):
         square = np.s_[35:50, 20 + 4 * t + 5 : 20 + 4 * t + 20]

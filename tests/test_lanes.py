@@ -28,7 +28,7 @@ from mlbs_actors.lanes import (
 from mlbs_actors.messages import Array
 
 
-@compiled()
+@compiled
 def _of_sixteen(values: Array, result: Array) -> None:
     one, other = load(values, np.uint64(1), 16), load(values, np.uint64(4), 16)
     store(result, np.uint64(0), one + other)
@@ -43,7 +43,7 @@ def _of_sixteen(values: Array, result: Array) -> None:
     store(result, np.uint64(144), exp2_of_whole(truncated(one)))
 
 
-@compiled()
+@compiled
 def _between_lanes(values: Array, result: Array) -> np.float32:
     one, other = load(values, np.uint64(0), 16), load(values, np.uint64(16), 16)
     store(result, np.uint64(0), shifted(one, other, 5))
@@ -52,7 +52,7 @@ def _between_lanes(values: Array, result: Array) -> np.float32:
     return together
 
 
-@compiled()
+@compiled
 def _of_eight_bytes(values: Array, result: Array) -> None:
     store(result, np.uint64(2), load(values, np.uint64(3), 8) / broadcast(np.float32(3), 8))
 
@@ -87,7 +87,7 @@ def test_bytes_become_numbers_and_nothing_beside_is_written(most: int) -> None:
     assert not result[[0, 1, 10, 11]].any()
 
 
-@compiled()
+@compiled
 def _sums_of_whole_numbers(shorts: Array, bytes_: Array) -> tuple[int, int, int]:
     one, other = load_int32(shorts, np.uint64(1), 8), load_int32(bytes_, np.uint64(2), 8)
     return sum_of_lanes(one * other), sum_of_lanes(one + other), sum_of_lanes(one - broadcast(np.int32(3), 8))
@@ -101,7 +101,7 @@ def test_whole_numbers_are_summed_exactly() -> None:
     assert _sums_of_whole_numbers(shorts, bytes_) == expected
 
 
-@compiled()
+@compiled
 def _product_and_third(numbers: Array, shorts: Array, result: Array) -> None:
     one, other = load(numbers, np.uint64(0), 8), load(shorts, np.uint64(1), 8)
     store(result, np.uint64(0), multiply_add(one, other, one))
@@ -116,7 +116,7 @@ def test_a_product_and_a_third_number_are_added_with_the_error_of_one_or_two_rou
     np.testing.assert_allclose(result, exact, rtol=3e-7)
 
 
-@compiled()
+@compiled
 def _gathered_and_chosen(numbers: Array, places: Array, result: Array) -> None:
     found = gathered(numbers, load_int32(places, np.uint64(1), 8))
     store(result, np.uint64(0), found)

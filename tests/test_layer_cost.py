@@ -31,7 +31,7 @@ def evidence_of(seed: int) -> FrameEvidence:
     half = (SHAPE[0] // 2, SHAPE[1] // 2)
     return replace(
         frame_of([]),
-        flow=rng.normal(0, 2, (*half, 2)).astype(np.float16),
+        flow=rng.normal(0, 2, (*half, 2)).astype(np.float32),
         flow_reliable=rng.random(half) < 0.6,
         unexplained=rng.integers(0, 100, half).astype(np.uint8),
     )

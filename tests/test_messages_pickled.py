@@ -27,7 +27,7 @@ def test_evidence_is_the_same_in_every_field(points: tuple[int, ...]) -> None:
         frame_index=41,
         shape=(48, 64),
         camera=rng.random((3, 3)),
-        flow=rng.random((24, 32, 2)).astype(np.float16),
+        flow=rng.random((24, 32, 2)).astype(np.float32),
         flow_reliable=rng.random((24, 32)) < 0.5,
         unexplained=rng.integers(0, 256, (24, 32)).astype(np.uint8),
         retired=(7, 9),

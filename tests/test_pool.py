@@ -30,12 +30,11 @@ from ray.exceptions import RayActorError
 
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
 from mlbs_actors.actors.channels import take
-from mlbs_actors.actors.layer import LayerStart
-from mlbs_actors.actors.layer_notes import FrameNotes, SharedFrame, read_posterior
+from mlbs_actors.actors.layer import LayerStart, LayerStep
 from mlbs_actors.actors.pool import PoolActor
 from mlbs_actors.actors.processes import end, identity, spawn
 from mlbs_actors.actors.saved_states import SavedLayer
-from mlbs_actors.actors.shared_memory import SharedMemory, SlotKind, SlotPool
+from mlbs_actors.actors.shared_memory import SharedMemory, SlotPool
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.errors import ActorLostError, LayerError
 from mlbs_actors.messages import LayerEvidence
@@ -159,17 +158,11 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
     told = memory.share(evidence, slots.take("evidence"))
     frame = memory.share(SourceFrame(0, picture(0), 0.0, "0"), slots.take("frame"))
     born = memory.share(capture(Memory(4)), slots.take("state"))
-    unread: SlotKind = "segmentation"
-    memory.share(picture(0), slots.take(unread))
     served = kept.serve.remote(again)
     with take(offer) as channel:
-        channel.send(LayerStart(SavedLayer(3, "object", -1), born, memory.known((unread,))))
-        notes = FrameNotes(SharedFrame(evidence, picture(0), None, told, frame, None))
-        answer = slots.take("posterior")
-        channel.send(notes.to(3, answer))
-        assert read_posterior(channel.receive(), memory, answer).layer == 3
-        mapped = Path(f"/proc/{offer.owner}/maps").read_text()
-        assert all(f"mlbs-{kind}" in mapped for kind in ("evidence", "frame", unread))
+        channel.send(LayerStart(SavedLayer(3, "object", -1), born))
+        channel.send(LayerStep(told, frame, None, slots.take("posterior"), None))
+        assert memory.taken(channel.receive()).layer == 3
     ray.get(served)
     end([pool])
 

@@ -62,7 +62,7 @@ def evidence_of(
         frame_index=frame_index,
         shape=SHAPE,
         camera=np.eye(3),
-        flow=np.zeros((*SHAPE, 2), np.float16),
+        flow=np.zeros((*SHAPE, 2), np.float32),
         flow_reliable=np.zeros(SHAPE, bool),
         unexplained=np.zeros(SHAPE, np.uint8),
         retired=(),

@@ -55,7 +55,7 @@ def evidence(layer: int = 1, positions: Array | None = None) -> FrameEvidence:
         frame_index=1,
         shape=SHAPE,
         camera=np.eye(3),
-        flow=np.zeros((*half, 2), np.float16),
+        flow=np.zeros((*half, 2), np.float32),
         flow_reliable=np.zeros(half, bool),
         unexplained=np.zeros(half, np.uint8),
         retired=(),

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotKind, SlotPool
+from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.errors import ActorLostError, LayerError
 from mlbs_actors.messages import Array, LayerEvidence
@@ -102,23 +102,6 @@ def test_slots_of_a_frame_are_lent_again_in_the_same_order() -> None:
     slots.give_back(first)
     again = [slots.take("posterior") for _ in range(4)]
     assert [one.descriptor for one in again] == [one.descriptor for one in first]
-
-
-def test_slots_that_one_process_has_met_can_be_found_by_another_at_once() -> None:
-    slots, writer, reader = SlotPool(), SharedMemory(), SharedMemory()
-    kinds: tuple[SlotKind, ...] = ("frame", "frame", "posterior")
-    taken = [writer.share(noise(4, 4, seed), slots.take(kind)) for seed, kind in enumerate(kinds)]
-    reader.learn(writer.known(("frame", "segmentation")))
-    found = set(map(tuple, reader.places()[:, :2].tolist()))
-    assert found == {(one.slot.owner, one.slot.descriptor) for one in taken[:2]}
-    for seed, one in enumerate(taken):
-        assert np.array_equal(reader.taken(one), noise(4, 4, seed))
-
-
-def test_who_is_told_of_slots_of_an_owner_that_is_gone_finds_none() -> None:
-    reader = SharedMemory()
-    reader.learn([Slot("frame", 2**22 + 1, 3, 1)])  # beyond the greatest process id
-    assert len(reader.places()) == 0
 
 
 def test_no_two_messages_of_an_owner_have_the_same_turn() -> None:

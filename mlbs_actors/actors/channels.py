@@ -1,8 +1,8 @@
-"""Notes between two processes of a stream, on one node and without Ray between them.
+"""Messages between two processes of a stream, on one node and without Ray between them.
 
-A call through Ray takes a millisecond of CPU time, in three processes; a note through a pipe takes a fiftieth
-of that. Ray starts and ends the processes, and tells what became of them; what passes between them for every
-frame goes this way, the arrays through memory (:mod:`mlbs_actors.actors.shared_memory`).
+A call through Ray takes a millisecond of CPU time, in three processes; a message through a pipe takes a
+fiftieth of that. Ray starts and ends the processes, and tells what became of them; what passes between them
+for every frame goes this way, the arrays through memory (:mod:`mlbs_actors.actors.shared_memory`).
 
 One process offers a channel, another one takes it. Like that memory, the pipes have no name: they are found
 through their owner's ``/proc`` entry, which the system opens for the same user only, and nothing is left of
@@ -13,18 +13,15 @@ from __future__ import annotations
 
 import os
 import pickle
-import select
-import struct
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
-from math import ceil
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any
 
-__all__ = ["LENGTH", "Channel", "ChannelClosedError", "ChannelOffer", "OfferedChannel", "framed", "take"]
+__all__ = ["Channel", "ChannelClosedError", "ChannelOffer", "OfferedChannel", "take"]
 
 
 class ChannelClosedError(Exception):
@@ -48,83 +45,38 @@ class ChannelOffer:
     incoming: int
 
 
-#: Before each note: its length, bytes; and whether it is pickled.
-LENGTH = struct.Struct("<I?")
-
-#: Read at once, bytes: most notes are shorter.
-_CHUNK = 1 << 13
-
-
-def framed(note: object) -> bytes:
-    """A picklable note as it is sent, bytes as they are."""
-    content = note if isinstance(note, bytes) else pickle.dumps(note, pickle.HIGHEST_PROTOCOL)
-    return LENGTH.pack(len(content), content is not note) + content
-
-
 class Channel:
     """One end of a channel; closed at the end of a ``with`` block.
-
-    Python's connections would send and receive, too, but in a process that has just been woken they take
-    twice as long: what they run through is no longer in the caches. So they only hold the ends of the pipes.
 
     Parameters
     ----------
     incoming, outgoing : Connection
-
-    Attributes
-    ----------
-    unread : bytes
-        Received, and not yet returned.
     """
 
     def __init__(self, incoming: Connection, outgoing: Connection) -> None:
         self._incoming = incoming
         self._outgoing = outgoing
-        self.unread = b""
-        self._readable = select.poll()
-        self._readable.register(incoming, select.POLLIN)
 
-    def send(self, note: object) -> None:
-        """Send a picklable note of some kilobytes, bytes as they are; raises ChannelClosedError."""
-        rest = memoryview(framed(note))
+    def send(self, message: object) -> None:
+        """Send a picklable message of some kilobytes; raises ChannelClosedError."""
         try:
-            while rest:
-                rest = rest[os.write(self._outgoing.fileno(), rest) :]
+            self._outgoing.send_bytes(pickle.dumps(message, pickle.HIGHEST_PROTOCOL))
         except OSError:
             raise ChannelClosedError from None
 
     def receive(self) -> Any:
-        """Wait for the next note, also of a process that has ended since; raises ChannelClosedError."""
-        while (end := self._end_of_note()) is None:
-            try:
-                chunk = os.read(self._incoming.fileno(), _CHUNK)
-            except OSError:
-                raise ChannelClosedError from None
-            if not chunk:
-                raise ChannelClosedError
-            self.unread += chunk
-        content, pickled = self.unread[LENGTH.size : end], self.unread[LENGTH.size - 1]
-        self.unread = self.unread[end:]
-        return pickle.loads(content) if pickled else content
+        """Wait for the next message, also of a process that has ended since; raises ChannelClosedError."""
+        try:
+            return pickle.loads(self._incoming.recv_bytes())
+        except (EOFError, OSError):
+            raise ChannelClosedError from None
 
-    def has_note(self, seconds: float = 0.0) -> bool:
+    def has_message(self, seconds: float = 0.0) -> bool:
         """Whether :meth:`receive` would not wait, or after so many seconds would not."""
-        return self._end_of_note() is not None or bool(self._readable.poll(ceil(1e3 * seconds)))
-
-    def _end_of_note(self) -> int | None:
-        """Where the next note ends in what was received, if all of it is there."""
-        if len(self.unread) < LENGTH.size:
-            return None
-        end = LENGTH.size + int(LENGTH.unpack_from(self.unread)[0])
-        return end if end <= len(self.unread) else None
-
-    @property
-    def ends(self) -> tuple[int, int]:
-        """File descriptors of what is read from, and of what is written to."""
-        return self._incoming.fileno(), self._outgoing.fileno()
+        return self._incoming.poll(seconds)
 
     def close(self) -> None:
-        """Let the other end know that no more notes come from here, and that none are read."""
+        """Let the other end know that no more messages come from here, and that none are read."""
         self._incoming.close()
         self._outgoing.close()
 
@@ -163,25 +115,19 @@ class OfferedChannel:
         self._other_incoming.close()
         return channel
 
-    def serve(
-        self, answers: Callable[[Any], Iterable[object]], then: Callable[[Channel], None] | None = None
-    ) -> None:
-        """Take the notes that come, once the other end has been taken, until that is closed.
+    def serve(self, answers: Callable[[Any], Iterable[object]]) -> None:
+        """Answer the messages that come, once the other end has been taken, until that is closed.
 
         Parameters
         ----------
         answers : callable
-            What is to be sent back for a note, as it is made. If it finds a channel of its own closed, that
-            is the end, too.
-        then : callable, optional
-            Called after each note, once it is answered; it may take the next ones itself.
+            What is to be sent back for a message, as it is made. If it finds a channel of its own closed,
+            that is the end, too.
         """
         with suppress(ChannelClosedError), self.taken() as channel:
             while True:
                 for answer in answers(channel.receive()):
                     channel.send(answer)
-                if then is not None:
-                    then(channel)
 
 
 def take(offer: ChannelOffer) -> Channel:

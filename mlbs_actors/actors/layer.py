@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from mlbs_actors.actors.channels import Channel, ChannelOffer, OfferedChannel
+from mlbs_actors.actors.channels import ChannelOffer, OfferedChannel
 from mlbs_actors.actors.idle_threads import look_round_seldom
-from mlbs_actors.actors.layer_notes import LayerStep, read_step, write_posterior
 from mlbs_actors.actors.order import FrameOrder
-from mlbs_actors.actors.parts import LayerPart, NoteLoop, PartFactory
+from mlbs_actors.actors.parts import LayerPart, PartFactory
 from mlbs_actors.actors.priority import stepping_back
 from mlbs_actors.actors.saved_states import SavedLayer, SaveState, StateWriter, layer_file
-from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot, SlotKind
+from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
+from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import LayerError
@@ -21,29 +21,39 @@ from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.process_memory import settle_memory
 from mlbs_actors.state_file import CapturedState, capture
 
-__all__ = ["LayerActor", "LayerStart", "LayerWork"]
-
-#: What a layer reads of each frame.
-_READ: tuple[SlotKind, ...] = ("frame", "evidence", "segmentation")
+__all__ = ["LayerActor", "LayerStart", "LayerStep", "LayerWork"]
 
 
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LayerStart:
-    """The layer that a process is to be from now on.
-
-    Attributes
-    ----------
-    own : SavedLayer
-    state : Shared
-        Of its part.
-    slots : tuple of Slot
-        Those that it will have to read, as far as they are known.
-    """
+    """The layer that a process is to be from now on, and the state of its part."""
 
     own: SavedLayer
     state: Shared[CapturedState]
-    slots: tuple[Slot, ...]
+
+
+@pickled_by_values
+@dataclass(frozen=True, slots=True)
+class LayerStep:
+    """A frame that a layer is to do.
+
+    Attributes
+    ----------
+    evidence, frame : Shared
+    previous : Shared, optional
+        Published result of the frame before; None if there is none.
+    answer : Slot
+        For the posterior.
+    appearance : Slot, optional
+        For what the layer remembers after that; None if nobody wants it.
+    """
+
+    evidence: Shared[FrameEvidence]
+    frame: Shared[SourceFrame]
+    previous: Shared[Segmentation] | None
+    answer: Slot
+    appearance: Slot | None
 
 
 class LayerWork:
@@ -57,36 +67,23 @@ class LayerWork:
         In the state of that frame.
     memory : SharedMemory
         Of the process.
-    loop : NoteLoop, optional
-        Of the part, for :meth:`go_on`.
 
     Attributes
     ----------
     part : LayerPart
     """
 
-    def __init__(
-        self, own: SavedLayer, part: LayerPart, memory: SharedMemory, loop: NoteLoop | None = None
-    ) -> None:
+    def __init__(self, own: SavedLayer, part: LayerPart, memory: SharedMemory) -> None:
         self.part = part
         self._own = own
         self._memory = memory
-        self._loop = loop
         self._order = FrameOrder(own.last_frame)
-        self._at_work = False  # a frame was done in this process: the loop goes on from what that has made
 
     def step(self, evidence: FrameEvidence, image: Array, previous: Segmentation | None) -> LayerPosterior:
         """Finish the frame before with its labels, then evaluate this one; each frame once and in order."""
         before = evidence.tracks_of(self._own.layer).last_frame
         with self._order.step(evidence.frame_index, after=before):
-            self._at_work = True
             return self.part.step(evidence, image, previous)
-
-    def go_on(self, channel: Channel) -> None:
-        """Have the loop take the notes that come now; raises as :meth:`step` does, or ChannelClosedError."""
-        if self._loop is not None and self._at_work and self._loop.suits:
-            self._order.last = None
-            self._order.last = self._loop.run(channel)
 
     def appearance(self, slot: Slot) -> Shared[LayerAppearance]:
         """Return what the layer remembers after its last step."""
@@ -102,8 +99,7 @@ class LayerWork:
         if last is None:
             raise LayerError(f"Layer {self._own.layer} has failed; start the stream again.")
         own = SavedLayer(self._own.layer, self._own.kind, last)
-        state = self._memory.share(capture(self.part.state), slot)
-        return LayerStart(own, state, self._memory.known(_READ))
+        return LayerStart(own, self._memory.share(capture(self.part.state), slot))
 
 
 class LayerActor:
@@ -147,7 +143,7 @@ class LayerActor:
     def serve(self, run: int) -> None:
         """Do the steps that come, and save the state where that is asked for, until no more can come."""
         if run == self._run:
-            self._channel.serve(self._answers, self._go_on)
+            self._channel.serve(self._answers)
             self._writer.finish()
 
     def begin(self, start: LayerStart) -> None:
@@ -155,15 +151,15 @@ class LayerActor:
         own = start.own
         part = self._parts.layer(self._config, own.layer, own.kind)
         part.state = self._memory.taken(start.state).state(type(part.state))
-        self._memory.learn(start.slots)
-        loop = self._parts.loop(part, self._memory)
-        self._work = LayerWork(own, part, self._memory, loop)
+        self._work = LayerWork(own, part, self._memory)
 
-    def step(self, step: LayerStep) -> bytes:
-        """See :meth:`LayerWork.step`; return the note of the posterior."""
+    def step(self, step: LayerStep) -> Shared[LayerPosterior]:
+        """See :meth:`LayerWork.step`."""
         assert self._work is not None  # begun
-        posterior = self._work.step(step.evidence, step.image, step.previous)
-        return write_posterior(posterior, self._memory, step.answer)
+        evidence, frame = self._memory.taken(step.evidence), self._memory.taken(step.frame)
+        previous = None if step.previous is None else self._memory.taken(step.previous)
+        assert frame.image is not None  # a quarantined frame has no evidence
+        return self._memory.share(self._work.step(evidence, frame.image, previous), step.answer)
 
     def save(self, note: SaveState) -> None:
         """Write the state, beside the work on the next frames."""
@@ -176,18 +172,13 @@ class LayerActor:
             self._run = self._work = None
             del self._memory, self._channel
 
-    def _go_on(self, channel: Channel) -> None:
-        if self._work is not None:
-            self._work.go_on(channel)
-
-    def _answers(self, note: bytes | LayerStart | SaveState) -> Iterator[object]:
-        if isinstance(note, LayerStart):
-            self.begin(note)
-        elif isinstance(note, SaveState):
-            self.save(note)
+    def _answers(self, message: LayerStart | LayerStep | SaveState) -> Iterator[object]:
+        if isinstance(message, LayerStart):
+            self.begin(message)
+        elif isinstance(message, SaveState):
+            self.save(message)
         else:
-            assert self._work is not None  # begun
-            step = read_step(note, self._memory)
-            yield self.step(step)
-            if step.appearance is not None:
-                yield self._work.appearance(step.appearance)
+            yield self.step(message)
+            if message.appearance is not None:
+                assert self._work is not None  # begun
+                yield self._work.appearance(message.appearance)

@@ -12,17 +12,47 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mlbs_actors.actors.channels import Channel, ChannelOffer, take
-from mlbs_actors.actors.layer import LayerWork
-from mlbs_actors.actors.layer_notes import FrameNotes, SharedFrame, read_posterior
+from mlbs_actors.actors.layer import LayerStep, LayerWork
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.saved_states import SavedLayer, SaveState, layer_file
 from mlbs_actors.actors.shared_memory import Shared, SharedMemory, Slot
+from mlbs_actors.actors.stream_protocol import SourceFrame
 from mlbs_actors.config import Config
-from mlbs_actors.messages import BACKGROUND, FrameEvidence, LayerAppearance, LayerPosterior, received
+from mlbs_actors.messages import (
+    BACKGROUND,
+    Array,
+    FrameEvidence,
+    LayerAppearance,
+    LayerPosterior,
+    Segmentation,
+    received,
+)
 from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.state_file import read_state
 
-__all__ = ["Housed", "LayersAtWork"]
+__all__ = ["Housed", "LayersAtWork", "SharedFrame"]
+
+
+@dataclass(frozen=True, slots=True)
+class SharedFrame:
+    """A frame as its segmenter has it, and where its layers find it.
+
+    Attributes
+    ----------
+    evidence : FrameEvidence
+    image : (H, W, 3) uint8
+    previous : Segmentation or None
+        Published result of the frame before.
+    where_evidence, where_frame, where_previous : Shared
+        The same; ``where_previous`` None if there is none.
+    """
+
+    evidence: FrameEvidence
+    image: Array
+    previous: Segmentation | None
+    where_evidence: Shared[FrameEvidence]
+    where_frame: Shared[SourceFrame]
+    where_previous: Shared[Segmentation] | None
 
 
 @pickled_by_values
@@ -101,20 +131,19 @@ class LayersAtWork:
         list of LayerPosterior
             In the order of the answers.
         """
-        notes = FrameNotes(frame)
+        where = frame.where_evidence, frame.where_frame, frame.where_previous
         for layer, answer in answers.items():
             if layer in self._elsewhere:
                 wanted = appearance if layer == BACKGROUND else None
-                self._elsewhere[layer].send(notes.to(layer, answer, wanted))
+                self._elsewhere[layer].send(LayerStep(*where, answer, wanted))
         posteriors = {
             layer: received(self._here[layer].step(frame.evidence, frame.image, frame.previous))
             for layer in answers
             if layer in self._here
         }
-        for layer, answer in answers.items():
+        for layer in answers:
             if layer in self._elsewhere:
-                note = self._elsewhere[layer].receive()
-                posteriors[layer] = read_posterior(note, self._memory, answer)
+                posteriors[layer] = self._memory.taken(self._elsewhere[layer].receive())
         return [posteriors[layer] for layer in answers]
 
     def appearance(self, layer: int, slot: Slot) -> Shared[LayerAppearance]:

@@ -223,7 +223,7 @@ class LiveReadAhead(ReadAhead):
     def _receive(self) -> Answer:
         # It may take long to open its source, but then it answers soon.
         assert self._channel is not None  # begun
-        if self._answers and not self._channel.has_note(_ANSWER_SECONDS):
+        if self._answers and not self._channel.has_message(_ANSWER_SECONDS):
             raise GetTimeoutError("A live reader does not answer.")
         said = super()._receive()
         self._answers = True

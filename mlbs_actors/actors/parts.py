@@ -6,13 +6,11 @@ The actors know the engine through :class:`PartFactory` only. :class:`EnginePart
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,8 +18,6 @@ import cv2
 import numpy as np
 from filelock import FileLock, Timeout
 
-from mlbs_actors.actors.channels import Channel
-from mlbs_actors.actors.shared_memory import SharedMemory
 from mlbs_actors.config import Config
 from mlbs_actors.messages import (
     Array,
@@ -38,10 +34,8 @@ __all__ = [
     "CoordinatorPart",
     "EngineParts",
     "LayerPart",
-    "NoteLoop",
     "PartFactory",
     "SegmenterPart",
-    "has_kernels",
 ]
 
 
@@ -88,17 +82,6 @@ class LayerPart(Protocol):
         """Return what is remembered at the frame evaluated last; nothing is changed."""
 
 
-class NoteLoop(Protocol):
-    """Does the frames of a layer without Python in between, after one that was done with it."""
-
-    @property
-    def suits(self) -> bool:
-        """Whether it can do frames as the last one was."""
-
-    def run(self, channel: Channel) -> int:
-        """Take the notes that come until one is not of a plain next frame; return the last frame done."""
-
-
 class SegmenterPart(Protocol):
     """Normalises, cuts and cleans."""
 
@@ -116,9 +99,6 @@ class PartFactory(Protocol):
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         """Make a layer."""
-
-    def loop(self, part: LayerPart, memory: SharedMemory) -> NoteLoop | None:
-        """Make what does a layer's frames faster, in a process with that memory; None if there is none."""
 
     def segmenter(self, config: Config) -> SegmenterPart:
         """Make a stream's segmenter."""
@@ -145,14 +125,6 @@ class EngineParts:
 
         return Layer(config, layer, kind)
 
-    def loop(self, part: LayerPart, memory: SharedMemory) -> NoteLoop | None:
-        """Make an object's loop."""
-        from mlbs_actors.actors.object_loop import ObjectLoop
-        from mlbs_actors.layer import Layer
-
-        assert isinstance(part, Layer)
-        return None if part.kind == "background" else ObjectLoop(part, memory)
-
     def segmenter(self, config: Config) -> SegmenterPart:
         """Make a stream's segmenter."""
         from mlbs_actors.segmenter import Segmenter
@@ -169,9 +141,6 @@ class EngineParts:
         """
         import mlbs_actors.layer  # noqa: F401  (needs no turn)
 
-        with _hidden("scipy.linalg"):
-            # It looks there for matrix products, which no kernel of a layer has: a fifth of its start.
-            import numba.np.arraymath  # noqa: F401
         with _turn("layer"):
             self._run_two_layers()
 
@@ -214,7 +183,7 @@ class EngineParts:
                     frame_index=t,
                     shape=(height, width),
                     camera=np.eye(3),
-                    flow=np.zeros((*grid, 2), np.float16),
+                    flow=np.zeros((*grid, 2), np.float32),
                     flow_reliable=np.ones(grid, bool),
                     unexplained=np.full(grid, 255, np.uint8),
                     tracks=tracks,
@@ -224,7 +193,6 @@ class EngineParts:
                     latency_frames=0,
                 )
                 part.step(received(evidence), frame, previous)
-                self._enter_loop(part)
                 segmentation = Segmentation(
                     frame_index=t,
                     labels=np.full((height, width), layer, np.uint16),
@@ -235,16 +203,6 @@ class EngineParts:
                     latency_frames=0,
                 )
                 previous = received(segmentation)
-
-    def _enter_loop(self, part: LayerPart) -> None:
-        """Compile or load the loop of an object that has done a frame; no note comes to it."""
-        loop = self.loop(part, SharedMemory())
-        if loop is None:
-            return
-        (none, ended), (answers, unsent) = Pipe(duplex=False), Pipe(duplex=False)
-        ended.close()
-        with answers, Channel(none, unsent) as channel:
-            loop.run(channel)
 
     def _label_small_scene(self) -> None:
         coordinator, segmenter = self.coordinator(Config()), self.segmenter(Config())
@@ -262,33 +220,6 @@ class EngineParts:
                     posterior = layers[own.layer].step(evidence, frame, previous)
                     posteriors.append(received(posterior))
                 made.append(received(segmenter.step(evidence, frame, posteriors)))
-
-
-def has_kernels(modules: Path = Path(__file__).parents[1]) -> bool:
-    """Whether the engine's kernels are compiled, as far as one can see where they are kept by default.
-
-    Parameters
-    ----------
-    modules : Path
-        Folder of the engine's.
-    """
-    changed = max(path.stat().st_mtime for path in modules.glob("*.py"))
-    kept = (modules / "__pycache__").glob("claim_labelling.label_claims*.nbi")
-    writeable = os.access(modules, os.W_OK) and "NUMBA_CACHE_DIR" not in os.environ
-    return not writeable or any(path.stat().st_mtime >= changed for path in kept)
-
-
-@contextmanager
-def _hidden(module: str) -> Iterator[None]:
-    """Have imports of a module fail that has not been imported yet."""
-    if module in sys.modules:
-        yield
-        return
-    sys.modules[module] = None  # type: ignore[assignment]
-    try:
-        yield
-    finally:
-        del sys.modules[module]
 
 
 @contextmanager

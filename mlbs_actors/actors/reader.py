@@ -173,7 +173,7 @@ class ReadAhead:
         """Whether :meth:`next` would wait no longer than that, s."""
         self._ask()
         assert self._channel is not None  # begun
-        return not self._asked or self._channel.has_note(seconds)
+        return not self._asked or self._channel.has_message(seconds)
 
     def problem(self) -> str | None:
         """Return :attr:`FrameReader.problem`, after :meth:`stop`; raises RayError if the process died."""

@@ -15,8 +15,7 @@ import ray
 
 from mlbs_actors.actors.channels import Channel, ChannelOffer, OfferedChannel, take
 from mlbs_actors.actors.idle_threads import look_round_seldom
-from mlbs_actors.actors.layer_notes import SharedFrame
-from mlbs_actors.actors.layers_at_work import Housed, LayersAtWork
+from mlbs_actors.actors.layers_at_work import Housed, LayersAtWork, SharedFrame
 from mlbs_actors.actors.order import FrameOrder
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.processes import Handle, Reference
@@ -253,7 +252,7 @@ class Labelling:
 
     def has_answer(self) -> bool:
         """Whether :meth:`next` would not wait."""
-        return self.under_way > 0 and self._opened.has_note()
+        return self.under_way > 0 and self._opened.has_message()
 
     def next(self) -> LabelledFrame:
         """Wait for the next label map; take the slots back that were lent for the one before it."""

@@ -21,8 +21,7 @@ import mmap
 import os
 import pickle
 import struct
-from collections.abc import Collection, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import Any, Generic, Literal, TypeVar
@@ -33,7 +32,7 @@ from mlbs_actors.errors import ActorLostError, LayerError
 from mlbs_actors.messages import Array
 from mlbs_actors.pickling import pickled_by_values
 
-__all__ = ["ALIGNMENT", "HEADER", "PLACE", "Shared", "SharedMemory", "Slot", "SlotKind", "SlotPool"]
+__all__ = ["Shared", "SharedMemory", "Slot", "SlotKind", "SlotPool"]
 
 Message = TypeVar("Message")
 
@@ -44,15 +43,15 @@ _NAME = "mlbs-"
 SlotKind = Literal["frame", "evidence", "posterior", "segmentation", "appearance", "state"]
 
 #: Arrays begin at multiples of this, bytes: what vector instructions like.
-ALIGNMENT = 64
+_ALIGNMENT = 64
 #: Least memory of a slot, bytes; it grows by doubling.
 _LEAST_BYTES = 1 << 16
 #: A turn that no message has.
 _NO_TURN = 0
 #: At the begin of a slot: the turn in which it was written, and how many arrays it holds.
-HEADER = struct.Struct("<2q")
+_HEADER = struct.Struct("<2q")
 #: Then for each array: where it is, the character of its type, how many dimensions it has, and its shape.
-PLACE = struct.Struct("<6q")
+_PLACE = struct.Struct("<6q")
 _MOST_DIMENSIONS = 3
 _TYPES = {ord(one): np.dtype(one) for one in "?bBhHiIlLqQefd"}
 
@@ -177,60 +176,35 @@ class SharedMemory:
     def put(self, arrays: Sequence[Array], slot: Slot) -> int:
         """Copy arrays of up to three dimensions into a slot; return the bytes they take, for :meth:`read`."""
         assert all(map(_can_be_held, arrays))
-        places, end = [], HEADER.size + len(arrays) * PLACE.size
+        places, end = [], _HEADER.size + len(arrays) * _PLACE.size
         for array in arrays:
-            begin = -(-end // ALIGNMENT) * ALIGNMENT
+            begin = -(-end // _ALIGNMENT) * _ALIGNMENT
             places.append(begin)
             end = begin + array.nbytes
         memory = self._mapped(slot, end, grow=True)[0]
-        HEADER.pack_into(memory, 0, _NO_TURN, 0)  # who reads too late is told so from now on
-        row = HEADER.size
+        _HEADER.pack_into(memory, 0, _NO_TURN, 0)  # from now on who still reads the old message fails
+        row = _HEADER.size
         for array, begin in zip(arrays, places, strict=True):
             shape = (*array.shape, 0, 0, 0)[:_MOST_DIMENSIONS]
-            PLACE.pack_into(memory, row, begin, ord(array.dtype.char), array.ndim, *shape)
+            _PLACE.pack_into(memory, row, begin, ord(array.dtype.char), array.ndim, *shape)
             np.ndarray(array.shape, array.dtype, memory, begin)[...] = array
-            row += PLACE.size
-        HEADER.pack_into(memory, 0, slot.turn, len(arrays))
+            row += _PLACE.size
+        _HEADER.pack_into(memory, 0, slot.turn, len(arrays))
         return end
 
     def read(self, slot: Slot, size: int) -> list[Array]:
         """Read what was :meth:`put`; views as :meth:`taken` returns them, and it raises the same."""
         whole, memory = self._mapped(slot, size, grow=False)
-        turn, arrays = HEADER.unpack_from(whole)
+        turn, arrays = _HEADER.unpack_from(whole)
         if turn != slot.turn:
             raise LayerError(
                 "A message was read after its memory had been lent again; start the stream again."
             )
-        places = PLACE.iter_unpack(memory[HEADER.size : HEADER.size + arrays * PLACE.size])
+        places = _PLACE.iter_unpack(memory[_HEADER.size : _HEADER.size + arrays * _PLACE.size])
         return [
             np.ndarray(shape[:dimensions], _TYPES[kind], memory, begin)
             for begin, kind, dimensions, *shape in places
         ]
-
-    def known(self, kinds: Collection[SlotKind]) -> tuple[Slot, ...]:
-        """Slots of these kinds that have been read or written here, without a message of theirs."""
-        return tuple(Slot(*key, _NO_TURN) for key in self._maps if key[0] in kinds)
-
-    def learn(self, slots: Iterable[Slot]) -> None:
-        """Find slots that another process has known, for who is slow where it meets a new one.
-
-        They are told, not looked for among its owner's descriptors: there the same memory is found under
-        numbers that are soon those of another one.
-        """
-        for slot in slots:
-            with suppress(ActorLostError):  # an owner that is gone is missed where its slots are read
-                self._mapped(slot, 0, grow=False)
-
-    def places(self) -> Array:
-        """Owner, descriptor, address and size of the slots that have been read or written here, (n, 4) int64.
-
-        Sizes are in bytes. All is valid until one of them is found to have grown.
-        """
-        rows = [
-            (owner, descriptor, np.frombuffer(memory, np.uint8).ctypes.data, len(whole))
-            for (_, owner, descriptor), (whole, memory) in self._maps.items()
-        ]
-        return np.array(rows, np.int64).reshape(-1, 4)
 
     def _mapped(self, slot: Slot, size: int, *, grow: bool) -> tuple[mmap.mmap, memoryview]:
         """A slot's memory, and what it is read through."""

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mlbs_actors import Config
-from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, NoteLoop, PartFactory, SegmenterPart
-from mlbs_actors.actors.shared_memory import SharedMemory
+from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, PartFactory, SegmenterPart
 from mlbs_actors.actors.stream_protocol import GapStatus, Snapshot, SourceFrame, StreamSink
 from mlbs_actors.messages import (
     Array,
@@ -52,10 +51,6 @@ class NotingParts:
         if self._own_note.exists():  # else the layer begins in the segmenter's process
             self._note("background layer" if kind == "background" else "object layer")
         return self.parts.layer(config, layer, kind)
-
-    def loop(self, part: LayerPart, memory: SharedMemory) -> NoteLoop | None:
-        """See :class:`PartFactory`."""
-        return self.parts.loop(part, memory)
 
     def segmenter(self, config: Config) -> SegmenterPart:
         """See :class:`PartFactory`."""

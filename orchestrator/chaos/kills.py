@@ -68,7 +68,6 @@ STEPS: tuple[Step, ...] = (
     Step("layer", "init", f"{_ACTORS}.layer:LayerActor.assign", "start"),
     Step("layer", "motion field", "mlbs_actors.background_frame:background_field", "going on", 16),
     Step("layer", "first evaluation", "mlbs_actors.object_frame:ObjectView.next", "going on"),
-    Step("layer", "loop", f"{_ACTORS}.object_loop:ObjectLoop.run", "going on"),
     Step("layer", "step", f"{_ACTORS}.layer:LayerActor.step", "going on", 16),
     Step("layer", "save", f"{_ACTORS}.layer:LayerActor.save", "going on"),
     Step("layer", "release", f"{_ACTORS}.layer:LayerActor.release", "end"),
