@@ -18,8 +18,12 @@ from time import perf_counter
 
 import numpy as np
 
-from mlbs_actors.affinity import TrajectoryGraph, displacement_spread, trajectory_graph
-from mlbs_actors.clustering import (
+from mlbs_actors.clustering.affinity import TrajectoryGraph, displacement_spread, trajectory_graph
+from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
+from mlbs_actors.clustering.layer_registry import LayerRegistry, RegistryState
+from mlbs_actors.clustering.motion_merging import merge_by_motion
+from mlbs_actors.clustering.reidentification import colours_at
+from mlbs_actors.clustering.splitting import (
     background_first,
     bled_trajectories,
     label_speeds,
@@ -31,16 +35,12 @@ from mlbs_actors.clustering import (
 )
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
-from mlbs_actors.flow import dense_flow, flow_gray
-from mlbs_actors.flow_focus import focus_boxes, focus_cells
-from mlbs_actors.held_frames import HeldFrame, by_layer, first_frame, held_frame, relabelled
-from mlbs_actors.label_classes import UNLABELLED, distinct_labels
-from mlbs_actors.layer_registry import LayerRegistry, RegistryState
+from mlbs_actors.flow.dense_flow import dense_flow, flow_gray
+from mlbs_actors.flow.focus import focus_boxes, focus_cells
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerKind, LayerTracks, Segmentation
-from mlbs_actors.motion_merging import merge_by_motion
-from mlbs_actors.reidentification import colours_at
-from mlbs_actors.tracking import track
-from mlbs_actors.trajectories import TrajectoryState, empty_trajectories
+from mlbs_actors.tracking.frame_buffer import HeldFrame, by_layer, first_frame, held_frame, relabelled
+from mlbs_actors.tracking.tracker import track
+from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectories
 
 __all__ = ["Coordinator", "CoordinatorState"]
 

@@ -297,12 +297,12 @@ class Segmentation:
     labels : (H, W) uint16
         Layer id of every pixel, 0 = background, cleaned.
     normaliser : (rows, columns) uint8
-        For each cell of the layers' posteriors (:mod:`mlbs_actors.cells`), −log Z in units of ``COST_STEP``
-        nats, Z the sum of the unnormalised posteriors over the layers; 255 away from all objects, where the
-        background's posterior is 1 whatever its cost.
+        For each cell of the layers' posteriors (:mod:`mlbs_actors.appearance.cells`), −log Z in units of
+        ``COST_STEP`` nats, Z the sum of the unnormalised posteriors over the layers; 255 away from all
+        objects, where the background's posterior is 1 whatever its cost.
     fallback : (rows, columns) int8
         What a layer without samples is taken to know of a pixel's colour, in units of ``fusion.RATIO_STEP``
-        nats (:mod:`mlbs_actors.fusion`); 0 away from all objects.
+        nats (:mod:`mlbs_actors.appearance.fusion`); 0 away from all objects.
     layers : tuple of LayerSummary
         The object layers that own at least one pixel, in ascending id.
     camera_motion : (float, float)

@@ -16,10 +16,10 @@ from mlbs_actors.coordinator import Coordinator, CoordinatorState
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import ConfigError, MlbsError
 from mlbs_actors.inspection import FrameInspection, inspect_frame
-from mlbs_actors.layer import Layer
-from mlbs_actors.layer_state import LayerState
+from mlbs_actors.layer.layer import Layer
+from mlbs_actors.layer.layer_state import LayerState
 from mlbs_actors.messages import Array, FrameEvidence, LayerKind, Segmentation, received
-from mlbs_actors.segmenter import Segmenter, SegmenterState
+from mlbs_actors.segmentation.segmenter import Segmenter, SegmenterState
 from mlbs_actors.state_file import capture
 
 __all__ = ["MultilayerSubtractor"]

@@ -11,7 +11,7 @@ from orchestrator.command_line import parse
 from orchestrator.credentials import mask
 from orchestrator.interruption import StopAtOnce
 from orchestrator.ray_session import ray_settings
-from orchestrator.stream_list import missing_sources, read_stream_list
+from orchestrator.run.stream_list import missing_sources, read_stream_list
 
 __all__ = ["run_command"]
 
@@ -36,7 +36,7 @@ def run_command(argv: Sequence[str]) -> int:
         missing = missing_sources(arguments.streams, streams)
         with ray_settings(arguments.address) as scratch:
             # Imported here, because it imports Ray, which reads its settings then.
-            from orchestrator.run import run
+            from orchestrator.run.run import run
 
             return run(arguments, streams, missing, config, scratch)
     except ConfigError as error:

@@ -17,7 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from orchestrator.stream_state import ENDED, StreamState
+from orchestrator.run.stream_state import ENDED, StreamState
 
 __all__ = ["JsonLines", "LiveTable", "Progress", "progress_for"]
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame, SourceSilence
+from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.messages import Array, LayerAppearance, LayerSummary, Region, Segmentation
 from orchestrator.sinks.record import StreamRecord
 

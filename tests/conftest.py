@@ -43,7 +43,7 @@ def ray_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RaySession
     with pytest.MonkeyPatch.context() as environment:
         environment.delenv("RAY_ADDRESS", raising=False)
         environment.setenv("RAY_AUTH_TOKEN_PATH", str(token))
-        environment.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)  # for the fakes
+        environment.setenv("PYTHONPATH", str(Path(__file__).parent / "fakes"), prepend=os.pathsep)
         context = ray.init(
             address="local",
             num_cpus=2,

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
+from mlbs_actors.clustering.label_index import UNLABELLED
 from mlbs_actors.config import Config
 from mlbs_actors.coordinator import Coordinator
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import FrameError
-from mlbs_actors.label_classes import UNLABELLED
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerSummary, Region, Segmentation
 
 SHAPE = (96, 128)

@@ -10,10 +10,10 @@ import pytest
 from record_fakes import write_run
 
 from mlbs_actors import MultilayerSubtractor
-from mlbs_actors.actors.stream_protocol import SourceFrame
+from mlbs_actors.actors.stream.protocol import SourceFrame
+from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.synthetic import scene
-from orchestrator.stream_state import StreamState
 
 ROOT = Path(__file__).resolve().parents[1]
 FRAMES = 12

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from mlbs_actors import Config, MultilayerSubtractor, Segmentation, background_frame
-from mlbs_actors.background_frame import background_field
-from mlbs_actors.gabp import MotionField, MotionParameters
+from mlbs_actors import Config, MultilayerSubtractor, Segmentation
 from mlbs_actors.inspection import FrameInspection
+from mlbs_actors.layer import background_frame
+from mlbs_actors.layer.background_frame import background_field
 from mlbs_actors.messages import BACKGROUND, FrameEvidence, LayerEvidence
+from mlbs_actors.motion_field.field import MotionField, MotionParameters
 from orchestrator.sources.synthetic import scene
 
 FRAMES = 10

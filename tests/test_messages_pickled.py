@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from joined_evidence import joined_evidence
 
-from mlbs_actors.actors.shared_memory import Shared, Slot
+from mlbs_actors.actors.ipc.shared_memory import Shared, Slot
 from mlbs_actors.messages import FrameEvidence, LayerEvidence, LayerSummary, Region
 
 

@@ -17,10 +17,10 @@ from mlbs_actors import Config, Segmentation
 from mlbs_actors.coordinator import Coordinator, CoordinatorState
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import SnapshotError
-from mlbs_actors.layer import Layer
-from mlbs_actors.layer_state import LayerState
+from mlbs_actors.layer.layer import Layer
+from mlbs_actors.layer.layer_state import LayerState
 from mlbs_actors.messages import Array, FrameEvidence, LayerKind
-from mlbs_actors.segmenter import Segmenter, SegmenterState
+from mlbs_actors.segmentation.segmenter import Segmenter, SegmenterState
 from mlbs_actors.state_file import capture, check_file, read_state
 from orchestrator.sources.synthetic import scene
 

@@ -121,13 +121,13 @@ class EngineParts:
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         """Make a layer."""
-        from mlbs_actors.layer import Layer
+        from mlbs_actors.layer.layer import Layer
 
         return Layer(config, layer, kind)
 
     def segmenter(self, config: Config) -> SegmenterPart:
         """Make a stream's segmenter."""
-        from mlbs_actors.segmenter import Segmenter
+        from mlbs_actors.segmentation.segmenter import Segmenter
 
         return Segmenter(config)
 
@@ -139,7 +139,7 @@ class EngineParts:
         compiles for most of a minute and leaves its kernels on disk, where the others would all compile the
         same.
         """
-        import mlbs_actors.layer  # noqa: F401  (needs no turn)
+        import mlbs_actors.layer.layer  # noqa: F401  (needs no turn)
 
         with _turn("layer"):
             self._run_two_layers()
@@ -152,7 +152,7 @@ class EngineParts:
         it. Where nothing is compiled yet, a process for layers compiles theirs meanwhile.
         """
         import mlbs_actors.coordinator
-        import mlbs_actors.segmenter  # noqa: F401  (need no turn)
+        import mlbs_actors.segmentation.segmenter  # noqa: F401  (need no turn)
 
         with _turn("stream"):
             self._label_small_scene()
@@ -261,8 +261,8 @@ def _small_scene(frames: int = 7) -> Iterator[Array]:
 
 def _cut_images() -> None:
     """Cut an image whole and one by blocks: a label that saves two others, and one that two share out."""
-    from mlbs_actors.graph_cut import searched_labels
-    from mlbs_actors.label_cost_energy import LabelCostEnergy
+    from mlbs_actors.graphcut.energy import LabelCostEnergy
+    from mlbs_actors.graphcut.graph_cut import searched_labels
 
     side = 2
     for cells in (16, 32):
@@ -281,8 +281,8 @@ def _cut_images() -> None:
 
 def _find_contact_shadow() -> None:
     """Look at a square with a dark strip under it."""
-    from mlbs_actors.contact_shadow import contact_shadow
-    from mlbs_actors.shadows import Darkening
+    from mlbs_actors.segmentation.contact_shadow import contact_shadow
+    from mlbs_actors.segmentation.shadows import Darkening
 
     side, cells = 2, 40
     image = np.full((side * cells, side * cells, 3), 125, np.uint8)
@@ -297,7 +297,7 @@ def _find_contact_shadow() -> None:
 
 def _publish_again() -> None:
     """Publish labels that were found in the general way, and tally them anew as without a shadow."""
-    from mlbs_actors.claim_labelling import Claims, Tally, publish_claims, tally
+    from mlbs_actors.segmentation.group_labelling import Claims, Tally, publish_claims, tally
 
     side, cells = 2, 8
     cost, boxes, tracks = (
@@ -322,7 +322,7 @@ def _read_only(array: Array) -> Array:
 
 def _focus_on_crowd() -> None:
     """Part cells in two corners, one box around which would be most of the frame."""
-    from mlbs_actors.flow_focus import CELL, focus_boxes
+    from mlbs_actors.flow.focus import CELL, focus_boxes
 
     cells = np.zeros((12, 16), bool)
     cells[:6, :6] = cells[6:, 6:] = True

@@ -16,18 +16,18 @@ from typing import Any
 import ray
 from ray.exceptions import GetTimeoutError, RayError
 
-from mlbs_actors.actors.bell import Bell
-from mlbs_actors.actors.coordinator import CoordinatorActor, StreamLinks
-from mlbs_actors.actors.failures import COORDINATOR, POOL, SEGMENTER, explain
-from mlbs_actors.actors.live_reader import LiveReaderActor
+from mlbs_actors.actors.ipc.wakeup import Bell
+from mlbs_actors.actors.node.failures import COORDINATOR, POOL, SEGMENTER, explain
+from mlbs_actors.actors.node.pool import PoolActor, PoolCensus, PoolPolicy
+from mlbs_actors.actors.node.processes import Handle, Reference, end, identity, spawn, spawn_standby
+from mlbs_actors.actors.node.turns import Turns
 from mlbs_actors.actors.parts import EngineParts, PartFactory
-from mlbs_actors.actors.pool import PoolActor, PoolCensus, PoolPolicy
-from mlbs_actors.actors.processes import Handle, Reference, end, identity, spawn, spawn_standby
-from mlbs_actors.actors.reader import ReaderActor
-from mlbs_actors.actors.segmenter import SegmenterActor
-from mlbs_actors.actors.sink import SinkActor
-from mlbs_actors.actors.stream_protocol import RunningStream, StreamProgress, StreamSpec
-from mlbs_actors.actors.turns import Turns
+from mlbs_actors.actors.stream.coordinator_actor import CoordinatorActor, StreamLinks
+from mlbs_actors.actors.stream.live_reader import LiveReaderActor
+from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress, StreamSpec
+from mlbs_actors.actors.stream.reader import ReaderActor
+from mlbs_actors.actors.stream.segmenter_actor import SegmenterActor
+from mlbs_actors.actors.stream.sink import SinkActor
 from mlbs_actors.errors import MlbsError
 
 __all__ = ["Node", "StreamActors", "sinks_of"]

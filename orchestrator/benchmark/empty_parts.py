@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mlbs_actors import Config, MultilayerSubtractor
+from mlbs_actors.actors.ipc.shared_memory import SharedMemory
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, SegmenterPart
-from mlbs_actors.actors.shared_memory import SharedMemory
-from mlbs_actors.actors.stream_protocol import GapStatus, Opening, Snapshot, SourceFrame
+from mlbs_actors.actors.stream.protocol import GapStatus, Opening, Snapshot, SourceFrame
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
@@ -24,7 +24,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
-from mlbs_actors.segmenter import Segmenter
+from mlbs_actors.segmentation.segmenter import Segmenter
 
 __all__ = ["EmptyParts", "EmptyReader", "EmptySink", "FrameMessages", "last_messages"]
 

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mlbs_actors import Config, MultilayerSubtractor
+from mlbs_actors.actors.node.process_memory import settle_memory
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.messages import Array
-from mlbs_actors.process_memory import settle_memory
 
 __all__ = ["EngineCall", "EngineCost", "play", "steady_cost"]
 

@@ -1,9 +1,10 @@
 """A node with many streams, simulated from what one stream was measured to cost.
 
 Each actor of a stream does one frame at a time, on whichever core is free first; a sink serves several
-streams. A frame waits as in a run (:mod:`mlbs_actors.actors.coordinator`): it is tracked once the label map
-of two frames before is there, the layers wait for that of the frame before, at most eight rows are on their
-way to the sink. A file is read two frames ahead; a camera's two newest pictures wait, older ones are dropped.
+streams. A frame waits as in a run (:mod:`mlbs_actors.actors.stream.coordinator_actor`): it is tracked once
+the label map of two frames before is there, the layers wait for that of the frame before, at most eight rows
+are on their way to the sink. A file is read two frames ahead; a camera's two newest pictures wait, older ones
+are dropped.
 """
 
 from __future__ import annotations

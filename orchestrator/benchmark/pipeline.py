@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory
 from mlbs_actors import Config
 from mlbs_actors.actors import Node, PoolPolicy, StreamActors
 from mlbs_actors.actors.parts import EngineParts, PartFactory
-from mlbs_actors.actors.stream_protocol import FrameReader, StreamProgress, StreamSink, StreamSpec
+from mlbs_actors.actors.stream.protocol import FrameReader, StreamProgress, StreamSink, StreamSpec
 from orchestrator.benchmark.noting_parts import SPARE, NotingParts, NotingSink
 from orchestrator.benchmark.process_costs import Process, kinds_of, private_bytes, process_tree
 from orchestrator.command_line import SAVED

@@ -10,7 +10,7 @@ import av
 import numpy as np
 from av.video.frame import VideoFrame
 
-from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame
+from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame
 from mlbs_actors.messages import Array
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.opening import open_reader

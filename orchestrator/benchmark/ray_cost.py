@@ -10,7 +10,7 @@ from pathlib import Path
 from statistics import fmean
 
 from mlbs_actors.actors.parts import PartFactory
-from mlbs_actors.actors.stream_protocol import FrameReader, StreamSink
+from mlbs_actors.actors.stream.protocol import FrameReader, StreamSink
 from orchestrator.benchmark.empty_parts import EmptyParts, EmptyReader, EmptySink, last_messages
 from orchestrator.benchmark.finding import Finding
 from orchestrator.benchmark.pipeline import Arrival, SteadyWindow, pipeline, record_in

@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from statistics import fmean
 
-from orchestrator.admission import STREAM_BYTES, cores
 from orchestrator.benchmark.finding import Finding
 from orchestrator.benchmark.node_model import StageCosts, most_cameras, simulate
 from orchestrator.benchmark.pipeline import TURNS, SteadyWindow, pipeline
@@ -21,6 +20,7 @@ from orchestrator.benchmark.process_costs import cpu_growth
 from orchestrator.benchmark.ray_cost import cpu_ms_by_kind, mean_of_kinds
 from orchestrator.benchmark.setting import Setting, say
 from orchestrator.evaluation.figures import format_number, format_table
+from orchestrator.run.admission import STREAM_BYTES, cores
 
 __all__ = ["STREAMS", "StreamsCost", "fleet_table", "measure_streams", "most_frames_a_second"]
 

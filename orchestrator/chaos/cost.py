@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from unittest import mock
 
-from mlbs_actors.actors.stream_protocol import Opening, SourceFrame, StreamSink
+from mlbs_actors.actors.stream.protocol import Opening, SourceFrame, StreamSink
 from mlbs_actors.config import Config
 from mlbs_actors.messages import LayerAppearance, Segmentation
 from orchestrator.benchmark.pipeline import Pipeline, pipeline

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from av.video.stream import VideoStream
 
-from mlbs_actors.actors.stream_protocol import SourceFrame
+from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.messages import Array
 from orchestrator.chaos.observed_run import ObservedRun, content, expect
 from orchestrator.chaos.place import (

@@ -69,7 +69,7 @@ def _disk_fails(full: Trap) -> End:
 
 def _publishing_fails(place: Place, number: int) -> Trap:
     return Trap(
-        "orchestrator.durable_files:publish",
+        "orchestrator.run.durable_files:publish",
         "fail",
         int(place.random.integers(3)),
         value=number,

@@ -60,26 +60,30 @@ class Step:
 
 #: Steps of each kind of actor.
 STEPS: tuple[Step, ...] = (
-    Step("reader", "read", f"{_ACTORS}.reader:ReaderActor.read", "going on", 16),
-    Step("coordinator", "begin", f"{_ACTORS}.coordinator:CoordinatorActor._begin", "start"),
-    Step("coordinator", "track", f"{_ACTORS}.coordinator:CoordinatorActor._track", "going on", 16),
-    Step("coordinator", "label", f"{_ACTORS}.coordinator:CoordinatorActor._label", "going on", 16),
-    Step("coordinator", "save", f"{_ACTORS}.coordinator:CoordinatorActor._save", "going on"),
-    Step("layer", "init", f"{_ACTORS}.layer:LayerActor.assign", "start"),
-    Step("layer", "motion field", "mlbs_actors.background_frame:background_field", "going on", 16),
-    Step("layer", "first evaluation", "mlbs_actors.object_frame:ObjectView.next", "going on"),
-    Step("layer", "step", f"{_ACTORS}.layer:LayerActor.step", "going on", 16),
-    Step("layer", "save", f"{_ACTORS}.layer:LayerActor.save", "going on"),
-    Step("layer", "release", f"{_ACTORS}.layer:LayerActor.release", "end"),
-    Step("segmenter", "step", f"{_ACTORS}.segmenter:SegmenterActor.step", "going on", 16),
-    Step("segmenter", "save", f"{_ACTORS}.segmenter:SegmenterActor.save", "going on"),
-    Step("pool", "begin", f"{_ACTORS}.pool:PoolActor.begin", "start"),
-    Step("pool", "acquire", f"{_ACTORS}.pool:PoolActor.acquire", "start", 3),
-    Step("pool", "release", f"{_ACTORS}.pool:PoolActor.release", "end"),
-    Step("sink", "open", f"{_ACTORS}.sink:SinkActor.open", "start"),
-    Step("sink", "take", f"{_ACTORS}.sink:SinkActor.take", "going on", 16),
-    Step("sink", "keep", f"{_ACTORS}.sink:SinkActor.keep", "going on"),
-    Step("sink", "close", f"{_ACTORS}.sink:SinkActor.close", "end"),
+    Step("reader", "read", f"{_ACTORS}.stream.reader:ReaderActor.read", "going on", 16),
+    Step("coordinator", "begin", f"{_ACTORS}.stream.coordinator_actor:CoordinatorActor._begin", "start"),
+    Step(
+        "coordinator", "track", f"{_ACTORS}.stream.coordinator_actor:CoordinatorActor._track", "going on", 16
+    ),
+    Step(
+        "coordinator", "label", f"{_ACTORS}.stream.coordinator_actor:CoordinatorActor._label", "going on", 16
+    ),
+    Step("coordinator", "save", f"{_ACTORS}.stream.coordinator_actor:CoordinatorActor._save", "going on"),
+    Step("layer", "init", f"{_ACTORS}.stream.layer_actor:LayerActor.assign", "start"),
+    Step("layer", "motion field", "mlbs_actors.layer.background_frame:background_field", "going on", 16),
+    Step("layer", "first evaluation", "mlbs_actors.layer.object_frame:ObjectView.next", "going on"),
+    Step("layer", "step", f"{_ACTORS}.stream.layer_actor:LayerActor.step", "going on", 16),
+    Step("layer", "save", f"{_ACTORS}.stream.layer_actor:LayerActor.save", "going on"),
+    Step("layer", "release", f"{_ACTORS}.stream.layer_actor:LayerActor.release", "end"),
+    Step("segmenter", "step", f"{_ACTORS}.stream.segmenter_actor:SegmenterActor.step", "going on", 16),
+    Step("segmenter", "save", f"{_ACTORS}.stream.segmenter_actor:SegmenterActor.save", "going on"),
+    Step("pool", "begin", f"{_ACTORS}.node.pool:PoolActor.begin", "start"),
+    Step("pool", "acquire", f"{_ACTORS}.node.pool:PoolActor.acquire", "start", 3),
+    Step("pool", "release", f"{_ACTORS}.node.pool:PoolActor.release", "end"),
+    Step("sink", "open", f"{_ACTORS}.stream.sink:SinkActor.open", "start"),
+    Step("sink", "take", f"{_ACTORS}.stream.sink:SinkActor.take", "going on", 16),
+    Step("sink", "keep", f"{_ACTORS}.stream.sink:SinkActor.keep", "going on"),
+    Step("sink", "close", f"{_ACTORS}.stream.sink:SinkActor.close", "end"),
 )
 
 #: Steps of a commit, and of opening a record, in their order.
@@ -87,7 +91,7 @@ COMMIT_STEPS: tuple[Step, ...] = (
     Step("driver and sink", "take the log", f"{_SINKS}.commit_log:CommitLog.__init__", "start"),
     Step("driver and sink", "clear up", f"{_SINKS}.record:StreamRecord._clear_up", "start"),
     Step("driver and sink", "write tables", f"{_SINKS}.record:StreamRecord._write_tables", "going on"),
-    Step("driver and sink", "sync a file", "orchestrator.durable_files:_sync", "going on", 32),
+    Step("driver and sink", "sync a file", "orchestrator.run.durable_files:_sync", "going on", 32),
     Step("driver and sink", "rename a file", "pathlib:Path.replace", "going on", 32),
     Step("driver and sink", "add the line", f"{_SINKS}.commit_log:CommitLog.add", "going on"),
     Step("driver and sink", "keep a snapshot", f"{_SINKS}.snapshot_folder:SnapshotFolder.keep", "going on"),

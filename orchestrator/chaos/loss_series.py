@@ -16,7 +16,7 @@ __all__ = ["LABELLED", "Loss", "bring_about_losses", "frames_for_losses", "newes
 _FIRST_FRAMES, _FRAMES_OF_A_LOSS = 64, 144
 
 #: Notes when a segmenter's process has made its first label map: a stream that goes on has a new one.
-LABELLED = Trap("mlbs_actors.actors.segmenter:SegmenterActor.step", "note", when="after")
+LABELLED = Trap("mlbs_actors.actors.stream.segmenter_actor:SegmenterActor.step", "note", when="after")
 
 
 def frames_for_losses(losses: int) -> int:

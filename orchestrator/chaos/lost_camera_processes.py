@@ -112,7 +112,7 @@ def _killed_in_turn(place: Place) -> Back:
 def _killed_while_slow(place: Place) -> None:
     """A camera that is faster than labelling and writing, and loses a part at that."""
     steps = (
-        "mlbs_actors.actors.segmenter:SegmenterActor.step",
+        "mlbs_actors.actors.stream.segmenter_actor:SegmenterActor.step",
         "orchestrator.sinks.record:StreamRecord.write",
     )
     slow = [Trap(step, "wait", value=place.random.uniform(0.1, 0.2)) for step in steps]

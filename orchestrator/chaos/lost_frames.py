@@ -150,7 +150,9 @@ def _cameras(place: Place, verdicts: Verdicts) -> None:
 def _slow_pipeline(place: Place) -> None:
     """A camera that is faster than the labelling: as if nothing else had come than what is labelled."""
     slow = Trap(
-        "mlbs_actors.actors.segmenter:SegmenterActor.step", "wait", value=place.random.uniform(0.1, 0.3)
+        "mlbs_actors.actors.stream.segmenter_actor:SegmenterActor.step",
+        "wait",
+        value=place.random.uniform(0.1, 0.3),
     )
     pictures = _pictures()
     plant = Plant(place.folder / "plant", [slow])

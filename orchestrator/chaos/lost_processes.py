@@ -68,7 +68,7 @@ def _one_after_the_other(place: Place, verdicts: Verdicts) -> None:
     saving = Trap(
         "mlbs_actors.state_file:CapturedState.write", "die", when=when, process=f"ray::{kind}", armed=False
     )
-    sooner = Trap("orchestrator.recovery:STALL_SECONDS", "set", value=_HANG_SECONDS)
+    sooner = Trap("orchestrator.run.recovery:STALL_SECONDS", "set", value=_HANG_SECONDS)
 
     def hit(title: str, number: signal.Signals) -> Loss:
         return _signalled(title, number, random.uniform(0, 0.5), int(random.integers(8)))

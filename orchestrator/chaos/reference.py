@@ -10,7 +10,7 @@ from threading import Lock
 from typing import Any
 
 from mlbs_actors import MultilayerSubtractor
-from mlbs_actors.actors.stream_protocol import SourceFrame
+from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.messages import Segmentation
 from orchestrator.chaos.observed_run import content
 from orchestrator.sinks.record import StreamRecord

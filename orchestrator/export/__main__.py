@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
-from orchestrator.durable_files import temporary_path
 from orchestrator.export.coco import write_coco
 from orchestrator.export.mots import write_mots
 from orchestrator.export.palette_masks import write_davis, write_youtube_vos
+from orchestrator.run.durable_files import temporary_path
 
 __all__ = ["FORMATS", "main"]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mlbs_actors.actors.stream_protocol import SourceFrame
+from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.inspection import FrameInspection

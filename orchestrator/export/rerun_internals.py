@@ -15,7 +15,7 @@ import rerun.blueprint as rrb
 
 from mlbs_actors.inspection import LayerInspection
 from mlbs_actors.messages import BACKGROUND, Array
-from mlbs_actors.node_grid import node_positions
+from mlbs_actors.motion_field.node_grid import node_positions
 from mlbs_actors.wording import count_of
 from orchestrator.export.replay import InspectedFrame
 from orchestrator.sinks.layer_colours import layer_colour

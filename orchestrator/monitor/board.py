@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.live_picture import live_picture_path
-from orchestrator.stream_state import StreamState
 
 __all__ = ["Board"]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from orchestrator.stream_state import StreamState
+from orchestrator.run.stream_state import StreamState
 
 __all__ = ["CONTENT_TYPE", "METRICS", "STATE", "STATE_MEANING", "Metric", "MetricsText", "Reached"]
 

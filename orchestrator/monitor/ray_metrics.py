@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from ray.util.metrics import Counter, Gauge
 
 from orchestrator.monitor.metrics import METRICS, STATE, STATE_MEANING, Reached
-from orchestrator.stream_state import StreamState
+from orchestrator.run.stream_state import StreamState
 
 __all__ = ["RayMetrics"]
 

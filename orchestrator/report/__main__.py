@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
-from orchestrator.durable_files import replace_file
 from orchestrator.report.page import render_report
+from orchestrator.run.durable_files import replace_file
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -16,7 +16,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from mlbs_actors.errors import SinkError
-from orchestrator.durable_files import append_line, replace_file
+from orchestrator.run.durable_files import append_line, replace_file
 
 __all__ = ["COMMIT_LOG", "Commit", "CommitLog", "read_commits"]
 

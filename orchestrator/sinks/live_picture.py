@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 
 from mlbs_actors.messages import Array
-from orchestrator.durable_files import temporary_path
+from orchestrator.run.durable_files import temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels
 
 __all__ = ["LivePicture", "live_picture_path"]

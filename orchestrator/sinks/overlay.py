@@ -13,7 +13,7 @@ import numpy as np
 from av.video.frame import VideoFrame
 
 from mlbs_actors.messages import Array, Region
-from orchestrator.durable_files import publish, temporary_path
+from orchestrator.run.durable_files import publish, temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels
 
 __all__ = ["TICK", "OverlayVideo", "overlay_path", "overlays", "presentation_times"]

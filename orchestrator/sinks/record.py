@@ -19,10 +19,10 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from mlbs_actors.actors.stream_protocol import GapStatus, Opening, Snapshot, SourceFrame
+from mlbs_actors.actors.stream.protocol import GapStatus, Opening, Snapshot, SourceFrame
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import LayerAppearance, Segmentation
-from orchestrator.durable_files import publish, remove_temporary, temporary_path
+from orchestrator.run.durable_files import publish, remove_temporary, temporary_path
 from orchestrator.sinks.background import background_plate
 from orchestrator.sinks.commit_log import CommitLog, read_commits
 from orchestrator.sinks.cutouts import cutouts

@@ -12,7 +12,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from mlbs_actors.actors.stream_protocol import Snapshot
+from mlbs_actors.actors.stream.protocol import Snapshot
 from mlbs_actors.errors import SnapshotError
 from mlbs_actors.state_file import capture, check_file, read_state
 

@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pycocotools import mask as coco_mask
 
-from mlbs_actors.actors.stream_protocol import GapStatus
+from mlbs_actors.actors.stream.protocol import GapStatus
 from mlbs_actors.messages import Array, LayerSummary, Region, Segmentation
 
 __all__ = [

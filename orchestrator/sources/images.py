@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mlbs_actors.actors.stream_protocol import SourceFrame, SourceStatus
+from mlbs_actors.actors.stream.protocol import SourceFrame, SourceStatus
 from mlbs_actors.messages import Array
 from orchestrator.sources.presence import images_of
 

@@ -18,7 +18,7 @@ import av
 import av.error
 import av.logging
 
-from mlbs_actors.actors.stream_protocol import SourceFrame, SourceSilence
+from mlbs_actors.actors.stream.protocol import SourceFrame, SourceSilence
 from mlbs_actors.errors import SourceError
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import open_video, reason, upright_bgr

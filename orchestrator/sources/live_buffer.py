@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mlbs_actors.actors.stream_protocol import SourceFrame, SourceStatus
+from mlbs_actors.actors.stream.protocol import SourceFrame, SourceStatus
 from mlbs_actors.messages import Array
 
 __all__ = ["STALL_SECONDS", "LiveBuffer", "LiveTime", "Picture", "retry_seconds"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mlbs_actors.actors.stream_protocol import FrameReader, SourceFrame
+from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame
 from orchestrator.sources.address import SourceAddress, SourceKind
 from orchestrator.sources.images import FRAME_RATE, ImageSequenceReader
 from orchestrator.sources.live import LiveReader

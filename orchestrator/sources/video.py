@@ -14,7 +14,7 @@ import av.error
 import av.logging
 from av.video.frame import VideoFrame
 
-from mlbs_actors.actors.stream_protocol import SourceFrame, SourceStatus
+from mlbs_actors.actors.stream.protocol import SourceFrame, SourceStatus
 from mlbs_actors.errors import SourceError
 from mlbs_actors.wording import count_of
 from orchestrator.sources.address import SourceAddress

@@ -1,0 +1,151 @@
+"""Actor processes: how every one of them is started on a node, named and ended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from typing import Any, TypeAlias
+
+import ray
+from ray.exceptions import GetTimeoutError, OutOfMemoryError, RayActorError
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.priority import stepping_back
+from mlbs_actors.actors.node.process_memory import settle_memory
+
+__all__ = [
+    "LOST_PROCESS",
+    "NOTICE_SECONDS",
+    "Handle",
+    "Reference",
+    "ask",
+    "end",
+    "identity",
+    "spawn",
+    "spawn_standby",
+]
+
+#: A Ray actor handle; Ray makes its methods at run time, so there is no type to state.
+Handle: TypeAlias = Any
+
+#: A Ray object reference; what it refers to is known where it is made.
+Reference: TypeAlias = "ray.ObjectRef[Any]"
+
+#: What calls of an actor raise whose process is gone: one that Ray has ended because the machine ran out of
+#: memory is told in another way than all others.
+LOST_PROCESS = (RayActorError, OutOfMemoryError)
+
+#: How long it may take until Ray has noticed that a process is gone, s.
+NOTICE_SECONDS = 10.0
+
+
+def spawn(kind: type, *arguments: object, node: str) -> Handle:
+    """Start an actor on one node and return at once.
+
+    Ray's own restarts and retries are off: a restarted actor would be an empty one, and a retried call
+    could feed a frame to a model twice. Zero CPUs are asked for, since a stream's processes take turns.
+
+    Parameters
+    ----------
+    kind : type
+        Plain class to run in a process of its own.
+    *arguments : object
+        Its constructor's arguments.
+    node : str
+        Ray's id of the node; the process is there or nowhere.
+
+    Returns
+    -------
+    Handle
+        What goes wrong at the start shows in the first call.
+    """
+    actor: Handle = ray.remote(num_cpus=0, max_restarts=0, max_task_retries=0)(kind)
+    return actor.options(scheduling_strategy=_there_or_nowhere(node)).remote(*arguments)
+
+
+def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node: str) -> Handle:
+    """Start an actor's process before it is known what the actor is to do; returns at once.
+
+    Parameters
+    ----------
+    kind : type
+        As for :func:`spawn`.
+    warm : callable
+        Picklable; called in the process, to import what the actor will need. Then its memory is settled.
+    awaited : bool
+        Whether somebody waits for the process; else it takes only the time that others leave.
+    node : str
+
+    Returns
+    -------
+    Handle
+        Call its ``become`` first, with the constructor's arguments; what goes wrong at the start shows there.
+        Arguments with a name are only waited for: calls of different actors may overtake each other.
+    """
+
+    def wait(self: object) -> None:
+        look_round_seldom()
+        with stepping_back(awaited=awaited):
+            warm()
+        settle_memory()
+
+    def become(self: object, *arguments: object, **after: object) -> None:
+        kind.__init__(self, *arguments)  # type: ignore[misc]
+
+    return spawn(type(kind.__name__, (kind,), {"__init__": wait, "become": become}), node=node)
+
+
+def ask(call: Callable[[], object], *, node: str) -> Reference:
+    """Call a picklable function once in some process of a node; return its answer's reference at once."""
+    task: Handle = ray.remote(num_cpus=0, max_retries=0)(_called)
+    answer: Reference = task.options(scheduling_strategy=_there_or_nowhere(node)).remote(call)
+    return answer
+
+
+def _called(call: Callable[[], object]) -> object:
+    return call()
+
+
+def _there_or_nowhere(node: str) -> NodeAffinitySchedulingStrategy:
+    return NodeAffinitySchedulingStrategy(node_id=node, soft=False)
+
+
+def identity(handle: Handle) -> str:
+    """Ray's id of an actor, the one that errors about it carry."""
+    return str(handle._actor_id.hex())
+
+
+def end(handles: Iterable[Handle], seconds: float = 10.0) -> bool:
+    """End actors at once, whatever they are doing, and wait until Ray knows that they are gone.
+
+    Parameters
+    ----------
+    handles : iterable of Handle
+        Actors, dead ones included.
+    seconds : float
+        How long to wait for all of them, s.
+
+    Returns
+    -------
+    bool
+        Whether all are gone.
+    """
+    deadline = time.monotonic() + seconds
+    ending = list(handles)
+    for handle in ending:
+        ray.kill(handle)
+    left = [handle for handle in ending if not _is_gone(handle, deadline)]
+    return not left
+
+
+def _is_gone(handle: Handle, deadline: float) -> bool:
+    while (left := deadline - time.monotonic()) > 0:
+        try:
+            ray.get(handle.__ray_ready__.remote(), timeout=left)
+        except LOST_PROCESS:
+            return True
+        except GetTimeoutError:
+            return False
+        time.sleep(0.01)  # the call overtook the kill
+    return False

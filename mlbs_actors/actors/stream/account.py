@@ -1,0 +1,95 @@
+"""How a stream stands: what its source has given so far, and how long the work on it takes."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Mapping
+
+from mlbs_actors.actors.stream.protocol import (
+    SourceFrame,
+    SourcePosition,
+    SourceSilence,
+    SourceStatus,
+    StreamProgress,
+)
+from mlbs_actors.messages import Segmentation
+
+__all__ = ["StreamAccount"]
+
+
+class StreamAccount:
+    """What a stream's coordinator has been given, for snapshots and for who asks how the stream stands.
+
+    Parameters
+    ----------
+    most_frames : int, optional
+        After so many the stream ends.
+
+    Attributes
+    ----------
+    counts : Counter of str
+        Frames taken from the source, by their status.
+    position : SourcePosition
+        Of the last one.
+    silence : SourceSilence, optional
+        What the source has answered instead of a frame, the last time it was asked.
+    problem : str, optional
+        Why the stream is not whole.
+    """
+
+    def __init__(self, most_frames: int | None) -> None:
+        self._most_frames = most_frames
+        self.counts: Counter[SourceStatus] = Counter()
+        self.position = SourcePosition()
+        self.silence: SourceSilence | None = None
+        self.problem: str | None = None
+        self._length: int | None = None  # of the source, as that says
+        self._stage_sums: dict[str, float] = {}
+        self._labelled = 0
+
+    def restore(self, counts: Mapping[SourceStatus, int], position: SourcePosition) -> None:
+        """Go back to a snapshot."""
+        self.counts.update(counts)
+        self.position = position
+
+    def take(self, frame: SourceFrame | SourceSilence) -> None:
+        """Note what the source has answered."""
+        if isinstance(frame, SourceSilence):
+            self.silence = frame
+            return
+        self.silence = None
+        self.counts[frame.status] += 1
+        self.position = SourcePosition(self.counts.total(), frame.pts, time.time())
+        self._length = frame.length
+
+    def label(self, segmentation: Segmentation) -> None:
+        """Note how long a label map took."""
+        self._labelled += 1
+        for stage, milliseconds in segmentation.stage_ms.items():
+            self._stage_sums[stage] = self._stage_sums.get(stage, 0.0) + milliseconds
+
+    @property
+    def read(self) -> int:
+        """Frames taken from the source: a gap is none."""
+        return self.counts.total() - self.counts["gap"]
+
+    def progress(self, committed: int, layers: int, *, done: bool, kept_waiting: bool) -> StreamProgress:
+        """Report, with the mean times of the label maps since the last report."""
+        lengths = [length for length in (self._length, self._most_frames) if length is not None]
+        means = {stage: total / self._labelled for stage, total in self._stage_sums.items()}
+        self._stage_sums, self._labelled = {}, 0
+        return StreamProgress(
+            read=self.read,
+            committed=committed,
+            quarantined=self.counts["quarantined"],
+            dropped=self.counts["dropped"],
+            gaps=self.counts["gap"],
+            layers=layers,
+            done=done,
+            problem=self.problem,
+            stage_ms=means,
+            silence=self.silence,
+            length=min(lengths, default=None),
+            kept_waiting=kept_waiting,
+        )

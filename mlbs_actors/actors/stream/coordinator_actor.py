@@ -1,0 +1,436 @@
+"""The coordinator of a stream in a process of its own: the conductor of the stream's other processes.
+
+It fetches the frames, finds out what each layer needs to know, and has the segmenter label them with the
+layers, so that no picture passes through it twice and none through the driver. It runs ahead
+of the layers by at most two frames: it tracks and clusters frame t+1 beside their work on t−1 and t, and then
+waits for the label map of t−1, by which it decides which layers live.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import ray
+from ray.exceptions import GetTimeoutError, RayError
+
+from mlbs_actors.actors.ipc.channels import ChannelClosedError
+from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, SlotPool
+from mlbs_actors.actors.ipc.wakeup import BellRope, await_bell
+from mlbs_actors.actors.node.failures import (
+    POOL,
+    SEGMENTER,
+    SINK,
+    explain,
+    is_loss,
+    reader_lost,
+    source_failure,
+)
+from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, identity
+from mlbs_actors.actors.parts import PartFactory
+from mlbs_actors.actors.stream.account import StreamAccount
+from mlbs_actors.actors.stream.layers_at_work import Housed
+from mlbs_actors.actors.stream.live_layers import LiveLayers
+from mlbs_actors.actors.stream.live_reader import LiveReadAhead
+from mlbs_actors.actors.stream.protocol import (
+    Snapshot,
+    SourceFrame,
+    SourceSilence,
+    StreamProgress,
+    StreamSpec,
+)
+from mlbs_actors.actors.stream.reader import ReadAhead
+from mlbs_actors.actors.stream.saved_states import (
+    CONDUCTOR_FILE,
+    COORDINATOR_FILE,
+    PUBLISHED_FILE,
+    SEGMENTER_FILE,
+    ConductorState,
+    StateWriter,
+    layer_file,
+)
+from mlbs_actors.actors.stream.segmenter_actor import FrameWork, Labelling
+from mlbs_actors.actors.stream.sink import Record
+from mlbs_actors.determinism import limit_process
+from mlbs_actors.errors import ActorLostError, MlbsError
+from mlbs_actors.messages import Array, FrameEvidence, Segmentation
+from mlbs_actors.state_file import read_state
+
+__all__ = ["CoordinatorActor", "StreamLinks"]
+
+_log = logging.getLogger(__name__)
+
+#: After this long a burst takes no more frames, s: the driver asks who has come to an end, and who hangs.
+_BURST_SECONDS = 1.5
+
+#: A burst ends where its source keeps it waiting for longer, s: another stream has its next frame at hand.
+_SOURCE_SECONDS = 0.01
+
+#: Frames after which the sink is asked what it has kept, at the latest.
+_COLLECT_FRAMES = 8
+
+#: Frames that are passed over in one burst on the way back to a snapshot.
+_SKIPPED_FRAMES = 64
+
+#: How long a snapshot is waited for without which frames would be lost, s.
+_SNAPSHOT_SECONDS = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class StreamLinks:
+    """The actors a coordinator works with.
+
+    Attributes
+    ----------
+    reader, segmenter : Handle
+        The stream's own.
+    pool, sink : Handle
+        The node's.
+    """
+
+    reader: Handle
+    segmenter: Handle
+    pool: Handle
+    sink: Handle
+
+
+class CoordinatorActor:
+    """Runs one stream, a bounded burst of frames a call.
+
+    Parameters
+    ----------
+    spec : StreamSpec
+    parts : PartFactory
+    links : StreamLinks
+    run : int
+        The stream's number in the pool.
+    """
+
+    def __init__(self, spec: StreamSpec, parts: PartFactory, links: StreamLinks, run: int) -> None:
+        limit_process()
+        look_round_seldom()
+        self._spec = spec
+        self._links = links
+        self._coordinator = parts.coordinator(spec.config)
+        self._slots, self._memory = SlotPool(), SharedMemory()
+        self._source = (
+            ReadAhead(links.reader, spec.max_frames, self._slots, self._memory)
+            if spec.replayable
+            else LiveReadAhead(links.reader, spec.max_frames, self._slots, self._memory)
+        )
+        self._layers = LiveLayers(links.pool, run, spec.config)
+        self._labelling = Labelling(links.segmenter, self._slots)
+        self._record = Record(links.sink, run, spec, self._slots)
+        # Not yet labelled, in source order; a picture with where the others find it.
+        self._waiting: deque[tuple[Shared[SourceFrame] | None, SourceFrame]] = deque()
+        # The newest that came back, by the engine's frame index.
+        self._segmentations: dict[int, Shared[Segmentation]] = {}
+        self._account = StreamAccount(spec.max_frames)
+        self._ended: StreamProgress | MlbsError | None = None
+        self._begun = self._interrupted = False
+        self._to_skip = 0
+        self._saved = 0  # rows of the source before the newest snapshot
+        self._earliest_snapshot = 0.0  # the first one waits for its rows only
+        self._writer = StateWriter()
+
+    def advance(self, frames: int) -> StreamProgress:
+        """Take up to ``frames`` more frames of the source, fewer if they or their source are slow.
+
+        The label maps may follow a few frames later.
+
+        Raises
+        ------
+        MlbsError
+            If the stream failed, now or in an earlier call. What was labelled before is committed.
+        """
+        return self._guarded(frames)
+
+    def doze(self, rope: BellRope) -> None:
+        """Wait for the bell: between its bursts the process takes no time so."""
+        await_bell(rope)
+
+    def finish(self) -> StreamProgress:
+        """Read no more, label and commit what was read, close the record; raises as :meth:`advance`."""
+        self._interrupted = True
+        self._to_skip = 0
+        self._source.finish()
+        while not (progress := self._guarded(1)).done:
+            continue
+        return progress
+
+    def _guarded(self, frames: int) -> StreamProgress:
+        if self._ended is None:
+            try:
+                progress = self._burst(frames)
+            except Exception as error:
+                # Whatever it is, it ends this stream alone, as one sentence; what nobody raised on purpose
+                # goes to the log with its traceback.
+                if not isinstance(error, MlbsError | RayError | ChannelClosedError):
+                    _log.exception("Stream %r failed unexpectedly.", self._spec.name)
+                cause = self._cause_of_loss() if isinstance(error, ChannelClosedError) else error
+                self._ended = explain(cause, self._spec.name, self._roles())
+                self._close_after_failure()
+            else:
+                if not progress.done:
+                    return progress
+                self._ended = progress
+        if isinstance(self._ended, MlbsError):
+            raise self._ended
+        return self._ended
+
+    def _burst(self, frames: int) -> StreamProgress:
+        if not self._begun:
+            self._begin()
+        if self._to_skip:
+            self._skip()
+            return self._progress(done=False)
+        kept_waiting = False
+        deadline = time.monotonic() + _BURST_SECONDS
+        for taken in range(frames):
+            if time.monotonic() > deadline:
+                break
+            # Not while a stream begins: its first burst may take long.
+            if taken and self._segmentations and not self._source.keeps_up(_SOURCE_SECONDS):
+                kept_waiting = True
+                break
+            if taken and taken % _COLLECT_FRAMES == 0:
+                self._collect()
+            delivered = self._next_frame()
+            if delivered is None:
+                return self._finish()
+            shared, frame = delivered
+            self._write_labelled()
+            self._account.take(frame)
+            if isinstance(frame, SourceSilence):
+                break
+            self._waiting.append((shared, frame))
+            if frame.image is None:
+                self._write_gaps()
+            else:
+                self._track(frame.image)
+            if self._progressed >= self._next_snapshot and time.monotonic() >= self._earliest_snapshot:
+                self._save()
+        self._record.send()
+        self._collect()
+        return self._progress(done=False, kept_waiting=kept_waiting)
+
+    def _collect(self) -> None:
+        """See what the sink has kept by now: the source need not give that again."""
+        self._record.collect()
+        self._source.forget(self._record.kept)
+
+    def _begin(self) -> None:
+        """Go back to the snapshot that the record names, if it names one."""
+        opening = self._record.opening()
+        self._snapshots = opening.snapshots
+        if opening.resume_from is not None:
+            self._restore(opening.resume_from.folder)
+        self._labelling.begin()
+        self._begin_reading()
+        self._await_snapshot()
+        self._begun = True
+
+    def _restore(self, folder: Path) -> None:
+        state = read_state(folder / CONDUCTOR_FILE, ConductorState)
+        self._coordinator.state = read_state(folder / COORDINATOR_FILE, type(self._coordinator.state))
+        self._layers.restore(state.layers)
+        slots = [self._slots.take("segmentation") for _ in range(2)]  # not given back
+        self._segmentations |= self._labelling.restore(folder, state.layers, slots)
+        for frame in state.waiting:
+            shared = None if frame.image is None else self._memory.share(frame, self._slots.take("frame"))
+            self._waiting.append((shared, frame))
+        self._account.restore(state.counts, state.position)
+        self._saved = state.position.rows
+
+    def _begin_reading(self) -> None:
+        try:
+            if isinstance(self._source, LiveReadAhead):
+                self._source.go_on(self._account.position, self._account.read)
+            else:
+                self._source.begin()
+                self._to_skip = 0 if self._interrupted else self._account.read
+        except RayError as error:
+            raise self._reader_failure(error) from None
+
+    def _skip(self) -> None:
+        """Pass over some of the frames that the snapshot has seen: in bursts, so that others see it go on."""
+        frames = min(self._to_skip, _SKIPPED_FRAMES)
+        try:
+            self._source.skip(frames)
+        except RayError as error:
+            raise self._reader_failure(error) from None
+        self._to_skip -= frames
+
+    def _save(self) -> None:
+        """Let every part write its state, each after the same frame; the work goes on meanwhile."""
+        assert self._snapshots is not None
+        self._await_snapshot()
+        if self._spec.replayable:
+            self._earliest_snapshot = time.monotonic() + self._spec.snapshot_seconds
+        folder = self._snapshots / f"{self._account.position.rows:08d}"
+        self._labelling.save(folder)
+        layers = self._layers.state()
+        waiting = tuple(frame for _, frame in self._waiting)
+        own = ConductorState(self._account.counts, self._account.position, waiting, layers)
+        self._writer.write({CONDUCTOR_FILE: own, COORDINATOR_FILE: self._coordinator.state}, folder)
+        shared = (CONDUCTOR_FILE, COORDINATOR_FILE, SEGMENTER_FILE, PUBLISHED_FILE)
+        parts = (*shared, *(layer_file(one.layer) for one in layers))
+        self._record.offer(Snapshot(folder, self._record.rows, self._record.label_maps, parts))
+        self._saved = self._account.position.rows
+
+    def _save_where_it_stands(self) -> None:
+        """Have a snapshot of right now: what a live source has given will not be given again."""
+        if self._snapshots is not None and not self._spec.replayable:
+            if self._saved != self._account.position.rows:
+                self._save()
+            self._await_labelled()
+            self._record.await_snapshot(_SNAPSHOT_SECONDS)
+
+    def _await_snapshot(self) -> None:
+        every, wanted = self._spec.snapshot_rows, self._snapshots is not None
+        self._next_snapshot = (self._progressed // every + 1) * every if wanted else sys.maxsize
+
+    @property
+    def _progressed(self) -> int:
+        """What snapshots are counted by: most rows of a live source can be drops, which cost no work."""
+        return self._record.rows if self._spec.replayable else self._record.label_maps
+
+    def _next_frame(self) -> tuple[Shared[SourceFrame] | None, SourceFrame | SourceSilence] | None:
+        try:
+            return self._source.next()
+        except RayError as error:
+            failure = self._reader_failure(error)
+            if isinstance(failure, ActorLostError):
+                self._save_where_it_stands()
+                raise failure from None
+            if self._account.read == 0:
+                raise failure from None
+            self._account.problem = str(failure)
+            self._source.stop()
+            return None
+
+    def _reader_failure(self, error: RayError) -> MlbsError:
+        # What aborts the decoding of a file every time is its damage; a live source shows it only once.
+        damaged = self._spec.replayable and self._spec.last_try
+        if not damaged and (is_loss(error) or isinstance(error, GetTimeoutError)):
+            return reader_lost(self._spec.name, self._account.read)
+        return source_failure(error, self._spec.source, self._account.read)
+
+    def _track(self, image: Array) -> None:
+        """Let the engine's coordinator take the next picture, and start the work that it makes possible."""
+        index = self._account.counts["ok"] - 1  # the engine counts the frames it is given
+        wanted = self._coordinator.feedback_index(index)
+        feedback = None if wanted is None else partial(self._labelled, wanted)
+        for evidence in self._coordinator.step(index, image, feedback):
+            self._label(evidence)
+
+    def _labelled(self, frame_index: int) -> Segmentation:
+        """Wait for a label map: this is what holds the coordinator back to the pace of the layers."""
+        while frame_index not in self._segmentations:
+            self._write_next_labelled()
+        # None before it is asked for any more.
+        self._segmentations = {t: one for t, one in self._segmentations.items() if t >= frame_index}
+        segmentation = self._memory.taken(self._segmentations[frame_index])
+        self._account.label(segmentation)
+        return segmentation
+
+    def _label(self, evidence: FrameEvidence) -> None:
+        """Start all the work on one frame whose evidence is complete."""
+        frame, delivered = self._waiting.popleft()
+        assert frame is not None  # what has no picture is a gap
+        if evidence.retired:
+            self._labelling.retire(evidence.retired)
+        housed = tuple(
+            Housed(layer, offer, self._slots.take("state")) for layer, offer in self._layers.follow(evidence)
+        )
+        told, labelled = self._slots.take("evidence"), self._slots.take("segmentation")
+        posteriors = tuple(self._slots.take("posterior") for _ in evidence.tracks)
+        wants = self._spec.wants_background
+        wanted = wants is not None and wants(delivered.index)
+        background = self._slots.take("appearance") if wanted else None
+        shared = self._memory.share(evidence, told)
+        self._labelling.start(FrameWork(shared, frame, labelled, posteriors, housed, background))
+        self._record.expect(frame)
+        self._write_gaps()
+
+    def _write_labelled(self) -> None:
+        """Hand over the label maps that are there, without waiting."""
+        while self._labelling.has_answer():
+            self._write_next_labelled()
+
+    def _await_labelled(self) -> None:
+        """Wait for all label maps whose work was started, and hand them over."""
+        while self._labelling.under_way:
+            self._write_next_labelled()
+
+    def _write_next_labelled(self) -> None:
+        labelled = self._labelling.next()
+        self._segmentations[labelled.frame_index] = labelled.segmentation
+        self._record.write(labelled.segmentation, labelled.background)
+
+    def _write_gaps(self) -> None:
+        """Hand over the rows without a label map that only waited for the label maps before them."""
+        while self._waiting and (status := self._waiting[0][1].status) != "ok":
+            _, frame = self._waiting.popleft()
+            self._record.gap(frame.index, frame.pts, status)
+
+    def _finish(self) -> StreamProgress:
+        self._account.silence = None  # of a stream that ends it is no fault
+        if self._interrupted:
+            self._save_where_it_stands()
+            self._record.provisional()
+        for evidence in self._coordinator.flush():
+            self._label(evidence)
+        self._await_labelled()
+        self._labelling.close()
+        # Nobody writes a snapshot any more when the record is closed, which removes them all.
+        ray.get([*self._layers.served(), self._labelling.served])
+        self._writer.finish()
+        self._layers.release_all()
+        self._record.close(whole=not self._interrupted)
+        if self._account.problem is None:
+            try:
+                self._account.problem = self._source.problem()
+            except RayError as error:
+                self._account.problem = str(source_failure(error, self._spec.source, self._account.read))
+        return self._progress(done=True)
+
+    def _close_after_failure(self) -> None:
+        """Commit what was labelled before, and what still is."""
+        self._source.stop()
+        with suppress(ChannelClosedError, RayError):
+            self._await_labelled()
+        self._labelling.close()
+        self._record.close_after_failure()
+
+    def _cause_of_loss(self) -> Exception:
+        """Why the segmenter or a layer has closed its channel: what the one that did so first has raised."""
+        waiting = [*self._layers.served(), self._labelling.served]
+        deadline = time.monotonic() + NOTICE_SECONDS
+        while waiting and (left := deadline - time.monotonic()) > 0:
+            ended, waiting = ray.wait(waiting, timeout=left)
+            try:
+                ray.get(ended)
+            except (RayError, MlbsError) as error:
+                return error
+        return ActorLostError(
+            f"The processes of stream {self._spec.name!r} cannot reach each other; what was committed before "
+            "is kept. If that happens again and again, run all of Ray as one user."
+        )
+
+    def _progress(self, *, done: bool, kept_waiting: bool = False) -> StreamProgress:
+        return self._account.progress(
+            self._record.committed, len(self._layers), done=done, kept_waiting=kept_waiting
+        )
+
+    def _roles(self) -> dict[str, str]:
+        links = self._links
+        own = ((links.segmenter, SEGMENTER), (links.pool, POOL), (links.sink, SINK))
+        return {identity(handle): role for handle, role in own} | dict(self._layers.roles())

@@ -1,0 +1,177 @@
+"""The layers of a stream as its segmenter has them: each in a process of its own, or in the segmenter's.
+
+A layer begins in the segmenter's process and moves to its own when it has one. To wait for that at a birth
+could hold up the stream by seconds: a process takes a second or two of CPU time until it is ready, and in a
+crowd dozens are born within seconds. What a layer answers does not depend on where it works.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mlbs_actors.actors.ipc.channels import Channel, ChannelOffer, take
+from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot
+from mlbs_actors.actors.parts import PartFactory
+from mlbs_actors.actors.stream.layer_actor import LayerStep, LayerWork
+from mlbs_actors.actors.stream.protocol import SourceFrame
+from mlbs_actors.actors.stream.saved_states import SavedLayer, SaveState, layer_file
+from mlbs_actors.config import Config
+from mlbs_actors.messages import (
+    BACKGROUND,
+    Array,
+    FrameEvidence,
+    LayerAppearance,
+    LayerPosterior,
+    Segmentation,
+    received,
+)
+from mlbs_actors.pickling import pickled_by_values
+from mlbs_actors.state_file import read_state
+
+__all__ = ["Housed", "LayersAtWork", "SharedFrame"]
+
+
+@dataclass(frozen=True, slots=True)
+class SharedFrame:
+    """A frame as its segmenter has it, and where its layers find it.
+
+    Attributes
+    ----------
+    evidence : FrameEvidence
+    image : (H, W, 3) uint8
+    previous : Segmentation or None
+        Published result of the frame before.
+    where_evidence, where_frame, where_previous : Shared
+        The same; ``where_previous`` None if there is none.
+    """
+
+    evidence: FrameEvidence
+    image: Array
+    previous: Segmentation | None
+    where_evidence: Shared[FrameEvidence]
+    where_frame: Shared[SourceFrame]
+    where_previous: Shared[Segmentation] | None
+
+
+@pickled_by_values
+@dataclass(frozen=True, slots=True)
+class Housed:
+    """A layer that has a process of its own from now on.
+
+    Attributes
+    ----------
+    layer : int
+    offer : ChannelOffer
+        Of the process.
+    state : Slot
+        For the layer's state on its way there.
+    """
+
+    layer: int
+    offer: ChannelOffer
+    state: Slot
+
+
+class LayersAtWork:
+    """The segmenter's end of its layers.
+
+    Parameters
+    ----------
+    parts : PartFactory
+    config : Config
+    memory : SharedMemory
+        Of the segmenter's process.
+    """
+
+    def __init__(self, parts: PartFactory, config: Config, memory: SharedMemory) -> None:
+        self._parts = parts
+        self._config = config
+        self._memory = memory
+        self._here: dict[int, LayerWork] = {}
+        self._elsewhere: dict[int, Channel] = {}
+
+    def restore(self, layers: Sequence[SavedLayer], folder: Path) -> None:
+        """Go back to a snapshot: to these layers, all in this process."""
+        for own in layers:
+            part = self._begin(own).part
+            part.state = read_state(folder / layer_file(own.layer), type(part.state))
+
+    def follow(self, evidence: FrameEvidence, housed: Sequence[Housed]) -> None:
+        """Begin the layers that are new with a frame, then have some move to their processes.
+
+        Raises
+        ------
+        ChannelClosedError
+            If such a process is gone.
+        """
+        for own in evidence.tracks:
+            if own.layer not in self._here and own.layer not in self._elsewhere:
+                self._begin(SavedLayer(own.layer, own.kind, -1))
+        for one in housed:
+            channel = self._elsewhere[one.layer] = take(one.offer)
+            channel.send(self._here.pop(one.layer).hand_over(one.state))
+
+    def step(
+        self, frame: SharedFrame, answers: Mapping[int, Slot], appearance: Slot | None
+    ) -> list[LayerPosterior]:
+        """Have layers do a frame beside each other, those of this process one after the other meanwhile.
+
+        Parameters
+        ----------
+        frame : SharedFrame
+        answers : mapping of int to Slot
+            For the posteriors of the frame's layers.
+        appearance : Slot, optional
+            For :meth:`appearance` of the background.
+
+        Returns
+        -------
+        list of LayerPosterior
+            In the order of the answers.
+        """
+        where = frame.where_evidence, frame.where_frame, frame.where_previous
+        for layer, answer in answers.items():
+            if layer in self._elsewhere:
+                wanted = appearance if layer == BACKGROUND else None
+                self._elsewhere[layer].send(LayerStep(*where, answer, wanted))
+        posteriors = {
+            layer: received(self._here[layer].step(frame.evidence, frame.image, frame.previous))
+            for layer in answers
+            if layer in self._here
+        }
+        for layer in answers:
+            if layer in self._elsewhere:
+                posteriors[layer] = self._memory.taken(self._elsewhere[layer].receive())
+        return [posteriors[layer] for layer in answers]
+
+    def appearance(self, layer: int, slot: Slot) -> Shared[LayerAppearance]:
+        """Return what a layer remembers whose last step wanted that."""
+        if layer in self._here:
+            return self._here[layer].appearance(slot)
+        appearance: Shared[LayerAppearance] = self._elsewhere[layer].receive()
+        return appearance
+
+    def retire(self, layers: Sequence[int]) -> None:
+        """Forget layers; their processes serve no more."""
+        for layer in layers:
+            self._here.pop(layer, None)
+            if layer in self._elsewhere:
+                self._elsewhere.pop(layer).close()
+
+    def save(self, note: SaveState) -> dict[str, object]:
+        """Have the processes write their layers' states; return those of the others by their files."""
+        for channel in self._elsewhere.values():
+            channel.send(note)
+        return {name: state for work in self._here.values() for name, state in work.saved().items()}
+
+    def close(self) -> None:
+        """Let the processes serve no more."""
+        for channel in self._elsewhere.values():
+            channel.close()
+
+    def _begin(self, own: SavedLayer) -> LayerWork:
+        part = self._parts.layer(self._config, own.layer, own.kind)
+        self._here[own.layer] = LayerWork(own, part, self._memory)
+        return self._here[own.layer]

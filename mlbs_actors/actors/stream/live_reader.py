@@ -1,0 +1,230 @@
+"""The open source of a stream that shows nothing twice, a camera, in a process that outlives the others.
+
+What it has given since the stream's last snapshot it keeps in a ring. So a stream that lost its coordinator,
+a layer or any other process goes back and is given the same frames again; meanwhile the source goes on and
+drops what nobody has time for. If this very process is lost, the coordinator has a snapshot written of where
+it stands, and a new reader goes on from there.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import ray
+from ray.exceptions import GetTimeoutError
+
+from mlbs_actors.actors.ipc.channels import ChannelOffer, OfferedChannel
+from mlbs_actors.actors.ipc.shared_memory import SharedMemory, Slot, SlotPool
+from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.processes import Handle
+from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourcePosition, SourceSilence
+from mlbs_actors.actors.stream.reader import LEAST_ASKED, Answer, ReadAhead, ReadNext, answer
+from mlbs_actors.determinism import limit_process
+from mlbs_actors.errors import SourceError
+
+__all__ = ["MOST_PICTURES", "Forget", "FrameRing", "LiveReadAhead", "LiveReaderActor"]
+
+#: Pictures that are kept: what comes in the time of two snapshots. At 1920×1080 that is 400 MB.
+MOST_PICTURES = 64
+
+#: A live source answers twice a second; one that does not for so long is lost, s.
+_ANSWER_SECONDS = 60.0
+
+
+class FrameRing:
+    """The newest rows of a live source, by their numbers; at more pictures the oldest rows make way.
+
+    Parameters
+    ----------
+    most_pictures : int
+
+    Attributes
+    ----------
+    next : int
+        Number of the row that comes next.
+    """
+
+    def __init__(self, most_pictures: int = MOST_PICTURES) -> None:
+        self._most_pictures = most_pictures
+        self._rows: deque[SourceFrame] = deque()
+        self._pictures = 0
+        self.next = 0
+
+    @property
+    def first(self) -> int:
+        """Number of the oldest row that is kept; ``next`` if there is none."""
+        return self.next - len(self._rows)
+
+    def __getitem__(self, row: int) -> SourceFrame:
+        return self._rows[row - self.first]
+
+    def append(self, frame: SourceFrame) -> None:
+        """Take the next row."""
+        self._rows.append(frame)
+        self.next += 1
+        self._pictures += frame.image is not None
+        while self._pictures > self._most_pictures:
+            self._forget_oldest()
+
+    def forget(self, before: int) -> None:
+        """Forget the rows before a number."""
+        while self._rows and self.first < before:
+            self._forget_oldest()
+
+    def begin_at(self, row: int) -> None:
+        """Forget all; the next row has this number."""
+        self._rows.clear()
+        self._pictures, self.next = 0, row
+
+    def _forget_oldest(self) -> None:
+        self._pictures -= self._rows.popleft().image is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Forget:
+    """Tells a live reader that nobody will go back to before so many rows."""
+
+    rows: int
+
+
+class LiveReaderActor:
+    """Reads a live source for one start of its stream after the other.
+
+    The rows are numbered here, on from where the stream goes on: the source's own numbers and times begin
+    anew with every process. What was given to a start before and cannot be given again is a row ``gap``.
+    """
+
+    def __init__(self, open_reader: Callable[[], FrameReader]) -> None:
+        limit_process()
+        look_round_seldom()
+        self._open_reader = open_reader
+        self._reader: FrameReader | None = None
+        self._ring = FrameRing()
+        self._memory = SharedMemory()  # of the newest start
+        self._row = 0  # that it asks for next
+        self._position = SourcePosition()
+        self._lag: float | None = None  # of the source's times behind those of the stream, s
+
+    def go_on(self, position: SourcePosition) -> ChannelOffer:
+        """Give what comes after ``position`` to a new start of the stream, through the channel returned."""
+        self._channel, self._memory, self._row = OfferedChannel(), SharedMemory(), position.rows
+        if not self._ring.first <= position.rows <= self._ring.next:
+            self._position = position
+            self._ring.begin_at(position.rows)
+            self._ring.append(SourceFrame(position.rows, None, position.pts, _name(position.rows), "gap"))
+        return self._channel.offer
+
+    def serve(self) -> None:
+        """Do what that start asks for, until no more can come; raises SourceError."""
+        self._channel.serve(self._answers)
+
+    def read(self, note: ReadNext) -> Answer:
+        """Return the next row, or that there is none at present; raises SourceError.
+
+        A picture is a copy of what the ring keeps. If nothing fresh is asked for, None once all is given that
+        was given before.
+        """
+        if self._row == self._ring.next:
+            said = self._ask_source() if note.fresh else None
+            if not isinstance(said, SourceFrame):
+                return said
+            self._ring.append(self._placed(said))
+        self._row += 1
+        return answer(self._ring[self._row - 1], note.slot, self._memory)
+
+    def forget(self, rows: int) -> None:
+        """Forget what is before a snapshot after so many rows."""
+        self._ring.forget(rows)
+
+    def problem(self) -> str | None:
+        """Return what was wrong with the source so far, as a sentence, or None."""
+        return None if self._reader is None else self._reader.problem
+
+    def close(self) -> None:
+        """Release the source."""
+        if self._reader is not None:
+            self._reader.close()
+
+    def _answers(self, note: ReadNext | Forget) -> Iterator[Answer]:
+        if isinstance(note, Forget):
+            self.forget(note.rows)
+        else:
+            yield self.read(note)
+
+    def _ask_source(self) -> SourceFrame | SourceSilence | None:
+        try:
+            if self._reader is None:
+                self._reader = self._open_reader()
+            return self._reader.read()
+        except SourceError as error:
+            if self._ring.next == 0:
+                raise
+            # It has given pictures, if only to another process: such a source is waited for.
+            self.close()
+            self._reader = None
+            return SourceSilence("reconnecting", str(error))
+
+    def _placed(self, frame: SourceFrame) -> SourceFrame:
+        index, began = self._ring.next, self._position
+        if self._lag is None:
+            away = max(0.0, time.time() - began.time) if began.rows else 0.0
+            self._lag = began.pts + away - frame.pts
+        return replace(frame, index=index, name=_name(index), pts=frame.pts + self._lag)
+
+
+def _name(row: int) -> str:
+    return f"{row:05d}"
+
+
+class LiveReadAhead(ReadAhead):
+    """The coordinator's end of a live source.
+
+    Parameters
+    ----------
+    reader : Handle
+        A :class:`LiveReaderActor`.
+    max_frames, slots, memory
+        As for :class:`ReadAhead`.
+    """
+
+    _most_asked = LEAST_ASKED  # what a camera shows is not to grow old
+
+    def __init__(self, reader: Handle, max_frames: int | None, slots: SlotPool, memory: SharedMemory) -> None:
+        super().__init__(reader, max_frames, slots, memory)
+        self._fresh = True
+        self._answers = False
+        self._forgotten = 0
+
+    def go_on(self, position: SourcePosition, frames: int) -> None:
+        """Have what comes after ``position`` and ``frames`` frames; instead of :meth:`begin`."""
+        self._pass_over(frames)
+        self._serve(ray.get(self._reader.go_on.remote(position)))
+
+    def finish(self) -> None:
+        """Ask for what was given before, and for nothing new."""
+        self._fresh = False
+
+    def keeps_up(self, seconds: float) -> bool:
+        """See :meth:`ReadAhead.keeps_up`; a camera is waited for, since nobody waits for its stream."""
+        return True
+
+    def forget(self, rows: int) -> None:
+        """See :meth:`LiveReaderActor.forget`."""
+        if rows > self._forgotten:
+            self._send(Forget(rows))
+            self._forgotten = rows
+
+    def _request(self, slot: Slot) -> ReadNext:
+        return ReadNext(slot, self._fresh)
+
+    def _receive(self) -> Answer:
+        # It may take long to open its source, but then it answers soon.
+        assert self._channel is not None  # begun
+        if self._answers and not self._channel.has_message(_ANSWER_SECONDS):
+            raise GetTimeoutError("A live reader does not answer.")
+        said = super()._receive()
+        self._answers = True
+        return said

@@ -1,0 +1,273 @@
+"""The segmenter of a stream in a process of its own: between its layers and its coordinator.
+
+What is to be done on a frame comes from the coordinator. The segmenter passes each layer its part, which the
+layers do at once beside each other, and labels the frame from what they answer.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import ray
+
+from mlbs_actors.actors.ipc.channels import Channel, ChannelOffer, OfferedChannel, take
+from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
+from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.processes import Handle, Reference
+from mlbs_actors.actors.parts import PartFactory
+from mlbs_actors.actors.stream.layers_at_work import Housed, LayersAtWork, SharedFrame
+from mlbs_actors.actors.stream.order import FrameOrder
+from mlbs_actors.actors.stream.protocol import SourceFrame
+from mlbs_actors.actors.stream.saved_states import (
+    PUBLISHED_FILE,
+    SEGMENTER_FILE,
+    PublishedState,
+    SavedLayer,
+    SaveState,
+    StateWriter,
+)
+from mlbs_actors.config import Config
+from mlbs_actors.determinism import limit_process
+from mlbs_actors.messages import (
+    BACKGROUND,
+    Array,
+    FrameEvidence,
+    LayerAppearance,
+    LayerPosterior,
+    Segmentation,
+    received,
+)
+from mlbs_actors.pickling import pickled_by_values
+from mlbs_actors.state_file import read_state
+
+__all__ = ["FrameWork", "LabelledFrame", "Labelling", "Retirement", "SegmenterActor"]
+
+
+@pickled_by_values
+@dataclass(frozen=True, slots=True)
+class FrameWork:
+    """A frame that is to be labelled, once the one before it is.
+
+    Attributes
+    ----------
+    evidence, frame : Shared
+    answer : Slot
+        For the label map.
+    posteriors : tuple of Slot
+        For the answers of the evidence's layers, in ascending id.
+    housed : tuple of Housed
+        Layers of the evidence that have got a process.
+    background : Slot, optional
+        For what the background remembers after this frame; None if nobody wants it.
+    """
+
+    evidence: Shared[FrameEvidence]
+    frame: Shared[SourceFrame]
+    answer: Slot
+    posteriors: tuple[Slot, ...]
+    housed: tuple[Housed, ...]
+    background: Slot | None
+
+    @property
+    def inner_slots(self) -> tuple[Slot, ...]:
+        """Those that only the segmenter and the layers read."""
+        return (self.evidence.slot, *self.posteriors, *(one.state for one in self.housed))
+
+
+@dataclass(frozen=True, slots=True)
+class Retirement:
+    """Layers that get no more frames: their processes are free, for those that are born next too."""
+
+    layers: tuple[int, ...]
+
+
+@pickled_by_values
+@dataclass(frozen=True, slots=True)
+class LabelledFrame:
+    """What has come of a :class:`FrameWork`.
+
+    Attributes
+    ----------
+    frame_index : int
+    segmentation : Shared
+    background : Shared, optional
+    """
+
+    frame_index: int
+    segmentation: Shared[Segmentation]
+    background: Shared[LayerAppearance] | None
+
+
+class SegmenterActor:
+    """Labels the frames of one stream, each once and in order."""
+
+    def __init__(self, parts: PartFactory, config: Config) -> None:
+        limit_process()
+        look_round_seldom()
+        self._segmenter = parts.segmenter(config)
+        self._memory = SharedMemory()
+        self._order = FrameOrder()
+        self._channel = OfferedChannel()
+        self._layers = LayersAtWork(parts, config, self._memory)
+        # Those that others may still ask for: the layers the last one, the coordinator that before it.
+        self._published: deque[Segmentation] = deque(maxlen=2)
+        self._previous: Shared[Segmentation] | None = None
+        self._writer = StateWriter()
+
+    def offer(self) -> ChannelOffer:
+        """Return the channel through which the stream's work is to come."""
+        return self._channel.offer
+
+    def restore(
+        self, folder: Path, layers: Sequence[SavedLayer], slots: Sequence[Slot]
+    ) -> dict[int, Shared[Segmentation]]:
+        """Go back to a snapshot.
+
+        Parameters
+        ----------
+        folder : Path
+        layers : sequence of SavedLayer
+            Those that lived at that time.
+        slots : sequence of Slot
+            Two.
+
+        Returns
+        -------
+        dict of int to Shared
+            The newest label maps at that time by their frame, at most two, oldest first.
+        """
+        self._layers.restore(layers, folder)
+        self._segmenter.state = read_state(folder / SEGMENTER_FILE, type(self._segmenter.state))
+        published = read_state(folder / PUBLISHED_FILE, PublishedState).segmentations
+        self._published.extend(map(received, published))
+        self._order = FrameOrder(published[-1].frame_index if published else -1)
+        shared = {
+            one.frame_index: self._memory.share(one, slot)
+            for one, slot in zip(published, slots, strict=False)
+        }
+        self._previous = shared[published[-1].frame_index] if published else None
+        return shared
+
+    def serve(self) -> None:
+        """Do what the coordinator asks for, in that order, until no more can come."""
+        try:
+            self._channel.serve(self._answers)
+        finally:
+            self._layers.close()
+            self._writer.finish()
+
+    def step(self, evidence: FrameEvidence, image: Array, posteriors: list[LayerPosterior]) -> Segmentation:
+        """Label one frame from the posteriors of its layers, in ascending layer id."""
+        with self._order.step(evidence.frame_index, after=evidence.frame_index - 1):
+            return self._segmenter.step(evidence, image, posteriors)
+
+    def _answers(self, note: FrameWork | Retirement | SaveState) -> Iterator[object]:
+        if isinstance(note, FrameWork):
+            yield self._labelled(note)
+        elif isinstance(note, Retirement):
+            self._layers.retire(note.layers)
+        else:
+            self.save(note)
+
+    def _labelled(self, work: FrameWork) -> LabelledFrame:
+        evidence, frame = self._memory.taken(work.evidence), self._memory.taken(work.frame)
+        assert frame.image is not None  # a quarantined frame has no evidence
+        self._layers.follow(evidence, work.housed)
+        previous = self._published[-1] if self._published else None
+        shared = SharedFrame(evidence, frame.image, previous, work.evidence, work.frame, self._previous)
+        answers = {own.layer: slot for own, slot in zip(evidence.tracks, work.posteriors, strict=True)}
+        posteriors = self._layers.step(shared, answers, work.background)
+        background = None if work.background is None else self._layers.appearance(BACKGROUND, work.background)
+        segmentation = self.step(evidence, frame.image, posteriors)
+        self._published.append(received(segmentation))
+        self._previous = self._memory.share(segmentation, work.answer)
+        return LabelledFrame(evidence.frame_index, self._previous, background)
+
+    def save(self, note: SaveState) -> None:
+        """Have the layers write their states, and write the own one, beside the work on the next frames."""
+        published = PublishedState(tuple(self._published))
+        own = {SEGMENTER_FILE: self._segmenter.state, PUBLISHED_FILE: published}
+        self._writer.write(own | self._layers.save(note), note.folder)
+
+
+class Labelling:
+    """The coordinator's end of its segmenter, and of the layers behind that.
+
+    Parameters
+    ----------
+    segmenter : Handle
+        The stream's :class:`SegmenterActor`.
+    slots : SlotPool
+        Of the stream.
+
+    Attributes
+    ----------
+    served : Reference
+        What raises why the segmenter serves no more; known from :meth:`begin` on.
+    under_way : int
+        Frames whose label maps have not come back.
+    """
+
+    served: Reference
+
+    def __init__(self, segmenter: Handle, slots: SlotPool) -> None:
+        self._segmenter = segmenter
+        self._slots = slots
+        self._in_use: deque[tuple[Slot, ...]] = deque()  # of the frames under way, and of the one before
+        self._offer: Reference = segmenter.offer.remote()
+        self._channel: Channel | None = None
+        self.under_way = 0
+
+    def restore(
+        self, folder: Path, layers: Sequence[SavedLayer], slots: Sequence[Slot]
+    ) -> dict[int, Shared[Segmentation]]:
+        """See :meth:`SegmenterActor.restore`; before :meth:`begin`. Raises RayError."""
+        published: dict[int, Shared[Segmentation]] = ray.get(
+            self._segmenter.restore.remote(folder, layers, slots)
+        )
+        return published
+
+    def begin(self) -> None:
+        """Have the segmenter serve; raises RayError. All other methods raise ChannelClosedError."""
+        offer = ray.get(self._offer)
+        self.served = self._segmenter.serve.remote()
+        self._channel = take(offer)
+
+    def start(self, work: FrameWork) -> None:
+        """Have the next frame labelled."""
+        self._opened.send(work)
+        self._in_use.append(work.inner_slots)
+        self.under_way += 1
+
+    def retire(self, layers: tuple[int, ...]) -> None:
+        """Have layers serve no more after the frames that were started."""
+        self._opened.send(Retirement(layers))
+
+    def save(self, folder: Path) -> None:
+        """Have the segmenter and the layers write their states after the frame that was started last."""
+        self._opened.send(SaveState(folder))
+
+    def has_answer(self) -> bool:
+        """Whether :meth:`next` would not wait."""
+        return self.under_way > 0 and self._opened.has_message()
+
+    def next(self) -> LabelledFrame:
+        """Wait for the next label map; take the slots back that were lent for the one before it."""
+        labelled: LabelledFrame = self._opened.receive()
+        self.under_way -= 1
+        if len(self._in_use) > self.under_way + 1:
+            self._slots.give_back(self._in_use.popleft())
+        return labelled
+
+    def close(self) -> None:
+        """Let the segmenter and the layers serve no more."""
+        if self._channel is not None:
+            self._channel.close()
+
+    @property
+    def _opened(self) -> Channel:
+        assert self._channel is not None  # begun
+        return self._channel

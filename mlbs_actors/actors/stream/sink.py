@@ -1,0 +1,281 @@
+"""A sink of a node: the records of some streams being written, off the frame's critical path."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import ray
+from ray.exceptions import RayError
+
+from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
+from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.process_memory import settle_memory
+from mlbs_actors.actors.node.processes import Handle, Reference
+from mlbs_actors.actors.stream.order import FrameOrder
+from mlbs_actors.actors.stream.protocol import (
+    GapStatus,
+    Opening,
+    Snapshot,
+    SourceFrame,
+    StreamSink,
+    StreamSpec,
+)
+from mlbs_actors.determinism import limit_process
+from mlbs_actors.errors import SinkError
+from mlbs_actors.messages import LayerAppearance, Segmentation
+from mlbs_actors.pickling import pickled_by_values
+
+__all__ = ["GapRow", "LabelRow", "Record", "SinkActor"]
+
+#: Rows that may be under way to the sink; the stream waits at more. Each holds a frame and a label map.
+_PENDING_ROWS = 14
+
+#: Rows of a file, and of a camera, that go to the sink in one call: one for each would take half as long as
+#: the writing. But somebody may be looking at what a camera sees.
+_FILE_ROWS, _CAMERA_ROWS = 8, 4
+
+#: Newest label maps in the sink whose messages others may still read: with the next frame the layers, with
+#: the one after it the coordinator.
+_READ_ROWS = 2
+
+#: Snapshots that may be under way to the disk; at more the oldest is given up.
+_PENDING_SNAPSHOTS = 3
+
+#: From one look for a snapshot that is waited for to the next, s.
+_LOOK_SECONDS = 0.05
+
+
+@pickled_by_values
+@dataclass(frozen=True, slots=True)
+class LabelRow:
+    """One result: a row of a record, where its parts are."""
+
+    segmentation: Shared[Segmentation]
+    frame: Shared[SourceFrame]
+    background: Shared[LayerAppearance] | None
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """Where its parts are."""
+        parts = (self.segmentation, self.frame, self.background)
+        return tuple(part.slot for part in parts if part is not None)
+
+
+@pickled_by_values
+@dataclass(frozen=True, slots=True)
+class GapRow:
+    """A frame without label map: its source index, its time, and why."""
+
+    index: int
+    pts: float
+    status: GapStatus
+
+
+class SinkActor:
+    """Writes the records of some streams of one node, each known by the stream's number in the pool.
+
+    A record has no holes: after a row that could not be written, or that was lost on its way, no other row of
+    that stream is taken.
+    """
+
+    def __init__(self) -> None:
+        limit_process()
+        look_round_seldom()
+        self._records: dict[int, tuple[StreamSink, FrameOrder, SharedMemory]] = {}
+
+    def open(self, run: int, open_sink: Callable[[], StreamSink]) -> Opening:
+        """Open a stream's record."""
+        sink = open_sink()
+        settle_memory()
+        before = sink.opening.resume_from
+        self._records[run] = sink, FrameOrder(-1 if before is None else before.rows - 1), SharedMemory()
+        return sink.opening
+
+    def take(self, run: int, rows: Sequence[LabelRow | GapRow]) -> int:
+        """Take the next rows; return how many label maps are committed by now."""
+        sink, order, memory = self._record(run)
+        committed = 0
+        for row in rows:
+            if isinstance(row, GapRow):
+                with order.step(row.index, after=row.index - 1):
+                    committed = sink.gap(row.index, row.pts, row.status)
+                continue
+            segmentation, frame = memory.taken(row.segmentation), memory.taken(row.frame)
+            background = None if row.background is None else memory.taken(row.background)
+            with order.step(frame.index, after=frame.index - 1):
+                committed = sink.write(segmentation, frame, background)
+        return committed
+
+    def keep(self, run: int, snapshot: Snapshot) -> bool:
+        """See :meth:`StreamSink.keep`."""
+        return self._record(run)[0].keep(snapshot)
+
+    def provisional(self, run: int) -> None:
+        """See :meth:`StreamSink.provisional`."""
+        self._record(run)[0].provisional()
+
+    def close(self, run: int, whole: bool = False) -> int:
+        """Commit the rest, close the stream's files and forget it; return the final count, 0 if forgotten."""
+        sink, *_ = self._records.pop(run, (None,))
+        return 0 if sink is None else sink.close(whole=whole)
+
+    def _record(self, run: int) -> tuple[StreamSink, FrameOrder, SharedMemory]:
+        if run not in self._records:
+            raise SinkError("A row came for a record that is not open; start the stream again.")
+        return self._records[run]
+
+
+class Record:
+    """The coordinator's end of its record: keeps a bounded number of rows under way.
+
+    Parameters
+    ----------
+    sink : Handle
+        The node's :class:`SinkActor`.
+    run : int
+        The stream's number.
+    spec : StreamSpec
+    slots : SlotPool
+        Of the stream.
+
+    Attributes
+    ----------
+    committed : int
+        Label maps committed, as far as the sink has answered.
+    rows, label_maps : int
+        What was handed over or is expected, before the snapshot that the stream went back to and since.
+    kept : int
+        Rows before the newest snapshot that is kept.
+    """
+
+    def __init__(self, sink: Handle, run: int, spec: StreamSpec, slots: SlotPool) -> None:
+        self._slots = slots
+        self._sink = sink
+        self._run = run
+        self._opened: Reference = sink.open.remote(run, spec.open_sink)
+        self._batch_rows = _FILE_ROWS if spec.replayable else _CAMERA_ROWS
+        # In the order of the record: rows to come, rows that are there, and batches under way to the sink.
+        self._expected: deque[GapRow | Shared[SourceFrame]] = deque()
+        self._batch: list[LabelRow | GapRow] = []
+        self._pending: deque[tuple[Reference, list[LabelRow | GapRow]]] = deque()
+        self._in_use: deque[tuple[Slot, ...]] = deque()  # of the label maps that were taken last
+        self._offered: deque[Snapshot] = deque(maxlen=_PENDING_SNAPSHOTS)
+        self._asked: tuple[Snapshot, Reference] | None = None
+        self._turn = 0
+        self.committed = self.rows = self.label_maps = self.kept = 0
+
+    def opening(self) -> Opening:
+        """Wait until the record is open; raises what its opening raised."""
+        opening: Opening = ray.get(self._opened)
+        if opening.resume_from is not None:
+            self.rows, self.label_maps = opening.resume_from.rows, opening.resume_from.label_maps
+            self.committed, self.kept = self.label_maps, self.rows
+        return opening
+
+    def expect(self, frame: Shared[SourceFrame]) -> None:
+        """Note that the next row is that of a frame whose label map is to come."""
+        self._expected.append(frame)
+        self.rows, self.label_maps = self.rows + 1, self.label_maps + 1
+
+    def gap(self, index: int, pts: float, status: GapStatus) -> None:
+        """Note that the next row is that of a frame without label map; raises what an earlier row raised."""
+        self._expected.append(GapRow(index, pts, status))
+        self.rows += 1
+        self._hand_over_gaps()
+
+    def write(self, segmentation: Shared[Segmentation], background: Shared[LayerAppearance] | None) -> None:
+        """Hand over the label map of the first frame that is expected; raises what an earlier row raised."""
+        frame = self._expected.popleft()
+        assert isinstance(frame, Shared)  # gaps do not wait at the front
+        self._hand_over(LabelRow(segmentation, frame, background))
+        self._hand_over_gaps()
+
+    def offer(self, snapshot: Snapshot) -> None:
+        """Have a snapshot kept once its files are there."""
+        self._offered.append(snapshot)
+
+    def await_snapshot(self, seconds: float) -> None:
+        """Wait until the newest snapshot is kept, but not longer than that; raises what a row raised."""
+        deadline = time.monotonic() + seconds
+        self.send()
+        self.collect()
+        while self._offered and time.monotonic() < deadline:
+            time.sleep(_LOOK_SECONDS)
+            self.collect()
+
+    def provisional(self) -> None:
+        """See :meth:`StreamSink.provisional`."""
+        self._sink.provisional.remote(self._run)
+
+    def send(self) -> None:
+        """Hand over what is there, though it be less than a batch."""
+        batch = self._batch
+        if batch:
+            self._pending.append((self._sink.take.remote(self._run, batch), batch))
+            self._batch = []
+
+    def collect(self) -> None:
+        """Take back what is there, without waiting; raises what a row raised."""
+        while self._pending and ray.wait([self._pending[0][0]], timeout=0)[0]:
+            self._take_answer()
+        if self._asked is not None and ray.wait([self._asked[1]], timeout=0)[0]:
+            snapshot, kept = self._asked
+            self._asked = None
+            if ray.get(kept):
+                self.kept = snapshot.rows
+                if snapshot in self._offered:
+                    while self._offered.popleft() != snapshot:
+                        continue
+        if self._offered and self._asked is None:
+            # In turn: the files of one may never come.
+            self._turn = (self._turn + 1) % len(self._offered)
+            snapshot = self._offered[self._turn]
+            self._asked = snapshot, self._sink.keep.remote(self._run, snapshot)
+
+    def close(self, *, whole: bool) -> None:
+        """Wait until every row is committed and the files are closed; see :meth:`StreamSink.close`."""
+        self.send()
+        while self._pending:
+            self._take_answer()
+        self.committed = ray.get(self._sink.close.remote(self._run, whole))
+
+    def close_after_failure(self) -> None:
+        """Commit the rows that were handed over whole and close the files, whatever else goes wrong."""
+        self.send()
+        while self._pending:
+            try:
+                self._take_answer()
+            except RayError:
+                continue
+        try:
+            self.committed = max(self.committed, ray.get(self._sink.close.remote(self._run)))
+        except RayError:
+            return
+
+    def _hand_over_gaps(self) -> None:
+        while self._expected and isinstance(self._expected[0], GapRow):
+            row = self._expected.popleft()
+            assert isinstance(row, GapRow)
+            self._hand_over(row)
+
+    def _hand_over(self, row: LabelRow | GapRow) -> None:
+        self._batch.append(row)
+        if len(self._batch) == self._batch_rows:
+            self.send()
+        while self._pending and self._under_way > _PENDING_ROWS:
+            self._take_answer()
+
+    @property
+    def _under_way(self) -> int:
+        sent = sum(len(batch) for _, batch in self._pending)
+        return len(self._expected) + len(self._batch) + sent
+
+    def _take_answer(self) -> None:
+        answer, batch = self._pending.popleft()
+        self.committed = ray.get(answer)
+        self._in_use.extend(row.slots for row in batch if isinstance(row, LabelRow))
+        while len(self._in_use) > _READ_ROWS:
+            self._slots.give_back(self._in_use.popleft())

@@ -1,0 +1,276 @@
+"""What the layers' colours say when they are compared: unknown is neither likely nor unlikely (§6.2).
+
+A layer tells its density p of a pixel's colour as r = p/u, u the uniform density over colours, and how many
+samples stand behind it. With κ the confidence in that many samples, it counts as
+
+    r' = κ r + (1 − κ) f,        f = max(1, Σ_k κ_k r_k / Σ_k κ_k).
+
+What a layer does not know it is so taken to explain as well as those that do know, but never worse than by
+chance: if an object matches ground that the background has not seen yet, neither wins by it, and the
+outlines decide; if it does not match, the background wins.
+
+Differs from the paper, which has no rule for unknown pixels, and from the authors' program, in which all
+layers become uniform where one has few samples.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mlbs_actors.appearance.colour_density import AppearanceParameters, confidence
+from mlbs_actors.kernels.fast_log import row_log
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.messages import COST_STEP, Array, LayerPosterior, Region
+
+__all__ = [
+    "RATIO_STEP",
+    "FusedCosts",
+    "add_appearance",
+    "appearance_tables",
+    "fused_costs",
+    "quantised_ratio",
+    "with_appearance",
+]
+
+#: Quantum of log r, nats.
+RATIO_STEP = 1.0 / 16.0
+
+
+def quantised_ratio(log_ratio: Array, largest: float) -> Array:
+    """Log r in quanta, held between −8 and ``largest`` (at most 7.9) nats.
+
+    Parameters
+    ----------
+    log_ratio : (h, w) float32
+        Nats.
+    largest : float
+
+    Returns
+    -------
+    (h, w) int8
+    """
+    return np.asarray(np.clip(np.rint(np.minimum(log_ratio, largest) / RATIO_STEP), -128, 127), np.int8)
+
+
+def with_appearance(
+    cost: Array, log_ratio: Array, samples: Array, fallback: Array, weight: float, half_confidence: float
+) -> Array:
+    """Add −weight · log r' to a layer's other costs.
+
+    Parameters
+    ----------
+    cost : (h, w) uint8
+        Units of ``COST_STEP``.
+    log_ratio, fallback : (h, w) int8
+        log r and log f, units of ``RATIO_STEP``.
+    samples : (h, w) uint8
+    weight : float
+    half_confidence : float
+        Samples at which κ is one half.
+
+    Returns
+    -------
+    (h, w) uint8
+    """
+    fused = np.empty(cost.shape, np.uint8)
+    add_appearance(
+        cost,
+        log_ratio.view(np.uint8),
+        samples,
+        fallback.view(np.uint8),
+        *appearance_tables(half_confidence),
+        np.float32(weight / COST_STEP),
+        fused,
+    )
+    return fused
+
+
+@dataclass(frozen=True, slots=True)
+class FusedCosts:
+    """What the layers say together in one box of cells.
+
+    Attributes
+    ----------
+    cost : (K, h, w) uint8
+        Every layer's whole cost, units of ``COST_STEP``; the layer's ``outside_cost`` outside its region.
+    normaliser : (h, w) uint8
+        −log Σ_k exp(−cost_k) over the layers that have a say there, units of ``COST_STEP``.
+    fallback : (h, w) int8
+        log f, units of ``RATIO_STEP``.
+    places : (K, 4) int64
+        What every layer's region has in common with the box: first row, row past the last, first column,
+        column past the last.
+    """
+
+    cost: Array
+    normaliser: Array
+    fallback: Array
+    places: Array
+
+
+def fused_costs(
+    posteriors: Sequence[LayerPosterior], box: Region, weight: float, half_confidence: float
+) -> FusedCosts:
+    """Compare the layers in one box; a layer has no say outside its region.
+
+    Parameters
+    ----------
+    posteriors : sequence of LayerPosterior
+        In ascending layer id; the background's region holds the box.
+    box : Region
+        Where they are compared, in units of cells.
+    weight, half_confidence : float
+        As for :func:`with_appearance`.
+
+    Returns
+    -------
+    FusedCosts
+    """
+    shape = (box.height, box.width)
+    (trust, ratio_of), strength = appearance_tables(half_confidence), np.float32(weight / COST_STEP)
+    corners = [(box.y - one.region.y // one.cell, box.x - one.region.x // one.cell) for one in posteriors]
+    ratios = [one.log_ratio.view(np.uint8) for one in posteriors]
+    places = np.empty((len(posteriors), 4), np.int64)
+    known, matched = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    for place, corner, ratio, one in zip(places, corners, ratios, posteriors, strict=True):
+        _add_known(known, matched, place, *corner, ratio, one.samples, trust, ratio_of)
+    fallback = _fallback(known, matched)
+    fallback_bits = fallback.view(np.uint8)
+    cost = np.empty((len(posteriors), *shape), np.uint8)
+    total = np.zeros(shape, np.float32)
+    for own, place, corner, ratio, one in zip(cost, places, corners, ratios, posteriors, strict=True):
+        _fuse(
+            own,
+            total,
+            place,
+            *corner,
+            one.outside_cost,
+            one.cost,
+            ratio,
+            one.samples,
+            fallback_bits,
+            trust,
+            ratio_of,
+            strength,
+            LIKELIHOOD,
+        )
+    return FusedCosts(cost, _normaliser(total), fallback, places)
+
+
+@functools.lru_cache(maxsize=16)
+def appearance_tables(half_confidence: float) -> tuple[Array, Array]:
+    """κ for 0 … 255 samples, and r for all values of log r, by their bits as an unsigned byte."""
+    trust = confidence(
+        np.arange(256, dtype=np.uint8), AppearanceParameters(half_confidence_samples=half_confidence)
+    )
+    ratio = np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32) * np.float32(RATIO_STEP)
+    return trust, np.exp(ratio)
+
+
+@compiled
+def _add_known(
+    known: Array, matched: Array, place: Array, down: int, right: int, log_ratio: Array, samples: Array,
+    trust: Array, ratio_of: Array,
+) -> None:  # fmt: skip
+    """Say what a layer's region has in common with the box, whose corner lies so many cells down and right of
+    its own, and add κ and κ r there; log r comes by its bits as an unsigned byte."""
+    place[0], place[2] = max(-down, 0), max(-right, 0)
+    place[1] = max(min(samples.shape[0] - down, known.shape[0]), place[0])
+    place[3] = max(min(samples.shape[1] - right, known.shape[1]), place[2])
+    for y in range(place[0], place[1]):
+        counts, ratios, knowing, matching = samples[y + down], log_ratio[y + down], known[y], matched[y]
+        for x in range(place[2], place[3]):
+            at, place_of_own = np.uint64(x), np.uint64(x + right)
+            own = trust[counts[place_of_own]]
+            knowing[at] += own
+            matching[at] += own * ratio_of[ratios[place_of_own]]
+
+
+@compiled
+def _fallback(known: Array, matched: Array) -> Array:
+    height, width = known.shape
+    fallback = np.empty((height, width), np.int8)
+    mean, logs = np.empty(width, np.float32), np.empty(width, np.float32)
+    one, quanta = np.float32(1), np.float32(1.0 / RATIO_STEP)
+    for y in range(height):
+        for x in range(width):
+            mean[x] = matched[y, x] / known[y, x] if matched[y, x] > known[y, x] else one
+        row_log(mean, logs)
+        for x in range(width):
+            fallback[y, x] = np.int8(np.int32(min(np.rint(logs[x] * quanta), np.float32(127))))
+    return fallback
+
+
+@compiled
+def add_appearance(
+    cost: Array,
+    log_ratio: Array,
+    samples: Array,
+    fallback: Array,
+    trust: Array,
+    ratio_of: Array,
+    strength: np.float32,
+    fused: Array,
+) -> None:
+    """Cost − strength · log r'; log r and log f come by their bits as unsigned bytes."""
+    height, width = cost.shape
+    ratio, logs = np.empty(width, np.float32), np.empty(width, np.float32)
+    one, least, most = np.float32(1), np.float32(0), np.float32(255)
+    for y in range(height):
+        counts, ratios, fallbacks = samples[y], log_ratio[y], fallback[y]
+        for x in range(width):
+            at = np.uint64(x)
+            own = trust[counts[at]]
+            ratio[at] = own * ratio_of[ratios[at]] + (one - own) * ratio_of[fallbacks[at]]
+        row_log(ratio, logs)
+        for x in range(width):
+            value = np.rint(np.float32(cost[y, x]) - strength * logs[x])
+            fused[y, x] = np.uint8(np.int32(min(max(value, least), most)))
+
+
+@compiled
+def _fuse(
+    fused: Array, total: Array, place: Array, down: int, right: int, outside_cost: int, cost: Array,
+    log_ratio: Array, samples: Array, fallback: Array, trust: Array, ratio_of: Array, strength: np.float32,
+    likelihood: Array,
+) -> None:  # fmt: skip
+    """Put one layer's whole cost into its place, and add its likelihood to the sum of all."""
+    fused[:] = outside_cost
+    rows, columns = slice(place[0], place[1]), slice(place[2], place[3])
+    own_rows = slice(place[0] + down, place[1] + down)
+    own_columns = slice(place[2] + right, place[3] + right)
+    part, sums = fused[rows, columns], total[rows, columns]
+    add_appearance(
+        cost[own_rows, own_columns],
+        log_ratio[own_rows, own_columns],
+        samples[own_rows, own_columns],
+        fallback[rows, columns],
+        trust,
+        ratio_of,
+        strength,
+        part,
+    )
+    for y in range(part.shape[0]):
+        for x in range(part.shape[1]):
+            sums[y, x] += likelihood[part[y, x]]
+
+
+@compiled
+def _normaliser(total: Array) -> Array:
+    height, width = total.shape
+    normaliser, logs = np.empty((height, width), np.uint8), np.empty(width, np.float32)
+    quanta, least, most = np.float32(-1.0 / COST_STEP), np.float32(0), np.float32(255)
+    for y in range(height):
+        row_log(total[y], logs)
+        for x in range(width):
+            value = np.rint(quanta * logs[x])
+            normaliser[y, x] = np.uint8(np.int32(min(max(value, least), most)))
+    return normaliser
+
+
+#: exp(−cost) of all 256 costs.
+LIKELIHOOD = np.exp(np.arange(256, dtype=np.float32) * np.float32(-COST_STEP))

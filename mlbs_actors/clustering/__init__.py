@@ -1,0 +1,7 @@
+"""Labels of trajectories, and the layers that come of them (§4).
+
+Read in this order: ``affinity`` (over ``nearest_neighbours``), ``label_propagation`` (the last frame's
+labels), ``splitting`` (``normalized_cut`` of each cluster, on ``graph_coarsening``), ``motion_merging``
+(labels that move alike), ``layer_registry`` (births, sleep and ends of layers), ``reidentification`` (who
+wakes). ``label_index`` and ``label_lookup`` find labels among sorted ones.
+"""

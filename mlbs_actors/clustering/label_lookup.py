@@ -1,0 +1,62 @@
+"""Looks up many labels at once among the ones that a registry knows, which ascend (§4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mlbs_actors.clustering.label_index import UNLABELLED, label_places
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.messages import BACKGROUND, Array
+
+__all__ = ["layers_of", "note_sightings", "sightings"]
+
+
+@compiled
+def layers_of(labels: Array, known: Array, origins: Array, pooled: Array, other: int) -> Array:
+    """Layer ids of labels (n,) int64, −1 for none, by the registry's rows; see `LayerRegistry.layers_of`."""
+    rows, origin_rows = label_places(labels, known), label_places(origins, known)
+    layers = np.empty(labels.size, np.int64)
+    for i in range(labels.size):
+        label, row = labels[i], rows[i]
+        if label < BACKGROUND:
+            label, row = (origins[row], origin_rows[row]) if row >= 0 else (UNLABELLED, -1)
+        layers[i] = other if row >= 0 and pooled[row] else label
+    return layers
+
+
+@compiled
+def sightings(known: Array, labels: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
+    """Row of each trajectory's label, −1 if it is not known; how many each has, and their mean positions and
+    motions (k, 4)."""
+    rows = label_places(labels, known)
+    counts, means = np.zeros(known.size, np.int64), np.zeros((known.size, 4), np.float32)
+    for i in range(labels.size):
+        row = rows[i]
+        if row >= 0:
+            counts[row] += 1
+            for axis in range(2):
+                means[row, axis] += positions[i, axis]
+                means[row, 2 + axis] += motions[i, axis]
+    for row in range(known.size):
+        means[row] /= np.float32(max(counts[row], 1))
+    return rows, counts, means
+
+
+@compiled
+def note_sightings(
+    enough: Array, means: Array, signatures: Array, frame_index: int, seen: Array, tracked: Array,
+    centroids: Array, velocities: Array, known_signatures: Array,
+) -> None:  # fmt: skip
+    """Take what this frame shows of the rows with enough trajectories, (k,) bool, into a registry's arrays.
+
+    Of the colours' histograms (k, bins) a tenth counts, and the first one wholly.
+    """
+    for row in range(enough.size):
+        if enough[row]:
+            seen[row] = tracked[row] = frame_index
+            for axis in range(2):
+                centroids[row, axis], velocities[row, axis] = means[row, axis], -means[row, 2 + axis]
+            known, fresh = known_signatures[row], signatures[row]
+            share = np.float32(0.1 if known.any() else 1)
+            for place in range(known.size):
+                known[place] = np.float32(0.9) * known[place] + share * fresh[place]

@@ -1,0 +1,401 @@
+"""The life of layers: births, dormancy, return, retirement, and the cap (§4).
+
+Two things are kept apart here and nowhere else: a *label* is what a cluster of trajectories carries in the
+coordinator (0 the background, > 0 a layer, −1 none, < −1 a candidate on probation), a *layer id* is for
+life and is what the label map shows. They differ for the objects past the cap, which share one
+layer "other".
+
+Differs from the paper: it creates a layer whenever the N-cut splits a cluster and drops it with its last
+trajectory; here a split must last a few frames first. What falls off an object (a limb, a head, the body that
+rests while the head turns) stays with it for longer, and is only then taken for another object. A layer that
+loses its trajectories sleeps for a while and is woken when a new cluster of like colours appears where it
+should be, and the number of layers is bounded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
+from mlbs_actors.clustering.label_lookup import layers_of, note_sightings, sightings
+from mlbs_actors.clustering.reidentification import SIGNATURE_BINS, Sighting, best_sleeper, colour_signatures
+from mlbs_actors.config import LayersConfig
+from mlbs_actors.messages import BACKGROUND, Array
+
+__all__ = ["LayerRegistry", "RegistryState"]
+
+#: Clusterings at which an object is not put to the N-cut test after one that it has passed firmly.
+_SPARED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class RegistryState:
+    """All objects that live, sleep or are on probation; row i of each array is one of them.
+
+    Attributes
+    ----------
+    labels : (k,) int64
+        Ascending; candidates have labels < −1.
+    born : (k,) int64
+        Frame of birth.
+    origins : (k,) int64
+        Label that a candidate fell off, −1 if it fell off none.
+    seen : (k,) int64
+        Last frame awake; older than the newest frame = asleep.
+    judged, moving : (k,) int64
+        Clusterings it has been through, and in how many of them it moved against the camera.
+    spared : (k,) int64
+        Clusterings that it may pass without the N-cut test.
+    tracked : (k,) int64
+        Last frame with enough trajectories; a layer can stay awake a little longer on its published pixels.
+    centroids, velocities : (k, 2) float64
+        Mean position (px) and forward motion (px/frame) when last seen.
+    signatures : (k, SIGNATURE_BINS³) float32
+        Colour histogram, sum 1 (0 before the first).
+    pooled : (k,) bool
+        Shares the layer "other".
+    next_layer : int
+        Next unused layer id.
+    next_candidate : int
+        Next unused candidate label, < −1.
+    other : int
+        Layer id of "other", −1 before it is needed.
+    """
+
+    labels: Array
+    born: Array
+    origins: Array
+    judged: Array
+    moving: Array
+    spared: Array
+    seen: Array
+    tracked: Array
+    centroids: Array
+    velocities: Array
+    signatures: Array
+    pooled: Array
+    next_layer: int
+    next_candidate: int
+    other: int
+
+    @staticmethod
+    def empty() -> RegistryState:
+        """No object yet."""
+        return RegistryState(
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
+            np.zeros((0, 2)),
+            np.zeros((0, 2)),
+            np.zeros((0, SIGNATURE_BINS**3), np.float32),
+            np.zeros(0, bool),
+            1,
+            UNLABELLED - 1,
+            -1,
+        )
+
+
+class LayerRegistry:
+    """Decides which labels are layers; see the module's text.
+
+    Parameters
+    ----------
+    config : LayersConfig
+    shape : (H, W)
+        Of the frame, px.
+    state : RegistryState, optional
+        To go on from; a new registry by default.
+    """
+
+    def __init__(
+        self, config: LayersConfig, shape: tuple[int, int], state: RegistryState | None = None
+    ) -> None:
+        self.config = config
+        self.shape = shape
+        self.state = state or RegistryState.empty()
+
+    def judge(self, speeds: Mapping[int, float], least: float) -> None:
+        """Take note at a clustering of which labels move against the camera.
+
+        Parameters
+        ----------
+        speeds : mapping of int to float
+            Label → its speed against the camera, px/frame; of all labels that have trajectories.
+        least : float
+            Speed of an object, px/frame.
+        """
+        state = self.state
+        labels = state.labels.tolist()
+        judged = np.array([label in speeds for label in labels], bool)
+        moving = np.array([speeds.get(label, -np.inf) >= least for label in labels], bool)
+        self.state = replace(state, judged=state.judged + judged, moving=state.moving + moving)
+
+    def spared_labels(self) -> Array:
+        """Labels (m,) int64 of objects that need not be put to the N-cut test at this clustering."""
+        return np.asarray(self.state.labels[self.state.spared > 0])
+
+    def spare(self, firm: Array) -> None:
+        """Take note of what the N-cut test of a clustering has told.
+
+        Parameters
+        ----------
+        firm : (m,) int64
+            Labels that hold together firmly, from :func:`~mlbs_actors.clustering.splitting.split_labels`.
+            Objects among them are spared the test at the next ``_SPARED`` clusterings: what moves apart does
+            so slowly.
+        """
+        state = self.state
+        proven = (state.labels > BACKGROUND) & np.isin(state.labels, firm)
+        self.state = replace(state, spared=np.where(proven, _SPARED, np.maximum(state.spared - 1, 0)))
+
+    def ages(self, frame_index: int) -> dict[int, int]:
+        """Frames since birth of every label, the background being older than all.
+
+        A label that has hardly moved in all its life is as young as on its first frame: what is nearer to the
+        camera than the rest of a scene can look like an object for a while, and would be one for ever.
+        """
+        state = self.state
+        proven = state.moving >= self.config.least_moving * state.judged
+        ages = np.where(proven, frame_index - state.born, 0)
+        known = {int(label): int(age) for label, age in zip(state.labels, ages, strict=True)}
+        return {**known, BACKGROUND: np.iinfo(np.int64).max}
+
+    def live_layers(self, frame_index: int) -> tuple[int, ...]:
+        """Layer ids, without the background, awake at the newest frame or one held before it; ascending."""
+        state = self.state
+        awake = (state.labels > 0) & (state.born <= frame_index) & (state.seen >= frame_index)
+        return tuple(sorted(set(self.layers_of(state.labels[awake]).tolist())))
+
+    def remembered_layers(self) -> frozenset[int]:
+        """Layer ids, without the background, that live or sleep."""
+        return frozenset(self.layers_of(self.state.labels[self.state.labels > 0]).tolist())
+
+    def layers_of(self, labels: Array) -> Array:
+        """Layer ids of some labels, (n,) int64, −1 for none.
+
+        A candidate that fell off an object belongs to its layer until it has one of its own.
+        """
+        state = self.state
+        return np.asarray(layers_of(labels, state.labels, state.origins, state.pooled, state.other))
+
+    def forget(self, merged: Mapping[int, int]) -> None:
+        """Drop labels that were merged into others: nothing is left that could wake.
+
+        Parameters
+        ----------
+        merged : mapping of int to int
+            Label → the one that it was merged into; its parts now belong to that.
+        """
+        if not merged:
+            return
+        objects = self._objects()
+        origins = [objects.get(merged.get(one, one), UNLABELLED) for one in self.state.origins.tolist()]
+        self.state = replace(self.state, origins=np.array(origins, np.int64))
+        self._select(~np.isin(self.state.labels, list(merged)))
+
+    def admit(self, labels: Array, frame_index: int, origins: Mapping[int, int]) -> Array:
+        """Give the labels that are new since the last frame their candidate labels.
+
+        Parameters
+        ----------
+        labels : (n,) int64
+            Unknown labels ≥ 0 are taken for new clusters.
+        frame_index : int
+        origins : mapping of int to int
+            New label → the one it fell off.
+
+        Returns
+        -------
+        (n,) int64
+        """
+        known = set(self.state.labels.tolist()) | {BACKGROUND, UNLABELLED}
+        objects = self._objects()
+        for label in sorted(distinct_labels(labels) - known):
+            candidate = self.state.next_candidate
+            labels = np.where(labels == label, candidate, labels)
+            state = self.state
+            self.state = replace(
+                state,
+                labels=np.concatenate([[candidate], state.labels]),
+                born=np.concatenate([[frame_index], state.born]),
+                origins=np.concatenate(
+                    [[objects.get(origins.get(label, UNLABELLED), UNLABELLED)], state.origins]
+                ),
+                judged=np.concatenate([[0], state.judged]),
+                moving=np.concatenate([[0], state.moving]),
+                spared=np.concatenate([[0], state.spared]),
+                seen=np.concatenate([[frame_index], state.seen]),
+                tracked=np.concatenate([[frame_index], state.tracked]),
+                centroids=np.concatenate([np.zeros((1, 2)), state.centroids]),
+                velocities=np.concatenate([np.zeros((1, 2)), state.velocities]),
+                signatures=np.concatenate([np.zeros((1, SIGNATURE_BINS**3), np.float32), state.signatures]),
+                pooled=np.concatenate([[False], state.pooled]),
+                next_candidate=candidate - 1,
+            )
+        return labels
+
+    def _objects(self) -> dict[int, int]:
+        """The object that each label is, or belongs to as a candidate; −1 if it is none."""
+        labels, origins = self.state.labels.tolist(), self.state.origins.tolist()
+        return {
+            label: label if label > BACKGROUND else origin
+            for label, origin in zip(labels, origins, strict=True)
+        }
+
+    def observe(
+        self,
+        labels: Array,
+        positions: Array,
+        motions: Array,
+        colours: Array,
+        frame_index: int,
+        published: Collection[int],
+    ) -> Array:
+        """Take note of where a frame's labels are: put to sleep and forget.
+
+        Parameters
+        ----------
+        labels : (n,) int64
+            From :meth:`admit`.
+        positions, motions : (n, 2) float32
+            Positions and backward motions of the trajectories, px.
+        colours : (n, 3) uint8
+            The frame's colours there.
+        frame_index : int
+        published : collection of int
+            Layers that own pixels in the newest label map that may be read. A layer with too few
+            trajectories stays awake on them for ``coast_frames``.
+
+        Returns
+        -------
+        (n,) int64
+            Trajectories of labels that have too few are −1.
+        """
+        state = self.state
+        rows, counts, means = sightings(state.labels, labels, positions, motions)
+        enough: Array = counts >= self.config.min_tracks
+        note_sightings(
+            enough, means, colour_signatures(rows, colours, len(state.labels)), frame_index,
+            state.seen, state.tracked, state.centroids, state.velocities, state.signatures,
+        )  # fmt: skip
+        coasting: Array = ~enough & (state.labels > 0) & (state.seen == frame_index - 1)
+        coasting &= frame_index - state.tracked <= self.config.coast_frames
+        if coasting.any():
+            coasting[coasting] = np.isin(self.layers_of(state.labels[coasting]), list(published))
+        state.seen[coasting] = frame_index
+        awake: Array = np.append(enough | coasting, True)  # the last for those of no known label
+        labels = np.where(awake[rows], labels, UNLABELLED)
+        asleep = frame_index - state.seen
+        keep = np.where(state.labels > 0, asleep <= self.config.dormant_frames, asleep == 0)
+        if not keep.all():
+            self._select(keep)
+        if not self.state.pooled.any():
+            self.state = replace(
+                self.state, other=-1
+            )  # the next "other" is another layer: ids do not come back
+        return labels
+
+    def promote(self, labels: Array, frame_index: int, probation: int) -> Array:
+        """Make layers of the candidates that have lasted, and keep the cap.
+
+        Parameters
+        ----------
+        labels : (n,) int64
+            From :meth:`observe`, after a clustering: it is what a candidate has to last.
+        frame_index : int
+        probation : int
+            Frames that a candidate must have lasted to become a layer; one that fell off an object must have
+            lasted for ``part_probation_frames``. One whose object has lost all other trajectories is that
+            object from now on.
+
+        Returns
+        -------
+        (n,) int64
+        """
+        labels = labels.copy()
+        for label in self.state.labels[self.state.labels < UNLABELLED][::-1]:
+            # Asked anew for each: the first part of a lost object is that object, the next is a part of it.
+            row = int(np.flatnonzero(self.state.labels == label)[0])
+            fell_off = self.state.origins[row] != UNLABELLED
+            awaited = self.config.part_probation_frames if fell_off else probation
+            lasted = frame_index - self.state.born[row] >= awaited
+            if lasted or self._bereft(row, frame_index) is not None:
+                labels[labels == label] = self._promote(int(label), frame_index)
+        self._keep_cap(labels, frame_index)
+        return labels
+
+    def _select(self, rows: Array) -> None:
+        state = self.state
+        labels, origins = state.labels[rows], state.origins[rows]
+        self.state = replace(
+            state,
+            labels=labels,
+            born=state.born[rows],
+            # Parts of what is forgotten are parts of nothing.
+            origins=np.where(np.isin(origins, labels), origins, UNLABELLED),
+            judged=state.judged[rows],
+            moving=state.moving[rows],
+            spared=state.spared[rows],
+            seen=state.seen[rows],
+            tracked=state.tracked[rows],
+            centroids=state.centroids[rows],
+            velocities=state.velocities[rows],
+            signatures=state.signatures[rows],
+            pooled=state.pooled[rows],
+        )
+
+    def _promote(self, candidate: int, frame_index: int) -> int:
+        """Make a candidate a layer: wake the sleeping one that it is, or else a new one."""
+        state = self.state
+        row = int(np.flatnonzero(state.labels == candidate)[0])
+        sleeper = self._bereft(row, frame_index)
+        if sleeper is None:
+            sleepers = np.flatnonzero((state.labels > 0) & (state.seen < frame_index))
+            sightings = Sighting(
+                *(one[sleepers] for one in (state.seen, state.centroids, state.velocities, state.signatures))
+            )
+            found = best_sleeper(
+                state.centroids[row], state.signatures[row], sightings, frame_index, self.shape, self.config
+            )
+            sleeper = None if found is None else int(sleepers[found])
+        if sleeper is None:
+            label, born, pooled = state.next_layer, state.born[row], False
+            state = replace(state, next_layer=state.next_layer + 1)
+        else:
+            label, born, pooled = int(state.labels[sleeper]), state.born[sleeper], bool(state.pooled[sleeper])
+            state.judged[row] += state.judged[sleeper]
+            state.moving[row] += state.moving[sleeper]
+        state.labels[row], state.born[row], state.pooled[row] = label, born, pooled
+        self.state = state
+        rows = np.argsort(state.labels, kind="stable")
+        self._select(rows if sleeper is None else rows[rows != sleeper])
+        return label
+
+    def _bereft(self, row: int, frame_index: int) -> int | None:
+        """The object a candidate fell off, if that has no trajectories: it lives on in the candidate."""
+        state = self.state
+        if state.labels[row] > BACKGROUND or state.origins[row] == UNLABELLED:
+            return None
+        origin = int(np.flatnonzero(state.labels == state.origins[row])[0])
+        return origin if state.tracked[origin] < frame_index else None
+
+    def _keep_cap(self, labels: Array, frame_index: int) -> None:
+        """Past the cap the smallest objects share the layer "other", for the rest of their lives."""
+        room = self.config.max_layers - 2  # the background and "other" take two
+        while True:
+            state = self.state
+            single = np.flatnonzero((state.labels > 0) & ~state.pooled & (state.seen == frame_index))
+            if len(single) <= room + (state.other < 0):
+                return
+            if state.other < 0:
+                self.state = state = replace(state, other=state.next_layer, next_layer=state.next_layer + 1)
+            sizes = [int((labels == state.labels[row]).sum()) for row in single]
+            state.pooled[single[int(np.lexsort((-state.labels[single], np.array(sizes)))[0])]] = True

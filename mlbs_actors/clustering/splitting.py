@@ -1,0 +1,308 @@
+"""Which trajectories belong together: propagate, split (§4).
+
+Every few frames the labels are carried on to new trajectories by a random walk, every cluster is put to the
+N-cut test again, and what falls apart is kept apart only if it *moves* apart
+(:mod:`mlbs_actors.clustering.motion_merging`).
+
+Differs from the paper, which trusts the N-cut alone:
+
+* Flow bleeds over smooth ground. Trajectories that move without evidence of it have no part in the N-cut
+  test.
+* Disconnection alone never makes a label, and groups with few trajectories stay unlabelled.
+* A cluster that holds together firmly is spared the test for a while. It costs less time, and fewer clusters
+  fall apart by an accident of the flow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+import numpy as np
+import scipy.sparse as sp
+
+from mlbs_actors.clustering.label_index import (
+    UNLABELLED,
+    class_medians,
+    distinct_labels,
+    label_classes,
+    likeliest,
+    median_length,
+)
+from mlbs_actors.clustering.label_propagation import propagate_absorbing, propagate_soft
+from mlbs_actors.clustering.normalized_cut import recursive_cut
+from mlbs_actors.config import AffinityConfig, LayersConfig
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.messages import BACKGROUND, Array
+from mlbs_actors.tracking.trajectories import TrajectoryState, evenly_spread
+
+__all__ = [
+    "background_first",
+    "bled_trajectories",
+    "label_speeds",
+    "least_object_speed",
+    "propagate_labels",
+    "residual_speed",
+    "split_labels",
+    "split_origins",
+]
+
+#: Frames over which a trajectory's speed against the camera is averaged.
+SPEED_FRAMES = 3
+
+
+def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConfig) -> Array:
+    """Carry last frame's labels to this frame's trajectories.
+
+    Parameters
+    ----------
+    affinity : (n, n) sparse
+    labels : (n,) int64
+        Label of each trajectory in the last frame; −1 for new ones.
+    config : AffinityConfig
+
+    Returns
+    -------
+    (n,) int64
+        −1 where no labelled trajectory can be reached, or only by so long a walk that next to none get there.
+    """
+    if config.propagation == "soft":
+        return _decided(partial(propagate_soft, restart=config.restart), affinity, labels)
+    return _decided(propagate_absorbing, affinity, labels)
+
+
+def _decided(
+    walk: Callable[[sp.csr_array, Array, int], Array], affinity: sp.csr_array, labels: Array
+) -> Array:
+    """The label to which most walks from each trajectory lead, −1 where none does."""
+    known, classes = label_classes(labels, labels == UNLABELLED)
+    return np.asarray(likeliest(walk(affinity, classes, len(known)), known))
+
+
+def bled_trajectories(
+    trajectories: TrajectoryState, speed: Array, config: LayersConfig, scale: float
+) -> Array:
+    """Which trajectories move against the camera though the image gives no evidence of it.
+
+    Flow bleeds from an object over the smooth ground beside it. Such trajectories move in ways between
+    those of two things, and so tie together what does not belong together.
+
+    Parameters
+    ----------
+    trajectories : TrajectoryState
+    speed : (n,) float64
+        :func:`residual_speed`, px/frame.
+    config : LayersConfig
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+
+    Returns
+    -------
+    (n,) bool
+    """
+    moving = speed > config.camera_px * scale
+    return np.asarray(moving & (trajectories.evidence < config.least_evidence))
+
+
+def split_labels(
+    affinity: sp.csr_array,
+    labels: Array,
+    config: AffinityConfig,
+    next_label: int,
+    bled: Array,
+    spared: Array | Sequence[int] = (),
+) -> tuple[Array, Array]:
+    """Put clusters to the N-cut test; parts that fall off get fresh labels.
+
+    The part with most trajectories keeps the label. Trajectories without a label are clustered too. Those
+    that have bled tie nothing together; they, and the few that hung on them alone, go where the random walk
+    takes them.
+
+    Parameters
+    ----------
+    affinity : (n, n) sparse
+    labels : (n,) int64
+    config : AffinityConfig
+    next_label : int
+        From here on labels are unused.
+    bled : (n,) bool
+        From :func:`bled_trajectories`.
+    spared : (k,) int64
+        Labels that are not put to the test.
+
+    Returns
+    -------
+    labels : (n,) int64
+    firm : (m,) int64
+        Labels of clusters that are firm (:func:`~mlbs_actors.clustering.normalized_cut.recursive_cut`).
+    """
+    known, classes = label_classes(labels, bled)
+    tested = np.append(~np.isin(known, spared), False)  # the last for those of no class
+    classes = np.where(tested[classes], classes, -1)
+    clusters, firm = recursive_cut(affinity, config.cut_threshold, config.cut_side_tracks, classes)
+    result, adrift, names = _named(labels, bled, known, classes, clusters, next_label)
+    if adrift.any():
+        # All others hold still: the walk is asked only where those adrift go.
+        result[adrift] = _decided(propagate_absorbing, affinity, result)[adrift]
+    return result, names[firm]
+
+
+@compiled
+def _named(
+    labels: Array, bled: Array, known: Array, classes: Array, clusters: Array, next_label: int
+) -> tuple[Array, Array, Array]:
+    """Labels of the clusters that each label has fallen into, which trajectories are adrift, and each
+    cluster's label.
+
+    Labels that are too small to be cut stay as they are.
+    """
+    owner = np.full(clusters.size, -1)
+    own, has_bled = classes.copy(), np.zeros(known.size, np.bool_)
+    count = 0
+    for i in range(labels.size):
+        if bled[i]:
+            place = np.searchsorted(known, labels[i])
+            if place < known.size and known[place] == labels[i]:
+                own[i], has_bled[place] = place, True
+        elif clusters[i] >= 0:
+            owner[clusters[i]] = classes[i]
+            count = max(count, clusters[i] + 1)
+    names, parts = np.empty(count, np.int64), np.zeros(known.size, np.int64)
+    for one in range(known.size):
+        for cluster in range(count):  # by falling size
+            if owner[cluster] == one:
+                if parts[one] == 0 and known[one] != UNLABELLED:
+                    names[cluster] = known[one]
+                else:
+                    names[cluster] = next_label
+                    next_label += 1
+                parts[one] += 1
+    result, adrift = labels.copy(), np.zeros(labels.size, np.bool_)
+    for i in range(labels.size):
+        if own[i] < 0 or parts[own[i]] == 0:
+            continue
+        if clusters[i] >= 0:
+            result[i] = names[clusters[i]]
+        elif not bled[i]:
+            result[i], adrift[i] = UNLABELLED, has_bled[own[i]]
+        elif parts[own[i]] > 1:
+            result[i], adrift[i] = UNLABELLED, True
+    return result, adrift, names
+
+
+def split_origins(before: Array, labels: Array) -> dict[int, int]:
+    """Where the labels that are new after :func:`split_labels` come from.
+
+    Parameters
+    ----------
+    before, labels : (n,) int64
+        Labels before and after it.
+
+    Returns
+    -------
+    dict of int to int
+        New label → the label that most of its trajectories had; none for those that had none.
+    """
+    origins = {}
+    for label in sorted(distinct_labels(labels) - distinct_labels(before)):
+        previous, counts = np.unique(before[labels == label], return_counts=True)
+        if previous[np.argmax(counts)] != UNLABELLED:
+            origins[label] = int(previous[np.argmax(counts)])
+    return origins
+
+
+def label_speeds(speed: Array, labels: Array) -> dict[int, float]:
+    """How fast each label moves against the camera.
+
+    Parameters
+    ----------
+    speed : (n,) float64
+        :func:`residual_speed`, px/frame.
+    labels : (n,) int64
+
+    Returns
+    -------
+    dict of int to float
+        Label → median of its trajectories, px/frame.
+    """
+    known, classes = label_classes(labels, labels == UNLABELLED)
+    medians = class_medians(speed, classes, len(known))
+    return dict(zip(known.tolist(), medians.tolist(), strict=True))
+
+
+def least_object_speed(
+    trajectories: TrajectoryState,
+    labels: Array,
+    speeds: Mapping[int, float],
+    config: LayersConfig,
+    scale: float,
+) -> float:
+    """Speed against the camera below which a young label is background, px/frame.
+
+    Parameters
+    ----------
+    trajectories : TrajectoryState
+    labels : (n,) int64
+    speeds : mapping of int to float
+        :func:`label_speeds`.
+    config : LayersConfig
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+    """
+    least = config.camera_px * scale
+    if BACKGROUND in speeds:
+        camera = median_length(trajectories.motions.astype(np.float64), labels == BACKGROUND)
+        least = max(least, config.camera_relative * camera, 4.0 * speeds[BACKGROUND])
+    return least
+
+
+def residual_speed(trajectories: TrajectoryState) -> Array:
+    """Length of each trajectory's mean residual motion of up to three frames, (n,) float64, px/frame."""
+    return np.asarray(_mean_speed(trajectories.residuals, trajectories.ages))
+
+
+@compiled
+def _mean_speed(residuals: Array, ages: Array) -> Array:
+    speed = np.empty(ages.size)
+    for i in range(ages.size):
+        x = y = np.float32(0)
+        for age in range(min(SPEED_FRAMES, residuals.shape[1])):
+            x += residuals[i, age, 0]
+            y += residuals[i, age, 1]
+        known = min(max(ages[i], 1), SPEED_FRAMES)
+        speed[i] = np.hypot(x / known, y / known)
+    return speed
+
+
+def background_first(labels: Array, trajectories: TrajectoryState, scale: float, spacing: float) -> Array:
+    """Renumber the first clusters so that 0 is the one that best obeys the camera's motion.
+
+    Parameters
+    ----------
+    labels : (n,) int64
+        Clusters 0 … C−1, −1 = none.
+    trajectories : TrajectoryState
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+    spacing : float
+        Trajectories count once a square of this side: it is the area that decides, px.
+
+    Returns
+    -------
+    (n,) int64
+        All background if there is no cluster.
+    """
+    clusters = np.unique(labels[labels != UNLABELLED])
+    if len(clusters) == 0:
+        return np.full(len(labels), BACKGROUND, np.int64)
+    residual = np.hypot(trajectories.residuals[:, 0, 0], trajectories.residuals[:, 0, 1])
+    obeying = [
+        len(evenly_spread(trajectories.positions, (labels == cluster) & (residual < scale), spacing))
+        for cluster in clusters
+    ]
+    background = int(clusters[int(np.argmax(obeying))])
+    order = [background, *(int(cluster) for cluster in clusters if cluster != background)]
+    renumbered = np.full(len(labels), UNLABELLED, np.int64)
+    for position, cluster in enumerate(order):
+        renumbered[labels == cluster] = position
+    return renumbered

@@ -1,0 +1,279 @@
+"""The motion of small patches of one level, by search and inverse-compositional descent.
+
+Patches on a grid start from the flow that is known so far or from that of a neighbour, whichever explains the
+image better, and descend from there. Each pixel then takes the mean motion of the patches over it, those that
+explain it well counting most (:mod:`mlbs_actors.flow.inverse_search` says where this comes from).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.kernels.simd import absolute, broadcast, load, maximum, multiply_add, store, sum_of_lanes
+from mlbs_actors.messages import Array
+
+__all__ = ["MARGIN", "PATCH", "densify", "patch_places", "search_patches"]
+
+#: Side of a patch, px.
+PATCH = 8
+#: Pixels by which a frame is continued past its sides: a patch may leave it altogether.
+MARGIN = 16
+#: Rows of patches that are searched together: what their diagonals look at stays in the innermost cache.
+STRIP = 8
+
+
+@compiled
+def patch_places(start: int, length: int, stride: int) -> Array:
+    """Where patches begin along one axis: the last one ends where the part does."""
+    last = start + length - PATCH
+    return np.minimum(np.arange(start, last + stride, stride), last)
+
+
+@compiled
+def search_patches(
+    gray: Array, around: Array, slope_x: Array, slope_y: Array, flow: Array, across: Array, down: Array,
+    iterations: int,
+) -> Array:  # fmt: skip
+    """Motion of each patch, (rows, columns, 2), in two passes: from the top left, and back."""
+    rows, columns, shape = down.size, across.size, gray.shape
+    gray, around, slope_x, slope_y = (
+        gray.reshape(-1),
+        around.reshape(-1),
+        slope_x.reshape(-1),
+        slope_y.reshape(-1),
+    )
+    motions = np.empty((rows, columns, 2), np.float32)
+    slopes = np.empty((rows, columns, 5), np.float32)
+    for row in range(rows):
+        for column in range(columns):
+            y, x = down[row], across[column]
+            slopes[row, column] = _slopes(slope_x, slope_y, shape, y, x)
+            for axis in range(2):
+                motions[row, column, axis] = flow[axis, y + PATCH // 2, x + PATCH // 2]
+    for turn in (1, -1):
+        _pass(
+            gray, around, slope_x, slope_y, shape, motions[::turn, ::turn], slopes[::turn, ::turn],
+            across[::turn], down[::turn], iterations,
+        )  # fmt: skip
+    return motions
+
+
+@compiled
+def _pass(
+    gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], motions: Array,
+    slopes: Array, across: Array, down: Array, iterations: int,
+) -> None:  # fmt: skip
+    """Search every patch from what it or the one before it in its row or column knows, in place.
+
+    Those on a diagonal do not wait for each other, and take turns with every step: a single one would leave
+    the processor idle for most of the time that its sums take.
+    """
+    rows, columns = motions.shape[:2]
+    us, vs, mismatch = np.empty(STRIP, np.float32), np.empty(STRIP, np.float32), np.empty(STRIP, np.float32)
+    descending = np.empty(STRIP, np.int64)
+    for top in range(0, rows, STRIP):
+        height = min(STRIP, rows - top)
+        for diagonal in range(height + columns - 1):
+            first, end = max(0, diagonal - columns + 1), min(diagonal + 1, height)
+            for k in range(first, end):
+                row, column = top + k, diagonal - k
+                y, x = down[row], across[column]
+                u, v = motions[row, column, 0], motions[row, column, 1]
+                least = _mismatch(gray, around, shape, y, x, u, v)
+                for other_row, other_column in ((row, max(column - 1, 0)), (max(row - 1, 0), column)):
+                    other_u = motions[other_row, other_column, 0]
+                    other_v = motions[other_row, other_column, 1]
+                    other = _mismatch(gray, around, shape, y, x, other_u, other_v)
+                    better = other < least  # no branch, for it could not be foretold
+                    least = other if better else least
+                    u = other_u if better else u
+                    v = other_v if better else v
+                motions[row, column, 0], motions[row, column, 1] = u, v
+                us[k], vs[k], mismatch[k], descending[k - first] = u, v, np.float32(np.inf), k
+            left = end - first
+            for _ in range(iterations):
+                count, left = left, 0
+                for place in range(count):
+                    k = descending[place]
+                    row, column = top + k, diagonal - k
+                    u, v, now = _descended(
+                        gray, around, slope_x, slope_y, shape, down[row], across[column], us[k], vs[k],
+                        slopes[row, column],
+                    )  # fmt: skip
+                    descending[left] = k
+                    left += now < mismatch[k]
+                    us[k], vs[k], mismatch[k] = u, v, now
+            for k in range(first, end):
+                row, column = top + k, diagonal - k
+                away_u, away_v = us[k] - motions[row, column, 0], vs[k] - motions[row, column, 1]
+                # What ends far from where it began has lost its way.
+                if away_u**2 + away_v**2 <= np.float32(PATCH * PATCH):
+                    motions[row, column, 0], motions[row, column, 1] = us[k], vs[k]
+
+
+# What follows works on flat arrays, where a pixel's place is one sum, and is put where it is called from:
+# calls would move more arguments than a patch has rows.
+
+
+@compiled
+def _descended(
+    gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
+    u: np.float32, v: np.float32, slopes: Array,
+) -> tuple[np.float32, np.float32, np.float32]:  # fmt: skip
+    """A patch's motion after a step of inverse-compositional descent, brightness aside; its mismatch before.
+
+    Sobel's slopes are eight times the derivatives, so that a step is an eighth of Gauss and Newton's. With
+    whole ones more patches lose their way.
+    """
+    xx, xy, yy, sum_x, sum_y = slopes[0], slopes[1], slopes[2], slopes[3], slopes[4]
+    determinant = max(xx * yy - xy * xy, np.float32(1e-3))
+    total, squares, along, below = _differences(gray, around, slope_x, slope_y, shape, y, x, u, v)
+    mean = total / np.float32(PATCH * PATCH)
+    gradient_x, gradient_y = along - mean * sum_x, below - mean * sum_y
+    u -= (yy * gradient_x - xy * gradient_y) / determinant
+    v -= (xx * gradient_y - xy * gradient_x) / determinant
+    return u, v, squares - mean * total
+
+
+@compiled
+def _source_place(
+    shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
+) -> tuple[np.uint64, np.float32, np.float32]:
+    """Where a moved patch begins in the continued frame, and by what share of a pixel it lies off."""
+    least = np.float32(MARGIN - PATCH + 1)
+    bottom, right = np.float32(shape[0] + MARGIN - 1), np.float32(shape[1] + MARGIN - 1)
+    at_y = min(max(np.float32(y + MARGIN) + v, least), bottom)
+    at_x = min(max(np.float32(x + MARGIN) + u, least), right)
+    top, left = np.int32(at_y), np.int32(at_x)
+    down, across = at_y - np.float32(top), at_x - np.float32(left)
+    there = np.uint64(top * (shape[1] + 2 * MARGIN) + left)
+    return there, across, down
+
+
+@compiled
+def _place(width: int, y: int, x: int, row: int, column: int) -> np.uint64:
+    """Place of a patch's pixel in a flat frame."""
+    return (
+        np.uint64(y) * np.uint64(width) + np.uint64(x) + np.uint64(row) * np.uint64(width) + np.uint64(column)
+    )
+
+
+@compiled
+def _slopes(
+    slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
+    """Sums over a patch: of the slopes' squares and product, and of the slopes."""
+    xx, xy, yy, sum_x, sum_y = np.int32(0), np.int32(0), np.int32(0), np.int32(0), np.int32(0)
+    # Columns outside: LLVM unrolls the rows, and does all columns at once. Sums of whole numbers may be added
+    # in any order.
+    for column in range(PATCH):
+        for row in range(PATCH):
+            at = _place(shape[1], y, x, row, column)
+            along, below = np.int32(slope_x[at]), np.int32(slope_y[at])
+            xx, xy, yy = (
+                np.int32(xx + along * along),
+                np.int32(xy + along * below),
+                np.int32(yy + below * below),
+            )
+            sum_x, sum_y = np.int32(sum_x + along), np.int32(sum_y + below)
+    return np.float32(xx), np.float32(xy), np.float32(yy), np.float32(sum_x), np.float32(sum_y)
+
+
+@compiled
+def _mismatch(
+    gray: Array, around: Array, shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
+) -> np.float32:
+    """Sum of squared differences of a patch and its place in the target, but for their mean."""
+    there, across, down = _source_place(shape, y, x, u, v)
+    here, upper = _place(shape[1], y, x, 0, 0), _between(around, there, across)
+    summed = broadcast(np.float32(0), PATCH)
+    squares = summed
+    for _ in range(PATCH):
+        there += np.uint64(shape[1] + 2 * MARGIN)
+        lower = _between(around, there, across)
+        difference = _row_difference(gray, here, upper, lower, down)
+        summed, squares = summed + difference, multiply_add(difference, difference, squares)
+        here, upper = here + np.uint64(shape[1]), lower
+    plain, squared = np.float32(sum_of_lanes(summed)), np.float32(sum_of_lanes(squares))
+    mean = plain / np.float32(PATCH * PATCH)
+    return squared - mean * plain
+
+
+@compiled
+def _differences(
+    gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
+    u: np.float32, v: np.float32,
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:  # fmt: skip
+    """Sums of a patch's differences: plain, squared, times its slope along x, and along y."""
+    there, across, down = _source_place(shape, y, x, u, v)
+    here, upper = _place(shape[1], y, x, 0, 0), _between(around, there, across)
+    summed = broadcast(np.float32(0), PATCH)
+    squares, along, below = summed, summed, summed
+    for _ in range(PATCH):
+        there += np.uint64(shape[1] + 2 * MARGIN)
+        lower = _between(around, there, across)
+        difference = _row_difference(gray, here, upper, lower, down)
+        summed, squares = summed + difference, multiply_add(difference, difference, squares)
+        along = multiply_add(difference, load(slope_x, here, PATCH), along)
+        below = multiply_add(difference, load(slope_y, here, PATCH), below)
+        here, upper = here + np.uint64(shape[1]), lower
+    return sum_of_lanes(summed), sum_of_lanes(squares), sum_of_lanes(along), sum_of_lanes(below)
+
+
+@compiled
+def _row_difference(gray: Array, here: np.uint64, upper: Any, lower: Any, down: np.float32) -> Any:
+    """What lies between two rows of the continued frame more than in a patch's row."""
+    moved = multiply_add(broadcast(down, PATCH), lower - upper, upper)
+    return moved - load(gray, here, PATCH)
+
+
+@compiled
+def densify(
+    gray: Array,
+    around: Array,
+    motions: Array,
+    across: Array,
+    down: Array,
+    left: int,
+    top: int,
+    window: Array,
+) -> None:
+    """Mean motion of the patches over each pixel, into (3, h, w) zeros: x, y and the sum of weights.
+
+    A patch weighs 1 / its difference there in grey levels, at most 1.
+    """
+    shape, width = gray.shape, window.shape[2]
+    stride, continued = np.uint64(shape[1]), np.uint64(shape[1] + 2 * MARGIN)
+    gray, around, sums = gray.reshape(-1), around.reshape(-1), window.reshape(-1)
+    one = broadcast(np.float32(1), PATCH)
+    for row in range(down.size):
+        for column in range(across.size):
+            y, x = down[row], across[column]
+            u, v = motions[row, column, 0], motions[row, column, 1]
+            there, right, lower = _source_place(shape, y, x, u, v)
+            upper = _between(around, there, right)
+            here, to = _place(shape[1], y, x, 0, 0), _place(width, y - top, x - left, 0, 0)
+            for _ in range(PATCH):
+                there += continued
+                below = _between(around, there, right)
+                error = absolute(_row_difference(gray, here, upper, below, lower))
+                weight, place = one / maximum(one, error), to
+                for factor in (u, v, np.float32(1)):
+                    summed = load(sums, place, PATCH) + weight * broadcast(factor, PATCH)
+                    store(sums, place, summed)
+                    place += np.uint64(window.shape[1] * width)
+                upper, here, to = below, here + stride, to + np.uint64(width)
+    for y in range(window.shape[1]):
+        for axis in range(2):
+            for x in range(width):
+                window[axis, y, x] /= window[2, y, x]
+
+
+@compiled
+def _between(values: Array, at: np.uint64, share: np.float32) -> Any:
+    """As many values as a patch has columns, by a share of a pixel further to the right."""
+    left = load(values, at, PATCH)
+    return multiply_add(broadcast(share, PATCH), load(values, at + np.uint64(1), PATCH) - left, left)

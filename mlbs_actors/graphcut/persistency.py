@@ -1,0 +1,276 @@
+"""Decides most pixels of a label-cost energy before any graph is built, without changing a single optimum.
+
+For E(L) = Σ_p U_p(l_p) + Σ_pq w_pq [l_p ≠ l_q] + Σ_k h_k δ_k(L), let pixel p's best label b beat every other
+label by ``gap``. Whatever its neighbours are, giving p the label b changes the pair terms by at most
+W_p = Σ_q w_pq, so with *margin* = gap − W_p > 0 the label b is the better one, except that b may have to
+be bought for h_b. Hence
+
+* a label b is **certain** when the margins of the pixels that prefer b add up to more than h_b: a labelling
+  without b would gain by giving all of them b at once, so every optimum uses b;
+* a pixel of positive margin whose best label is certain has that label in every optimum: it is **decided**.
+  (One pixel whose margin exceeds h_b makes b certain by itself, so no second rule is needed.)
+
+A decided pixel q of label d lowers its neighbours' bar: U_p(d) and W_p both fall by w_pq, as the pair term
+with a known label is a unary term. The test is repeated along a queue until nothing more can be decided.
+
+What is left is an energy on the undecided pixels alone, with the decided neighbours folded into the unary
+terms and the certain labels free of charge; its optima are those of the whole. Nor does an expansion move on
+the whole image need a decided pixel: put back in the order of their decision, the decided pixels lower the
+energy at each step. So where no expansion on the rest lowers the energy, none on the whole does.
+
+The same argument with two choices, stay or move, keeps single expansions small (``movable``).
+
+Differs from the paper: the paper cuts the whole pixel grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mlbs_actors.graphcut.energy import (
+    NEIGHBOUR_OFFSETS,
+    UNDECIDED,
+    LabelCostEnergy,
+    UndecidedEnergy,
+    undecided_energy,
+)
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.kernels.simd import broadcast, gathered, load_int32, sum_of_lanes, where_equal
+from mlbs_actors.messages import Array
+
+__all__ = ["Pruning", "decide", "movable", "prune"]
+
+
+@dataclass(frozen=True, slots=True)
+class Pruning:
+    """What every optimum of an energy has in common, and the energy that is left.
+
+    Attributes
+    ----------
+    labels : (H, W) int16
+        Label position of the decided pixels, ``UNDECIDED`` elsewhere.
+    rest : UndecidedEnergy
+    """
+
+    labels: Array
+    rest: UndecidedEnergy
+
+
+def prune(whole: LabelCostEnergy) -> Pruning:
+    """Decide the pixels whose label can be proven locally to be the same in all optima.
+
+    Parameters
+    ----------
+    whole : LabelCostEnergy
+
+    Returns
+    -------
+    Pruning
+    """
+    labels, certain = decide(whole.unary, whole.boxes(), whole.weights, whole.label_costs)
+    return Pruning(labels, undecided_energy(whole, labels, certain))
+
+
+@compiled
+def decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> tuple[Array, Array]:
+    """Labels, and which of them are certain."""
+    label_count, height, width = unary.shape
+    best = np.zeros((height, width), np.int32)
+    # Beyond every cost: there may be no other label.
+    least = np.full((height, width), 2**29, np.int32)
+    second = np.full((height, width), 2**29, np.int32)
+    folded = np.empty_like(unary)
+    _compare_costs(unary, places, folded, best, least, second)
+    # What the neighbours that are not decided could pay; the margin is gap − open weight.
+    open_weight = np.zeros((height, width), np.int32)
+    _sum_weights(weights, open_weight)
+
+    labels = np.full((height, width), UNDECIDED, np.int16)
+    certain = np.zeros(label_count, np.bool_)
+    queue = np.empty(height * width, np.int32)
+    label_of, best_of, open_weight_of = labels.reshape(-1), best.reshape(-1), open_weight.reshape(-1)
+    least_of, second_of, weights_of = least.reshape(-1), second.reshape(-1), weights.reshape(-1, 4)
+    while True:
+        evidence = np.zeros(label_count, np.int64)
+        for pixel in range(labels.size):
+            evidence[best_of[pixel]] += max(second_of[pixel] - least_of[pixel] - open_weight_of[pixel], 0)
+        newly_certain = ~certain & (evidence > label_costs)
+        if not newly_certain.any():
+            break
+        certain |= newly_certain
+        head = tail = 0
+        for pixel in range(labels.size):
+            margin = second_of[pixel] - least_of[pixel] - open_weight_of[pixel]
+            if label_of[pixel] == UNDECIDED and margin > 0 and certain[best_of[pixel]]:
+                label_of[pixel], queue[tail] = best_of[pixel], pixel
+                tail += 1
+        while head < tail:
+            pixel = int(queue[head])
+            y = pixel // width
+            x = pixel - y * width
+            head += 1
+            label = label_of[pixel]
+            top, bottom, left, right = places[label]
+            inside = 0 < y < height - 1 and 0 < x < width - 1
+            for k in range(8):
+                down, across = NEIGHBOUR_OFFSETS[k]
+                v, u = y + down, x + across
+                if not inside and not (0 <= v < height and 0 <= u < width):
+                    continue
+                other = np.uint64(pixel + down * width + across)
+                if label_of[other] != UNDECIDED:
+                    continue
+                w = weights_of[np.uint64(pixel), k] if k < 4 else weights_of[other, k - 4]
+                open_weight_of[other] -= w
+                if top <= v < bottom and left <= u < right:
+                    folded[label, v, u] -= w
+                    cost = folded[label, v, u]
+                    if label == best_of[other]:
+                        least_of[other] = cost
+                    elif cost < least_of[other]:
+                        best_of[other], second_of[other], least_of[other] = label, least_of[other], cost
+                    elif cost < second_of[other]:
+                        second_of[other] = cost
+                margin = second_of[other] - least_of[other] - open_weight_of[other]
+                if margin > 0 and certain[best_of[other]]:
+                    label_of[other], queue[tail] = best_of[other], other
+                    tail += 1
+
+    return labels, certain
+
+
+@compiled
+def _compare_costs(
+    unary: Array, places: Array, folded: Array, best: Array, least: Array, second: Array
+) -> None:
+    """Copy the costs of labels where they can be, and find the label of the least, that, and the second."""
+    for label in range(len(places)):
+        top, bottom, left, right = places[label]
+        for y in range(top, bottom):
+            costs, copied = unary[label, y], folded[label, y]
+            best_of, least_of, second_of = best[y], least[y], second[y]
+            for x in range(left, right):  # without a branch: this runs in vector registers
+                at = np.uint64(x)
+                cost, lowest = costs[at], least_of[at]
+                copied[at] = cost
+                best_of[at] = label if cost < lowest else best_of[at]
+                second_of[at] = lowest if cost < lowest else min(second_of[at], cost)
+                least_of[at] = min(cost, lowest)
+
+
+@compiled
+def _sum_weights(weights: Array, total: Array) -> None:
+    """Add up the weights to all neighbours of each pixel, (H, W) int32, into zeros."""
+    height, width = total.shape
+    flat = weights.reshape(-1)
+    for y in range(height):
+        own, first = total[y], 4 * y * width
+        for x in range(width):
+            at = np.uint64(first + 4 * x)
+            own[np.uint64(x)] += (
+                flat[at] + flat[at + np.uint64(1)] + flat[at + np.uint64(2)] + flat[at + np.uint64(3)]
+            )
+        for k in range(4):  # outside the image they are 0
+            down, right = NEIGHBOUR_OFFSETS[k]
+            if y + down == height:
+                continue
+            others = total[y + down]
+            for x in range(max(0, -right), min(width, width - right)):
+                others[np.uint64(x + right)] += flat[np.uint64(first + 4 * x + k)]
+
+
+@compiled
+def movable(
+    candidates: Array, costs: Array, chosen: Array, neighbour: Array, weight: Array, label_costs: Array,
+    labels: Array, used: Array, alpha: int,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Pixels that a best expansion of ``alpha`` may take, and labels that it leaves in use.
+
+    A pixel is left out when taking it costs more than its neighbours, those that can be at alpha, and the
+    release of its own label can ever pay back: every move is better without it. Its neighbours then have one
+    less to count on and its label stays in use, so the test is repeated.
+
+    Parameters
+    ----------
+    candidates, costs : (c,) int32
+        Alpha's entries of the :class:`~mlbs_actors.graphcut.energy.Offers`.
+    chosen : (n,) int32
+        What each pixel pays for the label that it has.
+    neighbour, weight : (n, 8) int32
+    label_costs : (K,) int64
+        As of :class:`~mlbs_actors.graphcut.energy.UndecidedEnergy`.
+    labels : (n,) intp
+        The labelling to expand in.
+    used : (K,) int64
+        How many pixels have each label.
+    alpha : int
+        Label position.
+
+    Returns
+    -------
+    pixels : (m,) intp
+        Positions 0 … n−1, ascending.
+    price : (m,) int64
+        What alpha costs each of them more than its own label.
+    kept : (K,) bool
+        Labels that keep a pixel in every best move, or cost nothing; alpha's own entry has no meaning.
+    """
+    # What is saved if none of a label's pixels stays; 0 as soon as one does.
+    refund, charged = label_costs.copy(), False
+    for label in range(refund.size):
+        charged = charged or refund[label] > 0
+    if charged:
+        offered = np.zeros(used.size, np.int64)
+        for p in candidates:
+            offered[labels[p]] += 1
+        for label in range(refund.size):
+            refund[label] = refund[label] if offered[label] == used[label] else 0
+    ends, weights = neighbour.reshape(-1), weight.reshape(-1)
+    nothing, moving = broadcast(np.int32(0), 8), broadcast(np.int32(alpha), 8)
+    # The labels if all move that still may.
+    moved = labels.astype(np.int32)
+    price, pixels = np.empty(candidates.size, np.int64), np.empty(candidates.size, np.intp)
+    count = 0
+    # A first look, as if all neighbours were at alpha. Nobody can foretell which pixels may move, so that is
+    # no branch, here and below, but a choice of values.
+    for i in range(candidates.size):
+        at = np.uint64(i)
+        p = np.uint64(candidates[at])
+        label = labels[p]
+        cost = np.int64(costs[at]) - chosen[p]
+        gain = np.int64(sum_of_lanes(load_int32(weights, np.uint64(8) * p, 8)))
+        if charged:
+            gain += refund[label]
+        other = label != alpha
+        moves = other & (cost <= gain)
+        if charged and other and not moves:
+            refund[label] = 0
+        moved[p] = alpha if moves else label
+        pixels[np.uint64(count)], price[np.uint64(count)] = p, cost
+        count += moves
+    while True:
+        left = 0
+        for i in range(count):
+            at = np.uint64(i)
+            p, cost = np.uint64(pixels[at]), price[at]
+            label, first = labels[p], np.uint64(8) * p
+            # Beside a neighbour at alpha moving saves w; beside one that keeps p's own label it costs w.
+            w = load_int32(weights, first, 8)
+            beside = gathered(moved, where_equal(w, nothing, nothing, load_int32(ends, first, 8)))
+            own = broadcast(np.int32(label), 8)
+            saved = where_equal(beside, moving, w, where_equal(beside, own, nothing - w, nothing))
+            gain = np.int64(sum_of_lanes(saved))
+            if charged:
+                gain += refund[label]
+            moves = cost <= gain
+            if charged and not moves:
+                refund[label] = 0
+            moved[p] = alpha if moves else label
+            pixels[np.uint64(left)], price[np.uint64(left)] = p, cost
+            left += moves
+        # A round that leaves out few is not worth another; stopping early only makes the graph larger.
+        if 4 * (count - left) <= count:
+            return pixels[:left], price[:left], refund == 0
+        count = left

@@ -1,0 +1,75 @@
+"""Flow and maps of the shrunk frame, read at full-size places between their pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.messages import Array
+
+__all__ = ["sample_flow", "sample_map"]
+
+#: Flow is read at places in whole parts of a pixel, as OpenCV's ``remap`` does with two channels.
+PARTS = 32
+
+_ONE, _HALF = np.float32(1), np.float32(0.5)
+
+
+@compiled
+def sample_flow(flow: Array, points: Array, step: tuple[float, float]) -> Array:
+    """Bilinear flow vectors at full-size positions.
+
+    Parameters
+    ----------
+    flow : (h, w, c) float32
+    points : (n, 2) float32
+        (x, y), full-size px.
+    step : (float, float)
+        Full-size px per grid step.
+
+    Returns
+    -------
+    (n, c) float32
+        Beyond the outermost pixels' centres theirs.
+    """
+    height, width, channels = flow.shape
+    step_x, step_y = np.float32(step[0]), np.float32(step[1])
+    sampled = np.empty((len(points), channels), np.float32)
+    for point in range(len(points)):
+        x = int(np.rint(PARTS * ((points[point, 0] + _HALF) / step_x - _HALF)))
+        y = int(np.rint(PARTS * ((points[point, 1] + _HALF) / step_y - _HALF)))
+        along, across = np.float32(x % PARTS) / np.float32(PARTS), np.float32(y % PARTS) / np.float32(PARTS)
+        left, right = _beside(x // PARTS, width)
+        top, bottom = _beside(y // PARTS, height)
+        w00, w01 = (_ONE - across) * (_ONE - along), (_ONE - across) * along
+        w10, w11 = across * (_ONE - along), across * along
+        for channel in range(channels):
+            upper = w00 * flow[top, left, channel] + w01 * flow[top, right, channel]
+            sampled[point, channel] = (
+                upper + w10 * flow[bottom, left, channel] + w11 * flow[bottom, right, channel]
+            )
+    return sampled
+
+
+@compiled
+def sample_map(values: Array, points: Array, step: tuple[float, float]) -> Array:
+    """Bilinear values of a map (h, w) float32, (n,) float32; otherwise as :func:`sample_flow`."""
+    height, width = values.shape
+    step_x, step_y = np.float32(step[0]), np.float32(step[1])
+    sampled = np.empty(len(points), np.float32)
+    for point in range(len(points)):
+        x = (points[point, 0] + _HALF) / step_x - _HALF
+        y = (points[point, 1] + _HALF) / step_y - _HALF
+        along, across = x - np.floor(x), y - np.floor(y)
+        left, right = _beside(int(np.floor(x)), width)
+        top, bottom = _beside(int(np.floor(y)), height)
+        upper = values[top, left] + along * (values[top, right] - values[top, left])
+        lower = values[bottom, left] + along * (values[bottom, right] - values[bottom, left])
+        sampled[point] = upper + across * (lower - upper)
+    return sampled
+
+
+@compiled
+def _beside(place: int, count: int) -> tuple[int, int]:
+    """A place and the next one, as far as there are such."""
+    return min(max(place, 0), count - 1), min(max(place + 1, 0), count - 1)

@@ -1,0 +1,30 @@
+"""Compile loops over pixels, trajectories and nodes with Numba, and keep the machine code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numba
+
+from mlbs_actors.kernels.machine_code import machine_code_folder
+
+__all__ = ["compiled"]
+
+_config: Any = numba.config
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """Decorate a function that Numba compiles when it is first called with arguments of new types.
+
+    As in NumPy, a division by zero gives infinity or NaN; with the check that Python makes, no loop that
+    divides would run in vector registers.
+    """
+    # Only while the kernel is defined: a caller's own kernels keep their own place.
+    before, _config.CACHE_DIR = _config.CACHE_DIR, str(machine_code_folder())
+    try:
+        kernel: Function = numba.njit(function, cache=True, error_model="numpy")
+    finally:
+        _config.CACHE_DIR = before
+    return kernel

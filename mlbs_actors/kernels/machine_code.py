@@ -1,0 +1,70 @@
+"""Where the machine code of compiled kernels is kept.
+
+Numba compiles a kernel again when its own module changes, but not when a function or constant that it takes
+from another module does. So all machine code lies in a folder named after a digest of the whole package: any
+change of it starts an empty one.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import shutil
+from pathlib import Path
+
+from mlbs_actors.errors import ConfigError
+
+__all__ = ["has_machine_code", "machine_code_folder"]
+
+_PACKAGE = Path(__file__).parents[1]
+_FOLDERS = "kernels-*"
+
+#: Folders that are kept: of the newest versions of the package.
+_KEPT = 3
+
+
+def has_machine_code() -> bool:
+    """Whether kernels of this version of the package were compiled on this machine before."""
+    return any(path.is_file() for path in machine_code_folder().rglob("*"))
+
+
+@functools.cache
+def machine_code_folder() -> Path:
+    """Folder of this version's machine code: beside the package, or in the user's cache if that is read-only.
+
+    Raises
+    ------
+    ConfigError
+        If neither can be written to.
+    """
+    name = _FOLDERS.replace("*", _digest(_PACKAGE))
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    for parent in (_PACKAGE / "__pycache__", cache / "mlbs-actors"):
+        try:
+            (parent / name).mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(parent / name, os.W_OK):
+            _remove_old(parent)
+            return parent / name
+    raise ConfigError(
+        f"Compiled code can be kept neither in {_PACKAGE} nor in {cache}; "
+        "set XDG_CACHE_HOME to a folder that can be written to."
+    )
+
+
+def _digest(package: Path) -> str:
+    """Digest of the names and contents of all modules of a package."""
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        digest.update(f"{path.relative_to(package)}\n".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _remove_old(parent: Path) -> None:
+    """Keep the newest folders only. A process that still uses another one compiles anew what it lacks."""
+    by_age = sorted(parent.glob(_FOLDERS), key=lambda folder: folder.stat().st_mtime)
+    for folder in by_age[:-_KEPT]:
+        shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,91 @@
+"""What a layer carries from one frame to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from mlbs_actors.appearance.colour_model import AppearanceModel, empty_model
+from mlbs_actors.messages import Array, Region
+
+__all__ = ["LayerFrame", "LayerState"]
+
+
+@dataclass(slots=True)
+class LayerState:
+    """Everything that steers the layer's next frame.
+
+    Attributes
+    ----------
+    last_frame : int
+        Frame evaluated last, −1 before the first.
+    home : Region
+        Where it remembers colours: the frame for the background, else ``region``.
+    region : Region
+        Where it was evaluated.
+    cell : int
+        Side of the cells of which all these arrays are made, px.
+    model : AppearanceModel
+        Samples at ``last_frame``, without that frame's own colours, cell by cell of ``home``.
+    cost : (rows, columns) uint8
+        Unnormalised posterior of ``last_frame`` without the colours, as sent to the segmenter.
+    log_ratio : (rows, columns) int8
+    samples : (rows, columns) uint8
+        What the colours said, as sent to the segmenter.
+    image : (home's rows, home's columns, 3) uint8
+        Mean colours of that frame, to learn from once its labels are known.
+    velocity : (2,) float32
+        Median forward motion of the layer's trajectories, px/frame.
+    trusted : bool
+        Cells of ``home`` in which the layer may learn that frame.
+    """
+
+    last_frame: int
+    home: Region
+    region: Region
+    cell: int
+    model: AppearanceModel
+    cost: Array
+    log_ratio: Array
+    samples: Array
+    image: Array
+    velocity: Array
+    trusted: Array
+
+    @staticmethod
+    def beginning(sample_count: int) -> LayerState:
+        """Before the first frame, with room for so many samples a cell."""
+        nowhere = Region(0, 0, 0, 0)
+        return LayerState(
+            last_frame=-1,
+            home=nowhere,
+            region=nowhere,
+            cell=1,
+            model=empty_model(nowhere, sample_count),
+            cost=np.zeros((0, 0), np.uint8),
+            log_ratio=np.zeros((0, 0), np.int8),
+            samples=np.zeros((0, 0), np.uint8),
+            image=np.zeros((0, 0, 3), np.uint8),
+            velocity=np.zeros(2, np.float32),
+            trusted=np.zeros((0, 0), bool),
+        )
+
+
+class LayerFrame(NamedTuple):
+    """What a layer makes of a frame.
+
+    Attributes
+    ----------
+    state : LayerState
+        Its next one.
+    confidence : float
+        Mean trust in its model.
+    stage_ms : dict of str to float
+        Wall time by stage, ms.
+    """
+
+    state: LayerState
+    confidence: float
+    stage_ms: dict[str, float]

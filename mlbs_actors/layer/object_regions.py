@@ -1,0 +1,222 @@
+"""Where the objects are looked for in a frame: the one rule by which every part of the engine knows it.
+
+An object is evaluated inside its *region* only: the box of its trajectories and of its pixels in the last
+published map, moved by its own motion, with a margin. It is wide around what can turn out to be far larger:
+an object that is new, enters at the frame's border, or comes back from behind something, where trajectories
+get lost. An object in full view, whose trajectories cover its pixels, needs a sixth of it, and more where
+parts of it, legs say, move otherwise than the whole.
+
+What lies outside every object's region is background without a question, so that the background's own
+posterior matters inside these regions only. The regions follow from what every layer is sent, so that the
+layers agree on them without another message.
+
+Differs from the paper, in which every layer is evaluated on the whole frame.
+"""
+
+from __future__ import annotations
+
+from math import ceil, floor
+
+import numpy as np
+
+from mlbs_actors.config import length_scale
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.messages import (
+    BACKGROUND,
+    Array,
+    FrameEvidence,
+    LayerSummary,
+    Region,
+    Segmentation,
+)
+
+__all__ = [
+    "bounds",
+    "box_of",
+    "box_within",
+    "contested",
+    "median_of_motions",
+    "region_of_object",
+    "told_of",
+]
+
+#: Pixels for each trajectory, of a 640×480 frame, up to which an object's trajectories cover it.
+_COVERED_PX = 100.0
+
+
+def told_of(layer: int, previous: Segmentation | None) -> Array:
+    """What is known of a layer's pixels in the last map: their number, their box, their velocity, (7,)."""
+    summaries = previous.layers if previous is not None else ()
+    return np.array(_told(next((one for one in summaries if one.layer == layer), None)), np.float64)
+
+
+def _told(one: LayerSummary | None) -> tuple[float, ...]:
+    if one is None:
+        return 0, 0, 0, 0, 0, 0, 0
+    return one.area, *box_of(one.region), *one.velocity
+
+
+@compiled
+def region_of_object(
+    told: Array, positions: Array, motions: Array, margins_px: tuple[float, float], scale: float, cell: int,
+    height: int, width: int,
+) -> tuple[int, int, int, int]:  # fmt: skip
+    """Region of one object in frame t.
+
+    Parameters
+    ----------
+    told : (7,) float64
+        :func:`told_of` its pixels at t−1.
+    positions, motions : (n, 2) float32
+        Its trajectories at t, px.
+    margins_px : (float, float)
+        Margins around trajectories and pixels, px of a 640×480 frame: of any object, and of one in full view,
+        to which comes by how much one of its trajectories leaves the median of its motions.
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+    cell : int
+        The region is made of whole cells of this side, px.
+    height, width : int
+        Size of the frame, px.
+
+    Returns
+    -------
+    (int, int, int, int)
+        Left, top, width and height, px; inside the frame, and empty for an object without trajectories and
+        pixels.
+    """
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    move_x, move_y = told[5], told[6]
+    if len(positions):
+        x0, y0, x1, y1 = bounds(positions)
+        left, top, right, bottom = np.float64(x0), np.float64(y0), np.float64(x1), np.float64(y1)
+        if told[0]:
+            back_x, back_y = median_of_motions(motions)
+            move_x, move_y = -np.float64(back_x), -np.float64(back_y)
+    elif not told[0]:
+        return 0, 0, 0, 0
+    if told[0]:
+        moved_x, moved_y = told[1] + move_x, told[2] + move_y
+        left, top = min(left, moved_x), min(top, moved_y)
+        right, bottom = max(right, moved_x + told[3]), max(bottom, moved_y + told[4])
+    inside = told[1] > 0 and told[2] > 0 and told[1] + told[3] < width and told[2] + told[4] < height
+    in_full_view = told[0] and inside and told[0] <= len(positions) * _COVERED_PX * scale**2
+    margin = scale * margins_px[0]
+    if in_full_view:
+        margin = min(margin, scale * margins_px[1] + _farthest(motions, -move_x, -move_y))
+    x, y, wide, high = box_within(left, top, right, bottom, margin, height, width)
+    if wide * high == 0:
+        return x, y, wide, high
+    # Of whole cells, which end at the frame's border.
+    end_x, end_y = min(-(-(x + wide) // cell) * cell, width), min(-(-(y + high) // cell) * cell, height)
+    x, y = x // cell * cell, y // cell * cell
+    return x, y, end_x - x, end_y - y
+
+
+def box_of(region: Region) -> tuple[int, int, int, int]:
+    """Left, top, width and height of a region, for compiled functions."""
+    return region.x, region.y, region.width, region.height
+
+
+@compiled
+def median_of_motions(motions: Array) -> tuple[float, float]:
+    """Median of some motions (n ≥ 1, 2), px: of x and of y."""
+    return np.median(motions[:, 0]), np.median(motions[:, 1])
+
+
+@compiled
+def _farthest(motions: Array, x: float, y: float) -> float:
+    """By how much one of some motions differs most from another one, in x or in y, px."""
+    most = np.float32(0)
+    for one in range(len(motions)):
+        most = max(most, abs(motions[one, 0] - np.float32(x)), abs(motions[one, 1] - np.float32(y)))
+    return np.float64(most)
+
+
+@compiled
+def bounds(positions: Array) -> tuple[float, float, float, float]:
+    """Least x and y, largest x and y of some positions (n ≥ 1, 2)."""
+    x, y = positions[:, 0], positions[:, 1]
+    return x.min(), y.min(), x.max(), y.max()
+
+
+@compiled
+def box_within(
+    left: float, top: float, right: float, bottom: float, margin: float, height: int, width: int
+) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the pixels around some bounds with a margin, inside a frame, px."""
+    x, y = _within(floor(left - margin), width), _within(floor(top - margin), height)
+    end_x, end_y = _within(ceil(right + margin) + 1, width), _within(ceil(bottom + margin) + 1, height)
+    return x, y, end_x - x, end_y - y
+
+
+@compiled
+def _within(place: int, length: int) -> int:
+    return min(max(place, 0), length)
+
+
+def contested(
+    evidence: FrameEvidence, previous: Segmentation | None, margins_px: tuple[float, float], cell: int = 1
+) -> tuple[Region, Array]:
+    """Where a pixel can be an object's: the union of the objects' regions.
+
+    Parameters
+    ----------
+    evidence : FrameEvidence
+    previous : Segmentation or None
+        Published result of the frame before.
+    margins_px, cell
+        As for :func:`region_of_object`.
+
+    Returns
+    -------
+    box : Region
+        Around it and one pixel more on each side, as far as the frame goes; of whole cells, px.
+    inside : (rows, columns) bool
+        Which of the box's cells are in it.
+    """
+    objects = [one for one in evidence.tracks if one.layer != BACKGROUND]
+    if not objects:
+        return Region(0, 0, 0, 0), np.zeros((0, 0), np.bool_)
+    counts = np.array([one.end - one.start for one in objects])
+    published = {one.layer: one for one in previous.layers} if previous is not None else {}
+    told = np.array([_told(published.get(one.layer)) for one in objects], np.float64)
+    shape, scale = evidence.shape, length_scale(*evidence.shape)
+    box, inside = _contested(
+        told, evidence.positions, evidence.motions, counts, margins_px, scale, cell, *shape
+    )
+    return Region(*box), inside
+
+
+@compiled
+def _contested(
+    told: Array, positions: Array, motions: Array, counts: Array, margins_px: tuple[float, float],
+    scale: float, cell: int, height: int, width: int,
+) -> tuple[tuple[int, int, int, int], Array]:  # fmt: skip
+    """The box and its cells of the objects of :func:`_told`, whose trajectories are the last of all."""
+    regions = np.empty((len(told), 4), np.int64)
+    left, top, right, bottom = width, height, 0, 0
+    start = len(positions) - counts.sum()
+    for one in range(len(told)):
+        end = start + counts[one]
+        x, y, wide, high = region_of_object(
+            told[one], positions[start:end], motions[start:end], margins_px, scale, cell, height, width
+        )
+        if wide * high:
+            left, top, right, bottom = (
+                min(left, x - 1), min(top, y - 1), max(right, x + wide + 1), max(bottom, y + high + 1)
+            )  # fmt: skip
+        regions[one, 0], regions[one, 1], regions[one, 2], regions[one, 3] = x, y, x + wide, y + high
+        start = end
+    left, top = max(left, 0) // cell * cell, max(top, 0) // cell * cell
+    right = min(-(-right // cell) * cell, width)
+    bottom = min(-(-bottom // cell) * cell, height)
+    if right <= left:
+        left, top, right, bottom = 0, 0, 0, 0
+    inside = np.zeros((-(-(bottom - top) // cell), -(-(right - left) // cell)), np.bool_)
+    for one in range(len(told)):
+        x, y = (regions[one, 0] - left) // cell, (regions[one, 1] - top) // cell
+        end_x, end_y = -(-(regions[one, 2] - left) // cell), -(-(regions[one, 3] - top) // cell)
+        if regions[one, 2] > regions[one, 0]:
+            inside[y:end_y, x:end_x] = True
+    return (left, top, right - left, bottom - top), inside

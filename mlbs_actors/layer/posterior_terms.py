@@ -1,0 +1,334 @@
+"""The kernels of a layer's posterior: its cost without the colours, and its share of a finished frame (§6).
+
+Each is one pass over the cells that are needed, with the flow read from its own grid where it is heard.
+:mod:`mlbs_actors.layer.layer` says what the terms are. Motion and prior are functions of one number each and
+read from tables, 0.003 nats from exact before they are weighed.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from mlbs_actors.appearance.fusion import LIKELIHOOD, RATIO_STEP, add_appearance, appearance_tables
+from mlbs_actors.config import Config, length_scale
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.messages import (
+    COST_STEP,
+    UNEXPLAINED_STEP,
+    Array,
+    FrameEvidence,
+    LayerKind,
+    Region,
+    Segmentation,
+)
+
+__all__ = [
+    "cost_tables",
+    "finish_posterior",
+    "finished_posterior",
+    "layer_cost",
+    "quantise_colours",
+    "quantised_colours",
+    "sum_terms",
+    "uncontested_cost",
+]
+
+#: log of the uniform density over 8-bit colours, nats per unit RGB volume.
+LOG_UNIFORM = -3.0 * float(np.log(256.0))
+
+#: Steps of d² in the motion term's table, which ends at d² = 32.
+_DISTANCE_STEPS = 128
+#: Steps of the prior's table.
+_PRIOR_STEPS = 4096
+
+
+def uncontested_cost(config: Config) -> int:
+    """Cost of the background where no object can be: the offset alone, in units of ``COST_STEP``."""
+    return min(round(config.posterior.offset / COST_STEP), 255)
+
+
+def layer_cost(
+    config: Config,
+    kind: LayerKind,
+    evidence: FrameEvidence,
+    cells: Region,
+    side: int,
+    needed: Array,
+    motion: Array,
+    variance: Array,
+    prior: tuple[Array, Array],
+    away: Array,
+    advantage: Array,
+) -> Array:
+    """Weighted sum of the layer's terms.
+
+    Parameters
+    ----------
+    config : Config
+    kind : {"background", "object", "other"}
+    evidence : FrameEvidence
+        Camera and dense flow of the frame.
+    cells : Region
+        The layer's region, in units of cells.
+    side : int
+        Of a cell, px.
+    needed : (h, w) bool
+        Cells to evaluate.
+    motion : (h, w, 2) float32
+        Mean of the motion field, cells.
+    variance : (h, w) float32
+        Its variance, px².
+    prior : two (h, w) float32
+        The last posterior as :func:`~mlbs_actors.appearance.warp.warp_map` returns it.
+    away, advantage : (h, w) float32
+        What an object has besides: how far off its trajectories each cell is, in [0, 1], and by how much its
+        motion explains the image better than the camera's, × noise. 0 for the background.
+
+    Returns
+    -------
+    (h, w) uint8
+        Units of ``COST_STEP``; :func:`uncontested_cost` where it was not needed.
+    """
+    weights = config.posterior
+    cost = np.full(needed.shape, uncontested_cost(config), np.uint8)
+    heard, disagreement, surprise = cost_tables(config, kind)
+    flow_variance = (config.motion.flow_std_px * length_scale(*evidence.shape)) ** 2
+    height, width = evidence.shape
+    sum_terms(
+        needed,
+        motion,
+        np.float32(side),
+        variance,
+        evidence.flow,
+        evidence.flow_reliable,
+        evidence.unexplained,
+        cells.x,
+        cells.y,
+        width / side,
+        height / side,
+        heard,
+        *prior,
+        away,
+        advantage,
+        np.float32(weights.distance),
+        np.float32(weights.photometric),
+        np.float32(flow_variance),
+        np.float32(weights.neutral_prior),
+        disagreement,
+        surprise,
+        np.float32(weights.offset),
+        cost,
+    )
+    return cost
+
+
+def cost_tables(config: Config, kind: LayerKind) -> tuple[Array, Array, Array]:
+    """Weight of the motion term by how little the camera explains, the term by d², and the prior's term."""
+    weights, background = config.posterior, kind == "background"
+    return _tables(
+        config.layers.unexplained_noise,
+        weights.motion,
+        weights.motion_floor if background else weights.object_motion_floor,
+        weights.prior,
+        # Background that was hidden has been there all the same: for it the floor is the neutral value.
+        weights.neutral_prior if background else weights.prior_floor,
+    )
+
+
+@functools.lru_cache(maxsize=16)
+def _tables(
+    unexplained_noise: float, motion: float, motion_floor: float, prior: float, prior_floor: float
+) -> tuple[Array, Array, Array]:
+    heard = np.clip(2.0 * UNEXPLAINED_STEP / unexplained_noise * np.arange(256) - 1.0, 0.0, 1.0)
+    distances = np.arange(32 * _DISTANCE_STEPS + 1) / _DISTANCE_STEPS
+    disagreement = -np.log(motion_floor + (1.0 - motion_floor) * np.exp(-0.5 * distances))
+    surprise = -np.log(np.maximum(np.arange(_PRIOR_STEPS + 1) / _PRIOR_STEPS, prior_floor))
+    return (
+        heard.astype(np.float32) * np.float32(motion),
+        disagreement.astype(np.float32),
+        (prior * surprise).astype(np.float32),
+    )
+
+
+@compiled
+def _taps(first: int, count: int, length: float, grid: int) -> tuple[Array, Array, Array]:
+    """Between which two places of a grid's axis the centres of some cells lie, and their share in the second.
+
+    The whole axis is ``length`` cells long.
+    """
+    low, high = np.empty(count, np.int64), np.empty(count, np.int64)
+    share, ratio = np.empty(count, np.float32), grid / length
+    for i in range(count):
+        place = min(max((first + i + 0.5) * ratio - 0.5, 0.0), grid - 1.0)
+        low[i] = int(place)
+        high[i] = min(low[i] + 1, grid - 1)
+        share[i] = place - low[i]
+    return low, high, share
+
+
+@compiled
+def sum_terms(
+    needed: Array, motion: Array, side: np.float32, variance: Array, flow: Array, reliable: Array,
+    unexplained: Array, first_column: int, first_row: int, width_in_cells: float, height_in_cells: float,
+    heard: Array, prior: Array, share: Array, away: Array, advantage: Array, distant: np.float32,
+    photometric: np.float32, flow_variance: np.float32, neutral: np.float32, disagreement: Array,
+    surprise: Array, offset: np.float32, cost: Array,
+) -> None:  # fmt: skip
+    """:func:`layer_cost` into costs of nothing; the flow and the two maps beside it are the whole frame's."""
+    # As a rule the cells are those of the flow's grid, and no place lies between two of it.
+    same = width_in_cells == unexplained.shape[1] and height_in_cells == unexplained.shape[0]
+    if needed.size == 0:
+        return
+    top, bottom, down = _taps(first_row, needed.shape[0], height_in_cells, unexplained.shape[0])
+    left, right, along = _taps(first_column, needed.shape[1], width_in_cells, unexplained.shape[1])
+    flows = flow.reshape(-1)
+    one, half, step = np.float32(1), np.float32(0.5), np.float32(COST_STEP)
+    width, columns = needed.shape[1], unexplained.shape[1]
+    # Places in flat arrays, without a sign: it would be looked at before each is read.
+    asked, known, shares = needed.reshape(-1), prior.reshape(-1), share.reshape(-1)
+    distances, leads = away.reshape(-1), advantage.reshape(-1)
+    moves, variances, costs = motion.reshape(-1), variance.reshape(-1), cost.reshape(-1)
+    errors, trust = unexplained.reshape(-1), reliable.reshape(-1)
+    for y in range(needed.shape[0]):
+        above, below, lower = top[y] * columns, bottom[y] * columns, down[y]
+        for x in range(width):
+            cell = np.uint64(y * width + x)
+            if not asked[cell]:
+                continue
+            nats = offset + (distant * distances[cell] - photometric * leads[cell])
+            a, two, odd = np.uint64(above + left[x]), np.uint64(2), np.uint64(1)
+            near = two * a
+            weight, flow_x, flow_y = heard[errors[a]] * trust[a], flows[near], flows[near + odd]
+            if not same:
+                b = np.uint64(above + right[x])
+                c, d = np.uint64(below + left[x]), np.uint64(below + right[x])
+                w00, w01 = (one - lower) * (one - along[x]), (one - lower) * along[x]
+                w10, w11 = lower * (one - along[x]), lower * along[x]
+                error = (
+                    w00 * np.float32(errors[a]) + w01 * np.float32(errors[b])
+                    + w10 * np.float32(errors[c]) + w11 * np.float32(errors[d])
+                )  # fmt: skip
+                weight = heard[np.uint64(np.int64(error + half))]
+                weight *= w00 * trust[a] + w01 * trust[b] + w10 * trust[c] + w11 * trust[d]
+                right_of = two * np.uint64(right[x] - left[x])
+                under = two * np.uint64((bottom[y] - top[y]) * columns)
+                flow_x = w00 * flow_x + w01 * flows[near + right_of]
+                flow_x += w10 * flows[near + under] + w11 * flows[near + under + right_of]
+                flow_y = w00 * flow_y + w01 * flows[near + odd + right_of]
+                flow_y += w10 * flows[near + odd + under] + w11 * flows[near + odd + under + right_of]
+            if weight > 0:
+                move = two * cell
+                miss_x, miss_y = flow_x - side * moves[move], flow_y - side * moves[move + odd]
+                distance = (miss_x * miss_x + miss_y * miss_y) / (variances[cell] + flow_variance)
+                place = min(distance * np.float32(_DISTANCE_STEPS), np.float32(disagreement.size - 1))
+                nats += weight * disagreement[np.uint64(np.int64(place + half))]
+            believed = min(known[cell] + (one - shares[cell]) * neutral, one)
+            nats += surprise[np.uint64(np.int64(believed * np.float32(_PRIOR_STEPS) + half))]
+            quanta = min(max(np.rint(nats / step), np.float32(0)), np.float32(255))
+            costs[cell] = np.uint8(np.int32(quanta))
+
+
+def quantised_colours(log_density: Array, count: Array, needed: Array, largest: float) -> tuple[Array, Array]:
+    """What the colours say of the cells that are needed, as it is sent.
+
+    Parameters
+    ----------
+    log_density : (h, w) float32
+        Nats per unit RGB volume; NaN where nothing is known.
+    count : (h, w) uint8
+        Samples behind it.
+    needed : (h, w) bool
+    largest : float
+        Most that a ratio can be, nats.
+
+    Returns
+    -------
+    log_ratio : (h, w) int8
+        log of the density over the uniform one, in units of ``RATIO_STEP``; 0 where nothing is known.
+    samples : (h, w) uint8
+        0 where it is not needed.
+    """
+    log_ratio, samples = np.zeros(needed.shape, np.int8), np.zeros(needed.shape, np.uint8)
+    quantise_colours(log_density, count, needed, np.float32(largest), log_ratio, samples)
+    return log_ratio, samples
+
+
+@compiled
+def quantise_colours(
+    log_density: Array, count: Array, needed: Array, largest: np.float32, log_ratio: Array, samples: Array
+) -> None:
+    """:func:`quantised_colours` into zeros."""
+    for y in range(needed.shape[0]):
+        for x in range(needed.shape[1]):
+            if needed[y, x] and count[y, x] > 0:
+                ratio = min(log_density[y, x] - np.float32(LOG_UNIFORM), largest)
+                quanta = np.rint(ratio / np.float32(RATIO_STEP))
+                log_ratio[y, x] = np.int8(min(max(quanta, np.float32(-128)), np.float32(127)))
+                samples[y, x] = count[y, x]
+
+
+def finished_posterior(
+    config: Config,
+    cost: Array,
+    log_ratio: Array,
+    samples: Array,
+    published: Segmentation,
+    cells: Region,
+    won: Array,
+) -> Array:
+    """A layer's normalised posterior of a finished frame, of which the published map is half.
+
+    Parameters
+    ----------
+    config : Config
+    cost, samples : (h, w) uint8
+    log_ratio : (h, w) int8
+        As the layer sent them to the segmenter.
+    published : Segmentation
+        Result of that frame.
+    cells : Region
+        The layer's region, in units of cells.
+    won : (h, w) uint8
+        Its share of each cell in the published map, 255 = all: the better half of the knowledge, having seen
+        the outlines.
+
+    Returns
+    -------
+    (h, w) float32
+        In [0, 1].
+    """
+    posterior = np.empty(cost.shape, np.float32)
+    finish_posterior(
+        cost,
+        log_ratio.view(np.uint8),
+        samples,
+        published.fallback.view(np.uint8),
+        published.normaliser,
+        cells.x,
+        cells.y,
+        won,
+        *appearance_tables(config.appearance.half_confidence_samples),
+        np.float32(config.posterior.appearance / COST_STEP),
+        LIKELIHOOD,
+        posterior,
+    )
+    return posterior
+
+
+@compiled
+def finish_posterior(
+    cost: Array, log_ratio: Array, samples: Array, fallback: Array, normaliser: Array, left: int, top: int,
+    won: Array, trust: Array, ratio_of: Array, strength: np.float32, likelihood: Array, posterior: Array,
+) -> None:  # fmt: skip
+    """:func:`finished_posterior`; ``fallback`` and ``normaliser`` are the whole frame's, log r and log f come
+    by their bits."""
+    height, width = cost.shape
+    half, share, fused = np.float32(0.5), np.float32(0.5 / 255), np.empty(cost.shape, np.uint8)
+    rows, columns = slice(top, top + height), slice(left, left + width)
+    add_appearance(cost, log_ratio, samples, fallback[rows, columns], trust, ratio_of, strength, fused)
+    for y in range(height):
+        for x in range(width):
+            above = int(max(np.int64(fused[y, x]) - np.int64(normaliser[top + y, left + x]), np.int64(0)))
+            posterior[y, x] = half * likelihood[above] + share * np.float32(won[y, x])

@@ -1,0 +1,255 @@
+"""Contact shadows: the strip between an object and the ground that no light reaches.
+
+Not in the paper. There, as between the wheels of a car, nothing is left of the ground's colour
+(:mod:`mlbs_actors.segmentation.shadows`), and black tyres and bumpers look alike. The place decides: a flat
+smooth dark strip at an object's foot that rests on the ground. Feet of one object stand at different heights
+of the picture, so each piece of it is looked at by itself.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.messages import BACKGROUND, Array, Region
+from mlbs_actors.segmentation.label_runs import label_runs
+from mlbs_actors.segmentation.region_groups import grown, slices_in
+from mlbs_actors.segmentation.shadows import CHANNEL_NOISE, CHANNEL_SPREAD, Darkening
+
+__all__ = ["Seen", "contact_shadow", "look_over", "nothing_seen", "shadow_strips"]
+
+#: What :func:`look_over` returns.
+Seen = tuple[Array, tuple[Array, Array, Array, Array], Array]
+
+#: Log darkening of a contact shadow, and its steepest mean gradient over 5×5 px, grey levels/px of 640×480.
+CONTACT_DARK, CONTACT_SMOOTH = -0.7, 6.0
+#: It is at least this wide, in heights of its object, and so near above the ground, px of 640×480.
+CONTACT_WIDTH, CONTACT_GAP_PX = 0.3, 6.0
+#: Its edges, which are neither smooth nor flat, reach so far, px of a 640×480 frame.
+CONTACT_EDGE_PX = 4.0
+
+
+def contact_shadow(
+    labels: Array, frame: Array, dark: Darkening, side: int, scale: float, rise: float
+) -> Array:
+    """The dark strip between an object's foot and the ground, as far as the label map gives it to the object.
+
+    Parameters
+    ----------
+    labels : (h, w) unsigned integer
+        A frame's label map without pinholes, 0 = background, or one of its boxes with only background along
+        the sides that are not the frame's border.
+    frame : (h, w, 3) uint8
+        The same box of the frame.
+    dark : Darkening
+        Of its pixels, or of the box's cells of ``side`` px.
+    side : int
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+    rise : float
+        How high it may reach, as a share of the height of its piece of the object.
+
+    Returns
+    -------
+    (h, w) bool
+    """
+    return shadow_strips(
+        labels, frame, look_over(labels, dark.mean, dark.spread, dark.brightness, side), side, scale, rise
+    )
+
+
+def shadow_strips(
+    labels: Array,
+    frame: Array,
+    seen: Seen,
+    side: int,
+    scale: float,
+    rise: float,
+) -> Array:
+    """:func:`contact_shadow` of what has been looked over already, by :func:`look_over`."""
+    unlit, runs, pieces = seen
+    found = np.zeros(labels.shape, np.bool_)
+    edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
+    steepest, gap = np.float32(CONTACT_SMOOTH / scale), CONTACT_GAP_PX * scale
+    for piece, x, y, width, height in pieces.tolist():
+        feet, least = Region(x, y + height // 2, width, height - height // 2), CONTACT_WIDTH * height
+        body, above, foot, (left, top, right, bottom) = _foot(
+            labels, *runs, piece, feet.x, feet.y, feet.width, feet.height, unlit, side, rise * height, least
+        )
+        if right <= left:
+            continue
+        wide = Region(feet.x + left, feet.y + top, right - left, bottom - top)
+        core = _resting(foot, above, _steepness(frame, wide), left, top, steepest, least, gap)
+        _take_strip(cv2.dilate(core, disc), foot, body, found, feet.x, feet.y)
+    return found
+
+
+@compiled
+def look_over(labels: Array, mean: Array, spread: Array, brightness: Array, side: int) -> Seen:
+    """The cells without light, the label map's runs, and the pieces of objects to look at more closely; runs
+    are only looked for if there is such a cell."""
+    unlit = _unlit(mean, spread, brightness)
+    if not unlit.any():
+        return nothing_seen()
+    runs = label_runs(labels, True)
+    return unlit, runs, _unlit_pieces(labels, runs[0], runs[1], runs[2], runs[3], unlit, side)
+
+
+@compiled
+def nothing_seen() -> Seen:
+    """:func:`look_over` a map in which nothing lacks light."""
+    none = np.zeros(0, np.int64)
+    return np.zeros((0, 0), np.bool_), (none, none, none, none), np.zeros((0, 5), np.int64)
+
+
+@compiled
+def _unlit(mean: Array, spread: Array, brightness: Array) -> Array:
+    """What is much darker than the ground, and alike in all channels."""
+    unlit = np.empty(mean.shape, np.bool_)
+    darkest, widest, noise = np.float32(CONTACT_DARK), np.float32(CHANNEL_SPREAD), np.float32(CHANNEL_NOISE)
+    for y in range(mean.shape[0]):
+        for x in range(mean.shape[1]):
+            tolerance = widest + noise / brightness[y, x]
+            unlit[y, x] = mean[y, x] < darkest and spread[y, x] < tolerance
+    return unlit
+
+
+@compiled
+def _unlit_pieces(
+    labels: Array, rows: Array, starts: Array, ends: Array, component: Array, unlit: Array, side: int
+) -> Array:
+    """The components of objects that have a pixel without light in their lower half: number, x, y, width and
+    height of each, (n, 5)."""
+    count = component.max() + 1
+    left, right = np.full(count, labels.shape[1]), np.zeros(count, np.int64)
+    top, bottom = np.full(count, labels.shape[0]), np.zeros(count, np.int64)
+    lowest = np.full(count, -1)  # row without light
+    for run in range(rows.size):
+        y = rows[run]
+        if labels[y, starts[run]] == BACKGROUND:
+            continue
+        piece, cells = component[run], unlit[y // side]
+        left[piece], right[piece] = min(left[piece], starts[run]), max(right[piece], ends[run])
+        top[piece], bottom[piece] = min(top[piece], y), y + 1
+        for u in range(starts[run] // side, (ends[run] - 1) // side + 1):
+            if cells[u]:
+                lowest[piece] = y
+                break
+    pieces = np.empty((count, 5), np.int64)
+    found = 0
+    for piece in range(count):
+        height = bottom[piece] - top[piece]
+        if lowest[piece] >= top[piece] + height // 2:
+            pieces[found, 0], pieces[found, 1], pieces[found, 2] = piece, left[piece], top[piece]
+            pieces[found, 3], pieces[found, 4] = right[piece] - left[piece], height
+            found += 1
+    return pieces[:found]
+
+
+@compiled
+def _foot(
+    labels: Array, rows: Array, starts: Array, ends: Array, component: Array, piece: int, left: int, top: int,
+    width: int, height: int, unlit: Array, side: int, highest: float, least: float,
+) -> tuple[Array, Array, Array, tuple[int, int, int, int]]:  # fmt: skip
+    """In a box around the lower half of a piece: the piece; how many px it is down to the first that is no
+    object's, over H if the frame ends first; what of the piece has no light and is at most so high above the
+    ground; and the box (left, top, right, bottom) of what of that is at least so wide, empty if none is."""
+    body = np.zeros((height, width), np.bool_)
+    for run in range(rows.size):
+        if component[run] == piece and rows[run] >= top:
+            body[rows[run] - top, starts[run] - left : ends[run] - left] = True
+    above, foot = np.empty((height, width), np.int32), np.empty((height, width), np.bool_)
+    below = top + height
+    climb = np.empty(width, np.int32)
+    for x in range(width):
+        ends_first = below == len(labels) or labels[below, left + x] > BACKGROUND
+        climb[x] = len(labels) if ends_first else 0
+    for y in range(height - 1, -1, -1):
+        for x in range(width):
+            climb[x] = climb[x] + 1 if labels[top + y, left + x] > BACKGROUND else 0
+            above[y, x] = climb[x]
+            dark = body[y, x] and unlit[(top + y) // side, (left + x) // side]
+            foot[y, x] = dark and climb[x] <= highest
+    wide = _wide(foot, least)
+    first, last, highest_row, lowest_row = width, 0, height, 0
+    for y in range(height):
+        for x in range(width):
+            if wide[y, x]:
+                first, last = min(first, x), max(last, x + 1)
+                highest_row, lowest_row = min(highest_row, y), y + 1
+    return body, above, foot, (first, highest_row, last, lowest_row)
+
+
+@compiled
+def _wide(mask: Array, least: float) -> Array:
+    """What of a mask lies in horizontal runs of at least so many px, rounded down to an odd number."""
+    wide = np.zeros(mask.shape, np.bool_)
+    length = 2 * max(1, int(least / 2)) + 1
+    for y in range(mask.shape[0]):
+        start = 0
+        for x in range(mask.shape[1] + 1):
+            if x == mask.shape[1] or not mask[y, x]:
+                if x - start >= length:
+                    wide[y, start:x] = True
+                start = x + 1
+    return wide
+
+
+def _steepness(frame: Array, box: Region) -> Array:
+    """Mean gradient over 5×5 px in a box, grey levels/px."""
+    around = grown(box, 3, frame.shape)
+    gray = cv2.cvtColor(frame[around.slices], cv2.COLOR_BGR2GRAY).astype(np.float32)
+    slopes = (cv2.Sobel(gray, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
+    return np.ascontiguousarray(cv2.blur(np.hypot(*slopes), (5, 5))[slices_in(box, around)])
+
+
+@compiled
+def _resting(
+    foot: Array, above: Array, slopes: Array, left: int, top: int, steepest: np.float32, least: float,
+    gap: float,
+) -> Array:  # fmt: skip
+    """What of a foot is flat and wide and connected, corners included, with what is so near to the ground.
+
+    0 or 1, uint8; the slopes are those of a box in it, and beyond that nothing is wide enough.
+    """
+    height, width = slopes.shape
+    flat = np.empty((height, width), np.bool_)
+    for y in range(height):
+        for x in range(width):
+            flat[y, x] = foot[top + y, left + x] and slopes[y, x] < steepest
+    open_pixel = _wide(flat, least)
+    resting = np.zeros(foot.shape, np.uint8)
+    queue = np.empty(height * width, np.int32)
+    tail = 0
+    for y in range(height):
+        for x in range(width):
+            if open_pixel[y, x] and above[top + y, left + x] <= gap:
+                open_pixel[y, x] = False
+                queue[tail] = y * width + x
+                tail += 1
+    head = 0
+    while head < tail:
+        y, x = queue[head] // width, queue[head] % width
+        head += 1
+        resting[top + y, left + x] = 1
+        for v in range(max(y - 1, 0), min(y + 2, height)):
+            for u in range(max(x - 1, 0), min(x + 2, width)):
+                if open_pixel[v, u]:
+                    open_pixel[v, u] = False
+                    queue[tail] = v * width + u
+                    tail += 1
+    return resting
+
+
+@compiled
+def _take_strip(grown_core: Array, foot: Array, body: Array, found: Array, left: int, top: int) -> None:
+    """Add what of the foot the strip's edges reach, and what of the body is under that, down to the ground:
+    the shadow's lighter rim. The foot's box begins at (left, top) of what is found."""
+    height, width = foot.shape
+    over = np.zeros(width, np.bool_)
+    for y in range(height):
+        for x in range(width):
+            over[x] = (over[x] and body[y, x]) or (foot[y, x] and grown_core[y, x] > 0)
+            found[top + y, left + x] |= over[x]

@@ -1,0 +1,77 @@
+"""What of its region a layer could win: only there the energy of the labels is minimised (§7).
+
+An object's region leaves room for where it may have moved to, and for parts of it that no trajectory has told
+of yet: of five of its cells four are the background's, by far. A layer claims the box around the cells where
+it costs less than the background or has a trajectory: inside it contrast can give an object what it does not
+lead in, beyond it that has not made label maps better. What nobody claims is the background's.
+
+Differs from the paper, which labels the whole frame with all layers at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.messages import Array
+
+__all__ = ["claims_of_layers"]
+
+
+@compiled
+def claims_of_layers(
+    cost: Array,
+    places: Array,
+    positions: Array,
+    tracks: Array,
+    corner: tuple[int, int],
+    side: int,
+) -> Array:
+    """Find the box of cells that each layer claims.
+
+    Parameters
+    ----------
+    cost : (K, h, w) uint8
+    places : (K, 4) int64
+        Of :class:`~mlbs_actors.appearance.fusion.FusedCosts`; the first layer is the background.
+    positions : (n, 2) float32
+        Trajectories, px of the frame.
+    tracks : (K, 2) int64
+        Which of them are each layer's: the first one, and the one past the last.
+    corner : (x, y)
+        Where the costs' box begins in the frame, cells.
+    side : int
+        Of a cell, px.
+
+    Returns
+    -------
+    (K, 4) int64
+        First row, row past the last, first column, column past the last: of the background its place, of any
+        other layer inside its place, and without a cell if it leads nowhere.
+    """
+    claims = np.zeros_like(places)
+    claims[0] = places[0]
+    leads = np.empty(cost.shape[2], np.bool_)
+    for layer in range(1, len(places)):
+        top, bottom, left, right = places[layer]
+        first, end = bottom, top
+        leads[:] = False
+        for y in range(top, bottom):
+            own, background, any_leads = cost[layer, y], cost[0, y], False
+            for x in range(left, right):
+                at = np.uint64(x)
+                lead = own[at] < background[at]
+                leads[at] |= lead
+                any_leads |= lead
+            if any_leads:
+                first, end = min(first, y), y + 1
+        for point in range(tracks[layer, 0], tracks[layer, 1]):
+            x = int(np.rint(positions[point, 0])) // side - corner[0]
+            y = int(np.rint(positions[point, 1])) // side - corner[1]
+            if top <= y < bottom and left <= x < right:
+                leads[x] = True
+                first, end = min(first, y), max(end, y + 1)
+        if first < end:
+            columns, claim = np.flatnonzero(leads), claims[layer]
+            claim[0], claim[1], claim[2], claim[3] = first, end, columns[0], columns[-1] + 1
+    return claims

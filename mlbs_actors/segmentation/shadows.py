@@ -1,0 +1,319 @@
+"""Cast shadows: they move with an object and are none of it.
+
+Not in the paper. A shadow is ground with less light: its colour is the ground's, darker by a like factor in
+all channels. The ground's colour is taken from what lies around the objects in the same frame, so that it
+needs no memory: near a moving object the ground has often never been seen without its shadow. Where no light
+reaches nothing is left of it: there the place decides (:mod:`mlbs_actors.segmentation.contact_shadow`).
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.layer.object_regions import box_of
+from mlbs_actors.layer.trajectory_distance import trajectory_distance
+from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
+
+__all__ = [
+    "CHANNEL_NOISE",
+    "CHANNEL_SPREAD",
+    "Darkening",
+    "blur_weights",
+    "darkened",
+    "darkening",
+    "ground_colour",
+    "likelihood_of_shadow",
+    "shadow_likelihood",
+    "smoothed",
+]
+
+#: The ground's colour is found on the frame shrunk by this.
+SHRINK = 4
+#: Pixels this near to an object's trajectory may be the object itself, px of a 640×480 frame.
+NEAR_PX = 16.0
+#: How far the blur of the picture looks, px.
+BLUR_REACH = 4
+#: Side of the square around a shrunk pixel in which last frame's map must show no object either.
+GROWN = 3
+#: Standard deviation over which ground is looked for, twice shrunk px; where there is none, twice that, so
+#: often.
+REACH, DOUBLINGS = 1.5, 4
+#: Least share of ground within a reach, of four pixels.
+LEAST_GROUND = 4 * 0.05
+#: Log darkening at which a shadow begins, over which that is certain, and the same for the darkest.
+LIGHTEST, LIGHTEST_RAMP, DARKEST, DARKEST_RAMP = -0.10, 0.15, -2.2, 0.3
+#: Log darkening may differ by this between the channels, and by so many grey levels more in the dark.
+CHANNEL_SPREAD, CHANNEL_NOISE = 0.25, 6.0
+#: Variance of the ground's log colour above which nothing is said.
+GROUND_VARIANCE = 0.04
+#: What stands for it where there is no ground within any reach.
+NO_GROUND = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class Darkening:
+    """How each pixel's colour differs from that of the ground near it, in one box of a picture.
+
+    Attributes
+    ----------
+    mean : (h, w) float32
+        Logarithm of colour over ground's colour, mean of the channels.
+    spread : (h, w) float32
+        Its range over the channels.
+    brightness : (h, w) float32
+        Mean of the channels, grey levels + 1.
+    variance : (h, w) float32
+        Of the ground's log colour; large where there is no ground.
+    """
+
+    mean: Array
+    spread: Array
+    brightness: Array
+    variance: Array
+
+
+def ground_colour(picture: Array, evidence: FrameEvidence, previous: Array, scale: float) -> Array | None:
+    """The colour of the ground near each pixel, from what is no object's.
+
+    Parameters
+    ----------
+    picture : (h, w, 3) uint8
+        The frame, or the means of its cells.
+    evidence : FrameEvidence
+        The objects' trajectories.
+    previous : (H, W) uint16
+        Last label map; empty if there is none.
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+
+    Returns
+    -------
+    (H / 2 SHRINK, W / 2 SHRINK, 4) float32 or None
+        Mean log colour and its variance. None if there is neither an object's trajectory nor an object in
+        the last map.
+    """
+    height, width = evidence.shape
+    positions = evidence.positions[evidence.tracks_of(BACKGROUND).end :]  # the objects', which come after it
+    if not len(positions) and not previous.any():
+        return None
+    size = (max(1, width // SHRINK), max(1, height // SHRINK))
+    colour = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    free: Array = trajectory_distance(positions, Region(0, 0, *size), SHRINK) >= NEAR_PX * scale
+    if previous.size:
+        shown = cv2.resize(previous, size, interpolation=cv2.INTER_NEAREST) > BACKGROUND
+        free &= cv2.dilate(shown.view(np.uint8), np.ones((GROWN, GROWN), np.uint8)) == 0
+    return _spread_into_objects(colour, free)
+
+
+def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darkening:
+    """Compare each pixel of a box with the ground near it.
+
+    Parameters
+    ----------
+    picture : (h, w, 3) uint8
+        The frame, or the means of its cells.
+    ground : (H / 2 SHRINK, W / 2 SHRINK, 4) float32
+        Of :func:`ground_colour`.
+    box : Region
+        Of the picture.
+    blur : float
+        Standard deviation by which it is smoothed first, px of the picture, at most 1.
+
+    Returns
+    -------
+    Darkening
+    """
+    return Darkening(*darkened(np.ascontiguousarray(picture), blur_weights(blur), ground, box_of(box)))
+
+
+def shadow_likelihood(dark: Darkening) -> Array:
+    """How much each pixel looks like the ground near it with less light.
+
+    Parameters
+    ----------
+    dark : Darkening
+
+    Returns
+    -------
+    (h, w) float32
+        0 = no shadow … 1 = darker ground.
+    """
+    return np.asarray(likelihood_of_shadow(dark.mean, dark.spread, dark.brightness, dark.variance))
+
+
+@functools.lru_cache(maxsize=16)
+def blur_weights(blur: float) -> Array:
+    """Weights of a Gaussian of this standard deviation, at most 1 px, as OpenCV smooths 8-bit pictures with
+    it: (2 · 4 + 1,) int32, parts of 256."""
+    flat = np.zeros((1, 4 * BLUR_REACH + 1), np.uint8)
+    flat[0, 2 * BLUR_REACH] = 255
+    smooth = cv2.GaussianBlur(np.repeat(flat, 4 * BLUR_REACH + 1, axis=0), (0, 0), blur)
+    weights = np.rint(smooth[0, BLUR_REACH : 3 * BLUR_REACH + 1] * (256 / 255))
+    weights[BLUR_REACH] += 256 - weights.sum()
+    return np.asarray(weights, np.int32)
+
+
+@compiled
+def darkened(
+    picture: Array, weights: Array, ground: Array, box: tuple[int, int, int, int]
+) -> tuple[Array, Array, Array, Array]:
+    """The fields of :func:`darkening` in a box, smoothed by :func:`blur_weights`."""
+    return _compared(smoothed(picture, weights, box), ground, box[1], box[0], picture.shape[:2], _LOG)
+
+
+@compiled
+def smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) -> Array:
+    """A box of a picture (h, w, 3) uint8, smoothed; past the picture's border it is mirrored at that."""
+    left, top, width, height = box
+    middle = weights.size // 2
+    reach = middle
+    while reach > 0 and weights[middle - reach] == 0:
+        reach -= 1
+    # Of a row of pixels those inside the picture first: that runs in vector registers.
+    first, last = max(reach - left, 0), min(picture.shape[1] + reach - left, width + 2 * reach)
+    column, row = np.empty(3 * (width + 2 * reach), np.int32), np.empty(3 * width, np.int32)
+    smooth = np.empty((height, width, 3), np.uint8)
+    pixels, results, length = picture.reshape(-1), smooth.reshape(-1), picture.shape[1]
+    for y in range(height):
+        inside = column[3 * first : 3 * last]
+        inside[:] = 0
+        for k in range(-reach, reach + 1):
+            begin = length * _mirrored(top + y + k, picture.shape[0]) + left - reach
+            known, weight = pixels[3 * (begin + first) : 3 * (begin + last)], weights[middle + k]
+            for i in range(inside.size):
+                inside[i] += weight * np.int32(known[i])
+        for x in range(width + 2 * reach):
+            if not first <= x < last:
+                mirrored = _mirrored(left + x - reach, picture.shape[1]) + reach - left
+                column[3 * x : 3 * x + 3] = column[3 * mirrored : 3 * mirrored + 3]
+        row[:] = 1 << 15
+        for k in range(2 * reach + 1):
+            weight, beside = weights[middle - reach + k], column[3 * k : 3 * (k + width)]
+            for i in range(row.size):
+                row[i] += weight * beside[i]
+        flat = results[3 * width * y : 3 * width * (y + 1)]
+        for i in range(row.size):
+            flat[i] = np.uint8(row[i] >> np.int32(16))
+    return smooth
+
+
+@compiled
+def _mirrored(at: int, length: int) -> int:
+    """A place of a row, mirrored at the row's first and last pixel."""
+    while length > 1 and not 0 <= at < length:
+        at = -at if at < 0 else 2 * length - 2 - at
+    return at if length > 1 else 0
+
+
+@compiled
+def likelihood_of_shadow(mean: Array, spread: Array, brightness: Array, variance: Array) -> Array:
+    """:func:`shadow_likelihood` of a darkening's fields."""
+    likelihood = np.empty(mean.shape, np.float32)
+    for y in range(mean.shape[0]):
+        for x in range(mean.shape[1]):
+            tolerance = CHANNEL_SPREAD + CHANNEL_NOISE / brightness[y, x]
+            value = min(max((LIGHTEST - mean[y, x]) / LIGHTEST_RAMP, 0.0), 1.0)
+            value *= min(max((mean[y, x] - DARKEST) / DARKEST_RAMP, 0.0), 1.0)
+            value *= min(max(2.0 - 2.0 * spread[y, x] / tolerance, 0.0), 1.0)
+            value *= min(max(2.0 - variance[y, x] / GROUND_VARIANCE, 0.0), 1.0)
+            likelihood[y, x] = value
+    return likelihood
+
+
+def _spread_into_objects(colour: Array, free: Array) -> Array:
+    """Mean log colour and its variance, (h / 2, w / 2, 4) float32, of the free pixels within a reach."""
+    weighted = [_moments(colour, free, _LOG)]
+    for _ in range(DOUBLINGS):
+        weighted.append(cv2.pyrDown(weighted[-1]))
+    ground = np.zeros((*weighted[-1].shape[:2], 4), np.float32)
+    ground[..., 3] = NO_GROUND
+    for level in reversed(weighted):
+        if ground.shape[:2] != level.shape[:2]:
+            ground = cv2.pyrUp(ground, dstsize=level.shape[1::-1])
+        _take_where_found(cv2.GaussianBlur(level, (0, 0), REACH), ground)
+    return ground
+
+
+@compiled
+def _moments(colour: Array, free: Array, log_of: Array) -> Array:
+    """Sums of log colour, its square and 1 over the free pixels of 2×2: (⌈h/2⌉, ⌈w/2⌉, 7) float32."""
+    height, width = free.shape
+    moments = np.zeros(((height + 1) // 2, (width + 1) // 2, 7), np.float32)
+    for y in range(height):
+        for x in range(width):
+            if free[y, x]:
+                block = moments[y // 2, x // 2]
+                for c in range(3):
+                    value = log_of[colour[y, x, c]]
+                    block[c] += value
+                    block[3 + c] += value * value
+                block[6] += 1.0
+    return moments
+
+
+@compiled
+def _take_where_found(moments: Array, ground: Array) -> None:
+    """Put mean log colour and variance into ``ground`` where there is enough of it within the reach."""
+    height, width, _ = ground.shape
+    for y in range(height):
+        for x in range(width):
+            share = moments[y, x, 6]
+            if share > LEAST_GROUND:
+                variance = np.float32(0.0)
+                for c in range(3):
+                    mean = moments[y, x, c] / share
+                    variance = max(variance, moments[y, x, 3 + c] / share - mean * mean)
+                    ground[y, x, c] = mean
+                ground[y, x, 3] = variance
+
+
+@compiled
+def _compared(
+    smooth: Array, ground: Array, top: int, left: int, frame_shape: tuple[int, int], log_of: Array
+) -> tuple[Array, Array, Array, Array]:
+    """The fields of `Darkening` in a box; the ground is interpolated bilinearly."""
+    height, width, _ = smooth.shape
+    mean, spread = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    brightness, variance = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    columns = ground.shape[1]
+    before, after = np.empty(width, np.uint64), np.empty(width, np.uint64)
+    right = np.empty(width, np.float32)
+    for x in range(width):
+        before[x], after[x], right[x] = _between(x + left, columns / frame_shape[1], columns)
+    row = np.empty((columns, 4), np.float32)
+    third = np.float32(1.0 / 3.0)
+    for y in range(height):
+        above, below, down = _between(y + top, ground.shape[0] / frame_shape[0], ground.shape[0])
+        for column in range(int(before[0]), int(after[width - 1]) + 1):
+            for c in range(4):
+                step = ground[below, column, c] - ground[above, column, c]
+                row[column, c] = ground[above, column, c] + down * step
+        for x in range(width):
+            at = np.uint64(x)
+            one, other, share, colour = row[before[at]], row[after[at]], right[at], smooth[y, at]
+            blue = log_of[colour[0]] - (one[0] + share * (other[0] - one[0]))
+            green = log_of[colour[1]] - (one[1] + share * (other[1] - one[1]))
+            red = log_of[colour[2]] - (one[2] + share * (other[2] - one[2]))
+            mean[y, at] = (blue + green + red) * third
+            spread[y, at] = max(blue, green, red) - min(blue, green, red)
+            total = np.int32(colour[0]) + np.int32(colour[1]) + np.int32(colour[2])
+            brightness[y, at] = np.float32(total) * third + np.float32(1.0)
+            variance[y, at] = one[3] + share * (other[3] - one[3])
+    return mean, spread, brightness, variance
+
+
+@compiled
+def _between(pixel: int, ratio: float, count: int) -> tuple[int, int, float]:
+    """The two pixels of a shrunk row of ``count`` next to a pixel of the row, and the share of the second."""
+    place = min(max((pixel + 0.5) * ratio - 0.5, 0.0), count - 1.0)
+    first = int(place)
+    return first, min(first + 1, count - 1), place - first
+
+
+#: Log of a channel's value + 1.
+_LOG = np.log(np.arange(1, 257, dtype=np.float32))

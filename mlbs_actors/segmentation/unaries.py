@@ -1,0 +1,87 @@
+"""What each label costs at a pixel, as the graph cut takes it: the first three terms of its energy (§7).
+
+The costs of the layers' posteriors, the trajectories' own data cost, and what a cast shadow takes away, in
+quanta of the cut and for each label where it may be (:mod:`mlbs_actors.segmentation.segmenter` says how these
+differ from the paper).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.layer.points_in_box import points_in_box
+from mlbs_actors.messages import COST_STEP, Array
+from mlbs_actors.segmentation.contrast import COST_QUANTUM
+
+__all__ = ["claimed_costs"]
+
+#: Quanta of the graph cut in one of the layers' costs.
+_QUANTA = np.int32(round(COST_STEP / COST_QUANTUM))
+
+
+@compiled
+def claimed_costs(
+    cost: Array, own: Array, box: tuple[int, int, int, int], claims: Array, shadow: Array,
+    strength: np.float32, positions: Array, tracks: Array, corner: tuple[int, int], shape: tuple[int, int],
+    side: int, pull: int,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Costs (k, rows, columns) int32 of some layers in a box of cells, ``COST_QUANTUM`` a pixel; the places
+    (k, 4) where they are made, as a layer owns nothing outside its claim; and the trajectories' pulls."""
+    left, top, width, height = box
+    costs, places = np.empty((own.size, height, width), np.int32), np.empty((own.size, 4), np.int64)
+    for label in range(own.size):
+        place, claim = places[label], claims[own[label]]
+        place[0], place[1] = max(claim[0] - top, 0), min(claim[1] - top, height)
+        place[2], place[3] = max(claim[2] - left, 0), min(claim[3] - left, width)
+        for y in range(place[0], place[1]):
+            fused, row = cost[own[label], top + y], costs[label, y]
+            for x in range(place[2], place[3]):
+                row[x] = np.int32(fused[left + x]) * _QUANTA
+    if strength > 0:
+        _discount_shadows(costs, places, shadow, strength)
+    return costs, places, _track_pulls(positions, tracks[own], places * side, corner, shape, pull)
+
+
+@compiled
+def _track_pulls(
+    positions: Array, tracks: Array, places: Array, corner: tuple[int, int], shape: tuple[int, int], pull: int
+) -> Array:
+    """The trajectories' data cost: −c for their own label at their pixel, +c for every other.
+
+    Up to a constant, which does not matter, that is −2c for their own: label, row, column, cost of each that
+    lies in its label's place, which is given in pixels.
+    """
+    pulls = np.empty(((tracks[:, 1] - tracks[:, 0]).sum(), 4), np.int64)
+    count = 0
+    for label in range(len(tracks)):
+        own = positions[tracks[label, 0] : tracks[label, 1]]
+        top, bottom = places[label, 0] + corner[1], places[label, 1] + corner[1]
+        left, right = places[label, 2] + corner[0], places[label, 3] + corner[0]
+        # What lies outside the frame has the pull at its border.
+        inside = points_in_box(
+            own,
+            left if left > 0 else -np.inf,
+            top if top > 0 else -np.inf,
+            right if right < shape[1] else np.inf,
+            bottom if bottom < shape[0] else np.inf,
+        )
+        for point in inside:
+            x = min(max(int(np.rint(own[point, 0])), 0), shape[1] - 1) - corner[0]
+            y = min(max(int(np.rint(own[point, 1])), 0), shape[0] - 1) - corner[1]
+            pulls[count, 0], pulls[count, 1], pulls[count, 2], pulls[count, 3] = label, y, x, -pull
+            count += 1
+    return pulls[:count]
+
+
+@compiled
+def _discount_shadows(costs: Array, places: Array, shadow: Array, strength: np.float32) -> None:
+    """Take away, as far as a cell is a shadow, what an object has over the background, and a little more."""
+    for label in range(1, costs.shape[0]):
+        top, bottom, left, right = places[label]
+        for y in range(top, bottom):
+            own, background, darker = costs[label, y], costs[0, y], shadow[y]
+            for x in range(left, right):
+                at = np.uint64(x)
+                lead = np.float32(max(background[at] - own[at], 0))
+                own[at] += np.int32(np.rint(darker[at] * (lead + strength)))

@@ -1,0 +1,247 @@
+"""The camera's own motion between two frames: a homography fitted to background trajectories.
+
+The paper has no camera model. Here trajectories are compared by what the camera's motion leaves of theirs, so
+that a roll or a zoom, whose motion differs from place to place, does not look like objects. A homography does
+not explain parallax. Where a camera drives through a scene, :mod:`mlbs_actors.tracking.epipolar` does;
+elsewhere parallax stays in the residuals and is the clustering's business.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.messages import Array
+
+__all__ = ["CameraEvidence", "camera_evidence", "camera_homography", "homography_motion", "shrunk_homography"]
+
+#: Reprojection error of an inlier, px.
+INLIER_PX = 1.0
+#: Bounds of what is taken for noise between two frames, grey levels. Where the median difference is larger,
+#: the camera model fails or the scene is full of fine texture; a smooth object differs by less than that.
+LEAST_NOISE, MOST_NOISE = 2.0, 3.5
+#: Fewer points than this do not determine a homography that can be trusted; a translation is used.
+LEAST_POINTS = 12
+
+
+def camera_homography(positions: Array, motions: Array, scale: float) -> Array:
+    """Fit the background's backward motion by RANSAC (seeded inside OpenCV) and least squares.
+
+    Parameters
+    ----------
+    positions : (n, 2) float32
+        Background trajectories in frame t, px.
+    motions : (n, 2) float32
+        Their backward motions, px.
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+
+    Returns
+    -------
+    (3, 3) float64
+        Takes homogeneous pixels of frame t to frame t−1; the median translation where the points do not
+        determine more.
+    """
+    matrix = None
+    if len(positions) >= LEAST_POINTS:
+        matrix, _ = cv2.findHomography(positions, positions + motions, cv2.RANSAC, INLIER_PX * scale)
+    if matrix is None or not np.isfinite(matrix).all() or not 0.5 < _enlargement(matrix) < 2.0:
+        matrix = np.eye(3)
+        if len(positions):
+            matrix[:2, 2] = np.median(motions, axis=0)
+    return np.asarray(matrix, np.float64)
+
+
+def _enlargement(matrix: Array) -> float:
+    """How much larger a homography (3, 3) makes areas, but for its perspective."""
+    (xx, xy, _), (yx, yy, _), _ = matrix.tolist()
+    return float(xx * yy - xy * yx)
+
+
+@compiled
+def homography_motion(matrix: Array, positions: Array) -> Array:
+    """Backward motion that a homography gives each point.
+
+    Parameters
+    ----------
+    matrix : (3, 3) float64
+    positions : (n, 2)
+        px.
+
+    Returns
+    -------
+    (n, 2) float32
+        px.
+    """
+    motions = np.empty((len(positions), 2), np.float32)
+    for point in range(len(positions)):
+        x, y = np.float64(positions[point, 0]), np.float64(positions[point, 1])
+        along = matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2]
+        down = matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2]
+        depth = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2]
+        motions[point, 0], motions[point, 1] = along / depth - x, down / depth - y
+    return motions
+
+
+@compiled
+def shrunk_homography(matrix: Array, step: tuple[float, float]) -> Array:
+    """The same homography between pictures of which every pixel is ``step`` px wide and high.
+
+    Parameters
+    ----------
+    matrix : (3, 3) float64
+    step : (float, float)
+        Full-size px per shrunk px in x and y.
+
+    Returns
+    -------
+    (3, 3) float64
+    """
+    # Full-size pixel centres lie at (shrunk + ½)·step − ½.
+    shrunk = np.empty((3, 3))
+    for axis in range(2):
+        shift = 0.5 * step[axis] - 0.5
+        for column in range(3):
+            shrunk[axis, column] = (
+                1 / step[axis] * matrix[axis, column] - shift / step[axis] * matrix[2, column]
+            )
+    shrunk[2] = matrix[2]
+    for row in range(3):
+        along, down = shrunk[row, 0], shrunk[row, 1]
+        shrunk[row, 2] += along * (0.5 * step[0] - 0.5) + down * (0.5 * step[1] - 0.5)
+        shrunk[row, 0], shrunk[row, 1] = along * step[0], down * step[1]
+    return shrunk
+
+
+@dataclass(frozen=True, slots=True)
+class CameraEvidence:
+    """How well the camera's own motion explains a new frame, place by place, in units of the frame's noise.
+
+    Attributes
+    ----------
+    unexplained : (h, w) float32
+        Mean absolute difference over a 5×5 window between frame t and frame t−1 moved by the camera's motion.
+    advantage : (h, w) float32
+        By how much the dense flow explains frame t better than the camera's motion does. Near 0 where the
+        image is smooth, whatever moves there: flow that has bled over smooth ground explains it no better.
+    """
+
+    unexplained: Array
+    advantage: Array
+
+
+def camera_evidence(
+    previous: Array, current: Array, matrix: Array, flow: Array, step: tuple[float, float]
+) -> CameraEvidence:
+    """Compare the frame before, moved by the camera's motion and by the dense flow, with the new frame.
+
+    Parameters
+    ----------
+    previous, current : (h, w) uint8
+        Grey frames t−1 and t, shrunk alike.
+    matrix : (3, 3) float64
+        :func:`camera_homography`, in full-size px.
+    flow : (h, w, 2) float32
+        Backward flow t → t−1, full-size px.
+    step : (float, float)
+        Full-size px per shrunk px in x and y.
+
+    Returns
+    -------
+    CameraEvidence
+        The noise is the median difference to the camera's motion, between ``LEAST_NOISE`` and ``MOST_NOISE``
+        grey levels. Both are 0 where the camera's motion leads out of frame t−1.
+    """
+    mapping = shrunk_homography(matrix, step)
+    height, width = current.shape
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    by_camera = cv2.warpPerspective(previous, mapping, (width, height), flags=flags)
+    sources = _flow_sources(flow, np.float32(step[0]), np.float32(step[1]))
+    # One map of both coordinates, which the stubs do not know.
+    by_flow = cv2.remap(  # type: ignore[call-overload]
+        previous, sources, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    camera_error, flow_error = (
+        cv2.boxFilter(difference, cv2.CV_32F, (5, 5))
+        for difference in _differences(current, by_camera, by_flow, mapping)
+    )
+    noise = np.float32(min(max(_median_error(camera_error), LEAST_NOISE), MOST_NOISE))
+    return CameraEvidence(*_in_noise(camera_error, flow_error, noise))
+
+
+@compiled
+def _flow_sources(flow: Array, step_x: np.float32, step_y: np.float32) -> Array:
+    """x and y of where each pixel comes from, (h, w, 2) float32, px of the shrunk frame."""
+    height, width = flow.shape[:2]
+    sources, one = np.empty((height, width, 2), np.float32), np.uint64(1)
+    for y in range(height):
+        moved, place = flow[y].reshape(-1), sources[y].reshape(-1)  # in vector registers when flat
+        for x in range(width):
+            at = np.uint64(2 * x)
+            place[at] = np.float32(np.int32(x)) + moved[at] / step_x
+            place[at + one] = np.float32(np.int32(y)) + moved[at + one] / step_y
+    return sources
+
+
+@compiled
+def _median_error(error: Array) -> float:
+    """Median of every fourth pixel, which tells as much; means over 25 whole numbers are counted by value."""
+    counts, values = np.zeros(25 * 255 + 1, np.int32), np.zeros(25 * 255 + 1, np.float32)
+    total = 0
+    for y in range(0, error.shape[0], 2):
+        for x in range(0, error.shape[1], 2):
+            place = int(np.rint(np.float32(25) * error[y, x]))
+            counts[place] += 1
+            values[place] = error[y, x]
+            total += 1
+    below, lower = 0, -1
+    for place in range(counts.size):
+        below += counts[place]
+        if lower < 0 and below > (total - 1) // 2:
+            lower = place
+        if below > total // 2:
+            return float(np.float32(0.5) * (values[lower] + values[place]))
+    return 0.0
+
+
+@compiled
+def _in_noise(camera_error: Array, flow_error: Array, noise: np.float32) -> tuple[Array, Array]:
+    """What the camera leaves unexplained and what the flow explains better, × noise."""
+    unexplained, advantage = np.empty_like(camera_error), np.empty_like(camera_error)
+    for y in range(camera_error.shape[0]):
+        for x in range(camera_error.shape[1]):
+            unexplained[y, x] = camera_error[y, x] / noise
+            advantage[y, x] = (camera_error[y, x] - flow_error[y, x]) / noise
+    return unexplained, advantage
+
+
+@compiled
+def _differences(current: Array, one: Array, other: Array, mapping: Array) -> Array:
+    """Absolute differences of a grey frame to two others, (2, h, w) uint8; 0 where the mapping leads out."""
+    height, width = current.shape
+    differences = np.zeros((2, height, width), np.uint8)
+    for y in range(height):
+        # Where in the row x, y and the remaining width and height of the source are not negative.
+        left, right = 0.0, width - 1.0
+        for axis, length in ((0, width - 1.0), (1, height - 1.0)):
+            slope, start = mapping[axis, 0], mapping[axis, 1] * y + mapping[axis, 2]
+            below = length * mapping[2, 0] - slope
+            end = length * (mapping[2, 1] * y + mapping[2, 2]) - start
+            for rise, value in ((slope, start), (below, end)):
+                if rise > 0:
+                    left = max(left, -value / rise)
+                elif rise < 0:
+                    right = min(right, -value / rise)
+                elif value < 0:
+                    right = -1.0
+        inside = slice(int(np.ceil(min(left, float(width)))), max(int(np.floor(right)) + 1, 0))
+        shown, by_one, by_other = current[y, inside], one[y, inside], other[y, inside]
+        to_one, to_other = differences[0, y, inside], differences[1, y, inside]
+        for x in range(shown.size):
+            gray = np.int16(shown[x])
+            to_one[x] = abs(np.int16(gray - np.int16(by_one[x])))
+            to_other[x] = abs(np.int16(gray - np.int16(by_other[x])))
+    return differences

@@ -1,0 +1,139 @@
+"""What a static scene of many depths looks like to a camera that drives into it.
+
+The paper has no camera model. A homography (:mod:`mlbs_actors.tracking.camera`) fails when a vehicle drives
+down a street: each house, parked car and road marking moves in its own way, all are discontinuous at their
+borders, and all would be objects. One epipolar geometry explains them, with a depth for each point. It also
+explains much that moves: a car that comes towards the camera looks like something nearer. So it is asked only
+where nothing else will do (:func:`forward_motion`), and what it cannot tell from the scene stays background.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from mlbs_actors.config import length_scale
+from mlbs_actors.messages import Array
+from mlbs_actors.tracking.camera import INLIER_PX, LEAST_POINTS, homography_motion
+
+__all__ = ["EpipolarGeometry", "explains", "forward_motion", "static_motion"]
+
+#: The camera drives forwards if at most this share of the points obeys its homography, at least that share
+#: one epipolar geometry, and at least that share moves in it as static points do.
+MOST_PLANAR, LEAST_EPIPOLAR, LEAST_STATIC = 0.6, 0.7, 0.5
+#: How sure to be that the best geometry was found, and most samples drawn for it.
+CONFIDENCE, MOST_SAMPLES = 0.999, 2000
+
+
+@dataclass(frozen=True, slots=True)
+class EpipolarGeometry:
+    """Where points of a static scene can come from while the camera drives into it.
+
+    Attributes
+    ----------
+    fundamental : (3, 3) float64
+        Takes homogeneous pixels of frame t to their epipolar lines in frame t−1.
+    epipole, epipole_before : (2,) float64
+        The point that the camera drives towards, in frames t and t−1, px.
+    """
+
+    fundamental: Array
+    epipole: Array
+    epipole_before: Array
+
+
+def forward_motion(
+    positions: Array, motions: Array, homography: Array, shape: tuple[int, int]
+) -> EpipolarGeometry | None:
+    """Epipolar geometry of a camera that drives forwards through a scene of many depths.
+
+    It is told from all else by three things together: the homography fails for a great part of the frame,
+    static points in one epipolar geometry explain it, and the epipole is in the frame. A camera that turns or
+    moves sideways has it far outside, and there whatever moves along with the parallax would look static.
+
+    Parameters
+    ----------
+    positions, motions : (n, 2) float32
+        Trajectories spread evenly over the frame, and their backward motions, px.
+    homography : (3, 3) float64
+        :func:`camera_homography`.
+    shape : (H, W)
+        px.
+
+    Returns
+    -------
+    EpipolarGeometry or None
+        None if the camera does not drive.
+    """
+    if len(positions) < 2 * LEAST_POINTS:
+        return None
+    if explains(homography, positions, motions, shape):
+        return None
+    inlier = INLIER_PX * length_scale(*shape)
+    points = positions.astype(np.float64)
+    try:
+        matrix, inliers = cv2.findFundamentalMat(
+            points, points + motions, cv2.USAC_MAGSAC, inlier, CONFIDENCE, MOST_SAMPLES
+        )
+    except cv2.error:  # where few points move at random OpenCV can end with no matrix, and does not expect it
+        return None
+    if matrix is None or matrix.shape != (3, 3) or inliers.mean() < LEAST_EPIPOLAR:
+        return None
+    before, _, after = np.linalg.svd(matrix)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        epipoles = [after[2, :2] / after[2, 2], before[:2, 2] / before[2, 2]]
+    if not all((one >= 0).all() and (one < shape[::-1]).all() for one in epipoles):
+        return None
+    geometry = EpipolarGeometry(matrix, *epipoles)
+    # A camera that drives backwards has the same epipolar lines, but its points come from farther out.
+    error = np.hypot(*(motions - static_motion(geometry, positions, motions)).T)
+    return geometry if (error < inlier).mean() >= LEAST_STATIC else None
+
+
+def explains(homography: Array, positions: Array, motions: Array, shape: tuple[int, int]) -> bool:
+    """Whether a homography explains more than ``MOST_PLANAR`` of some points' backward motions.
+
+    Parameters
+    ----------
+    homography : (3, 3) float64
+    positions, motions : (n, 2) float32
+        px; of none it explains nothing.
+    shape : (int, int)
+        (H, W) of the frame.
+    """
+    error = np.hypot(*(motions - homography_motion(homography, positions)).T)
+    return bool((error < INLIER_PX * length_scale(*shape)).sum() > MOST_PLANAR * len(positions))
+
+
+def static_motion(geometry: EpipolarGeometry, positions: Array, motions: Array) -> Array:
+    """The motion of a static point, of whatever depth, that is nearest to each motion seen.
+
+    A far point moves with the camera's rotation alone, which carries the epipole along; the nearer it is, the
+    closer to the epipole it has been before. An object that is driven away from does neither.
+
+    Parameters
+    ----------
+    geometry : EpipolarGeometry
+    positions, motions : (n, 2) float32
+        Points of frame t and their backward motions, px.
+
+    Returns
+    -------
+    (n, 2) float32
+        px.
+    """
+    points = positions.astype(np.float64)
+    lines = np.column_stack([points, np.ones(len(points))]) @ geometry.fundamental.T
+    normals = lines[:, :2] / np.maximum(np.hypot(lines[:, 0], lines[:, 1]), 1e-12)[:, None]
+
+    def on_line(there: Array) -> Array:
+        away = (normals * (there - geometry.epipole_before)).sum(axis=1)
+        return np.asarray(there - away[:, None] * normals)
+
+    farthest = on_line(points + geometry.epipole_before - geometry.epipole)
+    seen = on_line(points + motions)
+    towards = geometry.epipole_before - farthest
+    depth = ((seen - farthest) * towards).sum(axis=1) / np.maximum(np.square(towards).sum(axis=1), 1e-12)
+    return np.asarray(farthest + np.clip(depth, 0.0, 1.0)[:, None] * towards - points, np.float32)

@@ -1,0 +1,179 @@
+"""Frames that have been tracked and wait for their labels: at the start, and with a look-ahead (§4).
+
+Differs from the paper: its program labels a frame with clusters of four frames later and says nothing of
+the first ones. Here every frame gets its labels backwards along the trajectories that pass through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from mlbs_actors.clustering.label_index import UNLABELLED, label_places
+from mlbs_actors.flow.dense_flow import DenseFlow
+from mlbs_actors.kernels.interpolation import sample_flow, sample_map
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.messages import BACKGROUND, UNEXPLAINED_STEP, Array
+from mlbs_actors.tracking.camera import CameraEvidence, camera_evidence
+from mlbs_actors.tracking.trajectories import EVIDENCE_BOUNDS, TrajectoryState
+
+__all__ = ["HeldFrame", "by_layer", "first_frame", "held_frame", "relabelled"]
+
+
+@dataclass(frozen=True, slots=True)
+class HeldFrame:
+    """A frame that has been tracked and waits for its labels.
+
+    Attributes
+    ----------
+    frame_index : int
+    ids : (n,) int64
+        Trajectories in this frame, ascending.
+    positions, motions : (n, 2) float32
+    labels : (n,) int64
+        As known so far.
+    evidence : (n,) float32
+        As in :class:`~mlbs_actors.tracking.trajectories.TrajectoryState`.
+    camera : (3, 3) float64
+    flow : (h, w, 2) float32
+    flow_reliable : (h, w) bool
+    unexplained : (h, w) uint8
+        As in :class:`~mlbs_actors.messages.FrameEvidence`.
+    stage_ms : mapping of str to float
+    """
+
+    frame_index: int
+    ids: Array
+    positions: Array
+    motions: Array
+    labels: Array
+    evidence: Array
+    camera: Array
+    flow: Array
+    flow_reliable: Array
+    unexplained: Array
+    stage_ms: Mapping[str, float]
+
+
+def held_frame(
+    frame_index: int,
+    trajectories: TrajectoryState,
+    labels: Array,
+    camera: Array,
+    flow: DenseFlow | None,
+    against_camera: CameraEvidence,
+    stage_ms: Mapping[str, float],
+) -> HeldFrame:
+    """What is kept of the newest frame; ``flow`` is None in the first of an epoch."""
+    size = against_camera.unexplained.shape
+    return HeldFrame(
+        frame_index,
+        trajectories.ids,
+        trajectories.positions,
+        trajectories.motions,
+        labels,
+        trajectories.evidence,
+        camera,
+        np.zeros((*size, 2), np.float32) if flow is None else _rounded(flow.backward),
+        np.zeros(size, bool) if flow is None else flow.backward_reliable,
+        _quantised(against_camera.unexplained),
+        stage_ms,
+    )
+
+
+def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array, camera: Array) -> HeldFrame:
+    """An epoch's first frame, which has none before it: its motion is that from the second, backwards.
+
+    Parameters
+    ----------
+    held : HeldFrame
+    flow : DenseFlow
+        To the second frame.
+    gray, following : (h, w) uint8
+        The two frames as the flow sees them.
+    camera : (3, 3) float64
+        Takes pixels of the second frame to the first.
+
+    Returns
+    -------
+    HeldFrame
+    """
+    evidence = camera_evidence(following, gray, np.linalg.inv(camera), flow.forward, flow.step)
+    advantage = sample_map(evidence.advantage, held.positions, flow.step)
+    return replace(
+        held,
+        motions=-sample_flow(flow.forward, held.positions, flow.step),
+        evidence=np.clip(advantage, *EVIDENCE_BOUNDS),
+        camera=camera,
+        flow=_rounded(-flow.forward),
+        flow_reliable=flow.forward_reliable(),
+        unexplained=_quantised(evidence.unexplained),
+    )
+
+
+def relabelled(
+    frames: Sequence[HeldFrame], trajectories: TrajectoryState, labels: Array
+) -> tuple[HeldFrame, ...]:
+    """Give held frames the newest labels, backwards along the trajectories that still live.
+
+    Parameters
+    ----------
+    frames : sequence of HeldFrame
+    trajectories : TrajectoryState
+        The newest.
+    labels : (n,) int64
+        Theirs.
+
+    Returns
+    -------
+    tuple of HeldFrame
+        A trajectory that has ended keeps the label it had last.
+    """
+    result = []
+    for held in frames:
+        place = np.minimum(np.searchsorted(trajectories.ids, held.ids), max(len(trajectories) - 1, 0))
+        alive = np.zeros(len(held.ids), bool)
+        if len(trajectories):
+            alive = trajectories.ids[place] == held.ids
+        newest, most = held.labels.copy(), held.evidence.copy()
+        newest[alive] = labels[place[alive]]
+        most[alive] = np.maximum(most[alive], trajectories.evidence[place[alive]])
+        result.append(replace(held, labels=newest, evidence=most))
+    return tuple(result)
+
+
+@compiled
+def by_layer(
+    live: Array, owner: Array, evidence: Array, least: np.float32, positions: Array, motions: Array
+) -> tuple[Array, Array, Array]:
+    """Positions and motions layer by layer, in their order, and where each of the live layers starts (k + 1);
+    without those that belong to none, or to an object with less than the least evidence."""
+    place, starts = label_places(owner, live), np.zeros(live.size + 1, np.int64)
+    for i in range(owner.size):
+        if owner[i] == BACKGROUND or (owner[i] != UNLABELLED and evidence[i] >= least):
+            starts[place[i] + 1] += 1
+        else:
+            place[i] = -1
+    starts = np.cumsum(starts)
+    following = starts.copy()
+    there, moved = np.empty((starts[-1], 2), np.float32), np.empty((starts[-1], 2), np.float32)
+    for i in range(owner.size):
+        if place[i] >= 0:
+            at = following[place[i]]
+            for axis in range(2):
+                there[at, axis], moved[at, axis] = positions[i, axis], motions[i, axis]
+            following[place[i]] += 1
+    return there, moved, starts
+
+
+def _quantised(unexplained: Array) -> Array:
+    return np.asarray(cv2.convertScaleAbs(unexplained, alpha=1.0 / UNEXPLAINED_STEP))
+
+
+def _rounded(flow: Array) -> Array:
+    """Flow in single precision that has the digits of half precision: more would be noise."""
+    rounded: Array = flow.astype(np.float16).astype(np.float32)
+    return rounded

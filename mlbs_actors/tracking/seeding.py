@@ -1,0 +1,178 @@
+"""Where trajectories begin: a grid of seeds wherever no live one is near (§3).
+
+Differs from the paper: a point seeded in frame t is at once followed back to frame t−1 by the (checked)
+backward flow, so it brings one motion with it and can be compared with its neighbours from its first frame
+on; where the flow explains the image better than the camera's motion the grid is denser; and where many
+trajectories are already there begin no more (:mod:`mlbs_actors.tracking.density`).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mlbs_actors.config import TrajectoriesConfig, length_scale
+from mlbs_actors.flow.dense_flow import DenseFlow
+from mlbs_actors.kernels.interpolation import sample_flow
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.messages import Array
+from mlbs_actors.tracking.density import SQUARE, pixel_of, room_left
+from mlbs_actors.tracking.trajectories import TrajectoryState
+
+__all__ = ["seed_trajectories"]
+
+#: Least spacing of seeds, steps of the flow's grid, and where they are dense.
+LEAST_SPACING, LEAST_DENSE_SPACING = 3.0, 2.0
+
+
+def seed_trajectories(
+    state: TrajectoryState,
+    gray: Array,
+    flow: DenseFlow | None,
+    shape: tuple[int, int],
+    config: TrajectoriesConfig,
+    advantage: Array | None = None,
+) -> TrajectoryState:
+    """Start trajectories on a grid wherever the image has structure and no live trajectory is near.
+
+    Parameters
+    ----------
+    state : TrajectoryState
+        At frame t.
+    gray : (h, w) uint8
+        Frame t, shrunk as for the flow.
+    flow : DenseFlow or None
+        Between t−1 and t; None in the first frame.
+    shape : (int, int)
+        (H, W) of the full frame.
+    config : TrajectoriesConfig
+    advantage : (h, w) float32, optional
+        Of :class:`~mlbs_actors.tracking.camera.CameraEvidence`, × noise: where it is large, small movers need
+        more points than the grid gives them, and there are seeds on a dense grid besides.
+
+    Returns
+    -------
+    TrajectoryState
+        With the new trajectories appended, each grid in raster order.
+
+    Notes
+    -----
+    A seed needs a smaller structure-tensor eigenvalue above mean·(0.1 + exp(−0.1 d)), d the distance to the
+    border in px.
+    """
+    (height, width), scale = shape, length_scale(*shape)
+    step = (width / gray.shape[1], height / gray.shape[0])
+    structure = cv2.cornerMinEigenVal(gray, blockSize=5, ksize=3)
+    # Nearer than the least spacing the flow cannot tell two points apart.
+    spacings = (
+        max(config.seed_spacing_px * scale, LEAST_SPACING * max(step)),
+        max(config.dense_spacing_px * scale, LEAST_DENSE_SPACING * max(step)),
+    )
+    ids, positions, motions, rows, ages, evidence = _seeded(
+        state.ids, state.positions, state.motions, state.rows, state.ages, state.evidence, state.next_id,
+        structure, float(structure.mean()),
+        np.ones(gray.shape, bool) if flow is None else flow.backward_reliable,
+        np.zeros(gray.shape, np.float32) if advantage is None else advantage, config.dense_advantage,
+        np.zeros((*gray.shape, 2), np.float32) if flow is None else flow.backward, flow is not None,
+        (height, width), step, spacings,
+    )  # fmt: skip
+    next_id = state.next_id + len(ids) - len(state)
+    return TrajectoryState(ids, positions, motions, state.residuals, rows, ages, evidence, next_id)
+
+
+@compiled
+def _seeded(
+    ids: Array, positions: Array, motions: Array, rows: Array, ages: Array, evidence: Array, next_id: int,
+    structure: Array, mean: float, wanted: Array, advantage: Array, least_advantage: float, backward: Array,
+    age: int, shape: tuple[int, int], step: tuple[float, float], spacings: tuple[float, float],
+) -> tuple[Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    """Ids, positions, motions, rows, ages and evidence of trajectories, and of those that begin."""
+    seeds = _seeds(positions, structure, mean, wanted, advantage, least_advantage, shape, step, spacings)
+    count = len(seeds)
+    return (
+        np.concatenate((ids, next_id + np.arange(count))),
+        np.concatenate((positions, seeds)),
+        np.concatenate((motions, sample_flow(backward, seeds, step))),
+        np.concatenate((rows, np.full(count, -1, np.intp))),
+        np.concatenate((ages, np.full(count, age, np.int32))),
+        np.concatenate((evidence, np.zeros(count, np.float32))),
+    )
+
+
+@compiled
+def _seeds(
+    positions: Array, structure: Array, mean: float, wanted: Array, advantage: Array, least_advantage: float,
+    shape: tuple[int, int], step: tuple[float, float], spacings: tuple[float, float],
+) -> Array:  # fmt: skip
+    """The seeds of the grid and of the dense one, (n, 2) float32."""
+    taken, room = np.zeros(structure.shape, np.bool_), room_left(positions, structure.shape, step)
+    _take(taken, positions, step)
+    seeds = _grid_seeds(structure, mean, wanted, advantage, -np.inf, taken, room, shape, step, spacings[0])
+    _take(taken, seeds, step)
+    more = _grid_seeds(
+        structure, mean, wanted, advantage, least_advantage, taken, room, shape, step, spacings[1]
+    )
+    return np.concatenate((seeds, more))
+
+
+@compiled
+def _take(taken: Array, positions: Array, step: tuple[float, float]) -> None:
+    """Mark the pixels of the shrunk frame where points are."""
+    for point in range(positions.shape[0]):
+        taken[pixel_of(positions, point, taken.shape, step)] = True
+
+
+@compiled
+def _grid_seeds(
+    structure: Array,
+    mean: float,
+    wanted: Array,
+    advantage: Array,
+    least_advantage: float,
+    taken: Array,
+    room: Array,
+    shape: tuple[int, int],
+    step: tuple[float, float],
+    spacing: float,
+) -> Array:
+    """The points of a grid in raster order that are wanted, structured and free, (n, 2) float32.
+
+    Each takes some of its square's room.
+    """
+    height, width = shape
+    rows, columns = max(1, int(height / spacing)), max(1, int(width / spacing))
+    # A trajectory covers a disc around it; a pixel at its very radius is free.
+    radius = 0.75 * spacing / (0.5 * (step[0] + step[1]))
+    half_width = np.empty(int(np.ceil(radius)), np.int64)
+    for away in range(half_width.size):
+        half_width[away] = int(np.ceil(np.sqrt(radius * radius - away * away))) - 1
+    points = np.empty((rows * columns, 2), np.float32)
+    count = 0
+    for row in range(rows):
+        y = np.float32((row + 0.5) * height / rows)
+        v = min(int(y / step[1]), wanted.shape[0] - 1)
+        for column in range(columns):
+            x = np.float32((column + 0.5) * width / columns)
+            u = min(int(x / step[0]), wanted.shape[1] - 1)
+            square = v // SQUARE, u // SQUARE
+            if not (wanted[v, u] and advantage[v, u] > least_advantage and room[square] > 0):
+                continue
+            border = min(min(x, y), min(width - 1 - x, height - 1 - y))
+            structured = structure[v, u] > mean * (0.1 + np.exp(-0.1 * border))
+            if structured and not _covered(taken, v, u, half_width):
+                points[count, 0], points[count, 1] = x, y
+                count += 1
+                room[square] -= 1
+    return points[:count].copy()
+
+
+@compiled
+def _covered(taken: Array, y: int, x: int, half_width: Array) -> bool:
+    """Whether a point is so near to a pixel, by half the width of the disc's rows."""
+    reach = half_width.size - 1
+    for v in range(max(y - reach, 0), min(y + reach, taken.shape[0] - 1) + 1):
+        across = half_width[abs(v - y)]
+        for u in range(max(x - across, 0), min(x + across, taken.shape[1] - 1) + 1):
+            if taken[v, u]:
+                return True
+    return False

@@ -1,0 +1,125 @@
+"""A frame's trajectories: carried along the flow, held against the camera's motion, and seeded anew (§3).
+
+Differs from the paper, which follows points by the flow alone: what the camera's own motion is, and where it
+fails to explain the image, is told here once a frame, and every trajectory learns by how much. A camera that
+drives has no homography; where an epipolar geometry says more (:mod:`mlbs_actors.tracking.epipolar`), that
+counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mlbs_actors.config import Config, length_scale
+from mlbs_actors.flow.dense_flow import DenseFlow
+from mlbs_actors.kernels.interpolation import sample_map
+from mlbs_actors.messages import Array
+from mlbs_actors.tracking.camera import CameraEvidence, camera_evidence, camera_homography, homography_motion
+from mlbs_actors.tracking.density import within_room
+from mlbs_actors.tracking.epipolar import explains, forward_motion, static_motion
+from mlbs_actors.tracking.seeding import seed_trajectories
+from mlbs_actors.tracking.trajectories import (
+    TrajectoryState,
+    advance_trajectories,
+    evenly_spread,
+    selected,
+    with_residuals,
+)
+
+__all__ = ["Tracked", "track"]
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """What a frame has made of the trajectories.
+
+    Attributes
+    ----------
+    trajectories : TrajectoryState
+        At this frame: the survivors, then those that begin in it.
+    survivors : (m,) intp
+        Where those that live on stood in the arrays of the frame before, ascending.
+    camera : (3, 3) float64
+        :func:`~mlbs_actors.tracking.camera.camera_homography`, backward.
+    against_camera : CameraEvidence
+        0 everywhere in a frame without flow.
+    """
+
+    trajectories: TrajectoryState
+    survivors: Array
+    camera: Array
+    against_camera: CameraEvidence
+
+
+def track(
+    before: TrajectoryState,
+    background: Array,
+    flow: DenseFlow | None,
+    previous: Array,
+    gray: Array,
+    shape: tuple[int, int],
+    config: Config,
+) -> Tracked:
+    """Follow the trajectories into a frame.
+
+    Parameters
+    ----------
+    before : TrajectoryState
+        At the frame before.
+    background : (n,) bool
+        Which of them tell the camera's motion.
+    flow : DenseFlow or None
+        Between the two frames; None in the first one.
+    previous, gray : (h, w) uint8
+        The two frames as the flow sees them; ``previous`` is not used without a flow.
+    shape : (int, int)
+        (H, W) of the full frame.
+    config : Config
+
+    Returns
+    -------
+    Tracked
+    """
+    scale, settings = length_scale(*shape), config.trajectories
+    spacing = settings.seed_spacing_px * scale
+    trajectories, survivors = before, np.arange(len(before))
+    if flow is not None:
+        trajectories, survivors = advance_trajectories(before, flow, shape)
+    telling = (trajectories.ages > 0) & background[survivors]
+    voters = evenly_spread(trajectories.positions, telling, 2 * spacing)
+    places, motions = trajectories.positions[voters], trajectories.motions[voters]
+    camera = camera_homography(places, motions, scale)
+    planar = explains(camera, places, motions, shape)
+    nothing = np.zeros(gray.shape, np.float32)
+    against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
+    if flow is not None:
+        against_camera = camera_evidence(previous, gray, camera, flow.backward, flow.step)
+        unexplained, advantage = (
+            sample_map(one, trajectories.positions, flow.step)
+            for one in (against_camera.unexplained, against_camera.advantage)
+        )
+        mismatch = unexplained - advantage  # of the flow
+        same = np.flatnonzero(mismatch <= settings.most_mismatch)
+        trajectories, survivors = selected(trajectories, same), survivors[same]
+        stays = within_room(
+            trajectories.positions, trajectories.ages, settings.history_frames, gray.shape, flow.step
+        )
+        trajectories, survivors = selected(trajectories, stays), survivors[stays]
+    trajectories = seed_trajectories(trajectories, gray, flow, shape, settings, against_camera.advantage)
+    step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
+    advantage = sample_map(against_camera.advantage, trajectories.positions, step)
+    predicted = homography_motion(camera, trajectories.positions)
+    everywhere = evenly_spread(trajectories.positions, trajectories.ages > 0, 2 * spacing)
+    driving = None
+    if not planar:  # else what the homography does not explain of all are objects
+        driving = forward_motion(
+            trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape
+        )
+    if driving is not None:
+        predicted = static_motion(driving, trajectories.positions, trajectories.motions)
+        obeying = np.hypot(*(trajectories.motions - predicted).T) < scale
+        advantage = np.where(obeying, 0.0, advantage)
+    trajectories = with_residuals(trajectories, predicted, advantage)
+    return Tracked(trajectories, survivors, camera, against_camera)

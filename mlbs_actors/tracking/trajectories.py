@@ -1,0 +1,238 @@
+"""Point trajectories on dense flow: advance and check (§3; Sundaram, Brox, Keutzer, ECCV 2010).
+
+Differs from the paper: a trajectory remembers a bounded number of motions; and a point is lost, too, where
+the image around it is no longer what it was, however well forward and backward flow agree
+(``TrajectoriesConfig.most_mismatch``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mlbs_actors.config import TrajectoriesConfig
+from mlbs_actors.flow.dense_flow import DenseFlow, reliable_at
+from mlbs_actors.kernels.interpolation import sample_flow
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.messages import Array
+
+__all__ = [
+    "TrajectoryState",
+    "advance_trajectories",
+    "empty_trajectories",
+    "evenly_spread",
+    "selected",
+    "with_residuals",
+]
+
+
+#: Share of a trajectory's evidence against the camera that lasts to the next frame.
+EVIDENCE_KEPT = np.float32(0.95)
+#: Bounds of what one frame adds to it, × the frame's noise: one bad match must not decide for long.
+EVIDENCE_BOUNDS = (-2.0, 8.0)
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryState:
+    """The live trajectories.
+
+    Attributes
+    ----------
+    ids : (n,) int64
+        Ascending, never reused.
+    positions : (n, 2) float32
+        (x, y) in the newest frame, px.
+    motions : (n, 2) float32
+        Backward motion t → t−1, px.
+    residuals : (m, T, 2) float32
+        What the camera's own motion leaves of the backward motions, newest first, px. Zero past a
+        trajectory's age. Within a frame, until :func:`with_residuals`, those of the frame before.
+    rows : (n,) intp
+        Whose of the residuals are each trajectory's: by far the most of what is remembered, they are moved
+        once a frame. After :func:`with_residuals` 0 … n−1; −1 for one that has none yet.
+    ages : (n,) int32
+        How many of those motions are known, 0 … T.
+    evidence : (n,) float32
+        Evidence against the camera: by how much the flow has explained the image around the trajectory better
+        than the camera's motion did, summed over its life and slowly forgotten, × the frame's noise.
+    next_id : int
+    """
+
+    ids: Array
+    positions: Array
+    motions: Array
+    residuals: Array
+    rows: Array
+    ages: Array
+    evidence: Array
+    next_id: int
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+def empty_trajectories(config: TrajectoriesConfig) -> TrajectoryState:
+    """No trajectory yet."""
+    return TrajectoryState(
+        np.zeros(0, np.int64),
+        np.zeros((0, 2), np.float32),
+        np.zeros((0, 2), np.float32),
+        np.zeros((0, config.history_frames, 2), np.float32),
+        np.zeros(0, np.intp),
+        np.zeros(0, np.int32),
+        np.zeros(0, np.float32),
+        0,
+    )
+
+
+def advance_trajectories(
+    state: TrajectoryState, flow: DenseFlow, shape: tuple[int, int]
+) -> tuple[TrajectoryState, Array]:
+    """Carry every point into the next frame; drop those that leave or that the flow does not confirm.
+
+    Parameters
+    ----------
+    state : TrajectoryState
+        At frame t−1.
+    flow : DenseFlow
+        Between t−1 and t.
+    shape : (int, int)
+        (H, W), px.
+
+    Returns
+    -------
+    TrajectoryState
+        At frame t, but for the residuals (:func:`with_residuals`).
+    (m,) intp
+        Where those that live on stood in the arrays of frame t−1, ascending.
+    """
+    survivors, ids, positions, motions, rows, ages, evidence = _advanced(
+        state.ids, state.positions, state.rows, state.ages, state.evidence, state.residuals.shape[1],
+        flow.forward, flow.backward, flow.step, flow.thresholds, shape,
+    )  # fmt: skip
+    advanced = TrajectoryState(ids, positions, motions, state.residuals, rows, ages, evidence, state.next_id)
+    return advanced, survivors
+
+
+@compiled
+def _advanced(
+    ids: Array, positions: Array, rows: Array, ages: Array, evidence: Array, most_age: int,
+    forward: Array, backward: Array, step: tuple[float, float], checks: tuple[float, ...],
+    shape: tuple[int, int],
+) -> tuple[Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    """Which points live on, and their ids, places, backward motions, rows, ages and evidence."""
+    count, step_x, step_y = len(positions), np.float32(step[0]), np.float32(step[1])
+    motion = sample_flow(forward, positions, step)
+    cell_x, cell_y = np.empty(count, np.int64), np.empty(count, np.int64)
+    for i in range(count):
+        cell_x[i] = min(max(int(positions[i, 0] / step_x), 0), forward.shape[1] - 1)
+        cell_y[i] = min(max(int(positions[i, 1] / step_y), 0), forward.shape[0] - 1)
+    reliable = reliable_at(forward, backward, step[0], step[1], checks, cell_x, cell_y)
+    moved, survivors, alive = positions + motion, np.empty(count, np.intp), 0
+    for i in range(count):
+        inside = 0 <= moved[i, 0] <= shape[1] - 1 and 0 <= moved[i, 1] <= shape[0] - 1
+        if inside and reliable[i]:
+            survivors[alive] = i
+            alive += 1
+    survivors = survivors[:alive]
+    older = np.minimum(ages[survivors] + 1, most_age).astype(np.int32)
+    return (
+        survivors, ids[survivors], moved[survivors], -motion[survivors], rows[survivors], older,
+        evidence[survivors],
+    )  # fmt: skip
+
+
+def selected(state: TrajectoryState, positions: Array) -> TrajectoryState:
+    """The trajectories at some positions of the arrays, ascending (n,) intp; the others are lost."""
+    ids, places, motions, rows, ages, evidence = _at(
+        positions, state.ids, state.positions, state.motions, state.rows, state.ages, state.evidence
+    )
+    return TrajectoryState(ids, places, motions, state.residuals, rows, ages, evidence, state.next_id)
+
+
+@compiled
+def _at(
+    chosen: Array, ids: Array, positions: Array, motions: Array, rows: Array, ages: Array, evidence: Array
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    return ids[chosen], positions[chosen], motions[chosen], rows[chosen], ages[chosen], evidence[chosen]
+
+
+@compiled
+def evenly_spread(positions: Array, chosen: Array, spacing: float) -> Array:
+    """Pick at most one point a square, so that every part of the frame has the same say.
+
+    Where trajectories are dense, on objects, they would outvote the background.
+
+    Parameters
+    ----------
+    positions : (n, 2) float32
+        px.
+    chosen : (n,) bool
+        Which of them may be picked.
+    spacing : float
+        Side of a square, px.
+
+    Returns
+    -------
+    (m,) intp
+        Ascending positions in the array; of each square the first.
+    """
+    candidates, side = np.flatnonzero(chosen), np.float32(spacing)
+    if candidates.size == 0:
+        return candidates
+    column, row = np.empty(candidates.size, np.int64), np.empty(candidates.size, np.int64)
+    for place, point in enumerate(candidates):
+        column[place] = int(np.floor(positions[point, 0] / side))
+        row[place] = int(np.floor(positions[point, 1] / side))
+    left, top = column.min(), row.min()
+    taken = np.zeros((column.max() - left + 1, row.max() - top + 1), np.bool_)
+    first, found = np.empty(candidates.size, np.intp), 0
+    for place, point in enumerate(candidates):
+        square = column[place] - left, row[place] - top
+        if not taken[square]:
+            taken[square] = True
+            first[found] = point
+            found += 1
+    return first[:found]
+
+
+def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -> TrajectoryState:
+    """Fill in what the camera's own motion leaves of the newest motions and images.
+
+    Parameters
+    ----------
+    state : TrajectoryState
+    predicted : (n, 2) float32
+        Backward motion of a background point at each trajectory, px.
+    advantage : (n,) float32
+        :class:`~mlbs_actors.tracking.camera.CameraEvidence` at each trajectory, × the frame's noise.
+    """
+    residuals, evidence = _remembered(
+        state.residuals, state.rows, state.ages, state.motions, predicted, state.evidence, advantage
+    )
+    return replace(state, residuals=residuals, rows=np.arange(len(state)), evidence=evidence)
+
+
+@compiled
+def _remembered(
+    residuals: Array, rows: Array, ages: Array, motions: Array, predicted: Array, evidence: Array,
+    advantage: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """The newest residuals, 0 of those without a motion, and those before, one frame older; the evidence."""
+    least, most = np.float32(EVIDENCE_BOUNDS[0]), np.float32(EVIDENCE_BOUNDS[1])
+    summed = np.empty(rows.size, np.float32)
+    for trajectory in range(rows.size):
+        summed[trajectory] = EVIDENCE_KEPT * evidence[trajectory] + min(
+            max(np.float32(advantage[trajectory]), least), most
+        )
+    length = 2 * residuals.shape[1]
+    moved, old = np.empty((rows.size, length), np.float32), residuals.reshape(residuals.shape[0], length)
+    for trajectory in range(rows.size):
+        row = rows[trajectory]
+        for axis in range(2):
+            known = motions[trajectory, axis] - predicted[trajectory, axis]
+            moved[trajectory, axis] = known if ages[trajectory] > 0 else np.float32(0)
+        for place in range(length - 2):
+            moved[trajectory, place + 2] = old[row, place] if row >= 0 else np.float32(0)
+    return moved.reshape(rows.size, residuals.shape[1], 2), summed

@@ -1,0 +1,312 @@
+"""Drives all streams of a run: admits them, asks each for one burst after the other, ends them.
+
+The rules are pure functions (:mod:`orchestrator.run.stream_state`, :mod:`orchestrator.run.admission`); here
+is the loop that waits for whatever happens next. Frames do not pass through it. One stream's failure ends
+that stream alone. A stream that lost a process, or hangs, is stopped and started again; it finds its last
+snapshot by itself.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+from mlbs_actors.actors.stream.protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
+from mlbs_actors.errors import ActorLostError, MlbsError
+from orchestrator.interruption import Interruption
+from orchestrator.run.admission import streams_to_start
+from orchestrator.run.recovery import STALL_SECONDS, START_SECONDS, Returns
+from orchestrator.run.stream_state import (
+    StreamState,
+    after_end,
+    after_failure,
+    after_interruption,
+    after_loss,
+    after_progress,
+    after_removal,
+    exit_code,
+)
+
+__all__ = ["Driver", "Observer", "SpecChange"]
+
+#: Longest time until a signal is noticed, s.
+_WAKE_SECONDS = 0.2
+
+#: Span over which a stream's rate is taken, s: at most, and at least. Its first bursts are slow.
+_RATE_SECONDS, _LEAST_RATE_SECONDS = 10.0, 2.0
+
+
+class Observer(Protocol):
+    """Whoever shows or stores the states of the streams."""
+
+    def update(self, states: Sequence[StreamState]) -> None:
+        """Take the states of all streams, in the order of the list; called after every change."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpecChange:
+    """Streams that come to a run, and names that are to end."""
+
+    added: tuple[StreamSpec, ...]
+    removed: tuple[str, ...]
+
+
+class Driver:
+    """One run over a list of streams.
+
+    Parameters
+    ----------
+    specs : sequence of StreamSpec
+        In the order in which they start; names are unique.
+    host : StreamHost
+        Starts streams; is not closed here.
+    limit : int or callable
+        Streams that may run at once; a callable is asked again and again.
+    observers : sequence of Observer
+    interruption : Interruption
+        Looked at between events.
+    ended : mapping of str to StreamState, optional
+        Streams that have no source, or came to their ends in an earlier run; they are not started.
+    changes : callable, optional
+        Asked again and again for streams to add and names to end; with it the run goes on until a signal.
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(
+        self,
+        specs: Sequence[StreamSpec],
+        host: StreamHost,
+        *,
+        limit: int | Callable[[], int],
+        observers: Sequence[Observer],
+        interruption: Interruption,
+        ended: Mapping[str, StreamState] | None = None,
+        changes: Callable[[], SpecChange | None] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._specs = {spec.name: spec for spec in specs}
+        self._states = {spec.name: StreamState(spec.name, line=spec.line) for spec in specs} | dict(
+            ended or {}
+        )
+        self._host = host
+        self._limit = limit if callable(limit) else lambda: limit
+        self._observers = observers
+        self._interruption = interruption
+        self._changes = changes
+        self._clock = clock
+        self._rates = {spec.name: _Rate(clock) for spec in specs}
+        self._removed: set[str] = set()  # taken from the list, and not ended yet
+        self._streams: dict[str, RunningStream] = {}
+        self._bursts: dict[Future[StreamProgress], str] = {}
+        self._asked: dict[str, float] = {}
+        self._returns = {spec.name: Returns() for spec in specs}
+        # Streams that go back, until they are started again.
+        self._returning: dict[str, RunningStream] = {}
+        # A stream that ended holds its place until its processes are gone.
+        self._endings: dict[Future[StreamProgress | None], str] = {}
+
+    @property
+    def states(self) -> tuple[StreamState, ...]:
+        """The streams as they stand, in the order of the list."""
+        return tuple(self._states.values())
+
+    def run(self) -> int:
+        """Run all streams to their ends, or until a signal; return the run's exit status."""
+        self._show()
+        while self._interruption.signal_number is None:
+            self._follow_list()
+            self._admit()
+            if self._changes is None and not self._bursts and not self._endings:
+                break
+            self._await_next()
+        else:
+            self._drain()
+        return exit_code(self.states, self._interruption.signal_number)
+
+    def _follow_list(self) -> None:
+        change = None if self._changes is None else self._changes()
+        if change is None:
+            return
+        for spec in change.added:
+            self._specs[spec.name] = spec
+            self._rates[spec.name] = _Rate(self._clock)
+            self._returns[spec.name] = Returns()
+            self._states[spec.name] = StreamState(spec.name, line=spec.line)
+        for name in change.removed:
+            if self._states[name].state == "waiting":
+                del self._states[name]
+            elif name in self._streams or name in self._returning:
+                self._removed.add(name)  # it is ended when its burst is over
+        self._show()
+
+    def _admit(self) -> None:
+        # One at a time: a stream that fails at once frees its place for the next.
+        while names := streams_to_start(self.states, self._limit() - len(self._endings)):
+            self._set(replace(self._states[names[0]], state="starting"))
+            self._start(names[0])
+
+    def _start(self, name: str) -> None:
+        try:
+            self._streams[name] = self._host.start(
+                replace(self._specs[name], last_try=self._returns[name].last_try),
+                self._returning.pop(name, None),
+            )
+            self._advance(name)
+        except Exception as error:
+            self._fail(name, error)
+
+    def _await_next(self) -> None:
+        pending: list[Future[Any]] = [*self._bursts, *self._endings]
+        if not pending:
+            time.sleep(_WAKE_SECONDS)
+        ready, _ = wait(pending, timeout=_WAKE_SECONDS, return_when=FIRST_COMPLETED)
+        self._show()  # who stores the states may have been too busy for the last change
+        # In the order they were asked for, not in that of a set.
+        for burst in [future for future in self._bursts if future in ready]:
+            self._take_burst(burst)
+        self._give_up_hanging()
+        for ending in [future for future in self._endings if future in ready]:
+            self._take_ending(ending)
+
+    def _give_up_hanging(self) -> None:
+        """A burst that takes too long is not waited for; of a live source that is silent none does."""
+        now = self._clock()
+        for burst, name in list(self._bursts.items()):
+            most = START_SECONDS if self._states[name].state == "starting" else STALL_SECONDS
+            if now - self._asked[name] > most:
+                del self._bursts[burst]
+                self._fail(name, ActorLostError(f"The stream has not got on for {most:.0f} seconds."))
+
+    def _take_burst(self, burst: Future[StreamProgress]) -> None:
+        name = self._bursts.pop(burst)
+        try:
+            progress = burst.result()
+        except Exception as error:
+            self._fail(name, error)
+            return
+        if progress.done:
+            self._removed.discard(name)
+            self._set(after_end(self._states[name], progress))
+            self._end(name, drain=False)
+            return
+        rate = self._rates[name].after(progress.read)
+        self._set(after_progress(self._states[name], progress, rate))
+        if name in self._removed:
+            self._end(name, drain=True)
+        elif self._interruption.signal_number is None:
+            self._advance(name)
+
+    def _take_ending(self, ending: Future[StreamProgress | None]) -> None:
+        name = self._endings.pop(ending)
+        if name in self._removed:
+            self._removed.remove(name)
+            self._returning.pop(name, None)
+            progress = None if ending.exception() else ending.result()
+            self._set(after_removal(self._states[name], progress))
+        elif name in self._returning and self._interruption.signal_number is None:
+            self._start(name)
+
+    def _advance(self, name: str) -> None:
+        self._bursts[self._streams[name].advance()] = name
+        self._asked[name] = self._clock()
+
+    def _fail(self, name: str, error: Exception) -> None:
+        """End a stream, for good unless it only lost a process; its place it keeps meanwhile."""
+        state = self._states[name]
+        if self._may_return(name, error):
+            returns = self._returns[name].after_loss(state.committed)
+            if returns is not None:
+                self._returns[name] = returns
+                self._returning[name] = self._streams[name]
+                self._set(after_loss(state, _sentence(error)))
+                self._end(name, drain=False)
+                return
+        self._removed.discard(name)
+        self._set(after_failure(state, _sentence(error)))
+        if name in self._streams:
+            self._end(name, drain=False)
+
+    def _may_return(self, name: str, error: Exception) -> bool:
+        return isinstance(error, ActorLostError) and name in self._streams and name not in self._removed
+
+    def _end(self, name: str, *, drain: bool) -> Future[StreamProgress | None]:
+        stream = self._streams.pop(name)
+        returning = name in self._returning
+
+        def stop() -> StreamProgress | None:
+            try:
+                return stream.stop(drain=drain, returns=returning)
+            finally:
+                if returning:
+                    self._host.repair()
+
+        ending = _in_thread(stop)
+        self._endings[ending] = name
+        return ending
+
+    def _drain(self) -> None:
+        """Let the bursts under way come to their end, then label and commit what was read."""
+        while self._bursts:
+            self._await_next()
+        endings = {self._end(name, drain=True): name for name in list(self._streams)}
+        while self._endings:
+            ready, _ = wait(self._endings, timeout=_WAKE_SECONDS, return_when=FIRST_COMPLETED)
+            for ending in ready:
+                self._take_ending(ending)
+                if ending in endings:
+                    name = endings[ending]
+                    progress = None if ending.exception() else ending.result()
+                    self._set(after_interruption(self._states[name], progress))
+        for name in sorted(self._returning):
+            self._set(after_interruption(self._states[name], None))
+
+    def _set(self, state: StreamState) -> None:
+        self._states[state.name] = state
+        self._show()
+
+    def _show(self) -> None:
+        for observer in self._observers:
+            observer.update(self.states)
+
+
+class _Rate:
+    """Frames a second over the last seconds."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._samples: deque[tuple[float, int]] = deque()
+
+    def after(self, frames: int) -> float:
+        """Take the total so far; return the rate, 0 while it is unknown."""
+        now = self._clock()
+        self._samples.append((now, frames))
+        while len(self._samples) > 2 and self._samples[0][0] < now - _RATE_SECONDS:
+            self._samples.popleft()
+        started, already = self._samples[0]
+        return (frames - already) / (now - started) if now - started >= _LEAST_RATE_SECONDS else 0.0
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, MlbsError):
+        return str(error)
+    return f"The stream failed unexpectedly with {type(error).__name__}: {error}."
+
+
+def _in_thread(call: Callable[[], StreamProgress | None]) -> Future[StreamProgress | None]:
+    """Run a blocking call beside the loop; in a daemon thread, so that it cannot hold up an end at once."""
+    outcome: Future[StreamProgress | None] = Future()
+
+    def run() -> None:
+        try:
+            outcome.set_result(call())
+        except Exception as error:
+            outcome.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return outcome

@@ -1,0 +1,123 @@
+"""Reads the list of streams again while the run goes on (``--watch``)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mlbs_actors.errors import ConfigError, SourceError
+from orchestrator.run.stream_list import ListedStream, parse_stream_list
+from orchestrator.sources.presence import require_source
+
+__all__ = ["ListChange", "ListWatch"]
+
+#: Time between two looks at the list, s.
+_LOOK_SECONDS = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class ListChange:
+    """What a new reading of the list changes.
+
+    Attributes
+    ----------
+    added : tuple of ListedStream
+        New names with a source, in the order of the list.
+    removed : tuple of str
+        Names that are gone.
+    """
+
+    added: tuple[ListedStream, ...]
+    removed: tuple[str, ...]
+
+
+class ListWatch:
+    """Tells what changes in a list of streams.
+
+    A line that cannot be used is told and changes nothing, nor does any name end as long as there is such a
+    line: it may be the one that was meant. A name stands for one source throughout the run, because its
+    folder holds that source's results.
+
+    Parameters
+    ----------
+    path : Path
+    streams : sequence of ListedStream
+        What the run began with.
+    has_record : callable
+        Tells of a name whether the run holds results of it.
+    tell : callable
+        Takes each sentence for the user.
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        streams: Sequence[ListedStream],
+        has_record: Callable[[str], bool],
+        tell: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._path = path
+        self._tell = tell
+        self._clock = clock
+        self._has_record = has_record
+        self._present = {stream.name: stream.source for stream in streams}
+        self._looked_at = clock()
+        self._seen = self._read_stamp = self._stamp()
+
+    def look(self) -> ListChange | None:
+        """Look at the list if it is time; return what has changed, or None."""
+        now = self._clock()
+        if now - self._looked_at < _LOOK_SECONDS:
+            return None
+        self._looked_at = now
+        before, self._seen = self._seen, self._stamp()
+        # Read once it is the same in two looks, so that no half-written list is taken for a whole one.
+        if self._seen == self._read_stamp or self._seen != before:
+            return None
+        self._read_stamp = self._seen
+        return self._read()
+
+    def _read(self) -> ListChange | None:
+        try:
+            streams, faults = parse_stream_list(self._path)
+        except ConfigError as error:
+            self._tell(f"{error} Nothing is changed.")
+            return None
+        usable = [stream for stream in streams if self._is_usable(stream, faults)]
+        for number, fault in sorted(faults.items()):
+            self._tell(f"{self._path}, line {number}: {fault}. The line is ignored until it is mended.")
+        listed = {stream.name for stream in streams}
+        removed = () if faults else tuple(name for name in self._present if name not in listed)
+        added = tuple(stream for stream in usable if stream.name not in self._present)
+        self._present |= {stream.name: stream.source for stream in added}
+        for name in removed:
+            del self._present[name]
+        return ListChange(added, removed) if added or removed else None
+
+    def _is_usable(self, stream: ListedStream, faults: dict[int, str]) -> bool:
+        """Whether a line can stand; else its fault is noted."""
+        if stream.name in self._present and self._present[stream.name] == stream.source:
+            return True
+        if stream.name in self._present or self._has_record(stream.name):
+            faults[stream.line] = (
+                f"the name {stream.name!r} stands for another source in this run; choose another one"
+            )
+            return False
+        try:
+            require_source(stream.source)
+        except SourceError as error:
+            faults[stream.line] = str(error).rstrip(".")
+            return False
+        return True
+
+    def _stamp(self) -> tuple[int, ...] | None:
+        try:
+            status = self._path.stat()
+        except OSError:
+            return None
+        return status.st_mtime_ns, status.st_size, status.st_ino

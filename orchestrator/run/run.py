@@ -1,0 +1,347 @@
+"""One run of the command, from the checked arguments to its exit status."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from mlbs_actors.actors import Cluster, Node
+from mlbs_actors.actors.stream.protocol import FrameReader, StreamSpec
+from mlbs_actors.config import Config
+from mlbs_actors.errors import ConfigError, SinkError
+from mlbs_actors.kernels.machine_code import has_machine_code
+from mlbs_actors.wording import count_of
+from orchestrator.command_line import Arguments
+from orchestrator.credentials import mask
+from orchestrator.interruption import Interruption, StopAtOnce
+from orchestrator.monitor.address import MonitorAddress
+from orchestrator.monitor.board import Board
+from orchestrator.monitor.ray_metrics import RayMetrics
+from orchestrator.monitor.server import serving
+from orchestrator.progress import progress_for
+from orchestrator.ray_session import ray_session
+from orchestrator.report.page import render_report
+from orchestrator.run.admission import available_memory, cores, places, places_here, warn_of_cameras
+from orchestrator.run.driver import Driver, Observer, SpecChange
+from orchestrator.run.durable_files import replace_file
+from orchestrator.run.list_watch import ListWatch
+from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
+from orchestrator.run.stream_list import ListedStream
+from orchestrator.run.stream_state import StreamState, after_failure, exit_code, stopped, with_record
+from orchestrator.sinks.live_picture import LivePicture, live_picture_path
+from orchestrator.sinks.overlay import overlays
+from orchestrator.sinks.record import StreamRecord, ends_group, has_snapshot, recorded_frames
+from orchestrator.sources.address import SourceKind
+from orchestrator.sources.opening import open_reader
+from orchestrator.working_size import FullSizeRecord, ShrinkingReader
+
+__all__ = ["run", "what_to_look_at"]
+
+
+def run(
+    arguments: Arguments,
+    streams: Sequence[ListedStream],
+    missing: Mapping[str, str],
+    config: Config,
+    scratch: Path,
+) -> int:
+    """Segment all streams; return the exit status.
+
+    Parameters
+    ----------
+    arguments : Arguments
+    streams : sequence of ListedStream
+        What ``arguments.streams`` lists.
+    missing : mapping of str to str
+        Streams without a source → what is wrong; they fail, the others run.
+    config : Config
+        What ``arguments`` asks for.
+    scratch : Path
+        Folder for Ray's files, from :func:`orchestrator.ray_session.ray_settings`.
+
+    Raises
+    ------
+    ConfigError
+        If the output folder or the cluster cannot be used; nothing was started.
+    MlbsError
+        If Ray cannot be started, or the run's own files cannot be written.
+    """
+    folder = RunFolder(arguments.output.resolve())
+    sourceless = [stream for stream in streams if stream.name in missing]
+    for stream in sourceless:
+        _say(f"{arguments.streams}, line {stream.line}: {missing[stream.name]}")
+    if arguments.watch:  # their lines are ignored until they are mended
+        streams, sourceless = [stream for stream in streams if stream.name not in missing], []
+    ended = {
+        stream.name: after_failure(StreamState(stream.name, line=stream.line), missing[stream.name])
+        for stream in sourceless
+    }
+    # On a cluster the pictures come from other machines, by way of the folder that all of them share.
+    live = None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
+    job = _Job(streams, arguments, config, folder, live)
+    limit = places(available_memory(), cores())
+    status = StatusFile(folder.path / "status.json")
+    with ExitStack() as hold, ExitStack() as session:  # the folder is held until its last file is written
+        if arguments.resume:
+            begun = folder.refuse_other(job.description)
+            hold.enter_context(folder.held())
+            changed = {key: job.description[key] for key in ("sources", "hashes")}
+            if changed != {key: begun.get(key) for key in changed}:
+                try:
+                    folder.redescribe(begun | changed)
+                except OSError as error:
+                    raise ConfigError(f"Cannot write to {folder.path}: {error.strerror}.") from None
+            earlier = _not_to_be_resumed(folder, job.specs)
+            _say(_words_on_resuming(begun, job.description, len(earlier)))
+            ended |= earlier
+        else:
+            folder.refuse_if_used([stream.name for stream in streams])
+        due = [spec for spec in job.specs if spec.name not in ended]
+        onlookers: list[Observer] = []
+        if at_work := bool(due) or arguments.watch:
+            onlookers = session.enter_context(_monitored(arguments.monitor, live))
+            _announce(due, arguments, limit)
+            session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
+        if at_work and arguments.ray_metrics is not None:
+            onlookers.append(RayMetrics())
+            if arguments.address is None:
+                _say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
+        if not arguments.resume:
+            folder.claim(job.description)
+            hold.enter_context(folder.held())
+        if at_work:
+            states, exit_status = _drive(job, ended, limit, status, onlookers, folder, arguments)
+        else:
+            states = tuple(ended[spec.name] for spec in job.specs)
+            exit_status = exit_code(states, None)
+            progress = progress_for(sys.stdout)
+            progress.update(states)
+            progress.close()
+        session.close()
+        states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
+        try:
+            status.finish(states, exit_status)
+            replace_file(folder.path / "report.html", render_report(folder.path).encode())
+        except OSError as error:
+            raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
+    _say(_closing_words(folder, states, arguments))
+    return exit_status
+
+
+@contextmanager
+def _monitored(address: MonitorAddress | None, live: Path | None) -> Iterator[list[Observer]]:
+    """Serve the monitor's page if it is asked for; what it shows is to observe the driver."""
+    if address is None or live is None:
+        yield []
+        return
+    board = Board(live)
+    with serving(address, board) as url:
+        live.mkdir(parents=True, exist_ok=True)
+        _say(f"Look on at {url}")
+        try:
+            yield [board]
+        finally:
+            shutil.rmtree(live, ignore_errors=True)
+
+
+class _Job:
+    """What the streams of this run are to do, and those that the list gets while it is watched."""
+
+    def __init__(
+        self,
+        streams: Sequence[ListedStream],
+        arguments: Arguments,
+        config: Config,
+        folder: RunFolder,
+        live: Path | None,
+    ) -> None:
+        self._streams = list(streams)
+        self._arguments = arguments
+        self._config = config
+        self._folder = folder
+        self._live = live
+        self.description = self._described()
+        self._watch = ListWatch(
+            arguments.streams,
+            streams,
+            lambda name: folder.stream(name).exists(),
+            lambda text: _say(mask(text)),
+        )
+
+    @property
+    def specs(self) -> list[StreamSpec]:
+        """All streams, as the driver needs them."""
+        return [self._spec(stream) for stream in self._streams]
+
+    def changes(self) -> SpecChange | None:
+        """Follow the list."""
+        change = self._watch.look()
+        if change is None:
+            return None
+        self._streams += change.added
+        self.description = self._described() | {"started": self.description["started"]}
+        try:
+            self._folder.redescribe(self.description)
+        except OSError as error:
+            _say(f"{self._folder.path}/run.json cannot be written: {error.strerror}; free some space.")
+        return SpecChange(tuple(self._spec(stream) for stream in change.added), change.removed)
+
+    def _described(self) -> dict[str, Any]:
+        given = self._arguments
+        command = given.command(f"{self._folder.path}-again")
+        return describe_run(
+            self._streams, self._config, given.save, given.max_frames, given.max_side, command
+        )
+
+    def _spec(self, stream: ListedStream) -> StreamSpec:
+        save, max_side = self._arguments.save, self._arguments.max_side
+        reader: Callable[[], FrameReader] = partial(open_reader, stream.source)
+        record = StreamRecord
+        if max_side is not None:
+            reader, record = partial(ShrinkingReader, reader, max_side), FullSizeRecord
+        picture = None if self._live is None else LivePicture(live_picture_path(self._live, stream.name))
+        folder = self._folder.stream(stream.name)
+        replayable = stream.source.kind in (SourceKind.PATH, SourceKind.SYNTHETIC)
+        return StreamSpec(
+            name=stream.name,
+            config=self._config,
+            open_reader=reader,
+            open_sink=partial(record, folder, stream.name, save, picture, replayable=replayable),
+            max_frames=self._arguments.max_frames,
+            wants_background=ends_group if "background" in save else None,
+            source=str(stream.source),
+            line=stream.line,
+            replayable=replayable,
+            path=stream.source.path,
+        )
+
+
+def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int) -> None:
+    """Say what begins, and what about it may surprise."""
+    count = count_of(len(due), "stream")
+    if arguments.address is not None:
+        _say(f"Joining Ray at {arguments.address}; {count}.")
+        return
+    _say(f"Starting Ray; {count}, up to {limit} at a time.")
+    if not has_machine_code():
+        _say("This is the first run of this installation: it compiles for a minute or two, once.")
+    endless = sum(not spec.replayable and spec.max_frames is None for spec in due)
+    if (warning := warn_of_cameras(endless, len(due), limit)) is not None:
+        _say(warning)
+
+
+def _drive(
+    job: _Job,
+    ended: Mapping[str, StreamState],
+    limit: int,
+    status: StatusFile,
+    onlookers: Sequence[Observer],
+    folder: RunFolder,
+    arguments: Arguments,
+) -> tuple[tuple[StreamState, ...], int]:
+    """Run the streams; return how they stand at the end, and the run's exit status."""
+    output = sys.stdout
+    # Ray prints its own warnings; standard output belongs to the progress.
+    ray_log = folder.path / "ray.log"
+    with ray_log.open("a", encoding="utf-8") as log, redirect_stdout(log), Interruption() as interruption:
+        progress = progress_for(output)
+        try:
+            host: Node | Cluster
+            most: int | Callable[[], int] = limit
+            if arguments.address is None:
+                host = Node()
+            else:
+                host = Cluster(partial(places_here, folder.path), _say)
+                most = host.places
+            driver = Driver(
+                job.specs,
+                host,
+                limit=most,
+                observers=[status, *onlookers, progress],
+                interruption=interruption,
+                ended=ended,
+                changes=job.changes if arguments.watch else None,
+            )
+            try:
+                exit_status = driver.run()
+            except StopAtOnce as stop:
+                with suppress(OSError):
+                    status.finish(stopped(driver.states), 128 + stop.signal_number)
+                raise
+            host.close()
+        finally:
+            progress.close()
+    return driver.states, exit_status
+
+
+def _not_to_be_resumed(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[str, StreamState]:
+    """Streams that are left as they are: those that ended, and cameras that have nothing to go on from."""
+    words = (
+        "This camera's stream has no snapshot to go on from; what was committed is kept. "
+        "Start it anew in another folder."
+    )
+    states, left = folder.states(), {}
+    for spec in specs:
+        state = replace(states.get(spec.name, StreamState(spec.name)), line=spec.line)
+        frames = recorded_frames(folder.stream(spec.name))
+        if state.state == "done" or (state.state == "partial" and not state.interrupted):
+            left[spec.name] = state
+        elif frames and not spec.replayable and not has_snapshot(folder.stream(spec.name)):
+            counted = with_record(after_failure(state, words), frames)
+            left[spec.name] = replace(counted, state="partial")
+    return left
+
+
+def _words_on_resuming(begun: Mapping[str, Any], description: Mapping[str, Any], ended: int) -> str:
+    """What the user should know of a run that is gone on with."""
+    words = f"Going on with the run of {begun['started']}"
+    words += f"; {count_of(ended, 'stream')} ended before." if ended else "."
+    for key in ("versions", "machine"):
+        if begun.get(key) != description[key]:
+            words += f"\nThe {key} are not those of then (see run.json): label maps from here on may differ."
+    return words
+
+
+def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: Arguments) -> str:
+    done = sum(state.state == "done" for state in states)
+    lines = [f"{done} of {count_of(len(states), 'stream')} complete. Results: {folder.path}"]
+    lines += [
+        f"  line {state.line}, {state.name} ({state.state}): {state.error}"
+        for state in states
+        if state.error is not None
+    ]
+    lines += [
+        f"  {state.name}: {error.read_text(encoding='utf-8').strip()}"
+        for state in states
+        if (error := folder.stream(state.name) / "overlay.error").exists()
+    ]
+    begun = [state.name for state in states if state.committed]
+    if begun:
+        lines.append(f"Look at {what_to_look_at(folder.stream(begun[0]), arguments.save)}")
+        lines.append(f"and at {folder.path / 'report.html'}")
+    if any(state.interrupted for state in states):
+        but = ", without --watch" if arguments.watch else ""
+        given = f"--resume --output {shlex.quote(str(folder.path))}"
+        lines.append(f"To go on with what was interrupted, give the same command with {given}{but}.")
+    return "\n".join(lines)
+
+
+def what_to_look_at(stream: Path, save: frozenset[str]) -> str:
+    """Which of a stream's results show its labels best: the videos, or the masks where none was saved."""
+    videos = overlays(stream)
+    if not videos:
+        return str(stream / "masks" if "masks" in save else stream)
+    # A run that was gone on with has one for each start.
+    return f"{videos[0][1]}" if len(videos) == 1 else f"{stream / 'overlay*.mp4'} ({len(videos)} parts)"
+
+
+def _say(text: str) -> None:
+    """Tell the user; standard output is left to the progress, which a program may read."""
+    print(text, file=sys.stderr, flush=True)

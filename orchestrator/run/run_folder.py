@@ -1,0 +1,324 @@
+"""The files of a whole run: what it was asked (``run.json``), how it stands (``status.json``), its report."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
+from datetime import datetime, timezone
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import cv2
+from filelock import FileLock, Timeout
+
+from mlbs_actors.config import Config
+from mlbs_actors.errors import ConfigError
+from orchestrator.credentials import mask
+from orchestrator.run.durable_files import replace_file
+from orchestrator.run.stream_list import ListedStream
+from orchestrator.run.stream_state import ENDED, StreamState
+from orchestrator.sinks.record import recorded_frames
+
+__all__ = ["RunFolder", "StatusFile", "describe_run"]
+
+_PACKAGES = ("mlbs-actors", "ray", "numpy", "scipy", "PyMaxflow", "numba", "av")
+
+#: What a run that is resumed must have in common with its beginning: keys of ``run.json``.
+_SAME = {
+    "config": "parameters",
+    "sources": "streams",
+    "save": "parts to --save",
+    "max_frames": "--max-frames",
+    "max_side": "--max-side",
+}
+
+#: So many changes are told of parameters that are not those of the run that is to be gone on with.
+_MOST_CHANGES = 3
+
+#: Least time between two writings of ``status.json``, s.
+_STATUS_SECONDS = 0.5
+
+
+class RunFolder:
+    """The output folder of one run.
+
+    Parameters
+    ----------
+    path : Path
+        May exist, but must not hold a run, nor a folder of one of the streams.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def stream(self, name: str) -> Path:
+        """Folder of one stream's record."""
+        return self.path / name
+
+    def refuse_if_used(self, names: Sequence[str]) -> None:
+        """Check that a run can begin here, without leaving a trace if not.
+
+        Raises
+        ------
+        ConfigError
+            If the folder holds a run or part of one, is no folder, or cannot be written to.
+        """
+        if os.path.lexists(self.path / "run.json"):
+            raise ConfigError(
+                f"The output folder {self.path} holds a run already; "
+                "choose another one with --output, or go on with that run with --resume."
+            )
+        existing = next((name for name in names if os.path.lexists(self.path / name)), None)
+        if existing is not None:
+            raise ConfigError(
+                f"The output folder {self.path} holds {existing!r} already, where the stream of that name "
+                "would be recorded; choose another folder with --output."
+            )
+        nearest = next(parent for parent in (self.path, *self.path.absolute().parents) if parent.exists())
+        if not nearest.is_dir():
+            raise ConfigError(f"{nearest} is not a folder; choose another one with --output.")
+        if not os.access(nearest, os.W_OK | os.X_OK):
+            raise ConfigError(f"The folder {nearest} cannot be written to; choose another one with --output.")
+
+    def refuse_other(self, description: dict[str, Any]) -> dict[str, Any]:
+        """Check that the run in this folder is the one described; return its own description.
+
+        A stream of which nothing is recorded may have another source now, or be new or gone: a line that
+        named no video is corrected so.
+
+        Raises
+        ------
+        ConfigError
+            If there is no run, or one of something else.
+        """
+        try:
+            begun: dict[str, Any] = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise ConfigError(
+                f"The folder {self.path} holds no run to resume; leave --resume out, or correct --output."
+            ) from None
+        except (OSError, ValueError):
+            raise ConfigError(
+                f"{self.path / 'run.json'} cannot be read; begin anew in another folder with --output."
+            ) from None
+        for key, meaning in _SAME.items():
+            if begun.get(key) == description[key]:
+                continue
+            if key != "sources" or not self._has_all_recorded(begun.get(key, {}), description[key]):
+                changes = "" if key == "sources" else f" ({_changes(begun.get(key), description[key])})"
+                raise ConfigError(
+                    f"The run in {self.path} had other {meaning}{changes}; give the same ones as then (see "
+                    "its run.json), or another folder with --output."
+                )
+        return begun
+
+    def _has_all_recorded(self, begun: dict[str, str], sources: dict[str, str]) -> bool:
+        """Whether every stream of which something is recorded still has its source."""
+        return all(
+            sources.get(name) == source
+            for name, source in begun.items()
+            if recorded_frames(self.stream(name))
+        )
+
+    def states(self) -> dict[str, StreamState]:
+        """Streams as ``status.json`` tells of them; none if it cannot be read."""
+        try:
+            streams = json.loads((self.path / "status.json").read_text(encoding="utf-8"))["streams"]
+            return {name: _state(name, figures) for name, figures in streams.items()}
+        except (OSError, ValueError, KeyError, TypeError):
+            return {}
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep other runs out while the ``with`` block runs; a killed one keeps nobody out.
+
+        Raises
+        ------
+        ConfigError
+            If another run is at work here.
+        """
+        lock = FileLock(self.path / ".lock")
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise ConfigError(
+                f"Another run is at work in {self.path}; wait for its end, or choose another folder with "
+                "--output."
+            ) from None
+        except OSError as error:
+            raise ConfigError(f"Cannot write to {self.path}: {error.strerror}.") from None
+        try:
+            yield
+        finally:
+            lock.release()
+
+    def claim(self, description: dict[str, Any]) -> None:
+        """Make the folder this run's, by writing ``run.json`` whole; of two runs one gets it.
+
+        Raises
+        ------
+        ConfigError
+            If another run was faster, or the folder cannot be written.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(
+                "w", dir=self.path, prefix=".run.json.", encoding="utf-8"
+            ) as draft:
+                json.dump(description, draft, indent=2)
+                draft.write("\n")
+                draft.flush()
+                os.fsync(draft.fileno())
+                Path(draft.name).chmod(0o644)
+                # A link fails if the name is taken; a rename would replace the other run's file.
+                os.link(draft.name, self.path / "run.json")
+        except FileExistsError:
+            raise ConfigError(
+                f"Another run has begun in {self.path}; choose another folder with --output."
+            ) from None
+        except OSError as error:
+            raise ConfigError(f"Cannot write to {self.path}: {error.strerror}.") from None
+
+    def redescribe(self, description: dict[str, Any]) -> None:
+        """Replace ``run.json`` by what the run has become; OSError if it cannot be written."""
+        replace_file(self.path / "run.json", (json.dumps(description, indent=2) + "\n").encode())
+
+
+class StatusFile:
+    """Keeps ``status.json`` up to date; an observer of the driver.
+
+    Parameters
+    ----------
+    path : Path
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self._path = path
+        self._clock = clock
+        self._written_at: float | None = None
+
+    def update(self, states: Sequence[StreamState]) -> None:
+        """Write the states, not more often than twice a second.
+
+        A disk that is full or gone does not end the run here: the streams' own records say so.
+        """
+        now = self._clock()
+        if self._written_at is not None and now - self._written_at < _STATUS_SECONDS:
+            return
+        self._written_at = now
+        try:
+            self._write(states, None)
+        except OSError:
+            return
+
+    def finish(self, states: Sequence[StreamState], exit_status: int) -> None:
+        """Write the final states; OSError if they cannot be written."""
+        self._write(states, exit_status)
+
+    def _write(self, states: Sequence[StreamState], exit_status: int | None) -> None:
+        streams = {}
+        for state in states:
+            figures = state.figures()
+            streams[figures.pop("name")] = figures
+        status = {
+            "updated": _now(),
+            "ended": exit_status is not None,
+            "exit_status": exit_status,
+            "waiting": sum(state.state == "waiting" for state in states),
+            "running": sum(state.state != "waiting" and state.state not in ENDED for state in states),
+            "streams": streams,
+        }
+        replace_file(self._path, (json.dumps(status, indent=1) + "\n").encode())
+
+
+def _changes(before: Any, now: Any) -> str:
+    """In words, how a part of a run's description was and is."""
+    told = list(_differences(before, now))
+    more = len(told) - _MOST_CHANGES
+    return "; ".join(told[:_MOST_CHANGES]) + (f"; and {more} more" if more > 0 else "")
+
+
+def _differences(before: Any, now: Any, name: str = "") -> Iterator[str]:
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in sorted(before.keys() | now.keys()):
+            yield from _differences(before.get(key), now.get(key), f"{name}.{key}" if name else key)
+    elif before != now:
+        yield f"{name} was {_given(before)}, now {_given(now)}".lstrip()
+
+
+def _given(value: Any) -> str:
+    if value is None:
+        return "not given"
+    return ", ".join(value) if isinstance(value, list) else str(value)
+
+
+def describe_run(
+    streams: Sequence[ListedStream],
+    config: Config,
+    save: frozenset[str],
+    max_frames: int | None,
+    max_side: int | None = None,
+    command: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Content of ``run.json``: everything that the results depend on, without credentials.
+
+    ``command`` is what asks for the same once more.
+    """
+    parameters = config.model_dump(mode="json")
+    sources = {stream.name: str(stream.source) for stream in streams}
+    return {
+        "started": _now(),
+        "config": parameters,
+        "sources": sources,
+        "save": sorted(save),
+        "max_frames": max_frames,
+        "max_side": max_side,
+        "command": [mask(word) for word in command],
+        "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
+        "versions": {
+            "python": platform.python_version(),
+            "opencv": cv2.__version__,  # of whichever of its packages
+            **{name: _version(name) for name in _PACKAGES},
+        },
+        "machine": {"cpu": _cpu(), "system": platform.platform()},
+    }
+
+
+def _state(name: str, figures: dict[str, Any]) -> StreamState:
+    """The state that these figures were made of, without those derived from others."""
+    own = {field.name for field in fields(StreamState)}
+    return StreamState(name, **{key: value for key, value in figures.items() if key in own})
+
+
+def _digest(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return platform.machine()
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return mask(next(names, platform.machine()))
+
+
+def _now() -> str:
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")

@@ -1,0 +1,209 @@
+"""How each stream of a run stands: the states, and the pure rules by which they change."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+from mlbs_actors.actors.stream.protocol import SourceSilence, StreamProgress
+from mlbs_actors.wording import count_of
+from orchestrator.credentials import mask
+
+__all__ = [
+    "ENDED",
+    "StateName",
+    "StreamState",
+    "after_end",
+    "after_failure",
+    "after_interruption",
+    "after_loss",
+    "after_progress",
+    "after_removal",
+    "exit_code",
+    "stopped",
+    "with_record",
+]
+
+StateName = Literal["waiting", "starting", "running", "stalled", "reconnecting", "done", "partial", "failed"]
+
+#: States that a stream does not leave.
+ENDED: frozenset[StateName] = frozenset({"done", "partial", "failed"})
+
+
+@dataclass(frozen=True, slots=True)
+class StreamState:
+    """One stream as the user sees it.
+
+    Attributes
+    ----------
+    name : str
+    state : StateName
+    read, committed, dropped, quarantined, gaps : int
+        See :class:`mlbs_actors.actors.stream.protocol.StreamProgress`.
+    layers : int
+        Live layers, the background included.
+    frames_per_second : float
+        Recent rate at which frames were read; 0 when not running, and while a camera sends nothing.
+    latency_ms : float
+        For how long a frame was worked on lately, the sum of its stages, ms; 0 as long as it is unknown.
+    error : str, optional
+        A sentence, without credentials.
+    line : int, optional
+        Where the stream stands in the list, from 1.
+    returns : int
+        How often it lost a process, or hung, and went back to its last snapshot.
+    interrupted : bool
+        A signal ended it before its end.
+    length : int, optional
+        Frames it will have read at its end, as far as its source says.
+    """
+
+    name: str
+    state: StateName = "waiting"
+    read: int = 0
+    committed: int = 0
+    dropped: int = 0
+    quarantined: int = 0
+    gaps: int = 0
+    layers: int = 0
+    frames_per_second: float = 0.0
+    latency_ms: float = 0.0
+    error: str | None = None
+    line: int | None = None
+    returns: int = 0
+    interrupted: bool = False
+    length: int | None = None
+
+    @property
+    def queued(self) -> int:
+        """Frames that were read and are neither committed nor lost."""
+        return max(self.read - self.committed - self.dropped - self.quarantined, 0)
+
+    @property
+    def rank(self) -> int:
+        """Where it is shown among others: 0 at work, 1 gone wrong, 2 waiting, 3 done."""
+        if self.state not in ENDED and self.state != "waiting":
+            return 0
+        return {"failed": 1, "partial": 1, "waiting": 2}.get(self.state, 3)
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Time until all is read at the recent rate, s; None if nobody knows."""
+        if self.length is None or not self.frames_per_second:
+            return None
+        return max(self.length - self.read, 0) / self.frames_per_second
+
+    @property
+    def waits_for(self) -> str | None:
+        """What a stream that is starting needs before its first frames are read."""
+        if self.state != "starting":
+            return None
+        return (
+            "its processes and its first frames"
+            if not self.returns
+            else "new processes and its last snapshot"
+        )
+
+    def figures(self) -> dict[str, Any]:
+        """All that is shown of the stream, by name."""
+        derived = {"queued": self.queued, "seconds_left": self.seconds_left, "waits_for": self.waits_for}
+        return {
+            key: round(value, 2) if isinstance(value, float) else value
+            for key, value in (asdict(self) | derived).items()
+        }
+
+
+def after_progress(state: StreamState, progress: StreamProgress, frames_per_second: float) -> StreamState:
+    """State after a burst of frames, the stream going on."""
+    silence = progress.silence or SourceSilence(None)
+    error = silence.note or progress.problem
+    return replace(
+        state,
+        state=silence.state or ("running" if progress.read else "starting"),
+        read=progress.read,
+        committed=progress.committed,
+        dropped=progress.dropped,
+        quarantined=progress.quarantined,
+        gaps=progress.gaps,
+        layers=progress.layers,
+        frames_per_second=0.0 if silence.state else frames_per_second,
+        latency_ms=sum(progress.stage_ms.values()) or state.latency_ms,
+        error=None if error is None else mask(error),
+        length=progress.length,
+    )
+
+
+def after_end(state: StreamState, progress: StreamProgress) -> StreamState:
+    """State after the source's end: done if whole, partial if damaged, failed if it gave no label map."""
+    counted = replace(after_progress(state, progress, 0.0), layers=0)
+    if counted.committed == 0:
+        return after_failure(counted, counted.error or "The source holds no frame that could be decoded.")
+    if counted.error is not None:
+        return replace(counted, state="partial")
+    if counted.quarantined:
+        lost = count_of(counted.quarantined, "frame")
+        return replace(counted, state="partial", error=f"{lost} could not be decoded.")
+    return replace(counted, state="done")
+
+
+def after_failure(state: StreamState, error: str) -> StreamState:
+    """State after an error that ended the stream; its counts stay."""
+    return replace(state, state="failed", layers=0, frames_per_second=0.0, error=mask(error))
+
+
+def after_loss(state: StreamState, error: str) -> StreamState:
+    """State of a stream that lost a process and will go on from its last snapshot."""
+    lost = after_failure(state, error)
+    return replace(lost, state="starting", returns=state.returns + 1)
+
+
+def with_record(state: StreamState, recorded: int) -> StreamState:
+    """State of a failed stream with what its record holds: its last burst ended without telling.
+
+    Parameters
+    ----------
+    state : StreamState
+    recorded : int
+        Rows in the stream's commit log, those without a label map included.
+    """
+    if state.state != "failed":
+        return state
+    frames = recorded - state.gaps
+    committed = max(state.committed, frames - state.quarantined - state.dropped)
+    return replace(state, committed=committed, read=max(state.read, frames))
+
+
+def after_interruption(state: StreamState, progress: StreamProgress | None) -> StreamState:
+    """State of a running stream that was stopped by a signal, after it was drained to ``progress``."""
+    counted = state if progress is None else after_progress(state, progress, 0.0)
+    kept = "what was read is kept" if progress is not None else "what was committed is kept"
+    sentence = f"Interrupted after {count_of(counted.read, 'frame')}; {kept}."
+    return replace(
+        counted, state="partial", layers=0, frames_per_second=0.0, error=sentence, interrupted=True
+    )
+
+
+def stopped(states: Iterable[StreamState]) -> tuple[StreamState, ...]:
+    """States of a run that is ended at once: nobody asks the streams at work any more."""
+    return tuple(
+        state if state.state in ENDED or state.state == "waiting" else after_interruption(state, None)
+        for state in states
+    )
+
+
+def after_removal(state: StreamState, progress: StreamProgress | None) -> StreamState:
+    """State of a stream that was taken from the list, after it was drained to ``progress``."""
+    if progress is not None and progress.committed:
+        return after_end(state, progress)
+    sentence = "Removed from the list before it had a result."
+    if state.committed:
+        sentence = "Removed from the list; what was committed is kept."
+    return replace(state, state="partial", layers=0, frames_per_second=0.0, error=sentence)
+
+
+def exit_code(states: Iterable[StreamState], signal_number: int | None) -> int:
+    """Exit status of the run: 0, 1, or 128 + the number of the signal that interrupted it."""
+    if signal_number is not None:
+        return 128 + signal_number
+    return 0 if all(state.state == "done" for state in states) else 1

@@ -1,0 +1,223 @@
+"""The pool of layer processes, and the processes that wait for a stream."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ray
+from actor_fakes import (
+    CONFIG,
+    FakeParts,
+    FakeReader,
+    Memory,
+    crowd,
+    picture,
+    rows,
+    rows_in_one_process,
+    run_to_end,
+    spec,
+    still_evidence,
+    wait_until,
+)
+from conftest import RaySession
+from ray.exceptions import RayActorError
+
+from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
+from mlbs_actors.actors.ipc.channels import take
+from mlbs_actors.actors.ipc.shared_memory import SharedMemory, SlotPool
+from mlbs_actors.actors.node.pool import PoolActor
+from mlbs_actors.actors.node.processes import end, identity, spawn
+from mlbs_actors.actors.stream.layer_actor import LayerStart, LayerStep
+from mlbs_actors.actors.stream.protocol import SourceFrame
+from mlbs_actors.actors.stream.saved_states import SavedLayer
+from mlbs_actors.errors import ActorLostError, LayerError
+from mlbs_actors.messages import LayerEvidence
+from mlbs_actors.state_file import capture
+
+pytestmark = pytest.mark.ray
+
+
+def test_released_processes_become_other_layers_and_idle_ones_beyond_the_spare_are_ended(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    one_after_the_other = [picture(t, live=[1 + t // 3]) for t in range(30)]
+    stream = node.start(spec("changing", FakeReader([*one_after_the_other], tmp_path)))
+    run_to_end(stream)
+    layers, others = 1 + 10, 2  # the background and ten objects; coordinator and segmenter
+    assert len(parts.processes()) - others < layers
+    wait_until(lambda: node.census() == PoolCensus(idle=1, busy=0))
+
+
+def test_the_pool_is_refilled_in_the_background(node: Node, tmp_path: Path) -> None:
+    stream = node.start(spec("two", FakeReader([picture(t, live=[1]) for t in range(500)], tmp_path)))
+    stream.advance().result(timeout=200)
+    wait_until(lambda: node.census() == PoolCensus(idle=1, busy=2))
+    stream.stop(drain=False)
+    assert node.census().busy == 0
+
+
+def test_a_birth_starts_a_process_only_where_few_are_left(ray_session: RaySession, parts: FakeParts) -> None:
+    policy = PoolPolicy(spare=3, least=2, refill_seconds=0.05)
+    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote(1))
+    for left in (2, 2):
+        ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
+        wait_until(lambda left=left: ray.get(pool.census.remote()).idle == left)  # type: ignore[misc]
+    time.sleep(1.0)
+    assert ray.get(pool.census.remote()) == PoolCensus(idle=2, busy=2)
+    wait_until(lambda: len(parts.processes()) == 4)  # three at first, one more at the second birth
+    end([pool])
+
+
+def test_a_birth_takes_another_process_when_an_idle_one_has_died_unnoticed(
+    ray_session: RaySession, parts: FakeParts
+) -> None:
+    pool = spawn(PoolActor, parts, PoolPolicy(spare=1), node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote(1))
+    first, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
+    ray.get(pool.release.remote(run, identity(first), None))
+    ray.kill(first)
+    second, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
+    assert ray.get(second.__ray_ready__.remote())
+    assert second != first
+    end([pool])
+
+
+def test_processes_that_no_frame_waits_for_start_one_after_the_other_or_are_taken_from_those_that_come_back(
+    ray_session: RaySession, parts: FakeParts
+) -> None:
+    hanging = FakeParts(parts.folder, hanging_starts=range(1, 1000))
+    pool = spawn(PoolActor, hanging, PoolPolicy(spare=0), node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote(1))
+    first, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
+    asked = [pool.acquire.remote(run, CONFIG, awaited=False) for _ in range(3)]
+    assert not ray.wait(asked, timeout=2.0)[0]
+    assert ray.get(pool.census.remote()) == PoolCensus(idle=1, busy=1)
+    ray.get(pool.release.remote(run, identity(first), first.release.remote(run)))
+    [came], left = ray.wait(asked, timeout=30.0)
+    assert ray.get(came)[0] == first
+    ray.get(pool.end.remote(run))
+    for reference in left:
+        with pytest.raises(LayerError, match="has ended"):
+            ray.get(reference, timeout=30.0)
+    ray.get(pool.close.remote())
+    end([pool])
+
+
+def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
+    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+) -> None:
+    node = Node(parts=FakeParts(parts.folder, cannot_start=True))
+    stream = node.start(spec("poor", FakeReader([*crowd(9, 1)], tmp_path)))
+    with pytest.raises(ActorLostError, match=r"No process could be started for a layer: .*no memory left"):
+        stream.advance().result(timeout=200)
+    stream.stop(drain=False)
+    node.close()
+
+
+def test_a_layer_process_that_hangs_at_its_start_is_replaced(
+    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+) -> None:
+    hanging = FakeParts(parts.folder, hanging_starts=range(1))
+    node = Node(parts=hanging, policy=PoolPolicy(spare=0, start_seconds=8.0))
+    pictures = crowd(9, 1)
+    [progress] = run_to_end(node.start(spec("slow", FakeReader([*pictures], tmp_path))))
+    assert progress.committed == 9
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+    node.close()
+
+
+def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_ended(
+    ray_session: RaySession, parts: FakeParts
+) -> None:
+    policy = PoolPolicy(spare=0, release_seconds=2.0)
+    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote(1))
+    kept, hanging = (ray.get(pool.acquire.remote(run, CONFIG, awaited=True))[0] for layer in (1, 2))
+    os.kill(ray.get(hanging.__ray_call__.remote(_pid)), signal.SIGSTOP)
+    ray.get(pool.end.remote(run))
+    assert ray.get(pool.census.remote()) == PoolCensus(idle=1, busy=0)
+    with pytest.raises(RayActorError):
+        ray.get(hanging.__ray_ready__.remote())
+    again = ray.get(pool.begin.remote(2))
+    same, offer = ray.get(pool.acquire.remote(again, CONFIG, awaited=True))
+    assert same == kept
+    # What the first stream's coordinator has asked for before may still come.
+    ray.get(kept.release.remote(run))
+    ray.get(kept.serve.remote(run))
+    evidence = still_evidence(
+        [LayerEvidence(3, "object", -1, np.zeros((1, 2), np.float32), np.zeros((1, 2), np.float32))], 0
+    )
+    slots, memory = SlotPool(), SharedMemory()
+    told = memory.share(evidence, slots.take("evidence"))
+    frame = memory.share(SourceFrame(0, picture(0), 0.0, "0"), slots.take("frame"))
+    born = memory.share(capture(Memory(4)), slots.take("state"))
+    served = kept.serve.remote(again)
+    with take(offer) as channel:
+        channel.send(LayerStart(SavedLayer(3, "object", -1), born))
+        channel.send(LayerStep(told, frame, None, slots.take("posterior"), None))
+        assert memory.taken(channel.receive()).layer == 3
+    ray.get(served)
+    end([pool])
+
+
+def _pid(actor: object) -> int:
+    return os.getpid()
+
+
+def test_a_stream_that_has_ended_gets_no_more_processes(ray_session: RaySession, parts: FakeParts) -> None:
+    policy = PoolPolicy(spare=0, release_seconds=60.0)
+
+    # In this process, where it is certain that the stream ends while the process is starting.
+    async def end_while_a_process_starts() -> PoolCensus:
+        pool = PoolActor(parts, policy)
+        run = await pool.begin(1)
+        late = asyncio.ensure_future(pool.acquire(run, CONFIG, awaited=True))
+        await asyncio.sleep(0)
+        assert await pool.census() == PoolCensus(idle=0, busy=1)
+        await pool.end(run)
+        with pytest.raises(LayerError, match="has ended"):
+            await late
+        census = await pool.census()
+        await pool.close()
+        return census
+
+    assert asyncio.run(end_while_a_process_starts()) == PoolCensus(idle=1, busy=0)
+
+
+# ---- processes that wait for a stream
+
+
+def test_a_stream_starts_in_processes_that_were_warm_before(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    first = node.start(spec("first", FakeReader([*crowd(60, 1)], tmp_path / "first")))
+    for _ in range(5):
+        first.advance().result(timeout=200)
+    wait_until(node.prepare, 60.0)
+    warm = parts.processes()
+    pictures = crowd(12, 1)
+    second = node.start(spec("second", FakeReader([*pictures], tmp_path / "second")))
+    own = {ray.get(handle.__ray_call__.remote(_pid)) for handle in second._others}
+    assert len(own) == 2
+    assert own <= warm
+    run_to_end(second)
+    assert rows(tmp_path / "second") == rows_in_one_process(parts, pictures)
+    first.stop(drain=False)
+
+
+def test_processes_for_the_next_stream_are_started_one_after_the_other(node: Node, parts: FakeParts) -> None:
+    seen = set()
+
+    def ready() -> bool:
+        seen.add(len(parts.processes()))
+        return node.prepare()
+
+    wait_until(ready, 60.0)
+    assert seen == {0, 1, 2}

@@ -1,0 +1,69 @@
+"""The list of the layers that live, and which of them get a process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+import ray
+from actor_fakes import CONFIG, still_evidence
+from conftest import RaySession
+
+from mlbs_actors.actors.ipc.channels import ChannelOffer
+from mlbs_actors.actors.stream.live_layers import LiveLayers
+from mlbs_actors.actors.stream.saved_states import SavedLayer
+from mlbs_actors.config import Config
+from mlbs_actors.messages import FrameEvidence, LayerEvidence
+
+
+@dataclass
+class Method:
+    """Of an actor that answers at once."""
+
+    call: Callable[..., object]
+
+    def remote(self, *given: object, **named: object) -> Any:
+        return ray.put(self.call(*given, **named))
+
+
+@dataclass
+class Process:
+    serve: Method = field(default_factory=lambda: Method(int))
+
+
+class Pool:
+    """Has a process at hand whenever it is asked."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+        self.acquire = Method(self._lend)
+
+    def _lend(self, run: int, config: Config, *, awaited: bool) -> tuple[Process, ChannelOffer]:
+        self.asked += 1
+        return Process(), ChannelOffer(1, self.asked, self.asked)
+
+
+def evidence(frame: int, layers: tuple[int, ...]) -> FrameEvidence:
+    nothing = np.zeros((0, 2), np.float32)
+    return still_evidence(
+        [
+            LayerEvidence(layer, "object" if layer else "background", frame - 1, nothing, nothing)
+            for layer in layers
+        ],
+        frame,
+    )
+
+
+@pytest.mark.ray
+def test_a_layer_that_sleeps_gets_its_process_when_it_wakes(ray_session: RaySession) -> None:
+    pool = Pool()
+    layers = LiveLayers(pool, 1, CONFIG)
+    layers.restore([SavedLayer(0, "background", 3), SavedLayer(1, "object", 3), SavedLayer(2, "object", 3)])
+    # Nobody would know when it has read the state that was sent there: it answers no frame.
+    housed = [[layer for layer, _ in layers.follow(evidence(t, (0, 2)))] for t in range(4, 9)]
+    assert sorted(layer for some in housed for layer in some) == [0, 2]
+    assert [layer for layer, _ in layers.follow(evidence(9, (0, 1, 2)))] == [1]
+    assert pool.asked == 3

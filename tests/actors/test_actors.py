@@ -1,0 +1,527 @@
+"""A stream as actors: the same bytes as in one process, and failures that stay where they are."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import zlib
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import Future
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import ray
+from actor_fakes import (
+    CONFIG,
+    FakeCamera,
+    FakeParts,
+    FakeReader,
+    FakeSink,
+    crowd,
+    is_running,
+    picture,
+    rows,
+    rows_in_one_process,
+    run_to_end,
+    spec,
+    wait_until,
+)
+from conftest import RaySession
+
+from mlbs_actors import Config, MultilayerSubtractor
+from mlbs_actors.actors import Node, PoolPolicy
+from mlbs_actors.actors.ipc.shared_memory import Slot, SlotKind, SlotPool
+from mlbs_actors.actors.node.processes import end, spawn
+from mlbs_actors.actors.node.turns import Turns
+from mlbs_actors.actors.parts import CoordinatorPart
+from mlbs_actors.actors.stream.order import FrameOrder
+from mlbs_actors.actors.stream.protocol import SourceFrame, SourceSilence, SourceStatus, StreamProgress
+from mlbs_actors.actors.stream.sink import GapRow, SinkActor
+from mlbs_actors.errors import ActorLostError, LayerError, SinkError, SourceError
+from mlbs_actors.messages import Array
+from orchestrator.sources.synthetic import scene
+
+pytestmark = pytest.mark.ray
+
+
+# ---- the same bytes
+
+
+def test_layers_born_dormant_and_retired_while_running_give_the_same_bytes_as_in_one_process(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures = crowd(30, most=5)
+    [progress] = run_to_end(node.start(spec("crowd", FakeReader([*pictures], tmp_path))))
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+    assert progress == StreamProgress(30, 30, 0, 0, 0, True, None, progress.stage_ms, length=30)
+
+
+def test_layers_that_get_no_process_live_in_the_segmenter_s_with_the_same_bytes(
+    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+) -> None:
+    only_the_background = FakeParts(parts.folder, hanging_starts=range(1, 1000))
+    node = Node(parts=only_the_background, policy=PoolPolicy(spare=0))
+    pictures = [picture(t) for t in range(4)] + crowd(30, most=5)
+    run_to_end(node.start(spec("crowd", FakeReader([*pictures], tmp_path))))
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+    node.close()
+
+
+def test_a_layer_moves_to_a_process_of_its_own_as_soon_as_there_is_one_with_the_same_bytes(
+    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+) -> None:
+    node = Node(parts=parts, policy=PoolPolicy(spare=0))
+    pictures = [picture(t) for t in range(4)] + [picture(t, live=[1, 2, 3]) for t in range(4, 400)]
+    stream = node.start(spec("three", FakeReader([*pictures], tmp_path, slow_seconds=0.02)))
+    busy = []
+    while not stream.advance().result(timeout=200).done:
+        busy.append(node.census().busy)
+    stream.stop(drain=False)
+    assert busy[0] == 1
+    assert max(busy) == 4
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+    node.close()
+
+
+def test_the_sink_gets_the_background_s_memory_of_just_the_frames_it_wants(
+    node: Node, tmp_path: Path
+) -> None:
+    pictures: list[Array | None] = [*crowd(20, 2)]
+    pictures[9] = None  # from here on the engine's frames are counted apart from the source's
+    asked = replace(spec("plates", FakeReader(pictures, tmp_path)), wants_background=_seventh)
+    run_to_end(node.start(asked))
+    # source index, layer, the engine's frame index: each is asked for after its own frame
+    assert (tmp_path / "backgrounds").read_text().splitlines() == ["6 0 6", "13 0 12"]
+
+
+def _seventh(index: int) -> bool:
+    return index % 7 == 6
+
+
+def test_streams_at_once_and_a_video_twice_give_the_bytes_each_gives_in_one_process(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    videos = {"a": crowd(20, 3), "b": crowd(25, 1), "a again": crowd(20, 3)}
+    run_to_end(
+        *[node.start(spec(name, FakeReader([*video], tmp_path / name))) for name, video in videos.items()]
+    )
+    for name, video in videos.items():
+        assert rows(tmp_path / name) == rows_in_one_process(parts, video)
+
+
+def test_a_stream_shorter_than_its_start_still_gets_every_label_map(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures = crowd(2, 0)
+    assert len(pictures) < CONFIG.layers.init_frames
+    [progress] = run_to_end(node.start(spec("short", FakeReader([*pictures], tmp_path))))
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+    assert progress.committed == 2
+
+
+def test_an_undecodable_frame_is_a_row_in_its_place_and_the_others_are_labelled_as_if_it_were_not_there(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures = crowd(12, 2)
+    given = [*pictures[:1], None, *pictures[1:6], None, None, *pictures[6:], None]
+    [progress] = run_to_end(node.start(spec("gaps", FakeReader(given, tmp_path))))
+    labelled = iter(row.partition(" ")[2] for row in rows_in_one_process(parts, pictures))
+    expected = [
+        f"{index} {'quarantined' if image is None else next(labelled)}" for index, image in enumerate(given)
+    ]
+    assert rows(tmp_path) == expected
+    assert (progress.read, progress.committed, progress.quarantined) == (16, 12, 4)
+
+
+def test_drops_and_gaps_are_rows_and_counted_and_a_silent_camera_is_told_at_once(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures = crowd(12, 2)
+    answers: list[SourceFrame | SourceSilence] = []
+    given, expected = [], []
+    statuses: dict[int, SourceStatus] = {2: "dropped", 5: "gap", 6: "dropped"}
+    for t, image in enumerate(pictures):
+        if t in (0, 5):
+            answers.append(SourceSilence("stalled" if t else "reconnecting", f"quiet before {t}"))
+        status = statuses.get(t, "ok")
+        answers.append(SourceFrame(t, image if status == "ok" else None, t / 25, f"{t:05d}", status))
+        given += [image] if status == "ok" else []
+    stream = node.start(spec("camera", FakeCamera(answers, tmp_path), max_frames=10))
+    said = []
+    while not (progress := stream.advance().result(timeout=200)).done:
+        if progress.silence is not None:
+            said.append((progress.read, progress.silence.state))
+    stream.stop(drain=False)
+    assert said == [(0, "reconnecting"), (5, "stalled")]
+    assert (progress.read, progress.committed, progress.dropped, progress.gaps) == (10, 8, 2, 1)
+    plain = rows_in_one_process(parts, given[:8])
+    for t in range(11):
+        labelled = t not in statuses
+        expected.append(f"{t} {plain.pop(0).partition(' ')[2]}" if labelled else f"{t} {statuses[t]}")
+    assert rows(tmp_path) == expected
+
+
+class _OverwritingParts(FakeParts):
+    """Whoever reads a message after its memory was given back reads something else."""
+
+    def coordinator(self, config: Config) -> CoordinatorPart:
+        give_back = SlotPool.give_back
+
+        def overwritten(self: SlotPool, slots: Sequence[Slot]) -> None:
+            for slot in slots:
+                os.pwrite(slot.descriptor, b"\xa5" * os.fstat(slot.descriptor).st_size, 0)
+            give_back(self, slots)
+
+        SlotPool.give_back = overwritten  # type: ignore[method-assign]  # in the coordinator's process alone
+        return super().coordinator(config)
+
+
+def test_messages_are_read_before_their_memory_is_given_back_also_by_a_stream_that_waits_for_its_camera(
+    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures = crowd(16, 2)
+    answers: list[SourceFrame | SourceSilence] = []
+    for t, image in enumerate(pictures):
+        # Until the next picture comes everything that was asked for has been answered.
+        answers += [SourceFrame(t, image, t / 25, f"{t:05d}"), *[SourceSilence(None)] * 12]
+    node = Node(parts=_OverwritingParts(parts.folder))
+    run_to_end(node.start(spec("camera", FakeCamera(answers, tmp_path))))
+    node.close()
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+
+
+class _NotingParts(FakeParts):
+    """Each slot that is lent is a line in a file."""
+
+    def coordinator(self, config: Config) -> CoordinatorPart:
+        take, lent = SlotPool.take, (self.folder / "lent").open("a", buffering=1)
+
+        def noted(self: SlotPool, kind: SlotKind) -> Slot:
+            slot = take(self, kind)
+            lent.write(f"{kind} {slot.descriptor}\n")
+            return slot
+
+        SlotPool.take = noted  # type: ignore[method-assign]  # in the coordinator's process alone
+        return super().coordinator(config)
+
+
+def test_what_only_segmenter_and_layers_read_stays_in_few_slots_however_slow_the_sink_is(
+    ray_session: RaySession, tmp_path: Path
+) -> None:
+    node = Node(parts=_NotingParts(tmp_path))
+    pictures = [picture(t, live=[1, 2]) for t in range(40)]
+    run_to_end(
+        node.start(spec("slow", FakeReader([*pictures], tmp_path), FakeSink(tmp_path, slow_seconds=0.02)))
+    )
+    node.close()
+    lent = set((tmp_path / "lent").read_text().splitlines())
+    slots = Counter(line.partition(" ")[0] for line in lent)
+    frames = 4  # at most three under way, and the one before
+    assert slots["evidence"] <= frames
+    assert slots["posterior"] <= frames * 3
+    assert slots["frame"] > frames
+
+
+def test_a_stream_ends_after_its_most_frames(node: Node, tmp_path: Path) -> None:
+    reader = FakeReader([*crowd(30, 1)], tmp_path)
+    [progress] = run_to_end(node.start(spec("most", reader, max_frames=7)))
+    assert (progress.read, progress.committed, len(rows(tmp_path))) == (7, 7, 7)
+    assert progress.length == 7
+    assert len((tmp_path / "reads").read_text().splitlines()) == 7
+
+
+# ---- bounded
+
+
+@pytest.mark.parametrize("slow", ["sink", "layers"])
+def test_the_reader_is_held_back_to_the_pace_of_the_slowest(
+    ray_session: RaySession, tmp_path: Path, parts: FakeParts, slow: str
+) -> None:
+    # So slow that the sink keeps up, also on a machine that is busy with other tests.
+    layers = FakeParts(parts.folder, slow_seconds=0.1 if slow == "layers" else 0.0)
+    node = Node(parts=layers, policy=PoolPolicy(spare=0))
+    reader = FakeReader([*crowd(60, 0)], tmp_path)
+    sink_seconds = 0.03 if slow == "sink" else 0.0
+    run_to_end(node.start(spec(slow, reader, FakeSink(tmp_path, slow_seconds=sink_seconds))))
+    node.close()
+    ahead = [int(frames) for frames in (tmp_path / "ahead").read_text().split()]
+    # 6 reads under way, 1 in hand and 1 being written; between them 14 rows, or 2 frames in the layers and 7
+    # that wait for an eighth to be written with.
+    assert 3 <= max(ahead) <= (22 if slow == "sink" else 17)
+
+
+def test_a_burst_ends_where_its_file_is_slow(node: Node, parts: FakeParts, tmp_path: Path) -> None:
+    pictures = crowd(10, 1)  # of which a burst takes eight
+    stream = node.start(spec("slow", FakeReader([*pictures], tmp_path, slow_seconds=0.5)))
+    bursts = 1
+    while not stream.advance().result(timeout=200).done:
+        bursts += 1
+    stream.stop(drain=False)
+    assert bursts >= 6
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+
+
+def test_frames_that_are_done_leave_the_object_store(
+    node: Node, tmp_path: Path, ray_session: RaySession
+) -> None:
+    enlarged = 900
+    frames = 2 * ray_session.object_store_bytes // (picture(0).nbytes * enlarged)
+    reader = FakeReader([picture(t, live=[1]) for t in range(frames)], tmp_path, enlarged=enlarged)
+    stream = node.start(spec("big", reader))
+    while not stream.advance().result(timeout=200).done:
+        # What is forgotten fills the store, and a full one is moved to disk.
+        assert not [*ray_session.folder.glob("ray_spilled_objects*/*")]
+    stream.stop(drain=False)
+
+
+# ---- failures
+
+
+@pytest.mark.parametrize(
+    ("dies", "says"),
+    [
+        ("layer", "'bad' lost the process of its layer 2"),
+        ("segmenter", "'bad' lost the process of its segmenter"),
+        ("coordinator", "'bad' lost the process of its coordinator"),
+    ],
+)
+def test_a_lost_process_fails_its_stream_alone_and_what_was_labelled_before_stays(
+    node: Node, parts: FakeParts, tmp_path: Path, dies: str, says: str
+) -> None:
+    pictures = [picture(t, live=[1, 2]) for t in range(16)]
+    fatal = [*pictures[:9], picture(9, live=[1, 2], dies=dies, value=2), *pictures[10:]]
+    bad = node.start(spec("bad", FakeReader([*fatal], tmp_path / "bad")))
+    good = node.start(spec("good", FakeReader([*pictures], tmp_path / "good")))
+    with pytest.raises(ActorLostError, match=says):
+        run_to_end(bad)
+    assert bad.stop(drain=True) is None
+    [progress] = run_to_end(good)
+    expected = rows_in_one_process(parts, pictures)
+    assert rows(tmp_path / "good") == expected
+    assert progress.committed == 16
+    before = rows(tmp_path / "bad")
+    assert before == expected[: len(before)]
+    assert len(before) == 9 or dies == "coordinator"
+    assert node.census().busy == 0
+
+
+def test_a_stream_whose_segmenter_dies_before_it_begins_says_so(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    wait_until(node.prepare, 60.0)
+    segmenters = [
+        pid for pid in parts.processes() if b"SegmenterActor" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    ]
+    for pid in segmenters:
+        os.kill(pid, signal.SIGKILL)
+    stream = node.start(spec("bad", FakeReader([*crowd(9, 1)], tmp_path)))
+    with pytest.raises(ActorLostError, match="'bad' lost the process of its segmenter"):
+        stream.advance().result(timeout=200)
+    stream.stop(drain=False)
+
+
+def test_at_the_last_try_the_death_of_the_reader_ends_the_stream_with_its_frames_committed(
+    node: Node, tmp_path: Path
+) -> None:
+    reader = FakeReader([*crowd(20, 2)], tmp_path, dies_at=10)
+    damaged = replace(spec("damaged", reader), source="/films/damaged.mp4", last_try=True)
+    [progress] = run_to_end(node.start(damaged))
+    assert progress.problem is not None
+    assert "process that reads /films/damaged.mp4 died after 10 frames" in progress.problem
+    assert (progress.read, progress.committed, len(rows(tmp_path))) == (10, 10, 10)
+
+
+def test_the_reader_s_own_problem_is_told_at_the_end(node: Node, tmp_path: Path) -> None:
+    reader = FakeReader([*crowd(5, 1)], tmp_path, problem="The file ends in the middle of a frame.")
+    [progress] = run_to_end(node.start(spec("cut", reader)))
+    assert progress.problem == "The file ends in the middle of a frame."
+    assert progress.committed == 5
+
+
+@pytest.mark.parametrize(
+    ("reader", "says"),
+    [
+        (FakeReader([], Path(), raises_at=0), "is not to be had"),
+        (FakeReader([], Path(), dies_at=0), "died before its first frame"),
+    ],
+)
+def test_a_source_that_gives_no_frame_fails_the_stream(
+    node: Node, tmp_path: Path, reader: FakeReader, says: str
+) -> None:
+    stream = node.start(replace(spec("none", replace(reader, folder=tmp_path)), last_try=True))
+    for _ in range(2):
+        with pytest.raises(SourceError, match=says):
+            stream.advance().result(timeout=200)
+    stream.stop(drain=True)
+
+
+def test_a_row_that_cannot_be_written_fails_the_stream_and_none_is_written_after_it(
+    node: Node, tmp_path: Path
+) -> None:
+    stream = node.start(spec("full", FakeReader([*crowd(20, 1)], tmp_path), FakeSink(tmp_path, fails_at=6)))
+    with pytest.raises(SinkError, match="disk is full"):
+        run_to_end(stream)
+    stream.stop(drain=False)
+    assert [row.split()[0] for row in rows(tmp_path)] == ["0", "1", "2", "3", "4", "5"]
+    assert (tmp_path / "sink-closed").exists()
+
+
+def test_the_death_of_the_sink_process_is_told(node: Node, tmp_path: Path) -> None:
+    stream = node.start(spec("lost", FakeReader([*crowd(12, 1)], tmp_path), FakeSink(tmp_path, dies_at=6)))
+    with pytest.raises(ActorLostError, match="lost the process of its sink"):
+        run_to_end(stream)
+    stream.stop(drain=False)
+
+
+# ---- stopping
+
+
+def test_a_drained_stop_labels_and_commits_exactly_what_was_read(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures = crowd(100, 2)
+    stream = node.start(spec("stopped", FakeReader([*pictures], tmp_path)))
+    read = stream.advance().result(timeout=200).read
+    final = stream.stop(drain=True)
+    assert final is not None
+    assert final.done
+    assert final.read == final.committed == read < 100
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures[:read])
+    assert stream.stop(drain=True) == final
+
+
+def test_a_stream_that_waits_for_its_turn_goes_on_with_it_and_can_be_drained_before(
+    node: Node, parts: FakeParts, tmp_path: Path
+) -> None:
+    node._turns = Turns(1, 600.0)
+    held = Future[None]()
+    node._turns.take(lambda: held)
+    pictures = crowd(40, 2)
+    started = [
+        node.start(spec(name, FakeReader([*pictures], tmp_path / name))) for name in ("drained", "goes on")
+    ]
+    # The first burst takes no turn.
+    first = [stream.advance().result(timeout=200) for stream in started]
+    waiting = [stream.advance() for stream in started]
+    final = started[0].stop(drain=True)
+    assert final is not None
+    assert final.done
+    assert rows(tmp_path / "drained") == rows_in_one_process(parts, pictures[: final.read])
+    assert not waiting[1].done()
+    held.set_result(None)
+    assert waiting[1].result(timeout=200).read > first[1].read
+    run_to_end(started[1])
+    assert rows(tmp_path / "goes on") == rows_in_one_process(parts, pictures)
+
+
+def test_stopping_and_closing_leaves_no_process(
+    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+) -> None:
+    node = Node(parts=parts, policy=PoolPolicy(spare=2))
+    stream = node.start(spec("gone", FakeReader([*crowd(60, 3)], tmp_path)))
+    stream.advance().result(timeout=200)
+    wait_until(lambda: len(parts.processes()) >= 4, 60.0)
+    stream.advance()
+    stream.stop(drain=False)
+    stream.stop(drain=False)
+    assert (tmp_path / "sink-closed").exists()
+    assert (tmp_path / "reader-closed").exists()
+    node.close()
+    node.close()
+    wait_until(lambda: not any(is_running(process) for process in parts.processes()))
+
+
+# ---- once and in order
+
+
+def test_a_frame_is_done_once_in_order_and_not_after_one_that_failed() -> None:
+    order = FrameOrder()
+    with order.step(0, after=-1):
+        pass
+    for frame, after in ((0, -1), (2, 1)):
+        with pytest.raises(LayerError, match="frame 0 was last"), order.step(frame, after=after):
+            raise AssertionError("the work must not start")
+    with pytest.raises(ZeroDivisionError), order.step(1, after=0):
+        _ = 1 // 0
+    for after in (0, 1):
+        with (
+            pytest.raises(LayerError, match="a frame that failed was last"),
+            order.step(after + 1, after=after),
+        ):
+            raise AssertionError("the work must not start")
+
+
+def test_a_record_takes_no_row_after_one_that_was_lost_on_its_way(
+    ray_session: RaySession, tmp_path: Path
+) -> None:
+    (tmp_path / "reads").touch()
+    sink = spawn(SinkActor, node=ray.get_runtime_context().get_node_id())
+    ray.get(sink.open.remote(1, FakeSink(tmp_path).opened))
+    ray.get(sink.take.remote(1, [GapRow(0, 0.0, "quarantined")]))
+    with pytest.raises(LayerError, match="frame 0 was last"):
+        ray.get(sink.take.remote(1, [GapRow(2, 0.08, "quarantined")]))
+    ray.get(sink.take.remote(1, [GapRow(1, 0.04, "quarantined")]))
+    assert rows(tmp_path) == ["0 quarantined", "1 quarantined"]
+    end([sink])
+
+
+# ---- the engine
+
+
+def test_the_engine_gives_the_same_label_maps_as_actors_and_in_one_process(
+    ray_session: RaySession, tmp_path: Path
+) -> None:
+    videos = {}
+    for name, seed in (("one", 1), ("two", 2)):
+        made = scene("demo", frames=8, seed=seed, width=320, height=240)
+        videos[name] = [made.frame(t) for t in range(len(made))]
+    node = Node(policy=PoolPolicy(spare=1))
+    run_to_end(
+        *[
+            node.start(replace(spec(name, FakeReader([*video], tmp_path / name)), config=Config()))
+            for name, video in videos.items()
+        ]
+    )
+    node.close()
+    for name, video in videos.items():
+        subtractor = MultilayerSubtractor()
+        results = [result for frame in video for result in subtractor.apply(frame)] + subtractor.flush()
+        assert rows(tmp_path / name) == [
+            f"{t} {t} {zlib.crc32(result.labels.tobytes())}" for t, result in enumerate(results)
+        ]
+        assert len(results) == len(video)
+    assert any(result.labels.any() for result in results), "a scene without a layer proves little"
+
+
+def test_a_change_of_size_gives_the_same_label_maps_as_actors_and_in_one_process(
+    ray_session: RaySession, tmp_path: Path
+) -> None:
+    video = [
+        scene("pan", frames=60, width=width, height=height).frame(t)
+        for width, height in ((160, 120), (120, 160), (160, 120))
+        for t in range(7)
+    ]
+    node = Node(policy=PoolPolicy(spare=1))
+    stream = node.start(replace(spec("turned", FakeReader([*video], tmp_path)), config=Config()))
+    [progress] = run_to_end(stream)
+    assert (progress.committed, node.census().busy) == (21, 0)
+    node.close()
+    subtractor = MultilayerSubtractor()
+    results = [result for frame in video for result in subtractor.apply(frame)] + subtractor.flush()
+    assert rows(tmp_path) == [
+        f"{t} {t} {zlib.crc32(result.labels.tobytes())}" for t, result in enumerate(results)
+    ]
+    assert len({layer.layer for result in results for layer in result.layers}) >= 3
+
+
+def test_a_warmed_process_loads_no_kernel_when_frames_come(tmp_path: Path) -> None:
+    program = Path(__file__).parents[1] / "fakes/warmed_processes.py"
+    for warmed in ("stream", "layer"):
+        command = [sys.executable, str(program), warmed, str(tmp_path / "messages")]
+        ran = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert ran.returncode == 0, ran.stderr
+        assert ran.stdout.split() == ["later:", "set()"]

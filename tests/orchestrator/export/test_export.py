@@ -1,0 +1,232 @@
+"""Exports of a record, opened by readers that are not ours, and compared with the label maps."""
+
+from __future__ import annotations
+
+import builtins
+import json
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import duckdb
+import numpy as np
+import pytest
+from PIL import Image
+from pycocotools import mask as coco_mask
+from pycocotools.coco import COCO
+from record_fakes import HEIGHT, WIDTH, frame, segmentation, write_run, write_stream
+
+from mlbs_actors.errors import MlbsError
+from mlbs_actors.messages import Array
+from orchestrator.export.__main__ import FORMATS, main
+from orchestrator.run.stream_state import StreamState
+from orchestrator.sinks.label_image import davis_palette
+from orchestrator.sinks.record import StreamRecord
+
+# pycocotools decodes through an __array__ method that NumPy 2 finds outdated.
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    states = [write_stream(folder / "yard"), write_stream(folder / "gate"), StreamState("gone", "failed")]
+    write_run(folder, states)
+    return folder
+
+
+def export(name: str, run: Path, out: Path) -> Path:
+    assert main([name, str(run), str(out)]) == 0
+    return out
+
+
+def masks(run: Path, stream: str) -> dict[str, Array]:
+    """The label maps as they were saved."""
+    return {path.stem: np.asarray(Image.open(path)) for path in (run / stream / "masks").iterdir()}
+
+
+def test_coco_is_read_by_pycocotools_and_gives_back_every_mask(run: Path, tmp_path: Path) -> None:
+    coco = COCO(str(export("coco", run, tmp_path / "run.json")))
+    assert [video["name"] for video in coco.dataset["videos"]] == ["yard", "gate"]  # one has no label map
+    assert len(coco.imgs) == 2 * 39
+    for image in coco.imgs.values():
+        stream, name = image["file_name"].removesuffix(".png").split("/")
+        labels = np.zeros((image["height"], image["width"]), np.uint16)
+        for annotation in coco.loadAnns(coco.getAnnIds(imgIds=image["id"])):
+            mask = coco.annToMask(annotation).astype(bool)
+            assert mask.sum() == annotation["area"]
+            x, y, width, height = annotation["bbox"]
+            assert mask[y : y + height, x : x + width].sum() == mask.sum()
+            labels[mask] = annotation["track_id"]
+        np.testing.assert_array_equal(labels, masks(run, stream)[name])
+
+
+def test_lines_of_mots_are_read_by_pycocotools_and_give_back_every_mask(run: Path, tmp_path: Path) -> None:
+    out = export("mots", run, tmp_path / "mots")
+    assert sorted(path.name for path in out.iterdir()) == ["gate.txt", "gone.txt", "yard.txt"]
+    found: dict[str, Array] = {}
+    for line in (out / "yard.txt").read_text().splitlines():
+        index, number, kind, height, width, code = line.split(" ")
+        assert int(number) // 1000 == int(kind) == 1
+        mask = coco_mask.decode({"size": [int(height), int(width)], "counts": code.encode()})
+        labels = found.setdefault(f"img{int(index):03d}", np.zeros((HEIGHT, WIDTH), np.uint16))
+        labels[mask.astype(bool)] = int(number) % 1000
+    saved = masks(run, "yard")
+    assert found.keys() == saved.keys()
+    for name, labels in found.items():
+        np.testing.assert_array_equal(labels, saved[name])
+
+
+@pytest.mark.parametrize(("name", "folder"), [("davis", "Annotations/480p"), ("youtube-vos", "Annotations")])
+def test_palette_masks_are_read_by_pillow_and_give_back_every_mask(
+    run: Path, tmp_path: Path, name: str, folder: str
+) -> None:
+    out = export(name, run, tmp_path / name)
+    assert sorted(path.name for path in (out / folder).iterdir()) == ["gate", "yard"]
+    for stem, labels in masks(run, "yard").items():
+        with Image.open(out / folder / "yard" / f"{stem}.png") as image:
+            assert image.mode == "P"
+            assert image.getpalette() == davis_palette().ravel().tolist()
+            np.testing.assert_array_equal(np.asarray(image), labels)
+    if name == "davis":
+        assert (out / "ImageSets/2017/val.txt").read_text() == "yard\ngate\n"
+    else:
+        objects = json.loads((out / "meta.json").read_text())["videos"]["yard"]["objects"]
+        assert list(objects) == ["3", "5"]
+        assert len(objects["5"]["frames"]) == 34
+
+
+def test_a_davis_export_has_what_the_loader_of_the_benchmark_goes_by(run: Path, tmp_path: Path) -> None:
+    # It takes the sequences from a list and the frames by their stems, in the order of the alphabet. Pillow
+    # must give a map of indices, all of the size of the first, in which an object is its id and 255 nothing.
+    out = export("davis", run, tmp_path / "davis")
+    for sequence in (out / "ImageSets/2017/val.txt").read_text().split():
+        paths = sorted((out / "Annotations/480p" / sequence).glob("*.png"), key=str)
+        assert [path.stem for path in paths] == [f"img{index:03d}" for index in range(40) if index != 10]
+        maps = []
+        for path in paths:
+            with Image.open(path) as image:
+                assert (image.format, image.mode) == ("PNG", "P")
+                maps.append(np.array(image))
+        stack = np.stack(maps)  # fails if sizes differ
+        assert stack.dtype == np.uint8
+        assert stack.shape == (39, HEIGHT, WIDTH)
+        assert stack.max() == 5
+        saved = masks(run, sequence)
+        for layer in range(1, 6):
+            expected = np.stack([saved[path.stem] == layer for path in paths])
+            np.testing.assert_array_equal(stack == layer, expected)
+            assert expected.any() == (layer in (3, 5))
+
+
+@pytest.mark.parametrize("name", ["mots", "davis"])
+def test_trackeval_reads_every_mask_and_id_and_finds_an_export_equal_to_itself(
+    run: Path, tmp_path: Path, name: str
+) -> None:
+    trackeval = pytest.importorskip("trackeval", reason="TrackEval is not installed, see CONTRIBUTING.md")
+    out = export(name, run, tmp_path / name)
+    folder = "." if name == "mots" else "Annotations/480p"
+    setting = {
+        "GT_FOLDER": str(out / folder),
+        "GT_LOC_FORMAT": "{gt_folder}/{seq}.txt",
+        "TRACKERS_FOLDER": str(tmp_path),
+        "TRACKERS_TO_EVAL": [name],
+        "TRACKER_SUB_FOLDER": folder,
+        "SEQ_INFO": {"yard": 40},
+        "PRINT_CONFIG": False,
+    }
+    dataset = (trackeval.datasets.KittiMOTS if name == "mots" else trackeval.datasets.DAVIS)(setting)
+    raw = dataset.get_raw_seq_data(name, "yard")
+    saved = masks(run, "yard")
+    # DAVIS knows no frame without a mask, MOTS counts the one that could not be decoded.
+    indices = [index for index in range(40) if name == "mots" or index != 10]
+    for index, ids, codes in zip(indices, raw["tracker_ids"], raw["tracker_dets"], strict=True):
+        labels = np.zeros((HEIGHT, WIDTH), np.uint16)
+        for number, code in zip(ids, codes, strict=True):
+            labels[coco_mask.decode(code).astype(bool)] = number % 1000
+        np.testing.assert_array_equal(labels, saved.get(f"img{index:03d}", 0))
+    data = dataset.get_preprocessed_seq_data(raw, "car" if name == "mots" else "general")
+    assert trackeval.metrics.HOTA({"PRINT_CONFIG": False}).eval_sequence(data)["HOTA"].min() == 1.0
+
+
+@pytest.mark.parametrize("name", sorted(FORMATS.keys() - {"rerun"}))
+def test_only_what_is_committed_is_exported(run: Path, tmp_path: Path, name: str) -> None:
+    for stream in ("yard", "gate"):
+        (tmp_path / "run" / stream).mkdir(parents=True)
+        for path in (run / stream).glob("*.parquet"):
+            (tmp_path / "run" / stream / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "run/run.json").write_bytes((run / "run.json").read_bytes())
+    first = (run / "yard/commits.jsonl").read_text().splitlines()[0]
+    (tmp_path / "run/yard/commits.jsonl").write_text(first + "\n")
+    out = export(name, tmp_path / "run", tmp_path / "out")
+    if name == "coco":
+        frames = len(json.loads(out.read_text())["images"])
+    elif name == "mots":
+        frames = len({line.split()[0] for line in (out / "yard.txt").read_text().splitlines()})
+    else:
+        frames = len(list(out.rglob("*.png")))
+    assert frames == 8
+
+
+@pytest.mark.parametrize(("name", "layer"), [("mots", 1000), ("davis", 255), ("youtube-vos", 255)])
+def test_an_id_that_a_format_has_no_place_for_is_refused_and_nothing_is_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, layer: int
+) -> None:
+    record = StreamRecord(tmp_path / "run/yard", "yard", frozenset({"parquet"}))
+    record.write(segmentation(0, layer), frame(0))
+    record.close(whole=True)
+    write_run(tmp_path / "run", [StreamState("yard", "done")])
+    assert main([name, str(tmp_path / "run"), str(tmp_path / "out")]) == 2
+    assert f"layer {layer}" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_what_is_there_is_never_replaced_and_a_folder_without_run_is_refused(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "out").write_text("mine")
+    assert main(["coco", str(run), str(tmp_path / "out")]) == 2
+    assert (tmp_path / "out").read_text() == "mine"
+    assert main(["mots", str(tmp_path), str(tmp_path / "new")]) == 2
+    assert "holds no run" in capsys.readouterr().err
+
+
+def test_duckdb_reads_the_tables(run: Path) -> None:
+    query = (
+        f"SELECT stream, layer, count(*), max(area) FROM '{run}/*/layers-*.parquet' GROUP BY ALL ORDER BY ALL"
+    )
+    assert duckdb.execute(query).fetchall() == [
+        ("gate", 3, 39, 80),
+        ("gate", 5, 34, 80),
+        ("yard", 3, 39, 80),
+        ("yard", 5, 34, 80),
+    ]
+    query = f"SELECT frame, name FROM '{run}/yard/frames-*.parquet' WHERE status != 'ok' OR frame = 9"
+    assert duckdb.execute(f"{query} ORDER BY frame").fetchall() == [(9, "img009"), (10, None)]
+
+
+def test_a_segmentation_becomes_detections_of_supervision() -> None:
+    result = segmentation(4, 3, 9)
+    detections = result.to_supervision()
+    assert detections.tracker_id is not None
+    assert detections.mask is not None
+    assert detections.tracker_id.tolist() == [3, 9]
+    np.testing.assert_array_equal(detections.mask, [result.labels == 3, result.labels == 9])
+    assert detections.xyxy.tolist() == [[4, 5, 12, 15], [4, 17, 12, 27]]
+    assert detections.area.tolist() == [80, 80]
+    empty = segmentation(0)
+    none = type(empty)(0, empty.labels * 0, empty.normaliser, empty.fallback, (), (0.0, 0.0), 0)
+    assert len(none.to_supervision()) == 0
+
+
+def test_without_supervision_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = builtins.__import__
+
+    def hidden(name: str, *arguments: Any, **options: Any) -> ModuleType:
+        if name == "supervision":
+            raise ImportError(name)
+        return found(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", hidden)
+    with pytest.raises(MlbsError, match="pip install"):
+        segmentation(0).to_supervision()

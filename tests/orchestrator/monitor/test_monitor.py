@@ -1,0 +1,277 @@
+"""The live page: what it answers, to whom, and what a browser makes of it."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from http.client import HTTPConnection, HTTPResponse
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+import pytest
+from chromium import open_page
+from record_fakes import frame, segmentation
+
+from mlbs_actors.actors.stream.protocol import SourceSilence, StreamProgress
+from mlbs_actors.errors import ConfigError
+from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
+from orchestrator.monitor.board import Board
+from orchestrator.monitor.metrics import MetricsText
+from orchestrator.monitor.server import serving
+from orchestrator.run.stream_state import StreamState, after_progress
+from orchestrator.sinks.live_picture import LivePicture, live_picture_path
+from orchestrator.sinks.record import StreamRecord
+
+ROOT = Path(__file__).resolve().parents[3]
+TOKEN = "a-token-of-the-tests"
+HERE = MonitorAddress("127.0.0.1", 0)
+STATES = [
+    StreamState("yard", "running", read=20, committed=8, layers=3, frames_per_second=4.25, latency_ms=312.4),
+    StreamState("<b>", "failed", error="The file <is> gone."),
+    StreamState("late", "starting"),
+]
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Board:
+    board = Board(tmp_path)
+    for read in (8, 16, 20):
+        board.update([after_progress(STATES[0], progress(read), 4.25), *STATES[1:]])
+    picture = LivePicture(live_picture_path(tmp_path, "yard"))
+    picture.show(np.zeros((48, 64, 3), np.uint8), np.ones((48, 64), np.uint16), 7)
+    return board
+
+
+@pytest.fixture
+def url(board: Board, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
+    with serving(HERE, board) as url:
+        yield url
+
+
+def progress(read: int) -> StreamProgress:
+    return StreamProgress(
+        read=read,
+        committed=8,
+        quarantined=0,
+        dropped=0,
+        layers=2,
+        done=False,
+        stage_ms={"a": 300, "b": 12.4},
+        length=37,
+    )
+
+
+def get(url: str, path: str = "/", **headers: str) -> tuple[HTTPResponse, bytes]:
+    connection = HTTPConnection("127.0.0.1", int(url.split(":")[2].split("/")[0]), timeout=10)
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    body = answer.read()
+    connection.close()
+    return answer, body
+
+
+# What it tells
+
+
+def test_the_status_tells_of_every_stream_what_it_does_and_what_waits(url: str) -> None:
+    answer, body = get(url, "/status.json")
+    assert answer.status == 200
+    yard, failed, late = json.loads(body)["streams"]
+    assert (yard["state"], yard["read"], yard["committed"], yard["queued"]) == ("running", 20, 8, 12)
+    assert (yard["frames_per_second"], yard["latency_ms"], yard["dropped"]) == (4.25, 312.4, 0)
+    assert yard["layers_over_time"] == [[8, 2], [16, 2], [20, 2]]
+    assert (yard["length"], yard["seconds_left"]) == (37, 4.0)
+    assert (yard["waits_for"], late["waits_for"]) == (None, "its processes and its first frames")
+    assert failed["error"] == "The file <is> gone."
+    assert [one["rank"] for one in (yard, failed, late)] == [0, 1, 0]
+    assert (failed["picture"], late["picture"], late["state"]) == (None, None, "starting")
+
+
+def test_pictures_are_those_of_the_stream_at_that_place(url: str) -> None:
+    answer, body = get(url, "/pictures/0.jpg?1")
+    assert answer.getheader("Content-Type") == "image/jpeg"
+    picture = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    assert picture.shape == (48, 64, 3)
+    for path in (
+        "/pictures/1.jpg",
+        "/pictures/99.jpg",
+        "/pictures/-1.jpg",
+        "/pictures/../run.json",
+        "/run.json",
+    ):
+        assert get(url, path)[0].status == 404
+
+
+def test_prometheus_gets_a_sample_for_every_stream_and_metric(url: str) -> None:
+    answer, body = get(url, "/metrics")
+    assert (answer.getheader("Content-Type") or "").startswith("text/plain; version=0.0.4")
+    samples = dict(line.rsplit(" ", 1) for line in body.decode().splitlines() if not line.startswith("#"))
+    assert samples['mlbs_stream_read_frames_total{stream="yard"}'] == "20.0"
+    assert samples['mlbs_stream_queued_frames{stream="yard"}'] == "12.0"
+    assert float(samples['mlbs_stream_latency_seconds{stream="yard"}']) == pytest.approx(0.3124)
+    assert samples['mlbs_stream_state{stream="<b>",state="failed"}'] == "1"
+    kinds = [line.split()[2] for line in body.decode().splitlines() if line.startswith("# TYPE")]
+    assert len(kinds) == len(set(kinds)) == len(samples) / 3
+    hostile = MetricsText()([StreamState('a"b\\c')])
+    assert 'stream="a\\"b\\\\c"' in hostile
+
+
+def test_a_counter_does_not_fall_when_a_stream_goes_back() -> None:
+    text, name = MetricsText(), "mlbs_stream_read_frames_total"
+    told = [text([replace(STATES[0], read=read)]) for read in (40, 32, 41)]
+    assert [float(one.split(f'{name}{{stream="yard"}} ')[1].split()[0]) for one in told] == [40, 40, 41]
+
+
+def test_grafanas_board_asks_for_all_that_the_page_serves_and_nothing_else() -> None:
+    text = (ROOT / "configs/grafana.json").read_text(encoding="utf-8")
+    panels = json.loads(text)["panels"]
+    queries = [target["expr"] for panel in panels for target in panel["targets"]]
+    served = set(re.findall(r"^# TYPE (\S+)", MetricsText()(STATES), re.MULTILINE))
+    assert {name for query in queries for name in re.findall(r"mlbs_\w+", query)} == served
+    assert set(re.findall(r"mlbs_\w+", text)) == served  # those that the choice of streams asks for too
+    labels = set(re.findall(r"(\w+)=\"", MetricsText()(STATES)))
+    assert set(re.findall(r"\{\{(\w+)\}\}", text)) == labels == {"stream", "state"}
+    assert len({panel["id"] for panel in panels}) == len(panels)
+
+
+def test_the_past_of_a_long_run_keeps_its_span_in_bounded_room(tmp_path: Path) -> None:
+    board = Board(tmp_path)
+    for read in range(1, 5001):
+        board.update([StreamState("a", "running", read=read, layers=2)])
+    past = board.status()["streams"][0]["layers_over_time"]
+    assert len(past) <= 240
+    assert (past[0][0], past[-1][0]) == (1, 5000)
+
+
+def test_the_latency_is_the_sum_of_the_stages_and_stays_when_a_burst_labelled_nothing() -> None:
+    state = after_progress(StreamState("a"), progress(8), 1.0)
+    assert state.latency_ms == pytest.approx(312.4)
+    nothing = StreamProgress(16, 8, 0, 0, 2, False)
+    assert after_progress(state, nothing, 1.0).latency_ms == pytest.approx(312.4)
+
+
+@pytest.mark.parametrize("away", ["stalled", "reconnecting"])
+def test_a_camera_that_sends_nothing_has_no_rate(away: Literal["stalled", "reconnecting"]) -> None:
+    silent = replace(progress(8), silence=SourceSilence(away, "The camera is away."))
+    state = after_progress(StreamState("gate", "running", frames_per_second=4.0), silent, 3.5)
+    assert (state.state, state.frames_per_second, state.seconds_left) == (away, 0.0, None)
+    usual = replace(progress(8), silence=SourceSilence(None))
+    assert after_progress(state, usual, 3.5).frames_per_second == 3.5
+
+
+# To whom
+
+
+def test_another_sites_name_for_this_machine_is_refused(url: str) -> None:
+    assert get(url, "/status.json", Host="evil.example")[0].status == 403
+    assert get(url, "/status.json", Host="localhost:1234")[0].status == 200
+
+
+@pytest.mark.parametrize("token", ["", "short"])
+def test_elsewhere_than_on_this_machine_a_token_is_demanded(
+    board: Board, monkeypatch: pytest.MonkeyPatch, token: str
+) -> None:
+    monkeypatch.setenv(TOKEN_VARIABLE, token)
+    with pytest.raises(ConfigError, match=TOKEN_VARIABLE), serving(MonitorAddress("0.0.0.0", 0), board):
+        pass
+
+
+def test_who_knows_the_token_gets_in_by_address_cookie_or_header_and_nobody_else(
+    board: Board, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(TOKEN_VARIABLE, TOKEN)
+    with serving(MonitorAddress("0.0.0.0", 0), board) as url:
+        assert TOKEN not in url
+        for path in ("/", "/status.json", "/pictures/0.jpg", "/?token=wrong"):
+            answer, body = get(url, path)
+            assert (answer.status, TOKEN in body.decode()) == (401, False)
+        answer, _ = get(url, f"/?token={TOKEN}")
+        assert (answer.status, answer.getheader("Location")) == (303, "/")
+        cookie = answer.getheader("Set-Cookie") or ""
+        assert "HttpOnly" in cookie
+        assert get(url, "/status.json", Cookie=cookie.partition(";")[0])[0].status == 200
+        assert get(url, "/status.json", Authorization=f"Bearer {TOKEN}")[0].status == 200
+        assert get(url, "/status.json", Cookie="mlbs-monitor=wrong; \x7f")[0].status == 401
+
+
+# Its life
+
+
+def test_the_port_is_free_and_the_thread_gone_once_the_run_ends_even_if_someone_looks_on(
+    board: Board,
+) -> None:
+    with serving(HERE, board) as url:
+        port = int(url.split(":")[2].split("/")[0])
+        lingering = socket.create_connection(("127.0.0.1", port))
+        started = time.monotonic()
+    assert time.monotonic() - started < 5
+    assert not any(thread.name == "monitor" for thread in threading.enumerate())
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port), timeout=2)
+    lingering.close()
+
+
+def test_a_port_that_is_taken_is_refused_with_a_sentence(board: Board) -> None:
+    with serving(HERE, board) as url:
+        taken = MonitorAddress("127.0.0.1", int(url.split(":")[2].split("/")[0]))
+        with pytest.raises(ConfigError, match="cannot listen at"), serving(taken, board):
+            pass
+
+
+# Live pictures
+
+
+def test_a_live_picture_is_replaced_once_a_second_and_at_most_640_wide(tmp_path: Path) -> None:
+    now = [0.0]
+    live = LivePicture(tmp_path / "a.jpg", lambda: now[0])
+    written = []
+    for index in range(30):
+        now[0] = index / 10
+        live.show(np.full((500, 1000, 3), 8 * index, np.uint8), np.zeros((500, 1000), np.uint16), index)
+        picture = cv2.imread(str(tmp_path / "a.jpg"))
+        assert picture is not None
+        assert picture.shape == (320, 640, 3)
+        written.append(round(float(picture[-1, -1].mean()) / 8))
+    assert written == [0] * 10 + [10] * 10 + [20] * 10
+    live.close()  # of a stream that is over the last frame is to be seen
+    picture = cv2.imread(str(tmp_path / "a.jpg"))
+    assert picture is not None
+    assert round(float(picture[-1, -1].mean()) / 8) == 29
+    assert [path.name for path in tmp_path.iterdir()] == ["a.jpg"]
+
+
+def test_a_record_shows_its_frames_and_no_trouble_with_that_reaches_it(tmp_path: Path) -> None:
+    for name in ("live", "gone"):
+        picture = tmp_path / name / "a.jpg"
+        if name == "live":
+            picture.parent.mkdir()
+        record = StreamRecord(tmp_path / f"stream-{name}", "a", frozenset({"masks"}), LivePicture(picture))
+        record.write(segmentation(0), frame(0))
+        assert record.close(whole=True) == 1
+        assert picture.exists() == (name == "live")
+
+
+# In a browser
+
+
+def test_a_browser_shows_every_stream_without_complaint(url: str) -> None:
+    page = open_page(url, seconds=3)
+    assert page.console == []
+    for words in ('<h2 id="name-0">yard</h2>', "&lt;b&gt;", "The file &lt;is&gt; gone.", "312", "4.3"):
+        assert words in page.document
+    for words in ("20 of 37", "00:00:04", "waits for its processes and its first frames"):
+        assert words in page.document
+    assert "1 running, 1 starting, 1 failed" in page.document
+    assert 'alt="Newest frame of yard with its objects outlined and numbered"' in page.document
+    assert "layers over time, at most 2" in page.document
+    # In the document itself, which is what a keyboard and a screen reader go through.
+    assert re.findall(r'<h2 id="name-\d">(.*?)</h2>', page.document) == ["yard", "late", "&lt;b&gt;"]

@@ -1,0 +1,618 @@
+"""The driver of many streams, on fakes: admission, isolation, progress, interruption, exit status."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import pytest
+
+from mlbs_actors.actors.stream.protocol import RunningStream, SourceSilence, StreamProgress, StreamSpec
+from mlbs_actors.config import Config
+from mlbs_actors.errors import ActorLostError, ConfigError, SourceError
+from orchestrator.interruption import Interruption, StopAtOnce
+from orchestrator.run import driver as driver_module
+from orchestrator.run.admission import (
+    STREAM_BYTES,
+    available_memory,
+    cores,
+    places,
+    places_here,
+    streams_to_start,
+)
+from orchestrator.run.driver import Driver, SpecChange
+from orchestrator.run.recovery import MOST_RETURNS
+from orchestrator.run.stream_state import (
+    ENDED,
+    StateName,
+    StreamState,
+    after_end,
+    after_failure,
+    after_interruption,
+    after_progress,
+    after_removal,
+    exit_code,
+    stopped,
+    with_record,
+)
+
+BURST = 4
+
+
+def unused() -> None:
+    raise AssertionError("the driver must not open sources or sinks")
+
+
+def spec(name: str, frames: int = 10) -> StreamSpec:
+    return StreamSpec(name, Config(), unused, unused, max_frames=frames)  # type: ignore[arg-type]
+
+
+def progress(read: int, *, done: bool = False, problem: str | None = None) -> StreamProgress:
+    return StreamProgress(read, read, 0, 0, layers=2, done=done, problem=problem)
+
+
+@dataclass
+class FakeStream:
+    """Reads ``frames`` frames in bursts; fails before frame ``fails_at``."""
+
+    frames: int
+    fails_at: int | None = None
+    problem: str | None = None
+    error: Exception = field(default_factory=lambda: SourceError("The source is gone."))
+    read: int = 0
+    stops: list[bool] = field(default_factory=list)
+    returns: bool = False
+    on_advance: Callable[[], None] = lambda: None
+
+    def advance(self) -> Future[StreamProgress]:
+        assert not self.stops, "advanced after its end"
+        self.on_advance()
+        future: Future[StreamProgress] = Future()
+        self.read = min(self.read + BURST, self.frames)
+        if self.fails_at is not None and self.read > self.fails_at:
+            future.set_exception(self.error)
+        else:
+            future.set_result(progress(self.read, done=self.read == self.frames, problem=self.problem))
+        return future
+
+    def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
+        self.stops.append(drain)
+        self.returns = returns
+        return progress(self.read, done=True) if drain else None
+
+
+class FakeHost:
+    """Hands out prepared streams and counts those that run."""
+
+    def __init__(self, streams: dict[str, FakeStream]) -> None:
+        self.streams = streams
+        self.started: list[str] = []
+        self.most_at_once = 0
+        self.repairs = 0
+
+    def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
+        self.started.append(spec.name)
+        running = sum(not self.streams[name].stops for name in self.started)
+        self.most_at_once = max(self.most_at_once, running)
+        return self.streams[spec.name]
+
+    def repair(self) -> None:
+        self.repairs += 1
+
+    def close(self) -> None:
+        raise AssertionError("the driver does not own the host")
+
+
+class Recorder:
+    """Keeps every state that each stream went through."""
+
+    def __init__(self) -> None:
+        self.history: dict[str, list[StateName]] = {}
+        self.last: Sequence[StreamState] = ()
+
+    def update(self, states: Sequence[StreamState]) -> None:
+        self.last = states
+        for state in states:
+            past = self.history.setdefault(state.name, [])
+            if not past or past[-1] != state.state:
+                past.append(state.state)
+
+
+def drive(
+    streams: dict[str, FakeStream], limit: int = 10, interruption: Interruption | None = None
+) -> tuple[int, dict[str, StreamState], Recorder, FakeHost]:
+    host, recorder = FakeHost(streams), Recorder()
+    driver = Driver(
+        [spec(name) for name in streams],
+        host,
+        limit=limit,
+        observers=[recorder],
+        interruption=interruption or Interruption(),
+    )
+    status = driver.run()
+    return status, {state.name: state for state in driver.states}, recorder, host
+
+
+def test_all_streams_run_to_their_ends_and_give_their_processes_back() -> None:
+    streams = {name: FakeStream(frames) for name, frames in (("a", 3), ("b", 17), ("c", 8))}
+    status, states, recorder, _ = drive(streams)
+    assert status == 0
+    assert {name: (s.state, s.read, s.committed) for name, s in states.items()} == {
+        "a": ("done", 3, 3),
+        "b": ("done", 17, 17),
+        "c": ("done", 8, 8),
+    }
+    assert [stream.stops for stream in streams.values()] == [[False]] * 3
+    assert recorder.history["b"] == ["waiting", "starting", "running", "done"]
+    assert list(recorder.last) == list(states.values())
+
+
+@pytest.mark.parametrize("limit", [1, 2, 5])
+def test_no_more_streams_run_than_there_are_places_and_the_rest_follow_in_order(limit: int) -> None:
+    streams = {f"s{number}": FakeStream(6) for number in range(12)}
+    status, _, _, host = drive(streams, limit)
+    assert status == 0
+    assert host.most_at_once == limit
+    assert sorted(host.started) == sorted(streams)
+    assert host.started[:limit] == list(streams)[:limit]
+
+
+def test_a_place_is_free_only_when_the_stream_before_has_given_its_processes_back() -> None:
+    gone = threading.Event()
+
+    class Slow(FakeStream):
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
+            time.sleep(0.3)
+            gone.set()
+            return super().stop(drain=drain, returns=returns)
+
+    def check() -> None:
+        assert gone.is_set()
+
+    status, states, _, _ = drive({"a": Slow(4), "b": FakeStream(4, on_advance=check)}, limit=1)
+    assert status == 0, states
+
+
+@pytest.mark.parametrize("fails_at", [0, 8])
+@pytest.mark.parametrize("error", [SourceError("The disk is gone."), RuntimeError("a bug")])
+def test_a_stream_that_fails_ends_alone(fails_at: int, error: Exception) -> None:
+    streams = {"bad": FakeStream(20, fails_at=fails_at, error=error), "good": FakeStream(20)}
+    status, states, _, _ = drive(streams)
+    assert status == 1
+    assert states["bad"].state == "failed"
+    assert str(error).rstrip(".") in (states["bad"].error or "")
+    assert states["bad"].committed == fails_at
+    assert streams["bad"].stops == [False]
+    assert (states["good"].state, states["good"].committed) == ("done", 20)
+
+
+def test_a_stream_that_cannot_even_be_started_fails_alone() -> None:
+    class Broken(FakeHost):
+        def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
+            if spec.name == "bad":
+                raise SourceError("No such thing.")
+            return super().start(spec, before)
+
+    host = Broken({"good": FakeStream(5)})
+    driver = Driver([spec("bad"), spec("good")], host, limit=1, observers=[], interruption=Interruption())
+    assert driver.run() == 1
+    assert [state.state for state in driver.states] == ["failed", "done"]
+
+
+def test_a_stream_whose_processes_cannot_be_ended_holds_up_nobody() -> None:
+    class Stuck(FakeStream):
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
+            raise RuntimeError("lost")
+
+    status, states, _, _ = drive({"a": Stuck(4), "b": FakeStream(4)}, limit=1)
+    assert status == 0
+    assert states["b"].state == "done"
+
+
+def test_a_damaged_source_is_partial_and_one_without_a_frame_failed() -> None:
+    streams = {"cut": FakeStream(6, problem="It is cut off."), "none": FakeStream(0)}
+    status, states, _, _ = drive(streams)
+    assert status == 1
+    assert (states["cut"].state, states["cut"].committed, states["cut"].error) == (
+        "partial",
+        6,
+        "It is cut off.",
+    )
+    assert states["none"].state == "failed"
+
+
+def test_passwords_in_errors_never_reach_a_state() -> None:
+    error = RuntimeError("cannot open rtsp://bob:hunter2@cam/door")
+    streams = {
+        "a": FakeStream(9, fails_at=0, error=error),
+        "b": FakeStream(9, problem="rtsp://x:hunter2@y ended."),
+    }
+    _, states, _, _ = drive(streams)
+    assert "hunter2" not in repr(states)
+    assert "rtsp://***@cam/door" in repr(states)
+
+
+def test_a_signal_drains_what_was_read_starts_nothing_more_and_gives_its_status() -> None:
+    interruption = Interruption()
+
+    def interrupt() -> None:
+        interruption.signal_number = signal.SIGTERM
+
+    streams = {
+        "a": FakeStream(1000, on_advance=interrupt),
+        "b": FakeStream(1000),
+        "ended": FakeStream(2),
+        "later": FakeStream(5),
+    }
+    status, states, _, host = drive(streams, limit=3, interruption=interruption)
+    assert status == 143
+    assert (states["a"].state, states["a"].read, states["a"].committed) == ("partial", BURST, BURST)
+    assert "Interrupted after 4 frames" in (states["a"].error or "")
+    assert states["ended"].state == "done"
+    assert states["later"].state == "waiting"
+    assert "later" not in host.started
+    assert [streams[name].stops for name in ("a", "b", "ended")] == [[True], [True], [False]]
+
+
+def test_a_stream_that_fails_while_it_is_drained_is_told_apart() -> None:
+    interruption = Interruption()
+
+    class Lost(FakeStream):
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
+            interruption.signal_number = signal.SIGINT
+            self.stops.append(drain)
+            return None
+
+    def interrupt() -> None:
+        interruption.signal_number = signal.SIGINT
+
+    status, states, _, _ = drive({"a": Lost(1000, on_advance=interrupt)}, interruption=interruption)
+    assert status == 130
+    assert "what was committed is kept" in (states["a"].error or "")
+
+
+# Going back
+
+
+class Again(FakeHost):
+    """Hands out one stream after the other under each name."""
+
+    def __init__(self, attempts: dict[str, list[FakeStream]]) -> None:
+        super().__init__({name: streams[0] for name, streams in attempts.items()})
+        self.attempts = attempts
+        self.before: list[RunningStream | None] = []
+        self.last_tries: list[bool] = []
+
+    def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
+        self.started.append(spec.name)
+        self.before.append(before)
+        self.last_tries.append(spec.last_try)
+        return self.attempts[spec.name].pop(0)
+
+
+def losing(fails_at: int) -> FakeStream:
+    return FakeStream(20, fails_at=fails_at, error=ActorLostError("It lost its layer 3."))
+
+
+def drive_again(host: Again, interruption: Interruption | None = None) -> dict[str, StreamState]:
+    specs = [spec(name) for name in host.attempts]
+    driver = Driver(specs, host, limit=2, observers=[], interruption=interruption or Interruption())
+    driver.run()
+    return {state.name: state for state in driver.states}
+
+
+def test_a_stream_that_lost_a_process_is_stopped_and_started_again() -> None:
+    first, second = losing(8), FakeStream(20)
+    host = Again({"bad": [first, second], "good": [FakeStream(20)]})
+    states = drive_again(host)
+    assert (states["bad"].state, states["bad"].committed, states["bad"].returns) == ("done", 20, 1)
+    assert states["bad"].error is None
+    assert (first.stops, second.stops, host.repairs) == ([False], [False], 1)
+    assert (states["good"].state, states["good"].returns) == ("done", 0)
+
+
+def test_a_stream_that_gets_no_further_fails_after_a_few_returns_and_knows_its_last_try() -> None:
+    host = Again({"bad": [losing(8) for _ in range(9)]})
+    states = drive_again(host)
+    assert states["bad"].state == "failed"
+    assert "layer 3" in (states["bad"].error or "")
+    # The first loss came after label maps that no start before it had committed.
+    assert host.last_tries == [False] * MOST_RETURNS + [True]
+    assert states["bad"].returns == MOST_RETURNS
+
+
+def test_a_stream_is_started_again_with_what_its_last_start_has_left() -> None:
+    first, second = losing(8), losing(16)
+    host = Again({"camera": [first, second, FakeStream(20)]})
+    assert drive_again(host)["camera"].state == "done"
+    assert host.before == [None, first, second]
+    assert (first.returns, second.returns) == (True, True)
+
+
+def test_a_stream_that_does_not_get_on_is_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Hanging(FakeStream):
+        def advance(self) -> Future[StreamProgress]:
+            return super().advance() if self.read < 8 else Future()
+
+    monkeypatch.setattr(driver_module, "STALL_SECONDS", 0.3)
+    host = Again({"slow": [Hanging(20), FakeStream(20)]})
+    states = drive_again(host)
+    assert (states["slow"].state, states["slow"].returns) == ("done", 1)
+
+
+def test_a_stream_that_leaves_the_list_while_it_goes_back_is_not_started_again() -> None:
+    interruption = Interruption()
+    asked: list[StreamState] = []
+
+    class Slow(FakeStream):
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
+            time.sleep(0.5)
+            return super().stop(drain=drain, returns=returns)
+
+    host = Again({"bad": [Slow(20, fails_at=8, error=ActorLostError("It lost its layer 3."))]})
+
+    def changes() -> SpecChange | None:
+        state = driver.states[0]
+        if state.state in ENDED:
+            interruption.signal_number = signal.SIGTERM
+        if state.returns == 0 or asked:
+            return None
+        asked.append(state)
+        return SpecChange((), ("bad",))
+
+    driver = Driver([spec("bad")], host, limit=1, observers=[], interruption=interruption, changes=changes)
+    assert driver.run() == 128 + signal.SIGTERM
+    assert host.started == ["bad"]
+    assert (driver.states[0].state, driver.states[0].committed) == ("partial", 8)
+    assert not driver.states[0].interrupted
+
+
+def test_a_signal_while_a_stream_goes_back_leaves_it_to_be_resumed() -> None:
+    interruption = Interruption()
+
+    class Stopping(FakeStream):
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
+            interruption.signal_number = signal.SIGTERM
+            time.sleep(0.3)
+            return super().stop(drain=drain, returns=returns)
+
+    first = Stopping(20, fails_at=8, error=ActorLostError("It lost its layer 3."))
+    host = Again({"bad": [first, FakeStream(20)]})
+    states = drive_again(host, interruption)
+    assert host.started == ["bad"]
+    assert (states["bad"].state, states["bad"].interrupted) == ("partial", True)
+
+
+def test_streams_that_ended_in_an_earlier_run_are_left_alone() -> None:
+    host = FakeHost({"new": FakeStream(4)})
+    ended = {"old": StreamState("old", "done", read=9, committed=9)}
+    driver = Driver(
+        [spec("old"), spec("new")],
+        host,
+        limit=2,
+        observers=[],
+        interruption=Interruption(),
+        ended=ended,
+    )
+    assert driver.run() == 0
+    assert host.started == ["new"]
+    assert driver.states[0] == ended["old"]
+
+
+# Signals
+
+
+def test_the_first_signal_is_noted_the_second_ends_at_once_and_the_handlers_are_given_back(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with Interruption() as interruption:
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert interruption.signal_number == signal.SIGTERM
+        with pytest.raises(StopAtOnce) as stop:
+            os.kill(os.getpid(), signal.SIGINT)
+        assert stop.value.signal_number == signal.SIGTERM
+    assert signal.getsignal(signal.SIGTERM) is before
+    assert capsys.readouterr().err.count("a second signal ends the run at once") == 1
+    with Interruption():
+        pass
+    assert capsys.readouterr().err == ""
+
+
+# Rules
+
+
+def test_a_rate_is_known_after_two_seconds_and_is_that_of_the_last_ten() -> None:
+    times = iter([0.0, 1.0, 2.0, 10.0, 12.5])
+    rate = driver_module._Rate(lambda: next(times))
+    assert [rate.after(frames) for frames in (8, 12, 28, 108, 133)] == [0.0, 0.0, 10.0, 10.0, 10.0]
+
+
+def test_counts_and_rate_follow_progress() -> None:
+    state = after_progress(StreamState("a", "starting"), progress(8), 12.5)
+    assert (state.state, state.read, state.committed, state.layers, state.frames_per_second) == (
+        "running",
+        8,
+        8,
+        2,
+        12.5,
+    )
+
+
+def test_a_stream_is_starting_until_its_first_frame_is_read() -> None:
+    assert after_progress(StreamState("a", "starting"), progress(0), 0.0).state == "starting"
+
+
+def test_quarantined_frames_alone_make_a_stream_partial() -> None:
+    end = StreamProgress(read=5, committed=4, quarantined=1, dropped=0, layers=1, done=True)
+    state = after_end(StreamState("a", "running"), end)
+    assert state.state == "partial"
+    assert "1 frame could not be decoded" in (state.error or "")
+
+
+def test_a_failed_stream_keeps_its_counts() -> None:
+    running = after_progress(StreamState("a"), progress(8), 3.0)
+    assert replace(after_failure(running, "x"), state="running", error=None, layers=2) == replace(
+        running, frames_per_second=0.0
+    )
+
+
+def test_an_interrupted_stream_without_final_progress_keeps_its_counts() -> None:
+    running = after_progress(StreamState("a"), progress(8), 3.0)
+    assert after_interruption(running, None).committed == 8
+
+
+def test_a_run_that_is_ended_at_once_leaves_nothing_at_work_and_what_has_ended_as_it_is() -> None:
+    running = after_progress(StreamState("a"), progress(8), 3.0)
+    done, waiting = StreamState("b", "done"), StreamState("c")
+    left = stopped([running, done, waiting])
+    assert left[1:] == (done, waiting)
+    assert (left[0].state, left[0].interrupted, left[0].committed) == ("partial", True, 8)
+
+
+@pytest.mark.parametrize(
+    ("names", "signal_number", "status"),
+    [
+        (("done", "done"), None, 0),
+        (("done", "partial"), None, 1),
+        (("failed", "done"), None, 1),
+        (("done", "done"), signal.SIGINT, 130),
+        (("failed", "waiting"), signal.SIGTERM, 143),
+    ],
+)
+def test_the_exit_status_follows_the_states_and_the_signal(
+    names: tuple[StateName, ...], signal_number: int | None, status: int
+) -> None:
+    assert exit_code([StreamState("x", name) for name in names], signal_number) == status
+
+
+def test_only_running_streams_hold_places() -> None:
+    names: list[StateName] = [
+        "done",
+        "running",
+        "waiting",
+        "failed",
+        "starting",
+        "waiting",
+        "partial",
+        "waiting",
+    ]
+    states = [StreamState(str(number), name) for number, name in enumerate(names)]
+    assert streams_to_start(states, 2) == ()
+    assert streams_to_start(states, 4) == ("2", "5")
+    assert streams_to_start(states, 99) == ("2", "5", "7")
+    assert streams_to_start(states, 1) == ()
+
+
+@pytest.mark.parametrize(
+    ("gibibytes", "core_count", "expected"), [(24, 2, 4), (6, 2, 3), (1, 2, 1), (0, 1, 1), (256, 64, 128)]
+)
+def test_places_are_bounded_by_memory_and_cores(gibibytes: int, core_count: int, expected: int) -> None:
+    assert places(gibibytes * 2**30, core_count) == expected
+
+
+def test_all_places_together_fit_the_memory_with_room_left() -> None:
+    for gibibytes in range(3, 200):
+        memory = gibibytes * 2**30
+        assert places(memory, 10_000) * STREAM_BYTES < memory
+
+
+def test_memory_is_the_least_of_what_machine_and_container_leave(tmp_path: Path) -> None:
+    (tmp_path / "meminfo").write_text("MemTotal: 900 kB\nMemAvailable:     800 kB\n")
+    assert available_memory(tmp_path, tmp_path) == 800 * 1024
+    (tmp_path / "memory.max").write_text("max\n")
+    (tmp_path / "memory.current").write_text("1000\n")
+    assert available_memory(tmp_path, tmp_path) == 800 * 1024
+    (tmp_path / "memory.max").write_text("5000\n")
+    assert available_memory(tmp_path, tmp_path) == 4000
+
+
+def test_this_machine_has_memory_and_cores() -> None:
+    assert available_memory() > 2**20
+    assert cores() >= 1
+
+
+def test_a_failed_stream_is_shown_with_what_its_record_holds() -> None:
+    failed = StreamState("a", state="failed", read=3, committed=0, quarantined=1)
+    assert (with_record(failed, 7).read, with_record(failed, 7).committed) == (7, 6)
+    assert with_record(failed, 0) == failed
+    done = StreamState("b", state="done", read=7, committed=7)
+    assert with_record(done, 3) == done
+
+
+def test_streams_that_come_are_run_and_those_that_leave_are_finished_until_a_signal() -> None:
+    streams = {"endless": FakeStream(10**9), "waits": FakeStream(4), "new": FakeStream(8)}
+    host, recorder, interruption = FakeHost(streams), Recorder(), Interruption()
+    left = [SpecChange((), ("waits",)), SpecChange((spec("new"),), ("endless",)), SpecChange((), ("new",))]
+
+    def changes() -> SpecChange | None:
+        """The first two while the endless one runs, the third when all is over, then a signal."""
+        is_over = all(state.state in ENDED for state in recorder.last)
+        if is_over and not left:
+            interruption.signal_number = signal.SIGTERM
+        due = streams["endless"].read >= 20 if len(left) > 1 else is_over
+        return left.pop(0) if left and due else None
+
+    driver = Driver(
+        [spec("endless"), spec("waits")],
+        host,
+        limit=1,
+        observers=[recorder],
+        interruption=interruption,
+        changes=changes,
+    )
+    assert driver.run() == 128 + signal.SIGTERM
+    states = {state.name: state for state in driver.states}
+    assert list(states) == ["endless", "new"]
+    assert (states["endless"].state, states["endless"].committed) == ("done", streams["endless"].read)
+    assert streams["endless"].stops == [True]
+    assert host.started == ["endless", "new"]
+    assert (states["new"].state, states["new"].committed) == ("done", 8)
+
+
+def test_a_stream_that_leaves_with_nothing_to_keep_or_without_an_answer_is_partial() -> None:
+    running = StreamState("a", "running", read=9, committed=5)
+    assert after_removal(running, progress(9, done=True)).state == "done"
+    assert after_removal(running, progress(9, done=True, problem="Damaged.")).error == "Damaged."
+    lost = after_removal(running, None)
+    assert (lost.state, lost.committed) == ("partial", 5)
+    assert "what was committed is kept" in (lost.error or "")
+    assert after_removal(StreamState("a", "starting"), progress(0, done=True)).state == "partial"
+
+
+def test_a_camera_that_is_silent_or_away_is_told_until_it_is_back() -> None:
+    state = StreamState("a", "starting")
+    away = replace(progress(0), silence=SourceSilence("reconnecting", "The camera rtsp://b:pw@c is away."))
+    state = after_progress(state, away, 0.0)
+    assert (state.state, state.error) == ("reconnecting", "The camera rtsp://***@c is away.")
+    state = after_progress(state, replace(progress(0), silence=SourceSilence(None)), 0.0)
+    assert (state.state, state.error) == ("starting", None)
+    state = after_progress(state, replace(progress(8), dropped=2, gaps=1), 4.0)
+    assert (state.state, state.error, state.dropped, state.gaps) == ("running", None, 2, 1)
+
+
+def test_a_node_that_does_not_see_the_output_folder_takes_no_stream(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="put it on a file system that all nodes share"):
+        places_here(tmp_path)
+    (tmp_path / "run.json").touch()
+    assert places_here(tmp_path) >= 1
+
+
+def test_the_limit_can_grow_while_streams_run() -> None:
+    limits = iter([1] * 3)
+    host = FakeHost({name: FakeStream(8) for name in "abc"})
+    driver = Driver(
+        [spec(name) for name in "abc"],
+        host,
+        limit=lambda: next(limits, 3),
+        observers=[],
+        interruption=Interruption(),
+    )
+    assert driver.run() == 0
+    assert [state.state for state in driver.states] == ["done"] * 3

@@ -1,0 +1,591 @@
+"""The command as a user meets it: its flags, its refusals, its exit status, whole runs."""
+
+from __future__ import annotations
+
+import fcntl
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast
+
+import cv2
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from camera_server import PASSWORD, camera, free_port, needs_rtsp_server
+from PIL import Image
+
+from mlbs_actors.config import Config
+from mlbs_actors.errors import ConfigError
+from orchestrator import ray_session
+from orchestrator.__main__ import main
+from orchestrator.command_line import SAVED, parse
+from orchestrator.monitor.address import MonitorAddress
+from orchestrator.ray_session import ray_settings
+from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
+from orchestrator.run.stream_list import read_stream_list
+from orchestrator.run.stream_state import StreamState
+from orchestrator.sources.synthetic import scene
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def command(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "orchestrator", *map(str, arguments)],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+
+
+def stream_list(folder: Path, *lines: str) -> Path:
+    path = folder / "list.txt"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+# Flags
+
+
+def test_the_defaults_are_those_of_the_help() -> None:
+    arguments = parse(["--streams", "list.txt"])
+    assert arguments.output == Path("out")
+    assert arguments.save == frozenset({"masks", "parquet", "overlay"}) == frozenset(SAVED)
+    assert (arguments.address, arguments.config, arguments.max_frames) == (None, None, None)
+    assert not arguments.resume
+
+
+@pytest.mark.parametrize(
+    ("flags", "address"),
+    [
+        ([], None),
+        (["--monitor"], MonitorAddress("127.0.0.1", 0)),
+        (["--monitor", "8080"], MonitorAddress("127.0.0.1", 8080)),
+        (["--monitor", "0.0.0.0:8080"], MonitorAddress("0.0.0.0", 8080)),
+    ],
+)
+def test_the_monitor_stays_on_this_machine_unless_asked(
+    flags: list[str], address: MonitorAddress | None
+) -> None:
+    assert parse(["--streams", "l", *flags]).monitor == address
+
+
+def test_the_command_of_a_run_asks_for_the_same(tmp_path: Path) -> None:
+    flags = ["--streams", "l", "--set", "a.b=1", "c.d=2", "--save", "masks", "--max-frames", "3"]
+    given = parse(flags)
+    python, module, name, *again = given.command("elsewhere")
+    assert (python, module, name) == (sys.executable, "-m", "orchestrator")
+    asked = parse(again)
+    assert asked.output == Path("elsewhere")
+    assert asked.streams == Path("l").absolute()
+    assert (asked.overrides, asked.save, asked.max_frames) == (given.overrides, given.save, given.max_frames)
+
+
+def test_set_may_be_given_once_or_often() -> None:
+    arguments = parse(["--streams", "l", "--set", "a.b=1", "c.d=2", "--set", "e.f=3"])
+    assert arguments.overrides == ("a.b=1", "c.d=2", "e.f=3")
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--resume", "--watch"], "cannot go with --resume"),
+        (["--monitor", "web"], "PORT or HOST:PORT"),
+        (["--monitor", "0.0.0.0:70000"], "PORT or HOST:PORT"),
+        (["--save", "mask"], "knows no 'mask'"),
+        (["--save", ""], "--save names nothing"),
+        (["--address", "ray://head:10001"], "HOST:PORT"),
+        (["--address", "nohost"], "HOST:PORT"),
+        (["--address", ":6379"], "HOST:PORT"),
+        (["--address", "head:port"], "HOST:PORT"),
+        (["--output", "s3://bucket/out"], "mount the storage"),
+    ],
+)
+def test_what_is_not_there_is_refused_with_a_sentence(flags: list[str], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        parse(["--streams", "list.txt", *flags])
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [["--max-frames", "0"], ["--max-frames", "-3"], ["--max-frames", "x"], ["--max-side", "3"], ["--what"]],
+)
+def test_a_wrong_flag_or_value_ends_with_status_2(flags: list[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        parse(["--streams", "list.txt", *flags])
+    assert end.value.code == 2
+
+
+def test_the_help_names_every_flag_source_output_and_exit_status(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        parse(["--help"])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    flags = (
+        "streams",
+        "output",
+        "config",
+        "set",
+        "address",
+        "resume",
+        "save",
+        "monitor",
+        "max-frames",
+        "max-side",
+    )
+    for word in (
+        *(f"--{flag}" for flag in flags),
+        *("rtsp://", "/dev/videoN", "synthetic:", "status.json", "commits.jsonl", "overlay.mp4", "130"),
+    ):
+        assert word in text
+
+
+# Refusals before anything starts
+
+
+@pytest.mark.parametrize(
+    ("lines", "flags", "words"),
+    [
+        ([], [], "holds no stream"),
+        (["# mine", "gone.mp4", "away none/*.png"], [], "line 2: There is no file or folder"),
+        (["a.mp4", "http://x/y", "a b c"], [], "line 2:"),
+        (["synthetic:demo"], ["--set", "layers.nothing=1"], "nothing"),
+        (["synthetic:demo"], ["--config", "none.yaml"], "none.yaml"),
+        (["a.mp4", "yard rtsp://bob:hunter2@x/y z"], [], "line 2:"),
+    ],
+)
+def test_a_bad_list_or_configuration_ends_with_status_2_and_leaves_no_trace(
+    tmp_path: Path, lines: list[str], flags: list[str], words: str
+) -> None:
+    output = tmp_path / "out"
+    ended = command("--streams", stream_list(tmp_path, *lines), "--output", output, *flags)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert words in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert "hunter2" not in ended.stderr
+    assert not output.exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_program_is_still_loading_ends_it_without_a_traceback(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    # The first thing that is imported after the handlers are set sends it.
+    (tmp_path / "pydantic.py").write_text(f"import os\nos.kill(os.getpid(), {int(number)})\n")
+    ended = subprocess.run(
+        [sys.executable, "-m", "orchestrator", "--streams", "list.txt"],
+        cwd=REPOSITORY,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + number, "", "")
+
+
+def test_a_missing_list_ends_with_status_2() -> None:
+    ended = command("--streams", "/nowhere/list.txt")
+    assert ended.returncode == 2
+    assert "/nowhere/list.txt" in ended.stderr
+
+
+def _with_stubs(folder: Path) -> Path:
+    """A copy of scripts/run beside stubs of what it calls; its Python prints its arguments, a line each."""
+    for stub, does in (("scripts/setup", ""), (".venv/bin/python", "printf '%s\\n' \"$@\"")):
+        (folder / stub).parent.mkdir(parents=True)
+        (folder / stub).write_text(f"#!/bin/sh\n{does}\n")
+        (folder / stub).chmod(0o755)
+    return Path(shutil.copy(REPOSITORY / "scripts/run", folder / "scripts/run"))
+
+
+@pytest.mark.parametrize(
+    ("flags", "there", "expected"),
+    [
+        ([], [], ["--streams", "DEMO", "--output", "out"]),
+        ([], ["out", "out-2"], ["--streams", "DEMO", "--output", "out-3"]),
+        (["--max-frames", "3"], ["out"], ["--streams", "DEMO", "--output", "out-2", "--max-frames", "3"]),
+        (["--output=x"], [], ["--streams", "DEMO", "--output=x"]),
+        (["--streams", "l", "--max-frames", "3"], ["out"], ["--streams", "l", "--max-frames", "3"]),
+        (["--streams=l"], [], ["--streams=l"]),
+        (["--help"], [], ["--help"]),
+    ],
+)
+def test_the_main_script_takes_the_demo_list_where_no_list_is_given(
+    tmp_path: Path, flags: list[str], there: list[str], expected: list[str]
+) -> None:
+    root, elsewhere = tmp_path / "root", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for name in there:
+        (elsewhere / name).mkdir()
+    ended = subprocess.run(
+        [_with_stubs(root), *flags], cwd=elsewhere, capture_output=True, text=True, timeout=20, check=True
+    )
+    demo = str(root / "configs/streams.txt")
+    arguments = ["-m", "orchestrator", *(demo if word == "DEMO" else word for word in expected)]
+    assert ended.stdout.splitlines() == arguments
+
+
+@pytest.mark.parametrize("flags", [[], ["--streams", "l"]])
+def test_the_main_script_says_how_to_use_own_videos_and_becomes_the_program_that_signals_are_for(
+    tmp_path: Path, flags: list[str]
+) -> None:
+    script = _with_stubs(tmp_path / "root")
+    python = tmp_path / "root/.venv/bin/python"
+    python.write_text("#!/bin/sh\nkill -INT $$\nexit 3\n")
+    started = subprocess.Popen([script, *flags], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    _, stderr = started.communicate(timeout=20)
+    assert started.returncode == -signal.SIGINT
+    assert ("For your own videos" in stderr) == (not flags)
+
+
+def test_an_output_folder_that_holds_a_run_is_refused_untouched(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/run.json").write_text("{}")
+    ended = command("--streams", stream_list(tmp_path, "synthetic:demo"), "--output", tmp_path / "out")
+    assert ended.returncode == 2
+    assert "holds a run already" in ended.stderr
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["run.json"]
+
+
+def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) -> None:
+    given = ("--streams", stream_list(tmp_path, "street street.mp4"), "--output", tmp_path / "out")
+    (tmp_path / "street.mp4").write_bytes(b"read before")
+    arguments = parse([str(word) for word in given])
+    streams, config = read_stream_list(arguments.streams), Config()
+    folder = RunFolder(tmp_path / "out")
+    folder.claim(describe_run(streams, config, arguments.save, None))
+    StatusFile(folder.path / "status.json").finish([StreamState("street", "done", read=9, committed=9)], 0)
+    ended = command(*given, "--resume")
+    assert ended.returncode == 0, ended.stderr
+    assert "1 stream ended before" in ended.stderr
+    assert "1 of 1 stream complete" in ended.stderr
+    assert "Starting Ray" not in ended.stderr
+    assert json.loads(ended.stdout)["state"] == "done"
+    assert (folder.path / "report.html").stat().st_size
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere.invalid:6379"])
+def test_a_cluster_that_cannot_be_reached_ends_with_status_2_soon(tmp_path: Path, address: str) -> None:
+    path, output = stream_list(tmp_path, "synthetic:demo"), tmp_path / "out"
+    started = time.monotonic()
+    ended = command("--streams", path, "--output", output, "--address", address)
+    assert ended.returncode == 2
+    assert "cannot be joined" in ended.stderr
+    assert not output.exists()
+    assert time.monotonic() - started < 60
+
+
+def test_without_the_packages_of_a_run_the_command_names_them_and_how_to_get_them(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name in ("av", "ray") else name)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of the test run stay
+    assert main(["--help"]) == 2
+    message = capsys.readouterr().err
+    assert "(av, ray)" in message
+    assert "[run]" in message
+
+
+def test_settings_of_ray_come_before_ray_or_not_at_all() -> None:
+    code = "import ray, orchestrator.ray_session as r\nwith r.ray_settings(None): pass"
+    ended = subprocess.run(
+        [sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+    assert "RuntimeError: Ray is imported already" in ended.stderr
+
+
+def test_settings_of_ray_hold_a_token_that_only_the_user_reads_and_are_undone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delitem(sys.modules, "ray", raising=False)
+    monkeypatch.setenv("RAY_ADDRESS", "elsewhere:1")
+    with ray_settings(None) as scratch:
+        token = Path(os.environ["RAY_AUTH_TOKEN_PATH"])
+        assert os.environ["RAY_AUTH_MODE"] == "token"
+        assert "RAY_ADDRESS" not in os.environ
+        assert len(token.read_text()) == 64
+        assert [path.stat().st_mode & 0o077 for path in (token, scratch)] == [0, 0]
+    assert os.environ["RAY_ADDRESS"] == "elsewhere:1"
+    assert not scratch.exists()
+
+
+def test_what_a_late_process_of_ray_leaves_in_its_folder_is_removed_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    removals = []
+
+    def remove(folder: Path, *, ignore_errors: bool) -> None:
+        removals.append(folder)
+        if len(removals) == 3:  # up to then somebody writes
+            folder.rmdir()
+
+    monkeypatch.setattr(shutil, "rmtree", remove)
+    ray_session._remove(scratch)
+    assert (len(removals), scratch.exists()) == (3, False)
+
+
+def test_what_a_killed_run_has_left_is_removed_and_nothing_of_a_living_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = (
+        "import pathlib, sys, time, orchestrator.ray_session as r\n"
+        "r._SCRATCH_PARENT = pathlib.Path(sys.argv[1])\n"
+        "with r.ray_settings(None) as scratch: print(scratch, flush=True); time.sleep(60)"
+    )
+    begin = [sys.executable, "-c", code, str(tmp_path)]
+    (tmp_path / "mlbs-ray-file").touch()
+    (tmp_path / "others").mkdir()
+    with (
+        subprocess.Popen(begin, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True) as killed,
+        subprocess.Popen(begin, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True) as living,
+    ):
+        left, kept = (Path(run.stdout.readline().strip()) for run in (killed, living) if run.stdout)
+        killed.kill()
+        killed.wait()
+        assert (left / "token").exists()
+        monkeypatch.delitem(sys.modules, "ray", raising=False)
+        monkeypatch.setattr(ray_session, "_SCRATCH_PARENT", tmp_path)
+        with ray_settings(None) as scratch:
+            assert {path.name for path in tmp_path.iterdir()} == {
+                *("mlbs-ray-file", "others", kept.name, scratch.name)
+            }
+            assert (kept / "token").exists()
+        living.kill()
+
+
+@pytest.mark.parametrize("moment", ["before it is opened", "before it is locked"])
+def test_a_new_folder_that_a_run_beside_takes_for_abandoned_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    make, lock = tempfile.mkdtemp, fcntl.flock
+    removed: list[Path] = []
+
+    def run_beside(folder: Path) -> None:
+        if not removed:  # the first folder only
+            removed.append(folder)
+            folder.rmdir()
+
+    def made(prefix: str, dir: Path) -> str:
+        folder = make(prefix=prefix, dir=dir)
+        if moment == "before it is opened":
+            run_beside(Path(folder))
+        return folder
+
+    def locked(descriptor: int, operation: int) -> None:
+        if moment == "before it is locked" and operation == fcntl.LOCK_EX:
+            run_beside(Path(f"/proc/self/fd/{descriptor}").resolve())
+        lock(descriptor, operation)
+
+    monkeypatch.delitem(sys.modules, "ray", raising=False)
+    monkeypatch.setattr(ray_session, "_SCRATCH_PARENT", tmp_path)
+    monkeypatch.setattr(tempfile, "mkdtemp", made)
+    monkeypatch.setattr(fcntl, "flock", locked)
+    with ray_settings(None) as scratch:
+        assert removed
+        assert [scratch] == list(tmp_path.iterdir())
+        assert scratch not in removed
+
+
+# Whole runs
+
+
+def _masks(stream: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((stream / "masks").iterdir())}
+
+
+def _frames(stream: Path) -> list[dict[str, object]]:
+    return [
+        row for part in sorted(stream.glob("frames-*.parquet")) for row in pq.read_table(part).to_pylist()
+    ]
+
+
+#: Prints the niceness of a process of a session of our own, and this one's.
+_NICENESS = """
+import os
+from orchestrator.ray_session import ray_session, ray_settings
+with ray_settings(None) as scratch:
+    import ray
+    with ray_session(None, scratch):
+        theirs = ray.get(ray.remote(num_cpus=0)(lambda: os.nice(0)).remote())
+print(theirs, os.nice(0))
+"""
+
+
+@pytest.mark.ray
+def test_processes_of_a_session_of_our_own_are_as_nice_as_the_command() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", _NICENESS], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+    theirs, ours = ended.stdout.split()[-2:]
+    assert theirs == ours, ended.stderr
+
+
+@pytest.mark.ray
+def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(tmp_path: Path) -> None:
+    pictures = [scene("demo", frames=12, width=160, height=120).frame(index) for index in range(12)]
+    (tmp_path / "folder").mkdir()
+    for index, picture in enumerate(pictures):
+        cv2.imwrite(str(tmp_path / f"folder/p{index}.png"), picture)
+    (tmp_path / "folder/p4.png").write_bytes(b"damaged")
+    lines = [
+        "demo 'synthetic:demo?frames=12&width=160&height=120'",
+        "twin 'synthetic:demo?frames=12&width=160&height=120'",
+        "folder",
+        "gone none.mp4",
+        "door rtsp://bob:hunter2@127.0.0.1:9/door",
+    ]
+    output = tmp_path / "out"
+    ended = command("--streams", stream_list(tmp_path, *lines), "--output", output)
+    assert ended.returncode == 1, ended.stderr
+    status = json.loads((output / "status.json").read_text())["streams"]
+    assert {
+        name: (s["state"], s["read"], s["committed"], s["quarantined"]) for name, s in status.items()
+    } == {
+        "demo": ("done", 12, 12, 0),
+        "twin": ("done", 12, 12, 0),
+        "folder": ("partial", 12, 11, 1),
+        "gone": ("failed", 0, 0, 0),
+        "door": ("failed", 0, 0, 0),
+    }
+    assert list(_masks(output / "demo")) == [f"{index:05d}.png" for index in range(12)]
+    assert status["gone"]["line"] == 4
+    before_ray, _, _ = ended.stderr.partition("Starting Ray")
+    assert f"line 4: There is no file or folder {tmp_path / 'none.mp4'}" in before_ray
+    assert "line 5, door (failed): " in ended.stderr
+    assert _masks(output / "demo") == _masks(output / "twin")
+    assert len(_masks(output / "folder")) == 11
+    assert "p4.png" not in _masks(output / "folder")
+    assert [row["status"] for row in _frames(output / "folder")].index("quarantined") == 4
+    labels = np.asarray(Image.open(output / "demo/masks/00011.png"))
+    assert labels.shape == (120, 160)
+    for name in ("run.json", "report.html", "demo/overlay.mp4", "demo/commits.jsonl"):
+        assert (output / name).stat().st_size
+    last = [json.loads(line) for line in ended.stdout.splitlines()]
+    assert {line["stream"]: line["state"] for line in last} == {
+        name: stream["state"] for name, stream in status.items()
+    }
+    assert str(output) in ended.stderr
+    everything = ended.stdout + ended.stderr
+    everything += "".join(path.read_text() for path in output.glob("*.*"))
+    assert "hunter2" not in everything
+    assert "Traceback" not in everything
+
+
+def _session_folders(driver: int) -> set[Path]:
+    """Those of one run, told by its process: other runs may begin meanwhile."""
+    return set(Path("/tmp").glob(f"mlbs-ray-*/session_*_{driver}"))
+
+
+def _wait_for(condition: Callable[[], bool], seconds: float) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.1)
+
+
+@pytest.mark.ray
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
+def test_a_signal_ends_a_run_cleanly_with_all_that_was_read_committed(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    path = stream_list(
+        tmp_path, "demo 'synthetic:demo?frames=5000&width=64&height=48'", "late synthetic:demo"
+    )
+    output = tmp_path / "out"
+    run = subprocess.Popen(
+        [sys.executable, "-m", "orchestrator", "--streams", str(path), "--output", str(output)],
+        cwd=REPOSITORY,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with run:
+        _wait_for(lambda: (output / "demo/commits.jsonl").exists(), 120)
+        run.send_signal(number)
+        _, stderr = run.communicate(timeout=60)
+    assert run.returncode == 128 + number, stderr
+    for words in (
+        "a second signal ends the run at once",
+        f"give the same command with --resume --output {output}.",
+    ):
+        assert stderr.count(words) == 1
+    status = json.loads((output / "status.json").read_text())["streams"]["demo"]
+    assert status["state"] == "partial"
+    assert 0 < status["read"] == status["committed"] < 5000
+    assert len(_masks(output / "demo")) == status["committed"]
+    assert [row["frame"] for row in _frames(output / "demo")] == list(range(status["read"]))
+    assert not _session_folders(run.pid)
+
+
+@needs_rtsp_server
+@pytest.mark.ray
+@pytest.mark.long
+def test_a_watched_list_with_a_camera_that_goes_away_and_comes_back(tmp_path: Path) -> None:
+    port, output = free_port(), tmp_path / "out"
+    door = f"door rtsp://bob:{PASSWORD}@127.0.0.1:{port}/door"
+    path = stream_list(tmp_path, "endless 'synthetic:demo?frames=5000&width=160&height=120'", door)
+
+    def streams() -> dict[str, dict[str, object]]:
+        status: dict[str, dict[str, dict[str, object]]] = json.loads((output / "status.json").read_text())
+        return status["streams"]
+
+    def is_in(name: str, state: str, least: int = 0) -> Callable[[], bool]:
+        return lambda: streams()[name]["state"] == state and cast(int, streams()[name]["committed"]) >= least
+
+    run = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "orchestrator", "--watch", "--max-side", "80"),
+            *("--streams", str(path), "--output", str(output)),
+        ],
+        cwd=REPOSITORY,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    with run:
+        with camera(port):
+            _wait_for((output / "door/commits.jsonl").exists, 200)
+            stream_list(tmp_path, "late 'synthetic:demo?frames=6&width=64&height=48'", "x y z", door)
+            _wait_for(lambda: "late" in streams(), 60)
+            assert streams()["endless"]["state"] == "running"
+            stream_list(tmp_path, "late 'synthetic:demo?frames=6&width=64&height=48'", door)
+            _wait_for(is_in("endless", "done"), 60)
+            _wait_for(is_in("late", "done", 6), 60)
+        _wait_for(is_in("door", "reconnecting"), 60)
+        assert "is away" in str(streams()["door"]["error"])
+        with camera(port):
+            _wait_for(is_in("door", "running"), 60)
+            time.sleep(2.0)
+            run.send_signal(signal.SIGINT)
+            shown, _ = run.communicate(timeout=60)
+    assert run.returncode == 130, shown
+    assert "line 2: has 3 words" in shown
+    last = streams()
+    for name in ("endless", "late", "door"):
+        counts = [cast(int, last[name][key]) for key in ("read", "committed", "dropped", "quarantined")]
+        assert counts[0] == sum(counts[1:])
+        rows = [row["status"] for row in _frames(output / name)]
+        assert [rows.count(status) for status in ("ok", "dropped", "gap")] == [
+            counts[1],
+            counts[2],
+            last[name]["gaps"],
+        ]
+    assert last["door"]["gaps"] == 1
+    masks = _masks(output / "door")
+    assert np.asarray(Image.open(output / "door/masks" / min(masks))).shape == (120, 160)
+    assert list(json.loads((output / "run.json").read_text())["sources"]) == ["endless", "door", "late"]
+    everything = shown + "".join(file.read_text() for file in output.glob("*.*"))
+    assert PASSWORD not in everything

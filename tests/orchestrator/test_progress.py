@@ -1,0 +1,139 @@
+"""What is shown while a run goes on."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from orchestrator.progress import JsonLines, LiveTable, progress_for
+from orchestrator.run.stream_state import StreamState
+
+
+def lines(output: io.StringIO) -> list[dict[str, object]]:
+    return [json.loads(line) for line in output.getvalue().splitlines()]
+
+
+def test_away_from_a_terminal_each_change_of_state_is_a_json_line() -> None:
+    output = io.StringIO()
+    progress = progress_for(output)
+    progress.update([StreamState("a"), StreamState("b")])
+    progress.update([StreamState("a", "starting"), StreamState("b")])
+    progress.update([StreamState("a", "failed", error="It is gone."), StreamState("b")])
+    progress.close()
+    assert [(line["stream"], line["state"]) for line in lines(output)] == [
+        ("a", "waiting"),
+        ("b", "waiting"),
+        ("a", "starting"),
+        ("a", "failed"),
+    ]
+    assert lines(output)[-1]["error"] == "It is gone."
+
+
+def test_a_running_stream_gets_a_line_every_five_seconds_if_it_moves() -> None:
+    output, now = io.StringIO(), [0.0]
+    progress = JsonLines(output, lambda: now[0])
+    for second in range(31):
+        now[0] = float(second)
+        progress.update([StreamState("a", "running", read=min(second, 20))])
+    assert [line["read"] for line in lines(output)] == [0, 5, 10, 15, 20]
+
+
+def table(states: list[StreamState], height: int = 40, width: int = 110) -> str:
+    console = Console(file=io.StringIO(), force_terminal=True, width=width, height=height, no_color=True)
+    progress = LiveTable(console)
+    progress.update(states)
+    progress.close()
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def test_the_table_shows_frames_rate_layers_state_and_faults() -> None:
+    shown = table(
+        [
+            StreamState("yard", "running", read=120, committed=96, layers=4, frames_per_second=17.25),
+            StreamState("[red]x", "failed", error="The file [b]is gone."),
+        ]
+    )
+    for text in ("yard", "running", "120", "96", "17.2", "4", "[red]x", "The file [b]is gone."):
+        assert text in shown
+
+
+def test_the_table_shows_how_much_is_left_where_that_is_known_and_what_a_start_waits_for() -> None:
+    running = StreamState("yard", "running", read=120, frames_per_second=2.0, length=600)
+    shown = table([running, StreamState("gate", "starting"), StreamState("cam", "running", read=9)])
+    for text in ("120 of 600", "0:04:00", "waits for its processes"):
+        assert text in shown
+    assert "9 of" not in shown
+    done = replace(running, state="done", read=590, frames_per_second=0.0)
+    assert "of 600" not in table([done])  # the header was wrong, and the stream is whole
+
+
+def test_on_a_narrow_terminal_a_note_is_still_a_sentence_and_what_is_shown_fits() -> None:
+    states = [
+        StreamState(f"w{number}", "running", read=1234, committed=1200, frames_per_second=17.25, length=12345)
+        for number in range(9)
+    ]
+    states += [
+        StreamState(f"b{number}", "failed", error=f"The file {number} is gone.") for number in range(9)
+    ]
+    shown = table([*states, StreamState("gate", "starting")], height=24, width=80)
+    assert "b0: The file 0 is gone.\n" in shown.replace("\r", "").replace(" \n", "\n")
+    last = shown[shown.rindex("stream") :].splitlines()[:-1]  # the last one gives the cursor back
+    assert len(last) < 24
+    assert "frames/s" in last[-1]
+    assert "12345" in last[2]
+
+
+def test_the_table_adds_up_what_all_streams_have_done() -> None:
+    shown = table(
+        [
+            StreamState("a", "running", read=120, committed=96, frames_per_second=4.25),
+            StreamState("b", "running", read=30, committed=8, frames_per_second=2.0),
+            StreamState("c"),
+        ]
+    )
+    assert "150 frames read, 104 committed, 6.2 frames/s" in shown
+
+
+def test_a_table_of_more_streams_than_fit_shows_those_at_work_and_counts_the_others() -> None:
+    states = [StreamState(f"w{number}") for number in range(200)]
+    states[150] = StreamState("busy", "running", read=5)
+    states[151] = StreamState("broken", "failed", error="It is gone.")
+    shown = table(states, height=20)
+    assert "busy" in shown
+    assert "broken" in shown
+    assert "1 running, 1 failed, 198 waiting" in shown
+    assert "not shown" in shown
+
+
+def test_streams_at_work_come_first_then_those_gone_wrong_waiting_and_done() -> None:
+    order = ["d done", "w waiting", "f failed", "r running", "e waiting", "s stalled", "p partial", "x done"]
+    states = [StreamState(*name.split()) for name in order]  # type: ignore[arg-type]
+    shown = table(states).splitlines()
+    names = [line.split()[0] for line in shown if any(f" {name.split()[0]} " in line for name in order)]
+    assert names[-8:] == ["r", "s", "f", "p", "w", "e", "d", "x"]
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("own", [Terminal(), io.StringIO()])
+def test_what_is_said_meanwhile_goes_above_the_table_where_both_are_on_the_terminal(
+    own: io.StringIO, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stderr", own)
+    console = Console(file=io.StringIO(), force_terminal=True, width=110, height=40, no_color=True)
+    progress = LiveTable(console)
+    progress.update([StreamState("yard", "running")])
+    print("Line 3 [cannot] be used.", file=sys.stderr)
+    progress.close()
+    assert isinstance(console.file, io.StringIO)
+    told_above = "Line 3 [cannot] be used." in console.file.getvalue()
+    assert told_above == isinstance(own, Terminal) == (own.getvalue() == "")
