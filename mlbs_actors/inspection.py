@@ -103,6 +103,7 @@ def inspect_frame(
     for one, posterior in zip(evidence.layers, posteriors, strict=True):
         layer = layers[one.layer]
         home = layer.state.home
+        assert layer.field is not None  # it has just done that frame
         inspected.append(
             LayerInspection(
                 layer=one.layer,
@@ -110,7 +111,7 @@ def inspect_frame(
                 positions=one.positions,
                 motions=one.motions,
                 home=home,
-                motion_field=layer.motion_field(one, evidence),
+                motion_field=layer.field,
                 region=posterior.region,
                 posterior=_normalised(config, posterior, segmentation),
             )

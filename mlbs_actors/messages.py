@@ -65,6 +65,11 @@ class Region:
         return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
 
     @property
+    def box(self) -> tuple[int, int, int, int]:
+        """Left, top, width and height, for compiled functions."""
+        return self.x, self.y, self.width, self.height
+
+    @property
     def area(self) -> int:
         """Number of pixels."""
         return self.width * self.height

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +11,7 @@ from scipy.spatial import cKDTree
 
 from mlbs_actors import Config, MultilayerSubtractor, Segmentation
 from mlbs_actors.inspection import FrameInspection
-from mlbs_actors.layer import background_frame
-from mlbs_actors.layer.background_frame import background_field
-from mlbs_actors.messages import BACKGROUND, FrameEvidence, LayerEvidence
-from mlbs_actors.motion_field.field import MotionField, MotionParameters
+from mlbs_actors.motion_field.field import MotionField, motion_field
 from orchestrator.sources.synthetic import scene
 
 FRAMES = 10
@@ -25,22 +23,22 @@ def results(subtractor: MultilayerSubtractor) -> list[Segmentation]:
 
 
 @pytest.fixture(scope="module")
-def inside() -> tuple[list[FrameInspection], list[Segmentation], dict[int, MotionField]]:
-    """What was seen, what came out, and the motion fields that the background worked with."""
-    used: dict[int, MotionField] = {}
+def inside() -> tuple[list[FrameInspection], list[Segmentation], list[MotionField]]:
+    """What was seen, what came out, and the motion fields that the layers worked with."""
+    used: list[MotionField] = []
 
-    def noted(own: LayerEvidence, frame: FrameEvidence, parameters: MotionParameters) -> MotionField:
-        used[frame.frame_index] = background_field(own, frame, parameters)
-        return used[frame.frame_index]
+    def noted(*given: Any) -> MotionField:
+        used.append(motion_field(*given))
+        return used[-1]
 
     seen: list[FrameInspection] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(background_frame, "background_field", noted)
+        patch.setattr("mlbs_actors.layer.layer.motion_field", noted)
         labelled = results(MultilayerSubtractor(Config(), seen.append))
     return seen, labelled, used
 
 
-Inside = tuple[list[FrameInspection], list[Segmentation], dict[int, MotionField]]
+Inside = tuple[list[FrameInspection], list[Segmentation], list[MotionField]]
 
 
 def test_who_looks_on_changes_no_byte(inside: Inside) -> None:
@@ -71,12 +69,9 @@ def test_a_trajectory_was_where_one_ended_in_the_frame_before(inside: Inside) ->
 
 def test_the_motion_field_is_the_one_that_the_layer_worked_with(inside: Inside) -> None:
     seen, _, used = inside
+    assert [layer.motion_field for one in seen for layer in one.layers] == used
     for one in seen:
         for layer in one.layers:
-            if layer.layer == BACKGROUND:  # of an object's, tests/test_object_frame.py says that
-                np.testing.assert_array_equal(
-                    layer.motion_field.mean, used[one.frame_index].mean, strict=True
-                )
             assert layer.motion_field.shape == (layer.home.height, layer.home.width)
 
 

@@ -21,10 +21,8 @@ __all__ = [
     "aligned",
     "cell_side",
     "cells_won",
-    "count_won",
     "in_cells",
     "in_pixels",
-    "mean_colours",
     "mean_of_cells",
     "spread_over_cells",
 ]
@@ -100,56 +98,16 @@ def cells_won(labels: Array, layer: int, region: Region, side: int, trusted: Arr
     learnt : (⌈h/side⌉, ⌈w/side⌉) bool
         Cells that it has altogether and that are trusted.
     """
-    share, learnt = np.empty(trusted.shape, np.uint8), np.empty(trusted.shape, np.bool_)
-    count_won(
-        labels,
-        np.uint16(layer),
-        region.x,
-        region.y,
-        region.width,
-        region.height,
-        side,
-        trusted,
-        share,
-        learnt,
-    )
+    share, learnt = _count_won(labels, np.uint16(layer), region.box, side, trusted)
     return share, learnt
 
 
 @compiled
-def mean_colours(frame: Array, left: int, top: int, height: int, width: int, side: int) -> Array:
-    """:func:`mean_of_cells` of a part of a frame (H, W, 3): for a small one faster than to ask cv2."""
-    rows, columns = -(-height // side), -(-width // side)
-    means, scale = np.empty((rows, columns, 3), np.uint8), np.float32(1.0 / (side * side))
-    sums = np.empty(3 * columns * side, np.int32)  # of each column of pixels in a row of cells
-    pixels, results = frame.reshape(-1), means.reshape(-1)
-    for y in range(rows):
-        sums[:] = 0
-        for v in range(y * side, (y + 1) * side):
-            begin = 3 * ((top + min(v, height - 1)) * frame.shape[1] + left)
-            line = pixels[begin : begin + 3 * width]
-            for i in range(line.size):
-                sums[np.uint64(i)] += line[np.uint64(i)]
-        for i in range(3 * width, sums.size):
-            sums[i] = sums[i - 3]
-        row = results[3 * columns * y : 3 * columns * (y + 1)]
-        for x in range(columns):
-            for channel in range(3):
-                first, total = np.uint64(3 * side * x + channel), np.int32(0)
-                for u in range(side):
-                    total += sums[first + np.uint64(3 * u)]
-                # As cv2 rounds: of two by two pixels halves upwards, else to even.
-                mean = (total + 2) >> 2 if side == 2 else np.int32(np.rint(np.float32(total) * scale))
-                row[np.uint64(3 * x + channel)] = np.uint8(mean)
-    return means
-
-
-@compiled
-def count_won(
-    labels: Array, layer: np.uint16, left: int, top: int, width: int, height: int, side: int, trusted: Array,
-    share: Array, learnt: Array,
-) -> None:  # fmt: skip
-    """:func:`cells_won`, whose results have room in ``share`` and ``learnt``."""
+def _count_won(
+    labels: Array, layer: np.uint16, box: tuple[int, int, int, int], side: int, trusted: Array
+) -> tuple[Array, Array]:
+    left, top, width, height = box
+    share, learnt = np.empty(trusted.shape, np.uint8), np.empty(trusted.shape, np.bool_)
     columns, scale = trusted.shape[1], np.float32(255.0 / (side * side))
     own = np.empty(columns * side, np.uint8)  # pixels of each column in a row of cells
     for y in range(trusted.shape[0]):
@@ -173,6 +131,7 @@ def count_won(
                 count += np.int32(own[u])
             row[x] = np.uint8(np.int32(np.rint(scale * np.float32(count))))
             told[x] = (count == side * side) & trust[x]
+    return share, learnt
 
 
 def spread_over_cells(values: Array, side: int, shape: tuple[int, int]) -> Array:

@@ -49,10 +49,8 @@ from mlbs_actors.messages import Array, LayerKind, Region
 __all__ = [
     "AppearanceParameters",
     "confidence",
-    "density_tables",
-    "log_densities",
     "log_likelihood",
-    "mean_trust",
+    "mean_confidence",
     "warp_and_evaluate",
 ]
 
@@ -93,21 +91,25 @@ class AppearanceParameters:
         return cls(colours.bandwidth_floor, registration / side, colours.half_confidence_samples)
 
 
-@compiled
-def mean_trust(count: Array, trust: Array) -> float:
-    """Mean of a table's values, those of :func:`confidence`, at some numbers of samples; 0 of none."""
-    total = 0.0
-    for y in range(count.shape[0]):
-        for x in range(count.shape[1]):
-            total += trust[count[y, x]]
-    return total / max(count.size, 1)
-
-
 def confidence(count: Array, parameters: AppearanceParameters) -> Array:
     """Trust in stacks of ``count`` samples: n / (n + n_half), in [0, 1), float32."""
     samples = count.astype(np.float32)
     trust: Array = samples / (samples + np.float32(parameters.half_confidence_samples))
     return trust
+
+
+def mean_confidence(count: Array, parameters: AppearanceParameters) -> float:
+    """Mean of :func:`confidence` over a model's stacks; 0 of none."""
+    return float(_mean_of_table(count, confidence(np.arange(256), parameters)))
+
+
+@compiled
+def _mean_of_table(places: Array, table: Array) -> float:
+    total = 0.0
+    for y in range(places.shape[0]):
+        for x in range(places.shape[1]):
+            total += table[places[y, x]]
+    return total / max(places.size, 1)
 
 
 def log_likelihood(
@@ -134,21 +136,12 @@ def log_likelihood(
     -----
     Paper §6.2, P(I|l) = 1/N Σ_f K_G(I − I_f).
     """
-    result = np.full(model.count.shape, np.nan, np.float32)
     needed = np.ones(model.count.shape, np.bool_) if needed is None else needed
-    log_densities(
-        model.samples,
-        model.count,
-        model.spread,
-        model.residual,
-        np.ascontiguousarray(image),
-        needed,
-        np.float32(parameters.bandwidth_floor),
-        np.float32(parameters.registration),
-        *density_tables(parameters),
-        result,
+    bandwidths = np.float32(parameters.bandwidth_floor), np.float32(parameters.registration)
+    log_density: Array = _log_densities(
+        model.arrays, np.ascontiguousarray(image), needed, bandwidths, _density_tables(parameters)
     )
-    return result
+    return log_density
 
 
 def warp_and_evaluate(
@@ -186,7 +179,7 @@ def warp_and_evaluate(
 
 
 @functools.lru_cache(maxsize=16)
-def density_tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
+def _density_tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
     """Log to base 2 of a kernel per squared grey level, and (σ√2π)⁻³, for the 256 values of ``spread``."""
     bandwidth = np.maximum(np.arange(256) * SPREAD_STEP, parameters.bandwidth_floor)
     exponent = (-1.0 / (2.0 * np.log(2.0) * bandwidth**2)).astype(np.float32)
@@ -252,12 +245,16 @@ def _squared_slope(
 
 
 @compiled
-def log_densities(
-    samples: Array, count: Array, spread: Array, residual: Array, image: Array, needed: Array,
-    floor: np.float32, registration: np.float32, exponent: Array, norm: Array, result: Array,
-) -> None:  # fmt: skip
-    """:func:`log_likelihood` into NaNs, with the model's arrays and :func:`density_tables`."""
-    height, width = result.shape
+def _log_densities(
+    model: tuple[Array, Array, Array, Array, Array], image: Array, needed: Array,
+    bandwidths: tuple[np.float32, np.float32], tables: tuple[Array, Array],
+) -> Array:  # fmt: skip
+    """Evaluate :func:`log_likelihood` with the model's arrays and :func:`_density_tables`."""
+    samples, count, _, spread, residual = model
+    floor, registration = bandwidths
+    exponent, norm = tables
+    result = np.full(count.shape, np.float32(np.nan), np.float32)
+    height, width = count.shape
     slots = samples.shape[3]
     whole = -(-slots // LANES) * LANES
     stacks, stack = samples.reshape(-1), np.empty(3 * whole, np.uint8)
@@ -293,6 +290,7 @@ def log_densities(
     row_log(density[:told], logs)
     for pixel in range(told):
         results[np.uint64(places[pixel])] = logs[pixel]
+    return result
 
 
 @compiled

@@ -32,16 +32,28 @@ keeps its id, not its samples: only its place is known, not the path of its pixe
 
 from __future__ import annotations
 
+from time import perf_counter
+from typing import NamedTuple
+
+import cv2
 import numpy as np
 
-from mlbs_actors.appearance.cells import spread_over_cells
-from mlbs_actors.appearance.colour_model import median_colours
+from mlbs_actors.appearance.cells import cell_side, cells_won, in_cells, mean_of_cells, spread_over_cells
+from mlbs_actors.appearance.colour_density import AppearanceParameters, mean_confidence, warp_and_evaluate
+from mlbs_actors.appearance.colour_model import median_colours, update
+from mlbs_actors.appearance.warp import warp_map
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
-from mlbs_actors.layer.background_frame import BackgroundView, background_field
 from mlbs_actors.layer.layer_state import LayerState
-from mlbs_actors.layer.object_frame import ObjectView
-from mlbs_actors.layer.object_regions import median_of_motions
+from mlbs_actors.layer.learning import object_support, trusted_background
+from mlbs_actors.layer.object_regions import contested, median_of_motions, object_region
+from mlbs_actors.layer.photometric import photometric_advantage
+from mlbs_actors.layer.posterior_terms import (
+    Prediction,
+    finished_posterior,
+    posterior_cost,
+    quantised_colours,
+)
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
@@ -49,14 +61,38 @@ from mlbs_actors.messages import (
     LayerEvidence,
     LayerKind,
     LayerPosterior,
+    Region,
     Segmentation,
 )
 from mlbs_actors.motion_field.field import MotionField, MotionParameters, motion_field
+from mlbs_actors.motion_field.node_grid import node_positions
+from mlbs_actors.segmentation.region_groups import slices_in
 
 __all__ = ["OUTSIDE_COST", "Layer"]
 
 #: What an object costs outside its region, units of ``COST_STEP``.
 OUTSIDE_COST = 255
+
+
+class _Places(NamedTuple):
+    """Where a layer works on a frame.
+
+    Attributes
+    ----------
+    side : int
+        Of a cell, px.
+    home : Region
+        Where it moves and remembers: the frame for the background, else ``region``.
+    region : Region
+        Where it is evaluated.
+    needed : (h, w) bool
+        Cells of the region that are.
+    """
+
+    side: int
+    home: Region
+    region: Region
+    needed: Array
 
 
 class Layer:
@@ -73,8 +109,8 @@ class Layer:
 
     Attributes
     ----------
-    view : BackgroundView or ObjectView or None
-        How it has seen the last frame.
+    field : MotionField or None
+        How it moved in the last frame.
     """
 
     def __init__(self, config: Config, layer: int, kind: LayerKind, state: LayerState | None = None) -> None:
@@ -82,7 +118,7 @@ class Layer:
         self.layer = layer
         self.kind = kind
         self.state = state or LayerState.beginning(config.appearance.samples)
-        self.view: BackgroundView | ObjectView | None = None
+        self.field: MotionField | None = None
 
     def step(self, evidence: FrameEvidence, frame: Array, previous: Segmentation | None) -> LayerPosterior:
         """Finish frame t−1, then predict and evaluate frame t.
@@ -104,29 +140,152 @@ class Layer:
         LayerError
             If the layer has no part in the frame, or another frame is its next one.
         """
-        own, state = evidence.tracks_of(self.layer), self.state
-        if own.last_frame != state.last_frame:
+        own = evidence.of(self.layer)
+        if own.last_frame != self.state.last_frame:
             raise LayerError(
-                f"Layer {self.layer} stands at frame {state.last_frame} but was given evidence that goes on "
-                f"from frame {own.last_frame}; restart the stream from its last snapshot."
+                f"Layer {self.layer} stands at frame {self.state.last_frame} but was given evidence that "
+                f"goes on from frame {own.last_frame}; restart the stream from its last snapshot."
             )
         if evidence.frame_index == evidence.epoch:
             previous = None
-        view, shape = self.view, evidence.shape
-        if view is None or view.shape != shape:
-            background = self.kind == "background"
-            view = (
-                BackgroundView(self.config, shape)
-                if background
-                else ObjectView(self.config, self.layer, shape)
-            )
-            self.view = view
-        self.state, confidence, stage_ms = view.next(state, evidence, frame, previous)
-        return self.posterior(confidence, stage_ms)
+        started = perf_counter()
+        last_posterior = self._learn(previous)
+        learnt = perf_counter()
+        places = self._places(own, evidence, previous)
+        self.field = self._motion_field(own, evidence, places.home)
+        moved = perf_counter()
+        self.state = self._predict_and_evaluate(own, evidence, frame, places, self.field, last_posterior)
+        stage_ms = {
+            "update": 1e3 * (learnt - started),
+            "gabp": 1e3 * (moved - learnt),
+            "posterior": 1e3 * (perf_counter() - moved),
+        }
+        return self._posterior(stage_ms)
 
-    def posterior(self, confidence: float, stage_ms: dict[str, float]) -> LayerPosterior:
-        """What the segmenter is told of the frame evaluated last."""
+    def appearance(self) -> LayerAppearance:
+        """Return what is remembered at the frame evaluated last; nothing is changed."""
         state = self.state
+        shape = (state.home.height, state.home.width)
+        colours = spread_over_cells(median_colours(state.model), state.cell, shape)
+        known = spread_over_cells(state.model.count > 0, state.cell, shape)
+        return LayerAppearance(self.layer, state.last_frame, state.home, colours, known)
+
+    @property
+    def _is_background(self) -> bool:
+        return self.kind == "background"
+
+    def _learn(self, previous: Segmentation | None) -> Array:
+        """Learn the colours that the layer won in frame t−1.
+
+        Returns
+        -------
+        (h, w) float32
+            The layer's normalised posterior of that frame on its region, in [0, 1]; empty if the layer had no
+            part in it.
+        """
+        state = self.state
+        if previous is None or previous.frame_index != state.last_frame:
+            return np.zeros((0, 0), np.float32)
+        won, learnt = cells_won(previous.labels, self.layer, state.home, state.cell, state.trusted)
+        update(state.model, state.image, learnt)
+        cells, home = in_cells(state.region, state.cell), in_cells(state.home, state.cell)
+        own = np.ascontiguousarray(won[slices_in(cells, home)])
+        return finished_posterior(
+            self.config, (state.cost, state.log_ratio, state.samples), previous, cells, own
+        )
+
+    def _places(self, own: LayerEvidence, evidence: FrameEvidence, previous: Segmentation | None) -> _Places:
+        weights, side = self.config.posterior, self._side(evidence.shape)
+        margins = (weights.region_margin_px, weights.covered_margin_px)
+        if self._is_background:
+            region, needed = contested(evidence, previous, margins, side)
+            height, width = evidence.shape
+            return _Places(side, Region(0, 0, width, height), region, needed)
+        region = object_region(own, evidence.shape, previous, margins, side)
+        cells = in_cells(region, side)
+        return _Places(side, region, region, np.ones((cells.height, cells.width), np.bool_))
+
+    def _motion_field(self, own: LayerEvidence, evidence: FrameEvidence, home: Region) -> MotionField:
+        """Infer how the layer moves; where no trajectory tells, the background moves as the camera does, and
+        an object by the median of its trajectories, or as before."""
+        parameters = MotionParameters.configured(self.config)
+        shape, corner = (home.height, home.width), (home.x, home.y)
+        if self._is_background:
+            nodes = node_positions(shape, parameters.spacing_px).astype(np.float64)
+            prior: Array = cv2.perspectiveTransform(nodes, evidence.camera) - nodes
+        else:
+            prior = _median_motion(own, -self.state.velocity)
+        return motion_field(own.positions, own.motions, shape, prior, parameters, corner)
+
+    def _predict_and_evaluate(
+        self,
+        own: LayerEvidence,
+        evidence: FrameEvidence,
+        frame: Array,
+        places: _Places,
+        field: MotionField,
+        last_posterior: Array,
+    ) -> LayerState:
+        config, state = self.config, self.state
+        side, home, region, needed = places
+        cells, home_cells = in_cells(region, side), in_cells(home, side)
+        part = slices_in(cells, home_cells)
+        motions = field.of_cells(side) * np.float32(1.0 / side)  # in cells
+        motion = np.ascontiguousarray(motions[part])
+        image = mean_of_cells(frame[home.slices], side)
+
+        # The appearance moves along and is compared with the frame's colours.
+        opened = np.zeros(image.shape[:2], np.bool_)
+        opened[part] = needed
+        density = AppearanceParameters.configured(config, self.kind, side)
+        model, log_density = warp_and_evaluate(state.model, home_cells, motions, image, density, opened)
+        log_ratio, samples = quantised_colours(
+            np.ascontiguousarray(log_density[part]),
+            np.ascontiguousarray(model.count[part]),
+            needed,
+            config.posterior.appearance_cap,
+        )
+        # So does the last posterior: the prior.
+        before = in_cells(state.region, state.cell)
+        prior = warp_map(last_posterior, before, cells, motion, needed)
+
+        if self._is_background:
+            trusted = trusted_background(config, own, evidence, side)
+            away = advantage = np.zeros(needed.shape, np.float32)
+        else:
+            trusted, away = object_support(config, evidence, evidence.tracks_of(self.layer), cells, side)
+            advantage = photometric_advantage(
+                state.image,
+                image,
+                motion,
+                evidence.camera,
+                float(side),
+                ((cells.x, cells.y), (before.x, before.y)),
+                prior[0] >= np.float32(0.5),
+                np.float32(config.posterior.photometric_cap),
+            )
+        variance = np.ascontiguousarray(field.variance_of_cells(side)[part])
+        prediction = Prediction(cells, side, needed, motion, variance, prior, away, advantage)
+        return LayerState(
+            last_frame=evidence.frame_index,
+            home=home,
+            region=region,
+            cell=side,
+            model=model,
+            cost=posterior_cost(config, self.kind, evidence, prediction),
+            log_ratio=log_ratio,
+            samples=samples,
+            image=image,
+            velocity=-_median_motion(own, -state.velocity).astype(np.float32),
+            trusted=trusted,
+        )
+
+    def _side(self, shape: tuple[int, int]) -> int:
+        return cell_side(shape, self.config.appearance.cell_px)
+
+    def _posterior(self, stage_ms: dict[str, float]) -> LayerPosterior:
+        state = self.state
+        density = AppearanceParameters.configured(self.config, self.kind, state.cell)
         return LayerPosterior(
             layer=self.layer,
             frame_index=state.last_frame,
@@ -137,37 +296,12 @@ class Layer:
             log_ratio=state.log_ratio,
             samples=state.samples,
             outside_cost=OUTSIDE_COST,
-            confidence=confidence,
+            confidence=mean_confidence(state.model.count, density),
             velocity=state.velocity,
             stage_ms=stage_ms,
         )
 
-    def appearance(self) -> LayerAppearance:
-        """What is remembered at the frame evaluated last; nothing is changed."""
-        state = self.state
-        shape = (state.home.height, state.home.width)
-        colours = spread_over_cells(median_colours(state.model), state.cell, shape)
-        known = spread_over_cells(state.model.count > 0, state.cell, shape)
-        return LayerAppearance(self.layer, state.last_frame, state.home, colours, known)
 
-    def motion_field(self, evidence: LayerEvidence, frame_evidence: FrameEvidence) -> MotionField:
-        """How the layer moves on its home, as the step inferred it; nothing is changed.
-
-        Parameters
-        ----------
-        evidence : LayerEvidence
-            Of the frame that :meth:`step` has just taken.
-        frame_evidence : FrameEvidence
-
-        Returns
-        -------
-        MotionField
-        """
-        parameters, home = MotionParameters.configured(self.config), self.state.home
-        if self.kind == "background":
-            return background_field(evidence, frame_evidence, parameters)
-        # Where no trajectory tells, it is the median of all, or as before.
-        motions = evidence.motions
-        prior: Array = np.array(median_of_motions(motions)) if len(motions) else -self.state.velocity
-        shape, corner = (home.height, home.width), (home.x, home.y)
-        return motion_field(evidence.positions, motions, shape, prior, parameters, corner)
+def _median_motion(own: LayerEvidence, otherwise: Array) -> Array:
+    """Median of a layer's backward motions, (2,) px; something else where it has no trajectories."""
+    return np.array(median_of_motions(own.motions)) if len(own.motions) else otherwise

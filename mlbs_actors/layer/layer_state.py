@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from mlbs_actors.appearance.colour_model import AppearanceModel, empty_model
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["LayerFrame", "LayerState"]
+__all__ = ["LayerState"]
 
 
 @dataclass(slots=True)
@@ -71,21 +70,3 @@ class LayerState:
             velocity=np.zeros(2, np.float32),
             trusted=np.zeros((0, 0), bool),
         )
-
-
-class LayerFrame(NamedTuple):
-    """What a layer makes of a frame.
-
-    Attributes
-    ----------
-    state : LayerState
-        Its next one.
-    confidence : float
-        Mean trust in its model.
-    stage_ms : dict of str to float
-        Wall time by stage, ms.
-    """
-
-    state: LayerState
-    confidence: float
-    stage_ms: dict[str, float]

@@ -20,38 +20,60 @@ from mlbs_actors.layer.trajectory_distance import (
     to_occupied,
     trajectory_distance,
 )
-from mlbs_actors.messages import UNEXPLAINED_STEP, Array, FrameEvidence, LayerEvidence, Region
+from mlbs_actors.messages import UNEXPLAINED_STEP, Array, FrameEvidence, LayerEvidence, LayerTracks, Region
 
-__all__ = ["near_trajectories", "trusted_background", "unexplained_cells"]
+__all__ = ["object_support", "trusted_background"]
 
 
-@compiled
-def near_trajectories(
-    positions: Array, start: int, end: int, side: int, left: int, top: int, unexplained: Array, least: float,
-    close: np.float32, learn: np.float32, near: np.float32, fade: np.float32, trusted: Array, away: Array,
-) -> None:  # fmt: skip
-    """Cells in which an object may learn, and their cost in [0, 1] away from its trajectories.
+def object_support(
+    config: Config, evidence: FrameEvidence, own: LayerTracks, cells: Region, side: int
+) -> tuple[Array, Array]:
+    """Find where an object may learn, and how far its cells are from its trajectories.
 
     What is labelled wrongly near an outline must not be learnt: an object learns close to its own
     trajectories, where the camera's motion fails to explain the image.
 
     Parameters
     ----------
-    positions : (n, 2) float32
-        Of all layers' trajectories, px; the object's are those from ``start`` to ``end``.
-    start, end, side, left, top : int
-        Side of a cell, px, and where the object's cells begin.
-    unexplained : (rows, columns) uint8
-        :func:`unexplained_cells` of the whole frame.
-    least : float
-        What of it counts as a failure.
-    close, learn, near, fade : float32
-        Lengths of :class:`~mlbs_actors.config.PosteriorConfig`, px of this frame.
+    config : Config
+    evidence : FrameEvidence
+    own : LayerTracks
+        Which trajectories are the object's.
+    cells : Region
+        Where it is evaluated, in units of cells.
+    side : int
+        Of a cell, px.
+
+    Returns
+    -------
     trusted : (h, w) bool
+        Cells in which it may learn.
     away : (h, w) float32
-        Room for the two results.
+        0 near its own trajectories and in the gaps between them, rising to 1 further off.
     """
-    height, width = trusted.shape
+    weights, scale = config.posterior, length_scale(*evidence.shape)
+    lengths = (weights.close_px, weights.learn_px, weights.near_px, weights.fade_px)
+    trusted, away = _object_support(
+        evidence.positions,
+        (own.start, own.end),
+        side,
+        cells.box,
+        _unexplained_cells(evidence, side),
+        config.layers.unexplained_noise / UNEXPLAINED_STEP,
+        np.array(lengths, np.float64) * scale,
+    )
+    return trusted, away
+
+
+@compiled
+def _object_support(
+    positions: Array, own_tracks: tuple[int, int], side: int, cells: tuple[int, int, int, int],
+    unexplained: Array, least: float, lengths: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    (start, end), (left, top, width, height) = own_tracks, cells
+    close, learn = np.float32(lengths[0]), np.float32(lengths[1])
+    near, fade = np.float32(lengths[2]), np.float32(lengths[3])
+    trusted, away = np.empty((height, width), np.bool_), np.empty((height, width), np.float32)
     # Distances are told for 2×2 cells of the frame at once.
     coarse, first_column, first_row = 2 * side, left // 2, top // 2
     columns, rows = -(-(left + width) // 2) - first_column, -(-(top + height) // 2) - first_row
@@ -73,6 +95,7 @@ def near_trajectories(
         for x in range(width):
             four = np.uint64(((left + x) >> 1) - first_column)
             sure[x], cost[x] = mine[four] & (errors[x] >= least), far[four]
+    return trusted, away
 
 
 def trusted_background(
@@ -104,7 +127,7 @@ def trusted_background(
     trusted[rows, columns] = _judged(
         trajectory_distance(own, near, coarse),
         trajectory_distance(objects, near, coarse),
-        unexplained_cells(frame_evidence, side)[rows, columns].copy(),
+        _unexplained_cells(frame_evidence, side)[rows, columns].copy(),
         least,
         np.float32(weights.keep_off_px * scale),
         np.float32(weights.learn_px * scale),
@@ -135,7 +158,7 @@ def _surroundings(positions: Array, margin: float, shape: tuple[int, int]) -> Re
     return Region(*box_within(*bounds(positions), margin, *shape))
 
 
-def unexplained_cells(evidence: FrameEvidence, side: int) -> Array:
+def _unexplained_cells(evidence: FrameEvidence, side: int) -> Array:
     """How badly the camera's motion explains the image, at the frame's cells of this side, uint8; to read."""
     height, width = evidence.shape
     grid = (-(-height // side), -(-width // side))

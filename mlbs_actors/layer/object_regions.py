@@ -25,6 +25,7 @@ from mlbs_actors.messages import (
     BACKGROUND,
     Array,
     FrameEvidence,
+    LayerEvidence,
     LayerSummary,
     Region,
     Segmentation,
@@ -32,75 +33,85 @@ from mlbs_actors.messages import (
 
 __all__ = [
     "bounds",
-    "box_of",
     "box_within",
     "contested",
     "median_of_motions",
-    "region_of_object",
-    "told_of",
+    "object_region",
 ]
 
 #: Pixels for each trajectory, of a 640×480 frame, up to which an object's trajectories cover it.
 _COVERED_PX = 100.0
 
 
-def told_of(layer: int, previous: Segmentation | None) -> Array:
-    """What is known of a layer's pixels in the last map: their number, their box, their velocity, (7,)."""
-    summaries = previous.layers if previous is not None else ()
-    return np.array(_told(next((one for one in summaries if one.layer == layer), None)), np.float64)
-
-
-def _told(one: LayerSummary | None) -> tuple[float, ...]:
-    if one is None:
-        return 0, 0, 0, 0, 0, 0, 0
-    return one.area, *box_of(one.region), *one.velocity
-
-
-@compiled
-def region_of_object(
-    told: Array, positions: Array, motions: Array, margins_px: tuple[float, float], scale: float, cell: int,
-    height: int, width: int,
-) -> tuple[int, int, int, int]:  # fmt: skip
-    """Region of one object in frame t.
+def object_region(
+    own: LayerEvidence,
+    shape: tuple[int, int],
+    previous: Segmentation | None,
+    margins_px: tuple[float, float],
+    cell: int,
+) -> Region:
+    """Find the region of one object in frame t.
 
     Parameters
     ----------
-    told : (7,) float64
-        :func:`told_of` its pixels at t−1.
-    positions, motions : (n, 2) float32
-        Its trajectories at t, px.
+    own : LayerEvidence
+        Its trajectories at t.
+    shape : (H, W)
+        Size of the frame, px.
+    previous : Segmentation or None
+        Published result of t−1.
     margins_px : (float, float)
         Margins around trajectories and pixels, px of a 640×480 frame: of any object, and of one in full view,
         to which comes by how much one of its trajectories leaves the median of its motions.
-    scale : float
-        :func:`~mlbs_actors.config.length_scale` of the frame.
     cell : int
         The region is made of whole cells of this side, px.
-    height, width : int
-        Size of the frame, px.
 
     Returns
     -------
-    (int, int, int, int)
-        Left, top, width and height, px; inside the frame, and empty for an object without trajectories and
-        pixels.
+    Region
+        Inside the frame, and empty for an object without trajectories and pixels.
     """
+    summaries = previous.layers if previous is not None else ()
+    known = _known_pixels(next((one for one in summaries if one.layer == own.layer), None))
+    scale = length_scale(*shape)
+    return Region(
+        *_region_of_object(
+            np.array(known, np.float64), own.positions, own.motions, margins_px, scale, cell, *shape
+        )
+    )
+
+
+def _known_pixels(one: LayerSummary | None) -> tuple[float, ...]:
+    """Number, box and velocity of an object's pixels in the last map."""
+    if one is None:
+        return 0, 0, 0, 0, 0, 0, 0
+    return one.area, *one.region.box, *one.velocity
+
+
+@compiled
+def _region_of_object(
+    pixels: Array, positions: Array, motions: Array, margins_px: tuple[float, float], scale: float, cell: int,
+    height: int, width: int,
+) -> tuple[int, int, int, int]:  # fmt: skip
+    """Box (left, top, width, height) of :func:`object_region`, px, from :func:`_known_pixels`."""
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
-    move_x, move_y = told[5], told[6]
+    move_x, move_y = pixels[5], pixels[6]
     if len(positions):
         x0, y0, x1, y1 = bounds(positions)
         left, top, right, bottom = np.float64(x0), np.float64(y0), np.float64(x1), np.float64(y1)
-        if told[0]:
+        if pixels[0]:
             back_x, back_y = median_of_motions(motions)
             move_x, move_y = -np.float64(back_x), -np.float64(back_y)
-    elif not told[0]:
+    elif not pixels[0]:
         return 0, 0, 0, 0
-    if told[0]:
-        moved_x, moved_y = told[1] + move_x, told[2] + move_y
+    if pixels[0]:
+        moved_x, moved_y = pixels[1] + move_x, pixels[2] + move_y
         left, top = min(left, moved_x), min(top, moved_y)
-        right, bottom = max(right, moved_x + told[3]), max(bottom, moved_y + told[4])
-    inside = told[1] > 0 and told[2] > 0 and told[1] + told[3] < width and told[2] + told[4] < height
-    in_full_view = told[0] and inside and told[0] <= len(positions) * _COVERED_PX * scale**2
+        right, bottom = max(right, moved_x + pixels[3]), max(bottom, moved_y + pixels[4])
+    inside = (
+        pixels[1] > 0 and pixels[2] > 0 and pixels[1] + pixels[3] < width and pixels[2] + pixels[4] < height
+    )
+    in_full_view = pixels[0] and inside and pixels[0] <= len(positions) * _COVERED_PX * scale**2
     margin = scale * margins_px[0]
     if in_full_view:
         margin = min(margin, scale * margins_px[1] + _farthest(motions, -move_x, -move_y))
@@ -111,11 +122,6 @@ def region_of_object(
     end_x, end_y = min(-(-(x + wide) // cell) * cell, width), min(-(-(y + high) // cell) * cell, height)
     x, y = x // cell * cell, y // cell * cell
     return x, y, end_x - x, end_y - y
-
-
-def box_of(region: Region) -> tuple[int, int, int, int]:
-    """Left, top, width and height of a region, for compiled functions."""
-    return region.x, region.y, region.width, region.height
 
 
 @compiled
@@ -166,7 +172,7 @@ def contested(
     previous : Segmentation or None
         Published result of the frame before.
     margins_px, cell
-        As for :func:`region_of_object`.
+        As for :func:`object_region`.
 
     Returns
     -------
@@ -180,27 +186,27 @@ def contested(
         return Region(0, 0, 0, 0), np.zeros((0, 0), np.bool_)
     counts = np.array([one.end - one.start for one in objects])
     published = {one.layer: one for one in previous.layers} if previous is not None else {}
-    told = np.array([_told(published.get(one.layer)) for one in objects], np.float64)
+    pixels = np.array([_known_pixels(published.get(one.layer)) for one in objects], np.float64)
     shape, scale = evidence.shape, length_scale(*evidence.shape)
     box, inside = _contested(
-        told, evidence.positions, evidence.motions, counts, margins_px, scale, cell, *shape
+        pixels, evidence.positions, evidence.motions, counts, margins_px, scale, cell, *shape
     )
     return Region(*box), inside
 
 
 @compiled
 def _contested(
-    told: Array, positions: Array, motions: Array, counts: Array, margins_px: tuple[float, float],
+    pixels: Array, positions: Array, motions: Array, counts: Array, margins_px: tuple[float, float],
     scale: float, cell: int, height: int, width: int,
 ) -> tuple[tuple[int, int, int, int], Array]:  # fmt: skip
-    """The box and its cells of the objects of :func:`_told`, whose trajectories are the last of all."""
-    regions = np.empty((len(told), 4), np.int64)
+    """Find the box and its cells; the objects' trajectories are the last of all."""
+    regions = np.empty((len(pixels), 4), np.int64)
     left, top, right, bottom = width, height, 0, 0
     start = len(positions) - counts.sum()
-    for one in range(len(told)):
+    for one in range(len(pixels)):
         end = start + counts[one]
-        x, y, wide, high = region_of_object(
-            told[one], positions[start:end], motions[start:end], margins_px, scale, cell, height, width
+        x, y, wide, high = _region_of_object(
+            pixels[one], positions[start:end], motions[start:end], margins_px, scale, cell, height, width
         )
         if wide * high:
             left, top, right, bottom = (
@@ -214,7 +220,7 @@ def _contested(
     if right <= left:
         left, top, right, bottom = 0, 0, 0, 0
     inside = np.zeros((-(-(bottom - top) // cell), -(-(right - left) // cell)), np.bool_)
-    for one in range(len(told)):
+    for one in range(len(pixels)):
         x, y = (regions[one, 0] - left) // cell, (regions[one, 1] - top) // cell
         end_x, end_y = -(-(regions[one, 2] - left) // cell), -(-(regions[one, 3] - top) // cell)
         if regions[one, 2] > regions[one, 0]:

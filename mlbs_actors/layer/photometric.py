@@ -33,8 +33,8 @@ OWN_BELIEVED, CAMERA_BELIEVED = 4.0, 2.5
 
 @compiled
 def photometric_advantage(
-    before: Array, now: Array, motion: Array, camera: Array, side: float, corner: Corner,
-    last_corner: Corner, own: Array, largest: np.float32,
+    before: Array, now: Array, motion: Array, camera: Array, side: float, corners: tuple[Corner, Corner],
+    own: Array, largest: np.float32,
 ) -> Array:  # fmt: skip
     """By how much an object's motion explains the image better than the camera's.
 
@@ -48,7 +48,7 @@ def photometric_advantage(
         The camera's: takes px of frame t to frame t−1.
     side : float
         Of the pixels of both, px of the frame.
-    corner, last_corner : (x, y)
+    corners : two (x, y)
         Where ``now`` and ``before`` begin in the frame, in their pixels.
     own : (h, w) bool
         Where the object's motion leads back to its own pixels.
@@ -70,7 +70,7 @@ def photometric_advantage(
     _write_grey(now, newest, 0)
     known = np.empty(newest.shape, np.bool_)
     own_misfit, camera_misfit = _misfits(
-        last, newest, motion, shrunk_homography(camera, (side, side)), corner, last_corner, known
+        last, newest, motion, shrunk_homography(camera, (side, side)), corners, known
     )
     own_sums, camera_sums = _window_sums(own_misfit), _window_sums(camera_misfit)
     return _compared(own_sums, camera_sums, _noise(camera_sums), own, known, largest)
@@ -94,11 +94,11 @@ def _misfits(
     newest: Array,
     motion: Array,
     camera: Array,
-    corner: Corner,
-    last_corner: Corner,
+    corners: tuple[Corner, Corner],
     known: Array,
 ) -> tuple[Array, Array]:
     """By how much each pixel differs from where either motion takes it from, and whether both are known."""
+    corner, last_corner = corners
     height, width = newest.shape
     bottom, right = last.shape[0] - 4, last.shape[1] - 4
     # In one row each: from one short row to the next it takes as long as the row itself.

@@ -8,6 +8,8 @@ read from tables, 0.003 nats from exact before they are weighed.
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,13 +27,10 @@ from mlbs_actors.messages import (
 )
 
 __all__ = [
-    "cost_tables",
-    "finish_posterior",
+    "Prediction",
     "finished_posterior",
-    "layer_cost",
-    "quantise_colours",
+    "posterior_cost",
     "quantised_colours",
-    "sum_terms",
     "uncontested_cost",
 ]
 
@@ -49,27 +48,12 @@ def uncontested_cost(config: Config) -> int:
     return min(round(config.posterior.offset / COST_STEP), 255)
 
 
-def layer_cost(
-    config: Config,
-    kind: LayerKind,
-    evidence: FrameEvidence,
-    cells: Region,
-    side: int,
-    needed: Array,
-    motion: Array,
-    variance: Array,
-    prior: tuple[Array, Array],
-    away: Array,
-    advantage: Array,
-) -> Array:
-    """Weighted sum of the layer's terms.
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What a layer expects of a frame, and what speaks for or against it besides the colours.
 
-    Parameters
+    Attributes
     ----------
-    config : Config
-    kind : {"background", "object", "other"}
-    evidence : FrameEvidence
-        Camera and dense flow of the frame.
     cells : Region
         The layer's region, in units of cells.
     side : int
@@ -85,46 +69,75 @@ def layer_cost(
     away, advantage : (h, w) float32
         What an object has besides: how far off its trajectories each cell is, in [0, 1], and by how much its
         motion explains the image better than the camera's, × noise. 0 for the background.
+    """
+
+    cells: Region
+    side: int
+    needed: Array
+    motion: Array
+    variance: Array
+    prior: tuple[Array, Array]
+    away: Array
+    advantage: Array
+
+
+def posterior_cost(config: Config, kind: LayerKind, evidence: FrameEvidence, prediction: Prediction) -> Array:
+    """Sum a layer's weighted terms but the colours.
+
+    Parameters
+    ----------
+    config : Config
+    kind : {"background", "object", "other"}
+    evidence : FrameEvidence
+        Camera and dense flow of the frame.
+    prediction : Prediction
 
     Returns
     -------
     (h, w) uint8
-        Units of ``COST_STEP``; :func:`uncontested_cost` where it was not needed.
+        Units of ``COST_STEP``; the offset alone where it was not needed.
     """
-    weights = config.posterior
-    cost = np.full(needed.shape, uncontested_cost(config), np.uint8)
-    heard, disagreement, surprise = cost_tables(config, kind)
-    flow_variance = (config.motion.flow_std_px * length_scale(*evidence.shape)) ** 2
+    weights, scale = config.posterior, length_scale(*evidence.shape)
     height, width = evidence.shape
-    sum_terms(
-        needed,
-        motion,
-        np.float32(side),
-        variance,
-        evidence.flow,
-        evidence.flow_reliable,
-        evidence.unexplained,
-        cells.x,
-        cells.y,
-        width / side,
-        height / side,
-        heard,
-        *prior,
-        away,
-        advantage,
-        np.float32(weights.distance),
-        np.float32(weights.photometric),
-        np.float32(flow_variance),
-        np.float32(weights.neutral_prior),
-        disagreement,
-        surprise,
-        np.float32(weights.offset),
-        cost,
+    numbers = _Weights(
+        side=np.float32(prediction.side),
+        width_in_cells=width / prediction.side,
+        height_in_cells=height / prediction.side,
+        distance=np.float32(weights.distance),
+        photometric=np.float32(weights.photometric),
+        flow_variance=np.float32((config.motion.flow_std_px * scale) ** 2),
+        neutral_prior=np.float32(weights.neutral_prior),
+        offset=np.float32(weights.offset),
+        uncontested=np.uint8(uncontested_cost(config)),
+    )
+    cost: Array = _summed_terms(
+        prediction.needed,
+        (prediction.motion, prediction.variance),
+        (evidence.flow, evidence.flow_reliable, evidence.unexplained),
+        (prediction.cells.x, prediction.cells.y),
+        prediction.prior,
+        (prediction.away, prediction.advantage),
+        _cost_tables(config, kind),
+        numbers,
     )
     return cost
 
 
-def cost_tables(config: Config, kind: LayerKind) -> tuple[Array, Array, Array]:
+class _Weights(NamedTuple):
+    """Numbers of :func:`posterior_cost`, lengths in px, where the configuration has no other unit."""
+
+    side: np.float32
+    width_in_cells: float
+    height_in_cells: float
+    distance: np.float32
+    photometric: np.float32
+    flow_variance: np.float32
+    neutral_prior: np.float32
+    offset: np.float32
+    uncontested: np.uint8
+
+
+def _cost_tables(config: Config, kind: LayerKind) -> tuple[Array, Array, Array]:
     """Weight of the motion term by how little the camera explains, the term by d², and the prior's term."""
     weights, background = config.posterior, kind == "background"
     return _tables(
@@ -169,25 +182,27 @@ def _taps(first: int, count: int, length: float, grid: int) -> tuple[Array, Arra
 
 
 @compiled
-def sum_terms(
-    needed: Array, motion: Array, side: np.float32, variance: Array, flow: Array, reliable: Array,
-    unexplained: Array, first_column: int, first_row: int, width_in_cells: float, height_in_cells: float,
-    heard: Array, prior: Array, share: Array, away: Array, advantage: Array, distant: np.float32,
-    photometric: np.float32, flow_variance: np.float32, neutral: np.float32, disagreement: Array,
-    surprise: Array, offset: np.float32, cost: Array,
-) -> None:  # fmt: skip
-    """:func:`layer_cost` into costs of nothing; the flow and the two maps beside it are the whole frame's."""
+def _summed_terms(
+    needed: Array, field: tuple[Array, Array], seen: tuple[Array, Array, Array], corner: tuple[int, int],
+    prior: tuple[Array, Array], cues: tuple[Array, Array], tables: tuple[Array, Array, Array],
+    weights: _Weights,
+) -> Array:  # fmt: skip
+    """Sum the terms of :func:`posterior_cost`; the flow and the two maps beside it are the whole frame's."""
+    (motion, variance), (flow, reliable, unexplained), (first_column, first_row) = field, seen, corner
+    (prior_value, share), (away, advantage), (heard, disagreement, surprise) = prior, cues, tables
+    width_in_cells, height_in_cells = weights.width_in_cells, weights.height_in_cells
+    cost = np.full(needed.shape, weights.uncontested)
     # As a rule the cells are those of the flow's grid, and no place lies between two of it.
     same = width_in_cells == unexplained.shape[1] and height_in_cells == unexplained.shape[0]
     if needed.size == 0:
-        return
+        return cost
     top, bottom, down = _taps(first_row, needed.shape[0], height_in_cells, unexplained.shape[0])
     left, right, along = _taps(first_column, needed.shape[1], width_in_cells, unexplained.shape[1])
     flows = flow.reshape(-1)
     one, half, step = np.float32(1), np.float32(0.5), np.float32(COST_STEP)
     width, columns = needed.shape[1], unexplained.shape[1]
     # Places in flat arrays, without a sign: it would be looked at before each is read.
-    asked, known, shares = needed.reshape(-1), prior.reshape(-1), share.reshape(-1)
+    asked, known, shares = needed.reshape(-1), prior_value.reshape(-1), share.reshape(-1)
     distances, leads = away.reshape(-1), advantage.reshape(-1)
     moves, variances, costs = motion.reshape(-1), variance.reshape(-1), cost.reshape(-1)
     errors, trust = unexplained.reshape(-1), reliable.reshape(-1)
@@ -197,7 +212,7 @@ def sum_terms(
             cell = np.uint64(y * width + x)
             if not asked[cell]:
                 continue
-            nats = offset + (distant * distances[cell] - photometric * leads[cell])
+            nats = weights.offset + (weights.distance * distances[cell] - weights.photometric * leads[cell])
             a, two, odd = np.uint64(above + left[x]), np.uint64(2), np.uint64(1)
             near = two * a
             weight, flow_x, flow_y = heard[errors[a]] * trust[a], flows[near], flows[near + odd]
@@ -220,14 +235,18 @@ def sum_terms(
                 flow_y += w10 * flows[near + odd + under] + w11 * flows[near + odd + under + right_of]
             if weight > 0:
                 move = two * cell
-                miss_x, miss_y = flow_x - side * moves[move], flow_y - side * moves[move + odd]
-                distance = (miss_x * miss_x + miss_y * miss_y) / (variances[cell] + flow_variance)
+                miss_x, miss_y = (
+                    flow_x - weights.side * moves[move],
+                    flow_y - weights.side * moves[move + odd],
+                )
+                distance = (miss_x * miss_x + miss_y * miss_y) / (variances[cell] + weights.flow_variance)
                 place = min(distance * np.float32(_DISTANCE_STEPS), np.float32(disagreement.size - 1))
                 nats += weight * disagreement[np.uint64(np.int64(place + half))]
-            believed = min(known[cell] + (one - shares[cell]) * neutral, one)
+            believed = min(known[cell] + (one - shares[cell]) * weights.neutral_prior, one)
             nats += surprise[np.uint64(np.int64(believed * np.float32(_PRIOR_STEPS) + half))]
             quanta = min(max(np.rint(nats / step), np.float32(0)), np.float32(255))
             costs[cell] = np.uint8(np.int32(quanta))
+    return cost
 
 
 def quantised_colours(log_density: Array, count: Array, needed: Array, largest: float) -> tuple[Array, Array]:
@@ -251,12 +270,12 @@ def quantised_colours(log_density: Array, count: Array, needed: Array, largest: 
         0 where it is not needed.
     """
     log_ratio, samples = np.zeros(needed.shape, np.int8), np.zeros(needed.shape, np.uint8)
-    quantise_colours(log_density, count, needed, np.float32(largest), log_ratio, samples)
+    _quantise_colours(log_density, count, needed, np.float32(largest), log_ratio, samples)
     return log_ratio, samples
 
 
 @compiled
-def quantise_colours(
+def _quantise_colours(
     log_density: Array, count: Array, needed: Array, largest: np.float32, log_ratio: Array, samples: Array
 ) -> None:
     """:func:`quantised_colours` into zeros."""
@@ -271,20 +290,17 @@ def quantise_colours(
 
 def finished_posterior(
     config: Config,
-    cost: Array,
-    log_ratio: Array,
-    samples: Array,
+    sent: tuple[Array, Array, Array],
     published: Segmentation,
     cells: Region,
     won: Array,
 ) -> Array:
-    """A layer's normalised posterior of a finished frame, of which the published map is half.
+    """Return a layer's normalised posterior of a finished frame, of which the published map is half.
 
     Parameters
     ----------
     config : Config
-    cost, samples : (h, w) uint8
-    log_ratio : (h, w) int8
+    sent : cost (h, w) uint8, log_ratio (h, w) int8, samples (h, w) uint8
         As the layer sent them to the segmenter.
     published : Segmentation
         Result of that frame.
@@ -299,31 +315,27 @@ def finished_posterior(
     (h, w) float32
         In [0, 1].
     """
-    posterior = np.empty(cost.shape, np.float32)
-    finish_posterior(
-        cost,
-        log_ratio.view(np.uint8),
-        samples,
-        published.fallback.view(np.uint8),
-        published.normaliser,
-        cells.x,
-        cells.y,
+    cost, log_ratio, samples = sent
+    posterior: Array = _finished_posterior(
+        (cost, log_ratio.view(np.uint8), samples),
+        (published.fallback.view(np.uint8), published.normaliser),
+        (cells.x, cells.y),
         won,
-        *appearance_tables(config.appearance.half_confidence_samples),
+        (*appearance_tables(config.appearance.half_confidence_samples), LIKELIHOOD),
         np.float32(config.posterior.appearance / COST_STEP),
-        LIKELIHOOD,
-        posterior,
     )
     return posterior
 
 
 @compiled
-def finish_posterior(
-    cost: Array, log_ratio: Array, samples: Array, fallback: Array, normaliser: Array, left: int, top: int,
-    won: Array, trust: Array, ratio_of: Array, strength: np.float32, likelihood: Array, posterior: Array,
-) -> None:  # fmt: skip
-    """:func:`finished_posterior`; ``fallback`` and ``normaliser`` are the whole frame's, log r and log f come
-    by their bits."""
+def _finished_posterior(
+    sent: tuple[Array, Array, Array], published: tuple[Array, Array], corner: tuple[int, int], won: Array,
+    tables: tuple[Array, Array, Array], strength: np.float32,
+) -> Array:  # fmt: skip
+    """Evaluate :func:`finished_posterior`; log r and log f come by their bits."""
+    (cost, log_ratio, samples), (fallback, normaliser), (left, top) = sent, published, corner
+    trust, ratio_of, likelihood = tables
+    posterior = np.empty(cost.shape, np.float32)
     height, width = cost.shape
     half, share, fused = np.float32(0.5), np.float32(0.5 / 255), np.empty(cost.shape, np.uint8)
     rows, columns = slice(top, top + height), slice(left, left + width)
@@ -332,3 +344,4 @@ def finish_posterior(
         for x in range(width):
             above = int(max(np.int64(fused[y, x]) - np.int64(normaliser[top + y, left + x]), np.int64(0)))
             posterior[y, x] = half * likelihood[above] + share * np.float32(won[y, x])
+    return posterior

@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 
 from mlbs_actors.kernels.jit import compiled
-from mlbs_actors.layer.object_regions import box_of
 from mlbs_actors.layer.trajectory_distance import trajectory_distance
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 
@@ -128,7 +127,7 @@ def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darken
     -------
     Darkening
     """
-    return Darkening(*darkened(np.ascontiguousarray(picture), blur_weights(blur), ground, box_of(box)))
+    return Darkening(*darkened(np.ascontiguousarray(picture), blur_weights(blur), ground, box.box))
 
 
 def shadow_likelihood(dark: Darkening) -> Array:

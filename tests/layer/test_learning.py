@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from layer_fakes import frame_of
 
-from mlbs_actors.layer.learning import near_trajectories
-from mlbs_actors.messages import Array
+from mlbs_actors.config import Config, length_scale
+from mlbs_actors.layer.learning import object_support
+from mlbs_actors.messages import UNEXPLAINED_STEP, Array, LayerTracks, Region
 
 SHAPE = 41, 52
 CLOSE, LEARN, NEAR, FADE = 0.0, 9.0, 6.0, 20.0
@@ -24,23 +28,23 @@ def test_an_object_learns_nearest_to_its_own_trajectories_and_costs_more_away_fr
         (corner + size * (0.2 + 0.6 * rng.random((count, 2)))).astype(np.float32) for count in (9, 6, 4)
     )
     unexplained = rng.integers(0, 256, (SHAPE[0] + top, SHAPE[1] + left)).astype(np.uint8)
-    trusted, away = np.empty(SHAPE, bool), np.empty(SHAPE, np.float32)
-    near_trajectories(
-        np.concatenate([before, own, after]),
-        len(before),
-        len(before) + len(own),
-        side,
-        left,
-        top,
-        unexplained,
-        LEAST,
-        np.float32(CLOSE),
-        np.float32(LEARN),
-        np.float32(NEAR),
-        np.float32(FADE),
-        trusted,
-        away,
+    frame = np.array(unexplained.shape) * side
+    evidence = replace(
+        frame_of([]),
+        shape=(int(frame[0]), int(frame[1])),
+        positions=np.concatenate([before, own, after]),
+        unexplained=unexplained,
     )
+    tracks = LayerTracks(1, "object", -1, len(before), len(before) + len(own))
+    cells = Region(left, top, SHAPE[1], SHAPE[0])
+    lengths = {
+        f"{name}_px": length / length_scale(*evidence.shape)
+        for name, length in zip(("close", "learn", "near", "fade"), (CLOSE, LEARN, NEAR, FADE), strict=True)
+    }
+    config = Config.model_validate(
+        {"posterior": lengths, "layers": {"unexplained_noise": LEAST * UNEXPLAINED_STEP}}
+    )
+    trusted, away = object_support(config, evidence, tracks, cells, side)
     coarse = 2 * side  # distances are told for 2×2 cells of the frame at once
 
     def distance(positions: Array, x: int, y: int) -> float:

@@ -8,8 +8,8 @@ import numpy as np
 from layer_fakes import CAR, SHAPE, WHOLE, frame_of, grid, owned, published, tracks
 
 from mlbs_actors.appearance.cells import spread_over_cells
-from mlbs_actors.config import length_scale
-from mlbs_actors.layer.object_regions import contested, region_of_object, told_of
+from mlbs_actors.layer import object_regions
+from mlbs_actors.layer.object_regions import contested
 from mlbs_actors.messages import BACKGROUND, LayerEvidence, Region, Segmentation
 
 #: px of a 640×480 frame: of any object, and of one in full view.
@@ -20,8 +20,7 @@ NOTHING = np.zeros((0, 2), np.float32)
 def object_region(
     one: LayerEvidence, previous: Segmentation | None, shape: tuple[int, int], margins: tuple[float, float]
 ) -> Region:
-    told, scale = told_of(one.layer, previous), length_scale(*shape)
-    return Region(*region_of_object(told, one.positions, one.motions, margins, scale, 1, *shape))
+    return object_regions.object_region(one, shape, previous, margins, 1)
 
 
 def test_the_region_is_the_box_of_the_trajectories_with_a_margin_that_grows_with_the_frame() -> None:

@@ -55,11 +55,9 @@ class FramePart(NamedTuple):
 def compared(
     before: FramePart, now: FramePart, side: int, motion: Array, camera: Array, own: Array, largest: float
 ) -> Array:
-    corner, last_corner = ((one.region.x, one.region.y) for one in (now, before))
+    corners = (now.region.x, now.region.y), (before.region.x, before.region.y)
     images = np.ascontiguousarray(before.image), np.ascontiguousarray(now.image)
-    found = photometric_advantage(
-        *images, motion, camera, float(side), corner, last_corner, own, np.float32(largest)
-    )
+    found = photometric_advantage(*images, motion, camera, float(side), corners, own, np.float32(largest))
     return np.asarray(found)
 
 

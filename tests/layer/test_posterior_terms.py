@@ -13,8 +13,9 @@ from mlbs_actors.appearance.fusion import quantised_ratio, with_appearance
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.layer.posterior_terms import (
     LOG_UNIFORM,
+    Prediction,
     finished_posterior,
-    layer_cost,
+    posterior_cost,
     quantised_colours,
     uncontested_cost,
 )
@@ -73,7 +74,8 @@ def test_the_cost_is_the_weighted_sum_of_the_terms_where_it_is_needed(kind: Laye
     prior = (share * rng.random(SIZE)).astype(np.float32), share
     away, advantage = rng.normal(0, 3, (2, *SIZE)).astype(np.float32)
     needed = rng.random(SIZE) < 0.7
-    found = layer_cost(CONFIG, kind, evidence, REGION, 1, needed, motion, variance, prior, away, advantage)
+    prediction = Prediction(REGION, 1, needed, motion, variance, prior, away, advantage)
+    found = posterior_cost(CONFIG, kind, evidence, prediction)
     expected = nats_by_arrays(kind, evidence, motion, variance, prior, away, advantage) / COST_STEP
     assert (found[~needed] == uncontested_cost(CONFIG)).all()
     assert np.abs(found - np.clip(expected, 0, 255))[needed].max() < 0.5 + 0.05  # of the tables
@@ -88,24 +90,23 @@ def test_the_cost_of_cells_is_that_of_the_pixels_in_their_middle() -> None:
     moves, ones = np.full((*shape, 2), 0.5, np.float32), np.ones(shape, np.float32)
     given = [rng.random(shape).astype(np.float32) for _ in range(4)]
     away, advantage, variance, prior = given
-    found = layer_cost(
-        CONFIG, "object", evidence, cells, side, ones > 0, moves, variance, (prior, ones), away, advantage
-    )
+    prediction = Prediction(cells, side, ones > 0, moves, variance, (prior, ones), away, advantage)
+    found = posterior_cost(CONFIG, "object", evidence, prediction)
     away, advantage, variance, prior = (one.repeat(side, axis=0).repeat(side, axis=1) for one in given)
     motion, share = np.full((*away.shape, 2), 0.5 * side, np.float32), np.ones_like(prior)
-    by_pixels = layer_cost(
-        CONFIG, "object", evidence, pixels, 1, share > 0, motion, variance, (prior, share), away, advantage
-    )
+    prediction = Prediction(pixels, 1, share > 0, motion, variance, (prior, share), away, advantage)
+    by_pixels = posterior_cost(CONFIG, "object", evidence, prediction)
     np.testing.assert_array_equal(found, by_pixels[centre])
 
 
 def test_a_cost_is_held_inside_its_byte() -> None:
     zeros, still = np.zeros(SIZE, np.float32), np.zeros((*SIZE, 2), np.float32)
     advantage = np.where(np.arange(SIZE[1]) < 40, 1e4, -1e4) * np.ones(SIZE)
-    found = layer_cost(
-        CONFIG, "object", evidence_of(2), REGION, 1, np.ones(SIZE, bool), still, zeros,
-        (zeros, zeros), zeros, advantage.astype(np.float32),
-    )  # fmt: skip
+    everywhere = np.ones(SIZE, bool)
+    prediction = Prediction(
+        REGION, 1, everywhere, still, zeros, (zeros, zeros), zeros, advantage.astype(np.float32)
+    )
+    found = posterior_cost(CONFIG, "object", evidence_of(2), prediction)
     assert (found[:, :40] == 0).all()
     assert (found[:, 40:] == 255).all()
 
@@ -137,7 +138,7 @@ def test_the_finished_posterior_is_normalised_and_half_of_it_is_the_published_ma
         normaliser=rng.integers(0, 256, SHAPE).astype(np.uint8),
         fallback=rng.integers(0, 128, SHAPE).astype(np.int8),
     )
-    found = finished_posterior(CONFIG, cost, log_ratio, samples, result, REGION, won)
+    found = finished_posterior(CONFIG, (cost, log_ratio, samples), result, REGION, won)
     fallback = np.ascontiguousarray(result.fallback[REGION.slices])
     weight, half = CONFIG.posterior.appearance, CONFIG.appearance.half_confidence_samples
     fused = with_appearance(cost, log_ratio, samples, fallback, weight, half)
