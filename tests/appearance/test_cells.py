@@ -11,7 +11,6 @@ from mlbs_actors.appearance.cells import (
     cells_won,
     in_cells,
     in_pixels,
-    mean_colours,
     mean_of_cells,
     spread_over_cells,
 )
@@ -37,14 +36,6 @@ def test_a_cell_has_the_mean_of_its_pixels(side: int, shape: tuple[int, ...]) ->
     assert np.abs(found - plain_means(values, side)).max() <= 0.5
     motion = np.random.default_rng(1).normal(0, 3, (*shape[:2], 2)).astype(np.float32)
     np.testing.assert_allclose(mean_of_cells(motion, side), plain_means(motion, side), atol=1e-5)
-
-
-@pytest.mark.parametrize("side", [1, 2, 3, 4])
-def test_means_of_a_part_of_a_frame_are_those_of_the_part(side: int) -> None:
-    frame = np.random.default_rng(2).integers(0, 256, (37, 53, 3)).astype(np.uint8)
-    for region in (Region(12, 24, 24, 12), Region(24, 12, 29, 25), Region(0, 0, 0, 0)):
-        found = mean_colours(frame, region.x, region.y, region.height, region.width, side)
-        np.testing.assert_array_equal(found, mean_of_cells(frame[region.slices], side))
 
 
 @pytest.mark.parametrize("side", [1, 2, 3])
