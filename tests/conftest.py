@@ -8,12 +8,11 @@ import os
 import secrets
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 import ray
-from actor_fakes import FakeParts
+from actor_fakes import FakeParts, RaySession
 
 from mlbs_actors.actors import Node, PoolPolicy
 
@@ -27,14 +26,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.xdist_group("ray"))
 
 
-@dataclass(frozen=True)
-class RaySession:
-    """The running session: its folder, and the size of its object store, bytes."""
-
-    folder: Path
-    object_store_bytes: int
-
-
 @pytest.fixture(scope="session")
 def ray_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RaySession]:
     """An embedded Ray session on this machine, with a token of its own; never one that runs already."""
@@ -43,7 +34,8 @@ def ray_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RaySession
     with pytest.MonkeyPatch.context() as environment:
         environment.delenv("RAY_ADDRESS", raising=False)
         environment.setenv("RAY_AUTH_TOKEN_PATH", str(token))
-        environment.setenv("PYTHONPATH", str(Path(__file__).parent / "fakes"), prepend=os.pathsep)
+        for folder in ("actors/stream", "actors/node", "actors", "fakes"):  # what processes unpickle
+            environment.setenv("PYTHONPATH", str(Path(__file__).parent / folder), prepend=os.pathsep)
         context = ray.init(
             address="local",
             num_cpus=2,

@@ -21,6 +21,7 @@ from actor_fakes import (
     FakeParts,
     FakeReader,
     FakeSink,
+    RaySession,
     crowd,
     is_running,
     picture,
@@ -30,7 +31,6 @@ from actor_fakes import (
     spec,
     wait_until,
 )
-from conftest import RaySession
 
 from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.actors import Node, PoolPolicy

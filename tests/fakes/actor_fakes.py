@@ -108,6 +108,14 @@ class CoordinatorMemory:
     last: dict[int, int]
 
 
+@dataclass(frozen=True)
+class RaySession:
+    """The running session: its folder, and the size of its object store, bytes."""
+
+    folder: Path
+    object_store_bytes: int
+
+
 class _Coordinator:
     """Holds the first frames, then emits each at once; reads the labels of exactly t−2."""
 

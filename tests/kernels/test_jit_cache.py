@@ -19,8 +19,7 @@ from mlbs_actors.kernels.jit import compiled
 config: Any = numba.config
 
 CALLER = """
-from mlbs_actors.kernels import jit
-from mlbs_actors.kernels import machine_code
+from mlbs_actors.kernels import jit, machine_code
 from mlbs_actors.deeper.called import STEP, one
 
 known = machine_code.has_machine_code()
@@ -47,11 +46,12 @@ def one():
 def package(tmp_path: Path) -> Path:
     """A package with the decorator, and a kernel that calls another one of a sub-package."""
     folder = tmp_path / "mlbs_actors"
-    (folder / "deeper").mkdir(parents=True)
-    for module in (jit, machine_code, errors):
+    for name in ("deeper", "kernels"):
+        (folder / name).mkdir(parents=True)
+    for module, home in ((jit, "kernels"), (machine_code, "kernels"), (errors, "")):
         source = Path(str(module.__file__))
-        (folder / source.name).write_text(source.read_text())
-    for name in ("__init__", "deeper/__init__"):
+        (folder / home / source.name).write_text(source.read_text())
+    for name in ("__init__", "deeper/__init__", "kernels/__init__"):
         (folder / f"{name}.py").touch()
     (folder / "caller.py").write_text(CALLER)
     return folder

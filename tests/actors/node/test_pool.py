@@ -16,6 +16,7 @@ from actor_fakes import (
     FakeParts,
     FakeReader,
     Memory,
+    RaySession,
     crowd,
     picture,
     rows,
@@ -25,7 +26,6 @@ from actor_fakes import (
     still_evidence,
     wait_until,
 )
-from conftest import RaySession
 from ray.exceptions import RayActorError
 
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy

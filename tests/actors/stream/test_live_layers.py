@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ray
-from actor_fakes import CONFIG, still_evidence
-from conftest import RaySession
+from actor_fakes import CONFIG, RaySession, still_evidence
 
 from mlbs_actors.actors.ipc.channels import ChannelOffer
 from mlbs_actors.actors.stream.live_layers import LiveLayers
