@@ -22,6 +22,7 @@ __all__ = [
     "AppearanceConfig",
     "Config",
     "FlowConfig",
+    "GridConfig",
     "LayersConfig",
     "MotionConfig",
     "PosteriorConfig",
@@ -41,17 +42,19 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+class GridConfig(_Section):
+    """The cells of a frame: the one grid of flow, trajectories' evidence, posteriors and colours."""
+
+    cell_px: float = Field(
+        2.0, gt=0, description="Side of the square of pixels that share flow, posterior and samples, px."
+    )
+
+
 class FlowConfig(_Section):
     """Dense optical flow (§3): dense inverse search (DIS) where the authors use LDOF."""
 
-    scale: float = Field(
-        0.5,
-        gt=0,
-        le=1,
-        description="Flow is computed on the frame shrunk to this share of 640×480 (never enlarged).",
-    )
     finest_scale: int = Field(
-        0, ge=0, le=3, description="DIS: last level of the pyramid, 0 = the shrunk frame itself."
+        0, ge=0, le=3, description="DIS: last level of the pyramid, 0 = the cells themselves."
     )
     search_iterations: int = Field(6, ge=1, description="DIS: gradient descent iterations of a patch.")
     refinement_iterations: int = Field(1, ge=0, description="DIS: iterations of variational refinement.")
@@ -199,9 +202,6 @@ class AppearanceConfig(_Section):
     """Kernel density of a layer's colours (§6.2)."""
 
     samples: int = Field(16, ge=1, le=255, description="N: samples kept a cell.")
-    cell_px: float = Field(
-        2.0, gt=0, description="Side of the square of pixels that share their samples, px."
-    )
     bandwidth_floor: float = Field(5.0, gt=0, description="Least kernel bandwidth, grey levels.")
     registration_px: float = Field(
         1.0,
@@ -295,6 +295,7 @@ class SegmentationConfig(_Section):
 class Config(_Section):
     """All parameters of one stream."""
 
+    grid: GridConfig = GridConfig()
     flow: FlowConfig = FlowConfig()
     trajectories: TrajectoriesConfig = TrajectoriesConfig()
     affinity: AffinityConfig = AffinityConfig()

@@ -18,6 +18,7 @@ from time import perf_counter
 
 import numpy as np
 
+from mlbs_actors.cells import cell_side
 from mlbs_actors.clustering.affinity import TrajectoryGraph, displacement_spread, trajectory_graph
 from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
 from mlbs_actors.clustering.layer_registry import LayerRegistry, RegistryState
@@ -35,8 +36,8 @@ from mlbs_actors.clustering.splitting import (
 )
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
-from mlbs_actors.flow.dense_flow import dense_flow, flow_gray
-from mlbs_actors.flow.focus import focus_boxes, focus_cells
+from mlbs_actors.flow.dense_flow import LEAST_CELLS, dense_flow, flow_gray
+from mlbs_actors.flow.focus import focus_blocks, focus_boxes
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerKind, LayerTracks, Segmentation
 from mlbs_actors.tracking.frame_buffer import HeldFrame, by_layer, first_frame, held_frame, relabelled
 from mlbs_actors.tracking.tracker import track
@@ -59,7 +60,7 @@ class CoordinatorState:
     gray : (h, w) uint8
         The last frame as the flow sees it.
     focus : (rows, columns) bool
-        Cells around which the next flow needs its finest level; empty where it does everywhere.
+        Blocks around which the next flow needs its finest level; empty where it does everywhere.
     trajectories : TrajectoryState
     labels : (n,) int64
         Label of each live trajectory after the last frame.
@@ -167,11 +168,12 @@ class Coordinator:
         stage_ms: dict[str, float] = {}
 
         with _timed(stage_ms, "flow"):
-            gray = flow_gray(frame, config.flow)
+            side = cell_side(shape, config.grid.cell_px)
+            gray = flow_gray(frame, side)
             flow = None
-            if frame_index > state.epoch:
+            if frame_index > state.epoch and min(gray.shape) >= LEAST_CELLS:
                 focus = focus_boxes(state.focus, gray.shape) if state.focus.size else None
-                flow = dense_flow(state.gray, gray, shape, config.flow, config.trajectories, focus)
+                flow = dense_flow(state.gray, gray, side, config.flow, config.trajectories, focus)
 
         with _timed(stage_ms, "tracking"):
             known = state.labels == BACKGROUND if state.clustered else np.ones(len(state.labels), bool)
@@ -194,10 +196,9 @@ class Coordinator:
                 registry = LayerRegistry(config.layers, shape, state.registry)
                 self._observe(registry, labels, frame, frame_index, published)
         if state.clustered:
-            step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
-            state.focus = focus_cells(
+            state.focus = focus_blocks(
                 tracked.against_camera.advantage, trajectories.positions, trajectories.motions,
-                state.labels > BACKGROUND, step,
+                state.labels > BACKGROUND, side,
             )  # fmt: skip
         state.held = (
             *state.held,

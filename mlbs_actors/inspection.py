@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mlbs_actors.appearance.cells import in_cells, spread_over_cells
 from mlbs_actors.appearance.fusion import LIKELIHOOD, with_appearance
+from mlbs_actors.cells import in_cells, spread_over_cells
 from mlbs_actors.config import Config
 from mlbs_actors.layer.layer import Layer
 from mlbs_actors.messages import Array, FrameEvidence, LayerKind, LayerPosterior, Region, Segmentation

@@ -127,7 +127,7 @@ class FrameEvidence:
         Homography that takes homogeneous pixels of frame t to where they were in frame t−1 if they
         belong to the background.
     flow : (h, w, 2) float32
-        Dense backward flow t → t−1 in full-size px, on a grid ``H / h`` times coarser than the frame.
+        Dense backward flow t → t−1 of the frame's cells (:mod:`mlbs_actors.cells`), px.
         Zeros for frame 0.
     flow_reliable : (h, w) bool
         Where forward and backward flow agree.
@@ -302,7 +302,7 @@ class Segmentation:
     labels : (H, W) uint16
         Layer id of every pixel, 0 = background, cleaned.
     normaliser : (rows, columns) uint8
-        For each cell of the layers' posteriors (:mod:`mlbs_actors.appearance.cells`), −log Z in units of
+        For each cell of the layers' posteriors (:mod:`mlbs_actors.cells`), −log Z in units of
         ``COST_STEP`` nats, Z the sum of the unnormalised posteriors over the layers; 255 away from all
         objects, where the background's posterior is 1 whatever its cost.
     fallback : (rows, columns) int8

@@ -37,8 +37,8 @@ def test_an_empty_file_changes_nothing(tmp_path: Path, text: str) -> None:
 
 def test_an_override_comes_after_the_file_and_the_last_one_wins(tmp_path: Path) -> None:
     path = written(tmp_path, "layers:\n  lookahead: 4\n  max_layers: 9\n")
-    config = load_config(path, ["layers.lookahead=2", "flow.scale = 0.25", "layers.lookahead=3"])
-    assert (config.layers.lookahead, config.layers.max_layers, config.flow.scale) == (3, 9, 0.25)
+    config = load_config(path, ["layers.lookahead=2", "grid.cell_px = 0.25", "layers.lookahead=3"])
+    assert (config.layers.lookahead, config.layers.max_layers, config.grid.cell_px) == (3, 9, 0.25)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_an_override_comes_after_the_file_and_the_last_one_wins(tmp_path: Path) 
         ("layer.lookahead=1", "no parameter layer; did you mean layers?"),
         ("layers.init_frames=6", "layers.init_frames: Input should be less than or equal to 5"),
         ("flow.finest_scale=4", "flow.finest_scale: Input should be less than or equal to 3"),
-        ("flow.scale=.nan", "flow.scale"),
+        ("grid.cell_px=.nan", "grid.cell_px"),
         ("segmentation.label_cost=.inf", "segmentation.label_cost"),
     ],
 )
@@ -71,8 +71,8 @@ def test_a_wrong_override_is_refused_in_a_sentence(override: str, complaint: str
 
 
 def test_all_wrong_values_are_named_at_once() -> None:
-    with pytest.raises(ConfigError, match=r"flow\.scale: .*; layers\.lookahead: "):
-        load_config(None, ["layers.lookahead=-1", "flow.scale=7"])
+    with pytest.raises(ConfigError, match=r"grid\.cell_px: .*; layers\.lookahead: "):
+        load_config(None, ["layers.lookahead=-1", "grid.cell_px=-7"])
 
 
 @pytest.mark.parametrize(

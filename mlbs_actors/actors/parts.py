@@ -321,9 +321,9 @@ def _read_only(array: Array) -> Array:
 
 
 def _focus_on_crowd() -> None:
-    """Part cells in two corners, one box around which would be most of the frame."""
-    from mlbs_actors.flow.focus import CELL, focus_boxes
+    """Part blocks in two corners, one box around which would be most of the frame."""
+    from mlbs_actors.flow.focus import BLOCK, focus_boxes
 
-    cells = np.zeros((12, 16), bool)
-    cells[:6, :6] = cells[6:, 6:] = True
-    focus_boxes(cells, (12 * CELL, 16 * CELL))
+    blocks = np.zeros((12, 16), bool)
+    blocks[:6, :6] = blocks[6:, 6:] = True
+    focus_boxes(blocks, (12 * BLOCK, 16 * BLOCK))

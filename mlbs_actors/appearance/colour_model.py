@@ -1,7 +1,7 @@
 """What a layer remembers of its appearance: the last N colours of every pixel (§6).
 
 Pixels are those of the images that a layer gives: in the engine, cells of several
-(:mod:`mlbs_actors.appearance.cells`).
+(:mod:`mlbs_actors.cells`).
 
 A *stack* holds a pixel's samples; :mod:`mlbs_actors.appearance.colour_density` turns it into a density. Each
 frame it is moved by the layer's motion (:func:`warp_model`) and learns the pixels that the layer won

@@ -1,8 +1,9 @@
 """Dense optical flow between successive frames, both ways, with its forward–backward check (§3).
 
 Differs from the paper: the authors use LDOF (tens of seconds a frame); here it is dense inverse
-search (:mod:`mlbs_actors.flow.inverse_search`) on the shrunk frame, a few milliseconds a direction, and the
-same flow serves the tracks, the layers' motion likelihood and the camera model.
+search (:mod:`mlbs_actors.flow.inverse_search`) on the frame's cells (:mod:`mlbs_actors.cells`), a few
+milliseconds a direction, and the same flow serves the tracks, the layers' motion likelihood and the camera
+model.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
+from mlbs_actors.cells import mean_of_cells
+from mlbs_actors.config import FlowConfig, TrajectoriesConfig
 from mlbs_actors.flow.inverse_search import (
     FlowLevel,
     SearchEffort,
@@ -26,23 +28,26 @@ from mlbs_actors.flow.patch_search import PATCH
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["DenseFlow", "dense_flow", "flow_gray", "flow_size", "reliable_at"]
+__all__ = ["LEAST_CELLS", "DenseFlow", "dense_flow", "flow_gray", "reliable_at"]
+
+#: A frame with fewer cells on a side has no flow: two patches.
+LEAST_CELLS = 2 * PATCH
 
 
 @dataclass(frozen=True, slots=True)
 class DenseFlow:
-    """Flow between frames t−1 and t on a grid coarser than the frame.
+    """Flow between frames t−1 and t, one vector for each cell of the frame.
 
     Attributes
     ----------
     forward : (h, w, 2) float32
-        t−1 → t, in full-size px, defined on the pixels of frame t−1.
+        t−1 → t, px, of the cells of frame t−1.
     backward : (h, w, 2) float32
-        t → t−1, in full-size px, defined on the pixels of frame t.
+        t → t−1, px, of the cells of frame t.
     backward_reliable : (h, w) bool
         Backward flow that the forward flow confirms and that is not on a motion boundary.
-    step : (float, float)
-        Full-size px per grid step in x and y.
+    side : int
+        Of a cell, px.
     thresholds : four float
         a, b, c and d of the checks |w+w'(x+w)|² < a(|w|²+|w'|²)+b and |∇u|²+|∇v|² ≤ c|w|²+d.
     """
@@ -50,68 +55,46 @@ class DenseFlow:
     forward: Array
     backward: Array
     backward_reliable: Array
-    step: tuple[float, float]
+    side: int
     thresholds: tuple[float, float, float, float]
 
     def forward_reliable(self) -> Array:
         """Which forward flow the backward flow confirms and is not on a motion boundary, (h, w) bool."""
-        return _reliable(self.forward, self.backward, *self.step, self.thresholds)
+        return _reliable(self.forward, self.backward, self.side, self.thresholds)
 
 
-def flow_gray(frame: Array, config: FlowConfig) -> Array:
-    """Grey image, shrunk to the size on which flow is computed.
-
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8
-        BGR.
-    config : FlowConfig
-
-    Returns
-    -------
-    (h, w) uint8
-        At least 16 px a side, two patches of the search.
-    """
-    gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-    size = flow_size((gray.shape[0], gray.shape[1]), config)
-    return gray if size == gray.shape else cv2.resize(gray, size[::-1], interpolation=cv2.INTER_AREA)
-
-
-def flow_size(shape: tuple[int, int], config: FlowConfig) -> tuple[int, int]:
-    """Size (h, w) of :func:`flow_gray` of a frame (H, W), px."""
-    height, width = shape
-    scale = min(1.0, config.scale / length_scale(height, width))
-    return max(16, round(height * scale)), max(16, round(width * scale))
+def flow_gray(frame: Array, side: int) -> Array:
+    """Return a (H, W, 3) uint8 BGR frame as the flow sees it: mean grey levels of its cells, (h, w) uint8."""
+    return mean_of_cells(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), side)
 
 
 def dense_flow(
     previous: Array,
     current: Array,
-    shape: tuple[int, int],
+    side: int,
     config: FlowConfig,
     checks: TrajectoriesConfig,
     focus: Sequence[Region] | None = None,
 ) -> DenseFlow:
-    """Flow between two shrunk grey frames, both ways, with the checks of Sundaram et al.
+    """Estimate the flow between two frames, both ways, with the checks of Sundaram et al.
 
     Parameters
     ----------
     previous, current : (h, w) uint8
-        From :func:`flow_gray`.
-    shape : (int, int)
-        (H, W) of the full frame.
+        From :func:`flow_gray`, at least ``LEAST_CELLS`` high and wide.
+    side : int
+        Of a cell, px.
     config : FlowConfig
     checks : TrajectoriesConfig
         Thresholds of the forward–backward and motion-boundary checks.
     focus : sequence of Region, optional
-        Disjoint boxes of the shrunk frame where the finest level is computed. By default it is everywhere,
+        Disjoint boxes, in cells, where the finest level is computed. By default it is everywhere,
         and with the settings of the first frames: what is not told apart there is not found for long.
 
     Returns
     -------
     DenseFlow
     """
-    step = (shape[1] / current.shape[1], shape[0] / current.shape[0])
     whole = [Region(0, 0, current.shape[1], current.shape[0])]
     if focus is None:
         effort = SearchEffort(
@@ -133,14 +116,14 @@ def dense_flow(
         # Outside the boxes the scene moves as the camera does: there it is enough to turn the flow around.
         turned, first = _inverted(backward), min(finest + 1, coarsest)
     forward = _finer(before, now, turned, range(first, finest - 1, -1), focus, effort)
-    forward, backward = (_full_size(resized_flow(one, current.shape), *step) for one in (forward, backward))
+    forward, backward = (_in_px(resized_flow(one, current.shape), side) for one in (forward, backward))
     thresholds = (
         checks.consistency_relative,
         checks.consistency_px2,
         checks.boundary_relative,
         checks.boundary_absolute,
     )
-    return DenseFlow(forward, backward, _reliable(backward, forward, *step, thresholds), step, thresholds)
+    return DenseFlow(forward, backward, _reliable(backward, forward, side, thresholds), side, thresholds)
 
 
 def _finer(
@@ -171,14 +154,14 @@ def _on_level(box: Region, level: int, shape: tuple[int, int]) -> Region:
 
 
 @compiled
-def _full_size(flow: Array, step_x: float, step_y: float) -> Array:
-    """Flow planes (2, h, w) in px of the shrunk frame as (h, w, 2) in full-size px."""
+def _in_px(flow: Array, side: int) -> Array:
+    """Flow planes (2, h, w) in cells as (h, w, 2) in px."""
     _, height, width = flow.shape
     scaled = np.empty((height, width, 2), np.float32)
-    by_x, by_y = np.float32(step_x), np.float32(step_y)
     for y in range(height):
         for x in range(width):
-            scaled[y, x, 0], scaled[y, x, 1] = by_x * flow[0, y, x], by_y * flow[1, y, x]
+            scaled[y, x, 0] = np.float32(side) * flow[0, y, x]
+            scaled[y, x, 1] = np.float32(side) * flow[1, y, x]
     return scaled
 
 
@@ -205,12 +188,11 @@ def _inverted(flow: Array) -> Array:
 
 
 @compiled
-def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks: tuple[float, ...]) -> Array:
+def _reliable(flow: Array, reverse: Array, side: int, checks: tuple[float, ...]) -> Array:
     """The checks of `DenseFlow.thresholds`, inside the frame."""
     height, width = flow.shape[:2]
     reliable = np.zeros((height, width), np.bool_)
-    by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
-    shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
+    per_px, shrink = np.float32(1.0 / (32 * side)), np.float32(1.0 / side)
     smoothed, sheared = np.empty(2 * width, np.float32), np.empty(2 * width, np.float32)
     slope = np.empty(2 * width, np.float32)
     along, across = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -225,17 +207,17 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
             smoothed[k], sheared[k] = _across(upper[k], middle[k], lower[k])
         for k in range(2, 2 * width - 2):
             slope[k] = _slope(
-                smoothed[k - 2], smoothed[k + 2], sheared[k - 2], sheared[k], sheared[k + 2], by_x, by_y
+                smoothed[k - 2], smoothed[k + 2], sheared[k - 2], sheared[k], sheared[k + 2], per_px
             )
         for k in (0, 1, 2 * width - 2, 2 * width - 1):
             before, after = max(k - 2, k & 1), min(k + 2, 2 * width - 2 + (k & 1))
             slope[k] = _slope(
-                smoothed[before], smoothed[after], sheared[before], sheared[k], sheared[after], by_x, by_y
+                smoothed[before], smoothed[after], sheared[before], sheared[k], sheared[after], per_px
             )
         for x in range(width):
             at = np.uint64(2 * x)
             inside[x], near[x], along[x], across[x] = _there(
-                middle[at], middle[at + one], x, y, width, height, shrink_x, shrink_y
+                middle[at], middle[at + one], x, y, width, height, shrink
             )
         for x in range(width):  # the only one that cannot
             along[x], across[x] = _back(back, near[x], width, along[x], across[x])
@@ -250,13 +232,12 @@ def _reliable(flow: Array, reverse: Array, step_x: float, step_y: float, checks:
 
 @compiled
 def reliable_at(
-    flow: Array, reverse: Array, step_x: float, step_y: float, checks: tuple[float, ...], xs: Array, ys: Array
+    flow: Array, reverse: Array, side: int, checks: tuple[float, ...], xs: Array, ys: Array
 ) -> Array:
     """The same at columns and rows (n,) int64 of the grid: trajectories are at a few in a hundred."""
     height, width = flow.shape[:2]
     reliable = np.zeros(xs.size, np.bool_)
-    by_x, by_y = np.float32(1.0 / (32 * step_x)), np.float32(1.0 / (32 * step_y))
-    shrink_x, shrink_y = np.float32(1.0 / step_x), np.float32(1.0 / step_y)
+    per_px, shrink = np.float32(1.0 / (32 * side)), np.float32(1.0 / side)
     back = reverse.reshape(-1)
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     for point in range(xs.size):
@@ -268,9 +249,9 @@ def reliable_at(
             left, sheared_left = _across(upper[before, axis], middle[before, axis], lower[before, axis])
             _, sheared = _across(upper[x, axis], middle[x, axis], lower[x, axis])
             right, sheared_right = _across(upper[after, axis], middle[after, axis], lower[after, axis])
-            gradient += _slope(left, right, sheared_left, sheared, sheared_right, by_x, by_y)
+            gradient += _slope(left, right, sheared_left, sheared, sheared_right, per_px)
         u, v = flow[y, x, 0], flow[y, x, 1]
-        inside, near, along, across = _there(u, v, x, y, width, height, shrink_x, shrink_y)
+        inside, near, along, across = _there(u, v, x, y, width, height, shrink)
         back_u, back_v = _back(back, near, width, along, across)
         reliable[point] = inside & _confirmed(u, v, back_u, back_v, gradient, limits)
     return reliable
@@ -285,23 +266,22 @@ def _across(upper: np.float32, middle: np.float32, lower: np.float32) -> tuple[n
 @compiled
 def _slope(
     left: np.float32, right: np.float32, sheared_left: np.float32, sheared: np.float32,
-    sheared_right: np.float32, by_x: np.float32, by_y: np.float32,
+    sheared_right: np.float32, per_px: np.float32,
 ) -> np.float32:  # fmt: skip
-    """Squared gradient of one component by Scharr's central differences, per full-size px."""
-    along = by_x * (right - left)
-    down = by_y * (np.float32(3) * (sheared_left + sheared_right) + np.float32(10) * sheared)
+    """Squared gradient of one component by Scharr's central differences, per px."""
+    along = per_px * (right - left)
+    down = per_px * (np.float32(3) * (sheared_left + sheared_right) + np.float32(10) * sheared)
     return along * along + down * down
 
 
 @compiled
 def _there(
-    u: np.float32, v: np.float32, x: int, y: int, width: int, height: int, shrink_x: np.float32,
-    shrink_y: np.float32,
+    u: np.float32, v: np.float32, x: int, y: int, width: int, height: int, shrink: np.float32,
 ) -> tuple[bool, np.int32, np.float32, np.float32]:  # fmt: skip
     """Whether flow leads to a place inside; the pixel above and left of it, and the way from that, px."""
     zero, right, bottom = np.float32(0), np.float32(width - 1), np.float32(height - 1)
-    there_x = np.float32(np.int32(x)) + u * shrink_x
-    there_y = np.float32(np.int32(y)) + v * shrink_y
+    there_x = np.float32(np.int32(x)) + u * shrink
+    there_y = np.float32(np.int32(y)) + v * shrink
     inside = (there_x >= zero) & (there_x <= right) & (there_y >= zero) & (there_y <= bottom)
     there_x, there_y = min(max(there_x, zero), right), min(max(there_y, zero), bottom)
     column, row = min(np.int32(there_x), np.int32(width - 2)), min(np.int32(there_y), np.int32(height - 2))

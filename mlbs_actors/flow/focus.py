@@ -17,103 +17,97 @@ from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.segmentation.region_groups import group_regions
 
-__all__ = ["focus_boxes", "focus_cells"]
+__all__ = ["focus_blocks", "focus_boxes"]
 
-#: Side of a cell, px of the shrunk frame.
-CELL = 8
-#: A cell is looked at closely if the flow explained the image better than the camera by this in it, × noise.
+#: Side of a block, cells.
+BLOCK = 8
+#: A block is looked at closely if the flow explained the image better than the camera by this in it, × noise.
 ADVANTAGE = 0.5
-#: Fewer such cells together are chance.
-LEAST_CELLS = 3
-#: So many cells around what is looked at closely: how far it may move in a frame, and what the flow sees
+#: Fewer such blocks together are chance.
+LEAST_BLOCKS = 3
+#: So many blocks around what is looked at closely: how far it may move in a frame, and what the flow sees
 #: beside it.
 GROWN = 2
 #: Column of OpenCV's statistics of a component.
 _AREA = int(cv2.CC_STAT_AREA)
-#: What a seam between two boxes costs for each pair of cells that it parts, in cells.
+#: What a seam between two boxes costs for each pair of blocks that it parts, in blocks.
 SEAM = 4.0
 #: Above this share of the frame, boxes are not worth their seams.
 MOST = 0.7
 
 
-def focus_cells(
-    advantage: Array, positions: Array, motions: Array, objects: Array, step: tuple[float, float]
-) -> Array:
-    """Cells of a finished frame around which the next flow needs its finest level.
+def focus_blocks(advantage: Array, positions: Array, motions: Array, objects: Array, side: int) -> Array:
+    """Find the blocks of a finished frame around which the next flow needs its finest level.
 
     Parameters
     ----------
     advantage : (h, w) float32
         Of :class:`~mlbs_actors.tracking.camera.CameraEvidence`, × noise.
     positions, motions : (n, 2) float32
-        Trajectories in it, and their backward motions, which are taken to go on, full-size px.
+        Trajectories in it, and their backward motions, which are taken to go on, px.
     objects : (n,) bool
         Which of them are on objects.
-    step : (float, float)
-        Full-size px per px of the shrunk frame.
+    side : int
+        Of a cell, px.
 
     Returns
     -------
-    (⌈h / CELL⌉, ⌈w / CELL⌉) bool
+    (⌈h / BLOCK⌉, ⌈w / BLOCK⌉) bool
     """
     height, width = advantage.shape
-    rows, columns = -(-height // CELL), -(-width // CELL)
+    rows, columns = -(-height // BLOCK), -(-width // BLOCK)
     mean = cv2.resize(advantage, (columns, rows), interpolation=cv2.INTER_AREA)
     _, piece, stats, _ = cv2.connectedComponentsWithStats((mean > ADVANTAGE).view(np.uint8), connectivity=8)
-    cells = _cells(
-        piece, stats, positions, motions, objects,
-        np.float32(CELL * step[0]), np.float32(CELL * step[1]),
-    )  # fmt: skip
-    return np.asarray(cv2.dilate(cells, np.ones((2 * GROWN + 1, 2 * GROWN + 1), np.uint8)), bool)
+    blocks = _blocks(piece, stats, positions, motions, objects, np.float32(BLOCK * side))
+    return np.asarray(cv2.dilate(blocks, np.ones((2 * GROWN + 1, 2 * GROWN + 1), np.uint8)), bool)
 
 
 @compiled
-def _cells(
-    piece: Array, stats: Array, positions: Array, motions: Array, objects: Array, width: np.float32,
-    height: np.float32,
-) -> Array:  # fmt: skip
-    """Cells of pieces (1 …; 0 is none) that are no chance, and those where objects will be, as uint8."""
-    cells = np.empty(piece.shape, np.uint8)
+def _blocks(
+    piece: Array, stats: Array, positions: Array, motions: Array, objects: Array, block_px: np.float32
+) -> Array:
+    """Blocks of pieces (1 …; 0 is none) that are no chance, and those where objects will be, as uint8."""
+    blocks = np.empty(piece.shape, np.uint8)
     for y in range(piece.shape[0]):
         for x in range(piece.shape[1]):
-            cells[y, x] = piece[y, x] > 0 and stats[piece[y, x], _AREA] >= LEAST_CELLS
+            blocks[y, x] = piece[y, x] > 0 and stats[piece[y, x], _AREA] >= LEAST_BLOCKS
     for i in range(objects.size):
         if objects[i]:
-            x = int((positions[i, 0] - motions[i, 0]) / width)
-            y = int((positions[i, 1] - motions[i, 1]) / height)
-            cells[min(max(y, 0), piece.shape[0] - 1), min(max(x, 0), piece.shape[1] - 1)] = 1
-    return cells
+            x = int((positions[i, 0] - motions[i, 0]) / block_px)
+            y = int((positions[i, 1] - motions[i, 1]) / block_px)
+            blocks[min(max(y, 0), piece.shape[0] - 1), min(max(x, 0), piece.shape[1] - 1)] = 1
+    return blocks
 
 
-def focus_boxes(cells: Array, shape: tuple[int, int]) -> list[Region]:
-    """Boxes around the cells, disjoint; the whole frame if they would be most of it.
+def focus_boxes(blocks: Array, shape: tuple[int, int]) -> list[Region]:
+    """Return disjoint boxes around the blocks, in cells; the whole frame if they would be most of it.
 
     Flow is better in one box around neighbours than in several with seams. Only where such boxes would be
     most of the frame, as in a crowd, they are parted.
 
     Parameters
     ----------
-    cells : (rows, columns) bool
-        Of :func:`focus_cells`.
+    blocks : (rows, columns) bool
+        Of :func:`focus_blocks`.
     shape : (h, w)
-        Of the shrunk frame.
+        Of the frame, cells.
 
     Returns
     -------
     list of Region
     """
-    _, _, stats, _ = cv2.connectedComponentsWithStats(cells.view(np.uint8), connectivity=8)
-    boxes = [group.box for group in group_regions(_in_pixels(stats[1:, :4], shape), shape)]
+    _, _, stats, _ = cv2.connectedComponentsWithStats(blocks.view(np.uint8), connectivity=8)
+    boxes = [group.box for group in group_regions(_in_cells(stats[1:, :4], shape), shape)]
     if _most(boxes, shape):
-        boxes = _in_pixels(_parts(cells), shape)
+        boxes = _in_cells(_parts(blocks), shape)
     return [Region(0, 0, shape[1], shape[0])] if _most(boxes, shape) else boxes
 
 
-def _in_pixels(rectangles: Array, shape: tuple[int, int]) -> list[Region]:
-    """Rectangles of cells (n, 4), left, top, width and height, as far as they lie in the frame."""
+def _in_cells(rectangles: Array, shape: tuple[int, int]) -> list[Region]:
+    """Rectangles of blocks (n, 4), left, top, width and height, as far as they lie in the frame."""
     height, width = shape
     return [
-        Region(x * CELL, y * CELL, min(w * CELL, width - x * CELL), min(h * CELL, height - y * CELL))
+        Region(x * BLOCK, y * BLOCK, min(w * BLOCK, width - x * BLOCK), min(h * BLOCK, height - y * BLOCK))
         for x, y, w, h in rectangles.tolist()
     ]
 
@@ -123,17 +117,17 @@ def _most(boxes: list[Region], shape: tuple[int, int]) -> bool:
 
 
 @compiled
-def _parts(cells: Array) -> Array:
-    """Disjoint rectangles around all cells, (n, 4) int64: left, top, width and height.
+def _parts(blocks: Array) -> Array:
+    """Disjoint rectangles around all blocks, (n, 4) int64: left, top, width and height.
 
     One around all of them is cut in two as long as two around what is on either side cost less.
     """
-    waiting, parts = [(0, cells.shape[0], 0, cells.shape[1])], []
+    waiting, parts = [(0, blocks.shape[0], 0, blocks.shape[1])], []
     while waiting:
-        top, bottom, left, right = _shrunk(cells, waiting.pop())
+        top, bottom, left, right = _tightened(blocks, waiting.pop())
         if top == bottom:
             continue
-        part = cells[top:bottom, left:right]
+        part = blocks[top:bottom, left:right]
         between_rows, between_columns = _cut_costs(part), _cut_costs(part.T)
         row, column = int(np.argmin(between_rows)), int(np.argmin(between_columns))
         if min(between_rows[row], between_columns[column]) >= part.size:
@@ -151,32 +145,32 @@ def _parts(cells: Array) -> Array:
 
 
 @compiled
-def _shrunk(cells: Array, part: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
-    """The smallest rectangle around the cells of a part; without height if there are none."""
+def _tightened(blocks: Array, part: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """The smallest rectangle around the blocks of a part; without height if there are none."""
     top, bottom, left, right = part[1], part[0], part[3], part[2]
     for y in range(part[0], part[1]):
         for x in range(part[2], part[3]):
-            if cells[y, x]:
+            if blocks[y, x]:
                 top, bottom = min(top, y), max(bottom, y + 1)
                 left, right = min(left, x), max(right, x + 1)
     return min(top, bottom), bottom, left, right
 
 
 @compiled
-def _cut_costs(cells: Array) -> Array:
-    """Cost of a cut above each row: the cells of the rectangles on both sides, and the seam."""
-    rows, columns = cells.shape
+def _cut_costs(blocks: Array) -> Array:
+    """Cost of a cut above each row: the blocks of the rectangles on both sides, and the seam."""
+    rows, columns = blocks.shape
     costs = np.zeros(rows)
     for turn in range(2):
         left, right, height = columns, 0, 0
         for place in range(rows - 1):
             row = place if turn == 0 else rows - 1 - place
             for x in range(columns):
-                if cells[row, x]:
+                if blocks[row, x]:
                     left, right, height = min(left, x), max(right, x + 1), place + 1
             costs[row + 1 - turn] += height * (right - left)
     costs[0] = np.inf
     for row in range(1, rows):
         for x in range(columns):
-            costs[row] += SEAM * (cells[row - 1, x] & cells[row, x])
+            costs[row] += SEAM * (blocks[row - 1, x] & blocks[row, x])
     return costs

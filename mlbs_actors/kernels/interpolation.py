@@ -1,4 +1,4 @@
-"""Flow and maps of the shrunk frame, read at full-size places between their pixels."""
+"""Flow and maps of a frame's cells, read at places between them."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ _ONE, _HALF = np.float32(1), np.float32(0.5)
 
 
 @compiled
-def sample_flow(flow: Array, points: Array, step: tuple[float, float]) -> Array:
-    """Bilinear flow vectors at full-size positions.
+def sample_flow(flow: Array, points: Array, side: int) -> Array:
+    """Read flow vectors at positions in the frame, bilinearly.
 
     Parameters
     ----------
     flow : (h, w, c) float32
     points : (n, 2) float32
-        (x, y), full-size px.
-    step : (float, float)
-        Full-size px per grid step.
+        (x, y), px.
+    side : int
+        Of a cell of the grid, px.
 
     Returns
     -------
@@ -33,11 +33,11 @@ def sample_flow(flow: Array, points: Array, step: tuple[float, float]) -> Array:
         Beyond the outermost pixels' centres theirs.
     """
     height, width, channels = flow.shape
-    step_x, step_y = np.float32(step[0]), np.float32(step[1])
+    step = np.float32(side)
     sampled = np.empty((len(points), channels), np.float32)
     for point in range(len(points)):
-        x = int(np.rint(PARTS * ((points[point, 0] + _HALF) / step_x - _HALF)))
-        y = int(np.rint(PARTS * ((points[point, 1] + _HALF) / step_y - _HALF)))
+        x = int(np.rint(PARTS * ((points[point, 0] + _HALF) / step - _HALF)))
+        y = int(np.rint(PARTS * ((points[point, 1] + _HALF) / step - _HALF)))
         along, across = np.float32(x % PARTS) / np.float32(PARTS), np.float32(y % PARTS) / np.float32(PARTS)
         left, right = _beside(x // PARTS, width)
         top, bottom = _beside(y // PARTS, height)
@@ -52,14 +52,14 @@ def sample_flow(flow: Array, points: Array, step: tuple[float, float]) -> Array:
 
 
 @compiled
-def sample_map(values: Array, points: Array, step: tuple[float, float]) -> Array:
+def sample_map(values: Array, points: Array, side: int) -> Array:
     """Bilinear values of a map (h, w) float32, (n,) float32; otherwise as :func:`sample_flow`."""
     height, width = values.shape
-    step_x, step_y = np.float32(step[0]), np.float32(step[1])
+    step = np.float32(side)
     sampled = np.empty(len(points), np.float32)
     for point in range(len(points)):
-        x = (points[point, 0] + _HALF) / step_x - _HALF
-        y = (points[point, 1] + _HALF) / step_y - _HALF
+        x = (points[point, 0] + _HALF) / step - _HALF
+        y = (points[point, 1] + _HALF) / step - _HALF
         along, across = x - np.floor(x), y - np.floor(y)
         left, right = _beside(int(np.floor(x)), width)
         top, bottom = _beside(int(np.floor(y)), height)

@@ -38,10 +38,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from mlbs_actors.appearance.cells import cell_side, cells_won, in_cells, mean_of_cells, spread_over_cells
 from mlbs_actors.appearance.colour_density import AppearanceParameters, mean_confidence, warp_and_evaluate
 from mlbs_actors.appearance.colour_model import median_colours, update
 from mlbs_actors.appearance.warp import warp_map
+from mlbs_actors.cells import cell_side, cells_won, in_cells, mean_of_cells, spread_over_cells
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
 from mlbs_actors.layer.layer_state import LayerState
@@ -259,7 +259,7 @@ class Layer:
                 image,
                 motion,
                 evidence.camera,
-                float(side),
+                side,
                 ((cells.x, cells.y), (before.x, before.y)),
                 prior[0] >= np.float32(0.5),
                 np.float32(config.posterior.photometric_cap),
@@ -281,7 +281,7 @@ class Layer:
         )
 
     def _side(self, shape: tuple[int, int]) -> int:
-        return cell_side(shape, self.config.appearance.cell_px)
+        return cell_side(shape, self.config.grid.cell_px)
 
     def _posterior(self, stage_ms: dict[str, float]) -> LayerPosterior:
         state = self.state

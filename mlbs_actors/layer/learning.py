@@ -6,10 +6,9 @@ cells are learnt whose label is sure. Not in the paper.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
-from mlbs_actors.appearance.cells import aligned, in_cells
+from mlbs_actors.cells import aligned, in_cells
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.layer.object_regions import bounds, box_within
@@ -58,7 +57,7 @@ def object_support(
         (own.start, own.end),
         side,
         cells.box,
-        _unexplained_cells(evidence, side),
+        evidence.unexplained,
         config.layers.unexplained_noise / UNEXPLAINED_STEP,
         np.array(lengths, np.float64) * scale,
     )
@@ -127,7 +126,7 @@ def trusted_background(
     trusted[rows, columns] = _judged(
         trajectory_distance(own, near, coarse),
         trajectory_distance(objects, near, coarse),
-        _unexplained_cells(frame_evidence, side)[rows, columns].copy(),
+        np.ascontiguousarray(frame_evidence.unexplained[rows, columns]),
         least,
         np.float32(weights.keep_off_px * scale),
         np.float32(weights.learn_px * scale),
@@ -156,14 +155,3 @@ def _surroundings(positions: Array, margin: float, shape: tuple[int, int]) -> Re
     if not len(positions):
         return Region(0, 0, 0, 0)
     return Region(*box_within(*bounds(positions), margin, *shape))
-
-
-def _unexplained_cells(evidence: FrameEvidence, side: int) -> Array:
-    """How badly the camera's motion explains the image, at the frame's cells of this side, uint8; to read."""
-    height, width = evidence.shape
-    grid = (-(-height // side), -(-width // side))
-    if evidence.unexplained.shape == grid:
-        return evidence.unexplained
-    resized = cv2.resize(evidence.unexplained, grid[::-1])
-    resized.setflags(write=False)  # as what is received: for Numba others are of another type
-    return resized

@@ -16,7 +16,7 @@ import numpy as np
 
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.camera import shrunk_homography
+from mlbs_actors.tracking.camera import homography_of_cells
 
 __all__ = ["photometric_advantage"]
 
@@ -33,7 +33,7 @@ OWN_BELIEVED, CAMERA_BELIEVED = 4.0, 2.5
 
 @compiled
 def photometric_advantage(
-    before: Array, now: Array, motion: Array, camera: Array, side: float, corners: tuple[Corner, Corner],
+    before: Array, now: Array, motion: Array, camera: Array, side: int, corners: tuple[Corner, Corner],
     own: Array, largest: np.float32,
 ) -> Array:  # fmt: skip
     """By how much an object's motion explains the image better than the camera's.
@@ -46,7 +46,7 @@ def photometric_advantage(
         The object's backward motion at the pixels of ``now``, in these.
     camera : (3, 3) float64
         The camera's: takes px of frame t to frame t−1.
-    side : float
+    side : int
         Of the pixels of both, px of the frame.
     corners : two (x, y)
         Where ``now`` and ``before`` begin in the frame, in their pixels.
@@ -70,7 +70,7 @@ def photometric_advantage(
     _write_grey(now, newest, 0)
     known = np.empty(newest.shape, np.bool_)
     own_misfit, camera_misfit = _misfits(
-        last, newest, motion, shrunk_homography(camera, (side, side)), corners, known
+        last, newest, motion, homography_of_cells(camera, side), corners, known
     )
     own_sums, camera_sums = _window_sums(own_misfit), _window_sums(camera_misfit)
     return _compared(own_sums, camera_sums, _noise(camera_sums), own, known, largest)

@@ -1,6 +1,6 @@
 """The kernels of a layer's posterior: its cost without the colours, and its share of a finished frame (§6).
 
-Each is one pass over the cells that are needed, with the flow read from its own grid where it is heard.
+Each is one pass over the cells that are needed.
 :mod:`mlbs_actors.layer.layer` says what the terms are. Motion and prior are functions of one number each and
 read from tables, 0.003 nats from exact before they are weighed.
 """
@@ -98,11 +98,8 @@ def posterior_cost(config: Config, kind: LayerKind, evidence: FrameEvidence, pre
         Units of ``COST_STEP``; the offset alone where it was not needed.
     """
     weights, scale = config.posterior, length_scale(*evidence.shape)
-    height, width = evidence.shape
     numbers = _Weights(
         side=np.float32(prediction.side),
-        width_in_cells=width / prediction.side,
-        height_in_cells=height / prediction.side,
         distance=np.float32(weights.distance),
         photometric=np.float32(weights.photometric),
         flow_variance=np.float32((config.motion.flow_std_px * scale) ** 2),
@@ -127,8 +124,6 @@ class _Weights(NamedTuple):
     """Numbers of :func:`posterior_cost`, lengths in px, where the configuration has no other unit."""
 
     side: np.float32
-    width_in_cells: float
-    height_in_cells: float
     distance: np.float32
     photometric: np.float32
     flow_variance: np.float32
@@ -166,86 +161,34 @@ def _tables(
 
 
 @compiled
-def _taps(first: int, count: int, length: float, grid: int) -> tuple[Array, Array, Array]:
-    """Between which two places of a grid's axis the centres of some cells lie, and their share in the second.
-
-    The whole axis is ``length`` cells long.
-    """
-    low, high = np.empty(count, np.int64), np.empty(count, np.int64)
-    share, ratio = np.empty(count, np.float32), grid / length
-    for i in range(count):
-        place = min(max((first + i + 0.5) * ratio - 0.5, 0.0), grid - 1.0)
-        low[i] = int(place)
-        high[i] = min(low[i] + 1, grid - 1)
-        share[i] = place - low[i]
-    return low, high, share
-
-
-@compiled
 def _summed_terms(
     needed: Array, field: tuple[Array, Array], seen: tuple[Array, Array, Array], corner: tuple[int, int],
     prior: tuple[Array, Array], cues: tuple[Array, Array], tables: tuple[Array, Array, Array],
     weights: _Weights,
 ) -> Array:  # fmt: skip
-    """Sum the terms of :func:`posterior_cost`; the flow and the two maps beside it are the whole frame's."""
-    (motion, variance), (flow, reliable, unexplained), (first_column, first_row) = field, seen, corner
+    """Sum the terms of :func:`posterior_cost`; the maps in ``seen`` are the whole frame's."""
+    (motion, variance), (flow, reliable, unexplained), (left, top) = field, seen, corner
     (prior_value, share), (away, advantage), (heard, disagreement, surprise) = prior, cues, tables
-    width_in_cells, height_in_cells = weights.width_in_cells, weights.height_in_cells
     cost = np.full(needed.shape, weights.uncontested)
-    # As a rule the cells are those of the flow's grid, and no place lies between two of it.
-    same = width_in_cells == unexplained.shape[1] and height_in_cells == unexplained.shape[0]
-    if needed.size == 0:
-        return cost
-    top, bottom, down = _taps(first_row, needed.shape[0], height_in_cells, unexplained.shape[0])
-    left, right, along = _taps(first_column, needed.shape[1], width_in_cells, unexplained.shape[1])
-    flows = flow.reshape(-1)
     one, half, step = np.float32(1), np.float32(0.5), np.float32(COST_STEP)
-    width, columns = needed.shape[1], unexplained.shape[1]
-    # Places in flat arrays, without a sign: it would be looked at before each is read.
-    asked, known, shares = needed.reshape(-1), prior_value.reshape(-1), share.reshape(-1)
-    distances, leads = away.reshape(-1), advantage.reshape(-1)
-    moves, variances, costs = motion.reshape(-1), variance.reshape(-1), cost.reshape(-1)
-    errors, trust = unexplained.reshape(-1), reliable.reshape(-1)
-    for y in range(needed.shape[0]):
-        above, below, lower = top[y] * columns, bottom[y] * columns, down[y]
+    height, width = needed.shape
+    for y in range(height):
+        flows, trust = flow[top + y, left : left + width], reliable[top + y, left : left + width]
+        errors = unexplained[top + y, left : left + width]
         for x in range(width):
-            cell = np.uint64(y * width + x)
-            if not asked[cell]:
+            if not needed[y, x]:
                 continue
-            nats = weights.offset + (weights.distance * distances[cell] - weights.photometric * leads[cell])
-            a, two, odd = np.uint64(above + left[x]), np.uint64(2), np.uint64(1)
-            near = two * a
-            weight, flow_x, flow_y = heard[errors[a]] * trust[a], flows[near], flows[near + odd]
-            if not same:
-                b = np.uint64(above + right[x])
-                c, d = np.uint64(below + left[x]), np.uint64(below + right[x])
-                w00, w01 = (one - lower) * (one - along[x]), (one - lower) * along[x]
-                w10, w11 = lower * (one - along[x]), lower * along[x]
-                error = (
-                    w00 * np.float32(errors[a]) + w01 * np.float32(errors[b])
-                    + w10 * np.float32(errors[c]) + w11 * np.float32(errors[d])
-                )  # fmt: skip
-                weight = heard[np.uint64(np.int64(error + half))]
-                weight *= w00 * trust[a] + w01 * trust[b] + w10 * trust[c] + w11 * trust[d]
-                right_of = two * np.uint64(right[x] - left[x])
-                under = two * np.uint64((bottom[y] - top[y]) * columns)
-                flow_x = w00 * flow_x + w01 * flows[near + right_of]
-                flow_x += w10 * flows[near + under] + w11 * flows[near + under + right_of]
-                flow_y = w00 * flow_y + w01 * flows[near + odd + right_of]
-                flow_y += w10 * flows[near + odd + under] + w11 * flows[near + odd + under + right_of]
-            if weight > 0:
-                move = two * cell
-                miss_x, miss_y = (
-                    flow_x - weights.side * moves[move],
-                    flow_y - weights.side * moves[move + odd],
-                )
-                distance = (miss_x * miss_x + miss_y * miss_y) / (variances[cell] + weights.flow_variance)
+            nats = weights.offset + (weights.distance * away[y, x] - weights.photometric * advantage[y, x])
+            if trust[x]:
+                miss_x = flows[x, 0] - weights.side * motion[y, x, 0]
+                miss_y = flows[x, 1] - weights.side * motion[y, x, 1]
+                distance = (miss_x * miss_x + miss_y * miss_y) / (variance[y, x] + weights.flow_variance)
                 place = min(distance * np.float32(_DISTANCE_STEPS), np.float32(disagreement.size - 1))
-                nats += weight * disagreement[np.uint64(np.int64(place + half))]
-            believed = min(known[cell] + (one - shares[cell]) * weights.neutral_prior, one)
-            nats += surprise[np.uint64(np.int64(believed * np.float32(_PRIOR_STEPS) + half))]
+                nats += heard[errors[x]] * disagreement[int(place + half)]
+            believed = min(prior_value[y, x] + (one - share[y, x]) * weights.neutral_prior, one)
+            nats += surprise[int(believed * np.float32(_PRIOR_STEPS) + half)]
             quanta = min(max(np.rint(nats / step), np.float32(0)), np.float32(255))
-            costs[cell] = np.uint8(np.int32(quanta))
+            cost[y, x] = np.uint8(np.int32(quanta))
     return cost
 
 

@@ -18,8 +18,8 @@ from time import perf_counter
 
 import numpy as np
 
-from mlbs_actors.appearance.cells import in_cells, in_pixels, mean_of_cells
 from mlbs_actors.appearance.fusion import fused_costs
+from mlbs_actors.cells import in_cells, in_pixels, mean_of_cells
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
 from mlbs_actors.graphcut.energy import LabelCostEnergy

@@ -16,7 +16,13 @@ import numpy as np
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
-__all__ = ["CameraEvidence", "camera_evidence", "camera_homography", "homography_motion", "shrunk_homography"]
+__all__ = [
+    "CameraEvidence",
+    "camera_evidence",
+    "camera_homography",
+    "homography_motion",
+    "homography_of_cells",
+]
 
 #: Reprojection error of an inlier, px.
 INLIER_PX = 1.0
@@ -87,33 +93,30 @@ def homography_motion(matrix: Array, positions: Array) -> Array:
 
 
 @compiled
-def shrunk_homography(matrix: Array, step: tuple[float, float]) -> Array:
-    """The same homography between pictures of which every pixel is ``step`` px wide and high.
+def homography_of_cells(matrix: Array, side: int) -> Array:
+    """Return the same homography between pictures whose pixels are cells of the frame.
 
     Parameters
     ----------
     matrix : (3, 3) float64
-    step : (float, float)
-        Full-size px per shrunk px in x and y.
+    side : int
+        Of a cell, px.
 
     Returns
     -------
     (3, 3) float64
     """
-    # Full-size pixel centres lie at (shrunk + ½)·step − ½.
-    shrunk = np.empty((3, 3))
+    # A cell's centre lies at (cell + ½)·side − ½.
+    of_cells, shift = np.empty((3, 3)), 0.5 * side - 0.5
     for axis in range(2):
-        shift = 0.5 * step[axis] - 0.5
         for column in range(3):
-            shrunk[axis, column] = (
-                1 / step[axis] * matrix[axis, column] - shift / step[axis] * matrix[2, column]
-            )
-    shrunk[2] = matrix[2]
+            of_cells[axis, column] = 1 / side * matrix[axis, column] - shift / side * matrix[2, column]
+    of_cells[2] = matrix[2]
     for row in range(3):
-        along, down = shrunk[row, 0], shrunk[row, 1]
-        shrunk[row, 2] += along * (0.5 * step[0] - 0.5) + down * (0.5 * step[1] - 0.5)
-        shrunk[row, 0], shrunk[row, 1] = along * step[0], down * step[1]
-    return shrunk
+        along, down = of_cells[row, 0], of_cells[row, 1]
+        of_cells[row, 2] += along * shift + down * shift
+        of_cells[row, 0], of_cells[row, 1] = along * side, down * side
+    return of_cells
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,21 +136,19 @@ class CameraEvidence:
     advantage: Array
 
 
-def camera_evidence(
-    previous: Array, current: Array, matrix: Array, flow: Array, step: tuple[float, float]
-) -> CameraEvidence:
+def camera_evidence(previous: Array, current: Array, matrix: Array, flow: Array, side: int) -> CameraEvidence:
     """Compare the frame before, moved by the camera's motion and by the dense flow, with the new frame.
 
     Parameters
     ----------
     previous, current : (h, w) uint8
-        Grey frames t−1 and t, shrunk alike.
+        Frames t−1 and t as the flow sees them.
     matrix : (3, 3) float64
-        :func:`camera_homography`, in full-size px.
+        :func:`camera_homography`, px.
     flow : (h, w, 2) float32
-        Backward flow t → t−1, full-size px.
-    step : (float, float)
-        Full-size px per shrunk px in x and y.
+        Backward flow t → t−1, px.
+    side : int
+        Of a cell, px.
 
     Returns
     -------
@@ -155,11 +156,11 @@ def camera_evidence(
         The noise is the median difference to the camera's motion, between ``LEAST_NOISE`` and ``MOST_NOISE``
         grey levels. Both are 0 where the camera's motion leads out of frame t−1.
     """
-    mapping = shrunk_homography(matrix, step)
+    mapping = homography_of_cells(matrix, side)
     height, width = current.shape
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     by_camera = cv2.warpPerspective(previous, mapping, (width, height), flags=flags)
-    sources = _flow_sources(flow, np.float32(step[0]), np.float32(step[1]))
+    sources = _flow_sources(flow, np.float32(side))
     # One map of both coordinates, which the stubs do not know.
     by_flow = cv2.remap(  # type: ignore[call-overload]
         previous, sources, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
@@ -173,16 +174,16 @@ def camera_evidence(
 
 
 @compiled
-def _flow_sources(flow: Array, step_x: np.float32, step_y: np.float32) -> Array:
-    """x and y of where each pixel comes from, (h, w, 2) float32, px of the shrunk frame."""
+def _flow_sources(flow: Array, side: np.float32) -> Array:
+    """x and y of where each pixel comes from, (h, w, 2) float32, cells."""
     height, width = flow.shape[:2]
     sources, one = np.empty((height, width, 2), np.float32), np.uint64(1)
     for y in range(height):
         moved, place = flow[y].reshape(-1), sources[y].reshape(-1)  # in vector registers when flat
         for x in range(width):
             at = np.uint64(2 * x)
-            place[at] = np.float32(np.int32(x)) + moved[at] / step_x
-            place[at + one] = np.float32(np.int32(y)) + moved[at + one] / step_y
+            place[at] = np.float32(np.int32(x)) + moved[at] / side
+            place[at + one] = np.float32(np.int32(y)) + moved[at + one] / side
     return sources
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
-__all__ = ["MOST_IN_SQUARE", "SQUARE", "pixel_of", "room_left", "within_room"]
+__all__ = ["MOST_IN_SQUARE", "SQUARE", "cell_of", "room_left", "within_room"]
 
 #: A square of the flow's grid with this side takes so many trajectories, about half of what the dense grid of
 #: seeds has in it.
@@ -23,23 +23,21 @@ SQUARE, MOST_IN_SQUARE = 8, 7
 
 
 @compiled
-def pixel_of(
-    positions: Array, point: int, shape: tuple[int, int], step: tuple[float, float]
-) -> tuple[int, int]:
-    """Row and column of the pixel of the shrunk frame where a point is, or the nearest."""
-    x = min(max(int(positions[point, 0] / step[0]), 0), shape[1] - 1)
-    y = min(max(int(positions[point, 1] / step[1]), 0), shape[0] - 1)
+def cell_of(positions: Array, point: int, shape: tuple[int, int], side: int) -> tuple[int, int]:
+    """Row and column of the cell where a point is, or the nearest."""
+    x = min(max(int(positions[point, 0] / side), 0), shape[1] - 1)
+    y = min(max(int(positions[point, 1] / side), 0), shape[0] - 1)
     return y, x
 
 
 @compiled
 def _room_in_squares(shape: tuple[int, int]) -> Array:
-    """What each square of a shrunk frame (h, w) takes while it is empty, (⌈h/8⌉, ⌈w/8⌉) int64."""
+    """What each square of a frame of (h, w) cells takes while it is empty, (⌈h/8⌉, ⌈w/8⌉) int64."""
     return np.full((-(-shape[0] // SQUARE), -(-shape[1] // SQUARE)), MOST_IN_SQUARE)
 
 
 @compiled
-def room_left(positions: Array, shape: tuple[int, int], step: tuple[float, float]) -> Array:
+def room_left(positions: Array, shape: tuple[int, int], side: int) -> Array:
     """How many more trajectories each square takes, (⌈h/8⌉, ⌈w/8⌉) int64; below 0 where too many are.
 
     Parameters
@@ -47,21 +45,19 @@ def room_left(positions: Array, shape: tuple[int, int], step: tuple[float, float
     positions : (n, 2) float32
         Of the trajectories, px.
     shape : (int, int)
-        (h, w) of the shrunk frame.
-    step : (float, float)
-        Its pixels' width and height, px.
+        (h, w) of the frame, cells.
+    side : int
+        Of its cells, px.
     """
     room = _room_in_squares(shape)
     for point in range(positions.shape[0]):
-        y, x = pixel_of(positions, point, shape, step)
+        y, x = cell_of(positions, point, shape, side)
         room[y // SQUARE, x // SQUARE] -= 1
     return room
 
 
 @compiled
-def within_room(
-    positions: Array, ages: Array, oldest: int, shape: tuple[int, int], step: tuple[float, float]
-) -> Array:
+def within_room(positions: Array, ages: Array, oldest: int, shape: tuple[int, int], side: int) -> Array:
     """Which trajectories stay: the young ones, and of those that remember all they can the first in each
     square.
 
@@ -73,9 +69,9 @@ def within_room(
     oldest : int
         Age at which a trajectory remembers all it can.
     shape : (int, int)
-        (h, w) of the shrunk frame.
-    step : (float, float)
-        Its pixels' width and height, px.
+        (h, w) of the frame, cells.
+    side : int
+        Of its cells, px.
 
     Returns
     -------
@@ -85,7 +81,7 @@ def within_room(
     room, stays, count = _room_in_squares(shape), np.empty(ages.size, np.intp), 0
     for point in range(ages.size):
         if ages[point] == oldest:
-            y, x = pixel_of(positions, point, shape, step)
+            y, x = cell_of(positions, point, shape, side)
             room[y // SQUARE, x // SQUARE] -= 1
             if room[y // SQUARE, x // SQUARE] < 0:
                 continue

@@ -101,11 +101,11 @@ def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array,
     -------
     HeldFrame
     """
-    evidence = camera_evidence(following, gray, np.linalg.inv(camera), flow.forward, flow.step)
-    advantage = sample_map(evidence.advantage, held.positions, flow.step)
+    evidence = camera_evidence(following, gray, np.linalg.inv(camera), flow.forward, flow.side)
+    advantage = sample_map(evidence.advantage, held.positions, flow.side)
     return replace(
         held,
-        motions=-sample_flow(flow.forward, held.positions, flow.step),
+        motions=-sample_flow(flow.forward, held.positions, flow.side),
         evidence=np.clip(advantage, *EVIDENCE_BOUNDS),
         camera=camera,
         flow=_rounded(-flow.forward),

@@ -8,6 +8,8 @@ trajectories are already there begin no more (:mod:`mlbs_actors.tracking.density
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -16,12 +18,12 @@ from mlbs_actors.flow.dense_flow import DenseFlow
 from mlbs_actors.kernels.interpolation import sample_flow
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.density import SQUARE, pixel_of, room_left
+from mlbs_actors.tracking.density import SQUARE, cell_of, room_left
 from mlbs_actors.tracking.trajectories import TrajectoryState
 
 __all__ = ["seed_trajectories"]
 
-#: Least spacing of seeds, steps of the flow's grid, and where they are dense.
+#: Least spacing of seeds, cells, and where they are dense.
 LEAST_SPACING, LEAST_DENSE_SPACING = 3.0, 2.0
 
 
@@ -30,6 +32,7 @@ def seed_trajectories(
     gray: Array,
     flow: DenseFlow | None,
     shape: tuple[int, int],
+    side: int,
     config: TrajectoriesConfig,
     advantage: Array | None = None,
 ) -> TrajectoryState:
@@ -40,11 +43,13 @@ def seed_trajectories(
     state : TrajectoryState
         At frame t.
     gray : (h, w) uint8
-        Frame t, shrunk as for the flow.
+        Frame t as the flow sees it.
     flow : DenseFlow or None
         Between t−1 and t; None in the first frame.
     shape : (int, int)
-        (H, W) of the full frame.
+        (H, W) of the frame.
+    side : int
+        Of a cell, px.
     config : TrajectoriesConfig
     advantage : (h, w) float32, optional
         Of :class:`~mlbs_actors.tracking.camera.CameraEvidence`, × noise: where it is large, small movers need
@@ -61,88 +66,91 @@ def seed_trajectories(
     border in px.
     """
     (height, width), scale = shape, length_scale(*shape)
-    step = (width / gray.shape[1], height / gray.shape[0])
     structure = cv2.cornerMinEigenVal(gray, blockSize=5, ksize=3)
+    ground = _Ground(
+        structure,
+        float(structure.mean()),
+        np.ones(gray.shape, bool) if flow is None else flow.backward_reliable,
+        np.zeros(gray.shape, np.float32) if advantage is None else advantage,
+        side,
+    )
     # Nearer than the least spacing the flow cannot tell two points apart.
     spacings = (
-        max(config.seed_spacing_px * scale, LEAST_SPACING * max(step)),
-        max(config.dense_spacing_px * scale, LEAST_DENSE_SPACING * max(step)),
+        max(config.seed_spacing_px * scale, LEAST_SPACING * side),
+        max(config.dense_spacing_px * scale, LEAST_DENSE_SPACING * side),
     )
-    ids, positions, motions, rows, ages, evidence = _seeded(
-        state.ids, state.positions, state.motions, state.rows, state.ages, state.evidence, state.next_id,
-        structure, float(structure.mean()),
-        np.ones(gray.shape, bool) if flow is None else flow.backward_reliable,
-        np.zeros(gray.shape, np.float32) if advantage is None else advantage, config.dense_advantage,
-        np.zeros((*gray.shape, 2), np.float32) if flow is None else flow.backward, flow is not None,
-        (height, width), step, spacings,
-    )  # fmt: skip
-    next_id = state.next_id + len(ids) - len(state)
-    return TrajectoryState(ids, positions, motions, state.residuals, rows, ages, evidence, next_id)
-
-
-@compiled
-def _seeded(
-    ids: Array, positions: Array, motions: Array, rows: Array, ages: Array, evidence: Array, next_id: int,
-    structure: Array, mean: float, wanted: Array, advantage: Array, least_advantage: float, backward: Array,
-    age: int, shape: tuple[int, int], step: tuple[float, float], spacings: tuple[float, float],
-) -> tuple[Array, Array, Array, Array, Array, Array]:  # fmt: skip
-    """Ids, positions, motions, rows, ages and evidence of trajectories, and of those that begin."""
-    seeds = _seeds(positions, structure, mean, wanted, advantage, least_advantage, shape, step, spacings)
+    seeds = _seeds(state.positions, ground, config.dense_advantage, (height, width), spacings)
     count = len(seeds)
-    return (
-        np.concatenate((ids, next_id + np.arange(count))),
-        np.concatenate((positions, seeds)),
-        np.concatenate((motions, sample_flow(backward, seeds, step))),
-        np.concatenate((rows, np.full(count, -1, np.intp))),
-        np.concatenate((ages, np.full(count, age, np.int32))),
-        np.concatenate((evidence, np.zeros(count, np.float32))),
+    motions = np.zeros((count, 2), np.float32) if flow is None else sample_flow(flow.backward, seeds, side)
+    return TrajectoryState(
+        ids=np.concatenate((state.ids, state.next_id + np.arange(count))),
+        positions=np.concatenate((state.positions, seeds)),
+        motions=np.concatenate((state.motions, motions)),
+        residuals=state.residuals,
+        rows=np.concatenate((state.rows, np.full(count, -1, np.intp))),
+        ages=np.concatenate((state.ages, np.full(count, flow is not None, np.int32))),
+        evidence=np.concatenate((state.evidence, np.zeros(count, np.float32))),
+        next_id=state.next_id + count,
     )
+
+
+class _Ground(NamedTuple):
+    """Where seeds can be.
+
+    Attributes
+    ----------
+    structure : (h, w) float32
+        Smaller eigenvalue of the structure tensor of each cell.
+    mean : float
+        Its mean.
+    reliable : (h, w) bool
+        Cells with flow to follow.
+    advantage : (h, w) float32
+    side : int
+        Of a cell, px.
+    """
+
+    structure: Array
+    mean: float
+    reliable: Array
+    advantage: Array
+    side: int
 
 
 @compiled
 def _seeds(
-    positions: Array, structure: Array, mean: float, wanted: Array, advantage: Array, least_advantage: float,
-    shape: tuple[int, int], step: tuple[float, float], spacings: tuple[float, float],
+    positions: Array, ground: _Ground, dense_advantage: float, shape: tuple[int, int],
+    spacings: tuple[float, float],
 ) -> Array:  # fmt: skip
     """The seeds of the grid and of the dense one, (n, 2) float32."""
-    taken, room = np.zeros(structure.shape, np.bool_), room_left(positions, structure.shape, step)
-    _take(taken, positions, step)
-    seeds = _grid_seeds(structure, mean, wanted, advantage, -np.inf, taken, room, shape, step, spacings[0])
-    _take(taken, seeds, step)
-    more = _grid_seeds(
-        structure, mean, wanted, advantage, least_advantage, taken, room, shape, step, spacings[1]
-    )
+    taken = np.zeros(ground.structure.shape, np.bool_)
+    room = room_left(positions, ground.structure.shape, ground.side)
+    _take(taken, positions, ground.side)
+    seeds = _grid_seeds(ground, -np.inf, taken, room, shape, spacings[0])
+    _take(taken, seeds, ground.side)
+    more = _grid_seeds(ground, dense_advantage, taken, room, shape, spacings[1])
     return np.concatenate((seeds, more))
 
 
 @compiled
-def _take(taken: Array, positions: Array, step: tuple[float, float]) -> None:
-    """Mark the pixels of the shrunk frame where points are."""
+def _take(taken: Array, positions: Array, side: int) -> None:
+    """Mark the cells where points are."""
     for point in range(positions.shape[0]):
-        taken[pixel_of(positions, point, taken.shape, step)] = True
+        taken[cell_of(positions, point, taken.shape, side)] = True
 
 
 @compiled
 def _grid_seeds(
-    structure: Array,
-    mean: float,
-    wanted: Array,
-    advantage: Array,
-    least_advantage: float,
-    taken: Array,
-    room: Array,
-    shape: tuple[int, int],
-    step: tuple[float, float],
-    spacing: float,
+    ground: _Ground, least_advantage: float, taken: Array, room: Array, shape: tuple[int, int], spacing: float
 ) -> Array:
-    """The points of a grid in raster order that are wanted, structured and free, (n, 2) float32.
+    """The points of a grid in raster order that are reliable, structured and free, (n, 2) float32.
 
     Each takes some of its square's room.
     """
     height, width = shape
     rows, columns = max(1, int(height / spacing)), max(1, int(width / spacing))
-    # A trajectory covers a disc around it; a pixel at its very radius is free.
-    radius = 0.75 * spacing / (0.5 * (step[0] + step[1]))
+    # A trajectory covers a disc around it; a cell at its very radius is free.
+    radius = 0.75 * spacing / ground.side
     half_width = np.empty(int(np.ceil(radius)), np.int64)
     for away in range(half_width.size):
         half_width[away] = int(np.ceil(np.sqrt(radius * radius - away * away))) - 1
@@ -150,15 +158,16 @@ def _grid_seeds(
     count = 0
     for row in range(rows):
         y = np.float32((row + 0.5) * height / rows)
-        v = min(int(y / step[1]), wanted.shape[0] - 1)
+        v = min(int(y / ground.side), taken.shape[0] - 1)
         for column in range(columns):
             x = np.float32((column + 0.5) * width / columns)
-            u = min(int(x / step[0]), wanted.shape[1] - 1)
+            u = min(int(x / ground.side), taken.shape[1] - 1)
             square = v // SQUARE, u // SQUARE
-            if not (wanted[v, u] and advantage[v, u] > least_advantage and room[square] > 0):
+            wanted = ground.reliable[v, u] and ground.advantage[v, u] > least_advantage
+            if not wanted or room[square] <= 0:
                 continue
             border = min(min(x, y), min(width - 1 - x, height - 1 - y))
-            structured = structure[v, u] > mean * (0.1 + np.exp(-0.1 * border))
+            structured = ground.structure[v, u] > ground.mean * (0.1 + np.exp(-0.1 * border))
             if structured and not _covered(taken, v, u, half_width):
                 points[count, 0], points[count, 1] = x, y
                 count += 1
@@ -168,7 +177,7 @@ def _grid_seeds(
 
 @compiled
 def _covered(taken: Array, y: int, x: int, half_width: Array) -> bool:
-    """Whether a point is so near to a pixel, by half the width of the disc's rows."""
+    """Whether a point is so near to a cell, by half the width of the disc's rows."""
     reach = half_width.size - 1
     for v in range(max(y - reach, 0), min(y + reach, taken.shape[0] - 1) + 1):
         across = half_width[abs(v - y)]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mlbs_actors.cells import cell_side
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.flow.dense_flow import DenseFlow
 from mlbs_actors.kernels.interpolation import sample_map
@@ -83,6 +84,7 @@ def track(
     Tracked
     """
     scale, settings = length_scale(*shape), config.trajectories
+    side = cell_side(shape, config.grid.cell_px)
     spacing = settings.seed_spacing_px * scale
     trajectories, survivors = before, np.arange(len(before))
     if flow is not None:
@@ -95,21 +97,22 @@ def track(
     nothing = np.zeros(gray.shape, np.float32)
     against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
     if flow is not None:
-        against_camera = camera_evidence(previous, gray, camera, flow.backward, flow.step)
+        against_camera = camera_evidence(previous, gray, camera, flow.backward, side)
         unexplained, advantage = (
-            sample_map(one, trajectories.positions, flow.step)
+            sample_map(one, trajectories.positions, side)
             for one in (against_camera.unexplained, against_camera.advantage)
         )
         mismatch = unexplained - advantage  # of the flow
         same = np.flatnonzero(mismatch <= settings.most_mismatch)
         trajectories, survivors = selected(trajectories, same), survivors[same]
         stays = within_room(
-            trajectories.positions, trajectories.ages, settings.history_frames, gray.shape, flow.step
+            trajectories.positions, trajectories.ages, settings.history_frames, gray.shape, side
         )
         trajectories, survivors = selected(trajectories, stays), survivors[stays]
-    trajectories = seed_trajectories(trajectories, gray, flow, shape, settings, against_camera.advantage)
-    step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
-    advantage = sample_map(against_camera.advantage, trajectories.positions, step)
+    trajectories = seed_trajectories(
+        trajectories, gray, flow, shape, side, settings, against_camera.advantage
+    )
+    advantage = sample_map(against_camera.advantage, trajectories.positions, side)
     predicted = homography_motion(camera, trajectories.positions)
     everywhere = evenly_spread(trajectories.positions, trajectories.ages > 0, 2 * spacing)
     driving = None

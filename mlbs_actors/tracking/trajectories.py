@@ -109,7 +109,7 @@ def advance_trajectories(
     """
     survivors, ids, positions, motions, rows, ages, evidence = _advanced(
         state.ids, state.positions, state.rows, state.ages, state.evidence, state.residuals.shape[1],
-        flow.forward, flow.backward, flow.step, flow.thresholds, shape,
+        flow.forward, flow.backward, flow.side, flow.thresholds, shape,
     )  # fmt: skip
     advanced = TrajectoryState(ids, positions, motions, state.residuals, rows, ages, evidence, state.next_id)
     return advanced, survivors
@@ -118,17 +118,17 @@ def advance_trajectories(
 @compiled
 def _advanced(
     ids: Array, positions: Array, rows: Array, ages: Array, evidence: Array, most_age: int,
-    forward: Array, backward: Array, step: tuple[float, float], checks: tuple[float, ...],
+    forward: Array, backward: Array, side: int, checks: tuple[float, ...],
     shape: tuple[int, int],
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
     """Which points live on, and their ids, places, backward motions, rows, ages and evidence."""
-    count, step_x, step_y = len(positions), np.float32(step[0]), np.float32(step[1])
-    motion = sample_flow(forward, positions, step)
+    count, step = len(positions), np.float32(side)
+    motion = sample_flow(forward, positions, side)
     cell_x, cell_y = np.empty(count, np.int64), np.empty(count, np.int64)
     for i in range(count):
-        cell_x[i] = min(max(int(positions[i, 0] / step_x), 0), forward.shape[1] - 1)
-        cell_y[i] = min(max(int(positions[i, 1] / step_y), 0), forward.shape[0] - 1)
-    reliable = reliable_at(forward, backward, step[0], step[1], checks, cell_x, cell_y)
+        cell_x[i] = min(max(int(positions[i, 0] / step), 0), forward.shape[1] - 1)
+        cell_y[i] = min(max(int(positions[i, 1] / step), 0), forward.shape[0] - 1)
+    reliable = reliable_at(forward, backward, side, checks, cell_x, cell_y)
     moved, survivors, alive = positions + motion, np.empty(count, np.intp), 0
     for i in range(count):
         inside = 0 <= moved[i, 0] <= shape[1] - 1 and 0 <= moved[i, 1] <= shape[0] - 1

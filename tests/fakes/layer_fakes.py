@@ -52,16 +52,15 @@ def frame_of(
     flow: tuple[float, float] = (0.0, 0.0),
     reliable: bool = False,
 ) -> FrameEvidence:
-    """Half-size maps; nothing is explained by the camera's motion, unless a test says otherwise."""
-    half = (SHAPE[0] // 2, SHAPE[1] // 2)
+    """Cells of one pixel; nothing is explained by the camera's motion, unless a test says otherwise."""
     made = joined_evidence(
         layers,
         frame_index=frame_index,
         shape=SHAPE,
         camera=np.eye(3),
-        flow=np.full((*half, 2), flow, np.float32),
-        flow_reliable=np.full(half, reliable),
-        unexplained=np.full(half, 255, np.uint8),
+        flow=np.full((*SHAPE, 2), flow, np.float32),
+        flow_reliable=np.full(SHAPE, reliable),
+        unexplained=np.full(SHAPE, 255, np.uint8),
         retired=(),
         latency_frames=0,
     )

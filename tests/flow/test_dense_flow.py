@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from mlbs_actors.cells import mean_of_cells
 from mlbs_actors.config import FlowConfig, TrajectoriesConfig
 from mlbs_actors.flow.dense_flow import DenseFlow, dense_flow, flow_gray, reliable_at
 from mlbs_actors.messages import Array, Region
@@ -36,7 +37,7 @@ def test_a_pan_is_found_in_both_directions() -> None:
     canvas = texture(120, 160)
     first = np.ascontiguousarray(canvas[10:106, 10:138])
     second = np.ascontiguousarray(canvas[12:108, 7:135])  # things move by (+3, −2)
-    flow = dense_flow(first, second, first.shape, CONFIG, CHECKS)
+    flow = dense_flow(first, second, 1, CONFIG, CHECKS)
     inner = np.s_[12:-12, 12:-12]
     np.testing.assert_allclose(np.median(flow.forward[inner], axis=(0, 1)), [3, -2], atol=0.05)
     np.testing.assert_allclose(np.median(flow.backward[inner], axis=(0, 1)), [-3, 2], atol=0.05)
@@ -44,12 +45,12 @@ def test_a_pan_is_found_in_both_directions() -> None:
     assert flow.backward_reliable[inner].mean() > 0.99
 
 
-def test_flow_on_a_shrunk_frame_is_stated_in_full_size_px() -> None:
-    canvas = cv2.resize(texture(120, 160), (480, 240), interpolation=cv2.INTER_CUBIC)  # ×3 and ×2
-    first, second = canvas[20:212, 30:414], canvas[16:208, 36:420]  # things move by (−6, +4)
-    shrunk = [cv2.resize(one, (128, 96), interpolation=cv2.INTER_AREA) for one in (first, second)]
-    flow = dense_flow(shrunk[0], shrunk[1], first.shape, CONFIG, CHECKS)
-    assert flow.step == (3.0, 2.0)
+def test_flow_of_cells_is_stated_in_px() -> None:
+    canvas = cv2.resize(texture(120, 160), (480, 360), interpolation=cv2.INTER_CUBIC)  # ×3
+    first, second = canvas[30:318, 30:414], canvas[26:314, 36:420]  # things move by (−6, +4)
+    cells = [mean_of_cells(one, 3) for one in (first, second)]
+    flow = dense_flow(cells[0], cells[1], 3, CONFIG, CHECKS)
+    assert flow.side == 3
     inner = np.s_[12:-12, 12:-12]
     np.testing.assert_allclose(np.median(flow.forward[inner], axis=(0, 1)), [-6, 4], atol=0.2)
 
@@ -57,9 +58,9 @@ def test_flow_on_a_shrunk_frame_is_stated_in_full_size_px() -> None:
 def test_inside_a_box_of_the_focus_the_flow_is_nearly_the_finest_and_outside_it_is_the_next_coarser() -> None:
     first, second, _ = covered_scene()
     box = Region(24, 16, 72, 64)
-    finest = dense_flow(first, second, first.shape, CONFIG, CHECKS)
-    found = dense_flow(first, second, first.shape, CONFIG, CHECKS, [box])
-    coarser = dense_flow(first, second, first.shape, CONFIG, CHECKS, [])
+    finest = dense_flow(first, second, 1, CONFIG, CHECKS)
+    found = dense_flow(first, second, 1, CONFIG, CHECKS, [box])
+    coarser = dense_flow(first, second, 1, CONFIG, CHECKS, [])
     inner = np.s_[24:72, 32:88]  # away from the box's own border
     missed = np.hypot(*np.moveaxis(found.backward - finest.backward, 2, 0))[inner]
     missed_without = np.hypot(*np.moveaxis(coarser.backward - finest.backward, 2, 0))[inner]
@@ -76,7 +77,7 @@ def test_outside_the_boxes_the_forward_flow_is_the_backward_flow_turned_around()
     canvas = texture(120, 160)
     first = np.ascontiguousarray(canvas[10:106, 10:138])
     second = np.ascontiguousarray(canvas[12:108, 7:135])
-    flow = dense_flow(first, second, first.shape, CONFIG, CHECKS, [])
+    flow = dense_flow(first, second, 1, CONFIG, CHECKS, [])
     for y in range(12, 84, 7):
         for x in range(12, 116, 7):
             u, v = flow.forward[y, x]
@@ -88,15 +89,15 @@ def test_outside_the_boxes_the_forward_flow_is_the_backward_flow_turned_around()
 
 def test_equal_frames_give_equal_bytes() -> None:
     first, second, _ = covered_scene()
-    one = dense_flow(first, second, first.shape, CONFIG, CHECKS)
-    other = dense_flow(first.copy(), second.copy(), first.shape, CONFIG, CHECKS)
+    one = dense_flow(first, second, 1, CONFIG, CHECKS)
+    other = dense_flow(first.copy(), second.copy(), 1, CONFIG, CHECKS)
     assert one.forward.tobytes() == other.forward.tobytes()
     assert one.backward.tobytes() == other.backward.tobytes()
 
 
 def test_what_is_covered_or_uncovered_is_not_reliable() -> None:
     first, second, square = covered_scene()
-    flow = dense_flow(first, second, first.shape, CONFIG, CHECKS)
+    flow = dense_flow(first, second, 1, CONFIG, CHECKS)
     covered = np.zeros_like(square)
     covered[32:64, 72:80] = True  # background in the first frame, behind the square in the second
     uncovered = np.zeros_like(square)
@@ -116,7 +117,7 @@ def reference_checks(flow: DenseFlow) -> tuple[Array, Array]:
     for y in range(height):
         for x in range(width):
             w = flow.forward[y, x].astype(np.float64)
-            there_x, there_y = x + w[0] / flow.step[0], y + w[1] / flow.step[1]
+            there_x, there_y = x + w[0] / flow.side, y + w[1] / flow.side
             inside = min(there_x, there_y, width - 1 - there_x, height - 1 - there_y)
             if inside < 1e-4:
                 clear[y, x] = inside < -1e-4
@@ -131,8 +132,8 @@ def reference_checks(flow: DenseFlow) -> tuple[Array, Array]:
             allowed = CHECKS.consistency_relative * (np.sum(w**2) + np.sum(back**2)) + CHECKS.consistency_px2
             window = padded[y : y + 3, x : x + 3]
             weights = np.array([3.0, 10.0, 3.0]) / 32
-            horizontal = np.tensordot(weights, window[:, 2] - window[:, 0], 1) / flow.step[0]
-            vertical = np.tensordot(weights, window[2] - window[0], 1) / flow.step[1]
+            horizontal = np.tensordot(weights, window[:, 2] - window[:, 0], 1) / flow.side
+            vertical = np.tensordot(weights, window[2] - window[0], 1) / flow.side
             gradient = np.sum(horizontal**2) + np.sum(vertical**2)
             bound = CHECKS.boundary_relative * np.sum(w**2) + CHECKS.boundary_absolute
             reliable[y, x] = error < allowed and gradient <= bound
@@ -143,12 +144,10 @@ def reference_checks(flow: DenseFlow) -> tuple[Array, Array]:
     return reliable, clear
 
 
-@pytest.mark.parametrize("step", [(1.0, 1.0), (2.5, 2.0)])
-def test_the_checks_are_those_of_plain_loops(step: tuple[float, float]) -> None:
+@pytest.mark.parametrize("side", [1, 3])
+def test_the_checks_are_those_of_plain_loops(side: int) -> None:
     first, second, _ = covered_scene()
-    shape = (round(96 * step[1]), round(128 * step[0]))
-    flow = dense_flow(first, second, shape, CONFIG, CHECKS)
-    assert flow.step == step
+    flow = dense_flow(first, second, side, CONFIG, CHECKS)
     reliable, clear = reference_checks(flow)
     assert clear.mean() > 0.9
     assert reliable[clear].any()
@@ -156,29 +155,16 @@ def test_the_checks_are_those_of_plain_loops(step: tuple[float, float]) -> None:
     np.testing.assert_array_equal(flow.forward_reliable()[clear], reliable[clear])
 
 
-@pytest.mark.parametrize("step", [(1.0, 1.0), (2.5, 2.0)])
-def test_the_checks_at_some_places_are_those_of_the_whole_field(step: tuple[float, float]) -> None:
+@pytest.mark.parametrize("side", [1, 3])
+def test_the_checks_at_some_places_are_those_of_the_whole_field(side: int) -> None:
     first, second, _ = covered_scene()
-    flow = dense_flow(first, second, (round(96 * step[1]), round(128 * step[0])), CONFIG, CHECKS)
+    flow = dense_flow(first, second, side, CONFIG, CHECKS)
     y, x = (one.ravel() for one in np.indices(first.shape))
-    found = reliable_at(flow.forward, flow.backward, *flow.step, flow.thresholds, x, y)
+    found = reliable_at(flow.forward, flow.backward, flow.side, flow.thresholds, x, y)
     np.testing.assert_array_equal(found, flow.forward_reliable().ravel())
     assert 0 < found.mean() < 1
 
 
-def test_the_grey_image_is_shrunk_but_never_below_16_px_and_never_enlarged() -> None:
-    def size(height: int, width: int) -> tuple[int, ...]:
-        return flow_gray(np.zeros((height, width, 3), np.uint8), CONFIG).shape
-
-    height, width = size(480, 640)
-    assert (height, width) == (round(480 * CONFIG.scale), round(640 * CONFIG.scale))
-    assert size(16, 16) == (16, 16)
-    assert size(1, 40)[0] == 16
-    assert min(size(20, 2000)) >= 16
-    for shape in ((960, 1280), (240, 320), (120, 160), (100, 50)):
-        assert all(small <= full for small, full in zip(size(*shape), shape, strict=True))
-
-
 def test_a_grey_value_is_that_of_the_colour() -> None:
     frame = np.full((32, 48, 3), (10, 200, 90), np.uint8)
-    assert set(np.unique(flow_gray(frame, CONFIG))) == {round(0.114 * 10 + 0.587 * 200 + 0.299 * 90)}
+    assert set(np.unique(flow_gray(frame, 2))) == {round(0.114 * 10 + 0.587 * 200 + 0.299 * 90)}

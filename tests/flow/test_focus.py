@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from mlbs_actors.flow import focus
-from mlbs_actors.flow.focus import CELL, GROWN, LEAST_CELLS, SEAM, focus_boxes, focus_cells
+from mlbs_actors.flow.focus import BLOCK, GROWN, LEAST_BLOCKS, SEAM, focus_blocks, focus_boxes
 from mlbs_actors.messages import Array, Region
 
 SHAPE = (60, 100)
-STEP = (2.0, 2.0)
+SIDE = 2
 NOBODY = np.zeros((0, 2), np.float32)
 
 
@@ -22,56 +22,58 @@ def covered(boxes: list[Region]) -> Array:
     return count
 
 
-def cells_around(advantage: Array, objects: Array) -> Array:
+def blocks_around(advantage: Array, objects: Array) -> Array:
     """Of objects that rest there, (n, 2)."""
-    return focus_cells(advantage, objects, np.zeros_like(objects), np.ones(len(objects), bool), STEP)
+    return focus_blocks(advantage, objects, np.zeros_like(objects), np.ones(len(objects), bool), SIDE)
 
 
 def test_a_still_scene_has_none() -> None:
-    assert focus_boxes(cells_around(np.zeros(SHAPE, np.float32), NOBODY), SHAPE) == []
+    assert focus_boxes(blocks_around(np.zeros(SHAPE, np.float32), NOBODY), SHAPE) == []
 
 
 def test_it_is_around_objects_and_around_what_the_camera_does_not_explain() -> None:
     advantage = np.zeros(SHAPE, np.float32)
     advantage[4:12, 80:96] = 2.0
-    cells = cells_around(advantage, np.array([[21.0, 95.0]], np.float32))
-    boxes = focus_boxes(cells, SHAPE)
+    blocks = blocks_around(advantage, np.array([[21.0, 95.0]], np.float32))
+    boxes = focus_boxes(blocks, SHAPE)
     count = covered(boxes)
     assert count.max() == 1  # the boxes share no pixel
     assert (count[4:12, 80:96] == 1).all()
     y, x = 47, 10
-    assert (count[y - 2 * CELL : y + 2 * CELL, max(x - 2 * CELL, 0) : x + 2 * CELL] == 1).all()
+    assert (count[y - 2 * BLOCK : y + 2 * BLOCK, max(x - 2 * BLOCK, 0) : x + 2 * BLOCK] == 1).all()
     assert 0 < count.mean() < 0.7
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_cells_are_those_of_numpy(seed: int) -> None:
+def test_the_blocks_are_those_of_numpy(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    advantage = np.kron(rng.random((8, 13)) < 0.2, np.ones((CELL, CELL)))
+    advantage = np.kron(rng.random((8, 13)) < 0.2, np.ones((BLOCK, BLOCK)))
     positions, motions = rng.uniform(-20, 220, (9, 2)), rng.normal(0, 8, (9, 2))
     objects = rng.random(9) < 0.5
-    number, piece = cv2.connectedComponents((advantage > 0).astype(np.uint8)[::CELL, ::CELL], connectivity=8)
+    number, piece = cv2.connectedComponents(
+        (advantage > 0).astype(np.uint8)[::BLOCK, ::BLOCK], connectivity=8
+    )
     expected = np.zeros(piece.shape, np.uint8)
     for one in range(1, number):
-        expected[piece == one] = (piece == one).sum() >= LEAST_CELLS
-    columns, rows = ((positions - motions)[objects] / (CELL * np.array(STEP))).astype(int).T
+        expected[piece == one] = (piece == one).sum() >= LEAST_BLOCKS
+    columns, rows = ((positions - motions)[objects] / (BLOCK * SIDE)).astype(int).T
     expected[np.clip(rows, 0, piece.shape[0] - 1), np.clip(columns, 0, piece.shape[1] - 1)] = 1
     size = 2 * GROWN + 1
-    found = focus_cells(
-        advantage.astype(np.float32), positions.astype(np.float32), motions.astype(np.float32), objects, STEP
+    found = focus_blocks(
+        advantage.astype(np.float32), positions.astype(np.float32), motions.astype(np.float32), objects, SIDE
     )
     np.testing.assert_array_equal(found, cv2.dilate(expected, np.ones((size, size), np.uint8)) > 0)
 
 
 def test_what_leaves_the_frame_is_looked_for_at_its_border() -> None:
-    cells = cells_around(np.zeros(SHAPE, np.float32), np.array([[-40.0, 500.0]], np.float32))
-    assert cells[-1, 0]
+    blocks = blocks_around(np.zeros(SHAPE, np.float32), np.array([[-40.0, 500.0]], np.float32))
+    assert blocks[-1, 0]
 
 
 def test_boxes_that_would_be_most_of_the_frame_are_the_frame() -> None:
     advantage = np.zeros(SHAPE, np.float32)
     advantage[:, 10:90] = 2.0
-    assert focus_boxes(cells_around(advantage, NOBODY), SHAPE) == [Region(0, 0, 100, 60)]
+    assert focus_boxes(blocks_around(advantage, NOBODY), SHAPE) == [Region(0, 0, 100, 60)]
 
 
 Part = tuple[int, int, int, int]
@@ -117,6 +119,6 @@ def test_cells_are_parted_where_it_costs_least(seed: int) -> None:
 def test_boxes_that_would_be_most_of_the_frame_are_parted_if_that_helps() -> None:
     cells = np.zeros((12, 16), bool)
     cells[:6, :6] = cells[6:, 6:] = True
-    boxes = focus_boxes(cells, (12 * CELL, 16 * CELL))
-    expected = [Region(0, 0, 6 * CELL, 6 * CELL), Region(6 * CELL, 6 * CELL, 10 * CELL, 6 * CELL)]
+    boxes = focus_boxes(cells, (12 * BLOCK, 16 * BLOCK))
+    expected = [Region(0, 0, 6 * BLOCK, 6 * BLOCK), Region(6 * BLOCK, 6 * BLOCK, 10 * BLOCK, 6 * BLOCK)]
     assert sorted(boxes, key=lambda box: box.x) == expected

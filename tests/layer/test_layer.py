@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from layer_fakes import CAR, SHAPE, WHOLE, frame_of, grid, owned, picture, published, tracks
@@ -136,7 +135,7 @@ def test_a_region_holds_the_moved_pixels_of_the_frame_before_too() -> None:
 @pytest.mark.parametrize("side", [1, 3, 5])
 def test_a_layer_without_trajectories_and_pixels_has_an_empty_region(side: int) -> None:
     weights = {**SILENT, "appearance": 1.0, "motion": 1.0, "prior": 1.0, "distance": 1.0}
-    config = Config.model_validate({"posterior": weights, "appearance": {"cell_px": side / SCALE}})
+    config = Config.model_validate({"posterior": weights, "grid": {"cell_px": side / SCALE}})
     layer = Layer(config, 1, "object")
     nothing = np.zeros((0, 2), np.float32)
     for t in range(3):
@@ -240,13 +239,13 @@ def test_the_background_learns_away_from_objects_beside_its_own_trajectories_and
     objects = objects * 0.3 + [60, 40]
     config = configured(keep_off_px=80.0, learn_px=20.0)
     evidence = frame_of([tracks(0, own.astype(np.float32)), tracks(1, objects.astype(np.float32))])
-    unexplained = np.where(rng.random((60, 80)) < 0.5, 0, 255).astype(np.uint8)
+    unexplained = np.where(rng.random(SHAPE) < 0.5, 0, 255).astype(np.uint8)
     evidence = received(replace(evidence, unexplained=unexplained, frame_index=frame_index))
     layer = Layer(config, 0, "background")
     layer.step(evidence, picture(), None)
     # Distances are told for four cells at once: what hangs on less than that may go either way.
     near_own, near_object = (trajectory_distance(one.positions, WHOLE, 1) for one in evidence.layers)
-    shown = cv2.resize(unexplained, SHAPE[::-1]) * UNEXPLAINED_STEP < 0.5 * config.layers.unexplained_noise
+    shown = unexplained * UNEXPLAINED_STEP < 0.5 * config.layers.unexplained_noise
     surely, perhaps = (
         (near_object > 80.0 * SCALE + slack)
         | (near_own + 2.0 * SCALE + slack < near_object)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from layer_fakes import CAR, SHAPE, WHOLE, frame_of, grid, owned, published, tracks
 
-from mlbs_actors.appearance.cells import spread_over_cells
+from mlbs_actors.cells import spread_over_cells
 from mlbs_actors.layer import object_regions
 from mlbs_actors.layer.object_regions import contested
 from mlbs_actors.messages import BACKGROUND, LayerEvidence, Region, Segmentation

@@ -10,7 +10,7 @@ import pytest
 
 from mlbs_actors.layer.photometric import photometric_advantage
 from mlbs_actors.messages import Array, Region
-from mlbs_actors.tracking.camera import shrunk_homography
+from mlbs_actors.tracking.camera import homography_of_cells
 
 SHAPE = (90, 120)
 WHOLE = Region(0, 0, SHAPE[1], SHAPE[0])
@@ -57,7 +57,7 @@ def compared(
 ) -> Array:
     corners = (now.region.x, now.region.y), (before.region.x, before.region.y)
     images = np.ascontiguousarray(before.image), np.ascontiguousarray(now.image)
-    found = photometric_advantage(*images, motion, camera, float(side), corners, own, np.float32(largest))
+    found = photometric_advantage(*images, motion, camera, side, corners, own, np.float32(largest))
     return np.asarray(found)
 
 
@@ -185,13 +185,13 @@ def test_it_is_that_of_the_formula_under_any_camera() -> None:
     assert np.mean(np.abs(found - expected) > 1e-3) < 0.01
 
 
-def test_of_pictures_of_cells_the_camera_is_shrunk_as_they_are() -> None:
+def test_of_pictures_of_cells_the_camera_is_of_cells_as_they_are() -> None:
     before, now = frames(texture(0), texture(1))
     parts = FramePart(WHOLE, before), FramePart(WHOLE, now)
     own, camera = np.ones(SHAPE, bool), np.array([[1.01, 0.02, -1.3], [-0.015, 0.99, 0.8], [1e-5, -2e-5, 1]])
-    shrunk = shrunk_homography(camera, (3.0, 3.0))
+    of_cells = homography_of_cells(camera, 3)
     found = compared(*parts, 3, backward(MOVE), camera, own, LARGEST)
-    expected = compared(*parts, 1, backward(MOVE), shrunk, own, LARGEST)
+    expected = compared(*parts, 1, backward(MOVE), of_cells, own, LARGEST)
     np.testing.assert_array_equal(found, expected)
     assert found.any()
 

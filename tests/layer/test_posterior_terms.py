@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from layer_fakes import SHAPE, frame_of, published
@@ -29,23 +28,18 @@ CONFIG = Config.model_validate({"posterior": {"motion": 0.8, "prior": 0.7, "offs
 def evidence_of(seed: int) -> FrameEvidence:
     """Flow, reliability and explanation that differ from place to place."""
     rng = np.random.default_rng(seed)
-    half = (SHAPE[0] // 2, SHAPE[1] // 2)
     return replace(
         frame_of([]),
-        flow=rng.normal(0, 2, (*half, 2)).astype(np.float32),
-        flow_reliable=rng.random(half) < 0.6,
-        unexplained=rng.integers(0, 100, half).astype(np.uint8),
+        flow=rng.normal(0, 2, (*SHAPE, 2)).astype(np.float32),
+        flow_reliable=rng.random(SHAPE) < 0.6,
+        unexplained=rng.integers(0, 100, SHAPE).astype(np.uint8),
     )
-
-
-def whole(coarse: Array) -> Array:
-    """A coarse map at the region's pixels: resizing aligns the centres of the cells too."""
-    return np.asarray(cv2.resize(coarse.astype(np.float32), SHAPE[::-1])[REGION.slices])
 
 
 def nats_by_arrays(
     kind: LayerKind,
     evidence: FrameEvidence,
+    side: int,
     motion: Array,
     variance: Array,
     prior: tuple[Array, Array],
@@ -54,19 +48,20 @@ def nats_by_arrays(
 ) -> Array:
     weights, background = CONFIG.posterior, kind == "background"
     spread = variance + (CONFIG.motion.flow_std_px * length_scale(*SHAPE)) ** 2
-    distance = np.square(whole(evidence.flow) - motion).sum(axis=2) / spread
+    distance = np.square(evidence.flow[REGION.slices] - side * motion).sum(axis=2) / spread
     floor = weights.motion_floor if background else weights.object_motion_floor
     agreement = floor + (1 - floor) * np.exp(-0.5 * distance)
-    noise = np.floor(whole(evidence.unexplained) + 0.5) * UNEXPLAINED_STEP / CONFIG.layers.unexplained_noise
-    heard = whole(evidence.flow_reliable) * np.clip(2 * noise - 1, 0, 1)
+    noise = evidence.unexplained[REGION.slices] * UNEXPLAINED_STEP / CONFIG.layers.unexplained_noise
+    heard = evidence.flow_reliable[REGION.slices] * np.clip(2 * noise - 1, 0, 1)
     believed = prior[0] + (1 - prior[1]) * weights.neutral_prior
     believed = np.maximum(believed, weights.neutral_prior if background else weights.prior_floor)
     terms = -weights.motion * heard * np.log(agreement) - weights.prior * np.log(believed)
     return np.asarray(weights.offset + terms + weights.distance * away - weights.photometric * advantage)
 
 
+@pytest.mark.parametrize("side", [1, 3])
 @pytest.mark.parametrize("kind", ["background", "object"])
-def test_the_cost_is_the_weighted_sum_of_the_terms_where_it_is_needed(kind: LayerKind) -> None:
+def test_the_cost_is_the_weighted_sum_of_the_terms_where_it_is_needed(kind: LayerKind, side: int) -> None:
     rng, evidence = np.random.default_rng(0), evidence_of(1)
     motion = rng.normal(0, 2, (*SIZE, 2)).astype(np.float32)
     variance = rng.uniform(0.01, 3, SIZE).astype(np.float32)
@@ -74,29 +69,12 @@ def test_the_cost_is_the_weighted_sum_of_the_terms_where_it_is_needed(kind: Laye
     prior = (share * rng.random(SIZE)).astype(np.float32), share
     away, advantage = rng.normal(0, 3, (2, *SIZE)).astype(np.float32)
     needed = rng.random(SIZE) < 0.7
-    prediction = Prediction(REGION, 1, needed, motion, variance, prior, away, advantage)
+    prediction = Prediction(REGION, side, needed, motion, variance, prior, away, advantage)
     found = posterior_cost(CONFIG, kind, evidence, prediction)
-    expected = nats_by_arrays(kind, evidence, motion, variance, prior, away, advantage) / COST_STEP
+    expected = nats_by_arrays(kind, evidence, side, motion, variance, prior, away, advantage) / COST_STEP
     assert (found[~needed] == uncontested_cost(CONFIG)).all()
     assert np.abs(found - np.clip(expected, 0, 255))[needed].max() < 0.5 + 0.05  # of the tables
     assert np.ptp(found[needed]) > 50
-
-
-def test_the_cost_of_cells_is_that_of_the_pixels_in_their_middle() -> None:
-    rng, evidence, side = np.random.default_rng(5), evidence_of(6), 3
-    cells = Region(8, 5, 20, 15)
-    pixels = Region(side * cells.x, side * cells.y, side * cells.width, side * cells.height)
-    shape, centre = (cells.height, cells.width), np.s_[1::side, 1::side]
-    moves, ones = np.full((*shape, 2), 0.5, np.float32), np.ones(shape, np.float32)
-    given = [rng.random(shape).astype(np.float32) for _ in range(4)]
-    away, advantage, variance, prior = given
-    prediction = Prediction(cells, side, ones > 0, moves, variance, (prior, ones), away, advantage)
-    found = posterior_cost(CONFIG, "object", evidence, prediction)
-    away, advantage, variance, prior = (one.repeat(side, axis=0).repeat(side, axis=1) for one in given)
-    motion, share = np.full((*away.shape, 2), 0.5 * side, np.float32), np.ones_like(prior)
-    prediction = Prediction(pixels, 1, share > 0, motion, variance, (prior, share), away, advantage)
-    by_pixels = posterior_cost(CONFIG, "object", evidence, prediction)
-    np.testing.assert_array_equal(found, by_pixels[centre])
 
 
 def test_a_cost_is_held_inside_its_byte() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_shadows import CAR, SCALE, SHAPE, darkened, evidence, picture
 
-from mlbs_actors.appearance.cells import mean_of_cells, spread_over_cells
+from mlbs_actors.cells import mean_of_cells, spread_over_cells
 from mlbs_actors.messages import BACKGROUND, Array, Region
 from mlbs_actors.segmentation.contact_shadow import (
     CONTACT_DARK,

@@ -13,7 +13,7 @@ from mlbs_actors.tracking.camera import (
     camera_evidence,
     camera_homography,
     homography_motion,
-    shrunk_homography,
+    homography_of_cells,
 )
 
 #: A roll of 2°, a zoom of 3 %, a shift and a little perspective.
@@ -31,23 +31,21 @@ def texture(height: int, width: int) -> Array:
     return np.asarray(255 * (smooth - smooth.min()) / np.ptp(smooth), np.uint8)
 
 
-@pytest.mark.parametrize("step", [(1.0, 1.0), (2.0, 2.0), (4.5, 3.0)])
-def test_a_shrunk_homography_takes_shrunk_pixels_where_it_takes_their_centres(
-    step: tuple[float, float],
-) -> None:
+@pytest.mark.parametrize("side", [1, 2, 5])
+def test_the_homography_of_cells_takes_them_where_it_takes_their_centres(side: int) -> None:
     places = points(50).astype(np.float64)
-    shrunk = (places + 0.5) / step - 0.5
-    moved = cv2.perspectiveTransform(shrunk[None], shrunk_homography(TRUE, step))[0]
+    cells = (places + 0.5) / side - 0.5
+    moved = cv2.perspectiveTransform(cells[None], homography_of_cells(TRUE, side))[0]
     expected = cv2.perspectiveTransform(places[None], TRUE)[0]
-    np.testing.assert_allclose((moved + 0.5) * step - 0.5, expected, atol=1e-9)
+    np.testing.assert_allclose((moved + 0.5) * side - 0.5, expected, atol=1e-9)
 
 
 def unmoving(shape: tuple[int, ...]) -> Array:
     return np.zeros((*shape, 2), np.float32)
 
 
-def unexplained(previous: Array, current: Array, matrix: Array, step: tuple[float, float]) -> Array:
-    return camera_evidence(previous, current, matrix, unmoving(current.shape), step).unexplained
+def unexplained(previous: Array, current: Array, matrix: Array, side: int) -> Array:
+    return camera_evidence(previous, current, matrix, unmoving(current.shape), side).unexplained
 
 
 def translation(x: float, y: float) -> Array:
@@ -111,16 +109,16 @@ def test_points_that_determine_no_homography_give_one_that_is_still_sane(arrange
         np.testing.assert_allclose(homography_motion(found, positions), motions, atol=0.5)
 
 
-@pytest.mark.parametrize("step", [(1.0, 1.0), (2.0, 2.0), (4.0, 2.0)])
-def test_a_pure_pan_is_explained_altogether(step: tuple[float, float]) -> None:
+@pytest.mark.parametrize("side", [1, 2, 4])
+def test_a_pure_pan_is_explained_altogether(side: int) -> None:
     canvas = texture(140, 180)
     previous, current = canvas[10:130, 10:170], canvas[13:133, 6:166]  # contents move by (+4, −3)
-    camera = translation(-4 * step[0], 3 * step[1])  # back to the frame before, full-size px
-    difference = unexplained(previous, current, camera, step)
+    camera = translation(-4 * side, 3 * side)  # back to the frame before, full-size px
+    difference = unexplained(previous, current, camera, side)
     assert difference.dtype == np.float32
     assert difference.shape == current.shape
     assert difference.max() == 0.0
-    assert (unexplained(previous, current, np.eye(3), step) > 0).mean() > 0.95
+    assert (unexplained(previous, current, np.eye(3), side) > 0).mean() > 0.95
 
 
 def test_under_a_rolling_camera_only_what_moves_on_its_own_stands_out() -> None:
@@ -131,7 +129,7 @@ def test_under_a_rolling_camera_only_what_moves_on_its_own_stands_out() -> None:
     current[100:130, 140:180] = texture(300, 400)[260:290, 340:380]
 
     def contrast(camera: Array) -> float:
-        difference = unexplained(previous, current, camera, (1.0, 1.0))
+        difference = unexplained(previous, current, camera, 1)
         elsewhere = np.concatenate([difference[30:90, 30:-30], difference[140:-30, 30:-30]])
         return float(difference[102:128, 142:178].mean() / elsewhere.mean())
 
@@ -145,7 +143,7 @@ def test_what_moves_on_its_own_is_unexplained_and_nothing_else_is() -> None:
     thing = texture(200, 200)[150:180, 150:180]
     previous[40:70, 60:90] = thing
     current[50:80, 60:90] = thing
-    difference = unexplained(previous, current, translation(-4, 0), (1.0, 1.0))
+    difference = unexplained(previous, current, translation(-4, 0), 1)
     touched = np.zeros(difference.shape, bool)
     touched[38:82, 56:98] = True  # the thing now, the thing then as the camera moved it, and the window
     assert (difference[52:78, 62:88] > 0).all()
@@ -175,19 +173,19 @@ def test_the_difference_is_the_mean_over_a_window() -> None:
     previous = np.zeros((21, 21), np.uint8)
     current = previous.copy()
     current[10, 10] = 100
-    difference = unexplained(previous, current, np.eye(3), (1.0, 1.0))
+    difference = unexplained(previous, current, np.eye(3), 1)
     window = np.zeros((21, 21))
     window[8:13, 8:13] = 1
     assert difference.max() > 0
     np.testing.assert_allclose(difference, window * difference.max(), atol=1e-5)
     current[10, 10] = 50
-    halved = unexplained(previous, current, np.eye(3), (1.0, 1.0))
+    halved = unexplained(previous, current, np.eye(3), 1)
     np.testing.assert_allclose(halved, 0.5 * difference, atol=1e-5)
 
 
 def test_where_the_frame_before_did_not_reach_nothing_is_unexplained() -> None:
     previous, current = np.full((60, 80), 200, np.uint8), np.full((60, 80), 20, np.uint8)
-    difference = unexplained(previous, current, translation(-30, 0), (1.0, 1.0))
+    difference = unexplained(previous, current, translation(-30, 0), 1)
     assert difference[:, :27].max() == 0.0  # the 30 px that came into view, without the window's reach
     assert difference[:, 34:].min() > 0.0
 
@@ -206,7 +204,7 @@ def moving_thing(ground: Array, thing: Array) -> tuple[Array, Array, Array]:
 
 def test_the_flow_of_a_textured_thing_explains_it_better_than_the_camera() -> None:
     previous, current, flow = moving_thing(texture(120, 160), texture(200, 300)[150:, 150:])
-    found = camera_evidence(previous, current, np.eye(3), flow, (1.0, 1.0))
+    found = camera_evidence(previous, current, np.eye(3), flow, 1)
     assert found.advantage.dtype == np.float32
     inner = np.s_[43:77, 59:93]
     assert (found.advantage[inner] > 0).all()
@@ -217,29 +215,29 @@ def test_the_flow_of_a_textured_thing_explains_it_better_than_the_camera() -> No
 def test_flow_that_bled_over_smooth_ground_explains_it_no_better() -> None:
     smooth = np.full((120, 160), 90, np.uint8)
     previous, current, flow = moving_thing(smooth, texture(200, 300)[150:, 150:])
-    advantage = camera_evidence(previous, current, np.eye(3), flow, (1.0, 1.0)).advantage
+    advantage = camera_evidence(previous, current, np.eye(3), flow, 1).advantage
     around = np.zeros(smooth.shape, bool)
     around[20:100, 30:130] = True
     around[37:83, 42:106] = False  # the thing then and now, and the window
     assert np.abs(advantage[around]).max() == 0.0
     assert advantage[43:77, 59:93].min() > 0.0
     drawn = np.random.default_rng(0).normal(0, 5, flow.shape).astype(np.float32)
-    flat = camera_evidence(smooth, smooth, np.eye(3), drawn, (1.0, 1.0)).advantage
+    flat = camera_evidence(smooth, smooth, np.eye(3), drawn, 1).advantage
     assert np.abs(flat).max() == 0.0
 
 
 def test_flow_that_bled_over_textured_ground_speaks_for_the_camera() -> None:
     previous, current, flow = moving_thing(texture(120, 160), texture(200, 300)[150:, 150:])
-    advantage = camera_evidence(previous, current, np.eye(3), flow, (1.0, 1.0)).advantage
+    advantage = camera_evidence(previous, current, np.eye(3), flow, 1).advantage
     assert advantage[22:36, 32:128].mean() < -1.0
 
 
-@pytest.mark.parametrize("step", [(1.0, 1.0), (2.0, 2.0), (4.0, 2.0)])
-def test_the_flow_is_stated_in_full_size_px(step: tuple[float, float]) -> None:
+@pytest.mark.parametrize("side", [1, 2, 4])
+def test_the_flow_is_stated_in_px(side: int) -> None:
     canvas = texture(140, 180)
     previous, current = canvas[10:130, 10:170], canvas[13:133, 6:166]  # contents move by (+4, −3)
-    flow = np.full((*current.shape, 2), (-4 * step[0], 3 * step[1]), np.float32)
-    found = camera_evidence(previous, current, np.eye(3), flow, step)
+    flow = np.full((*current.shape, 2), (-4 * side, 3 * side), np.float32)
+    found = camera_evidence(previous, current, np.eye(3), flow, side)
     inner = np.s_[6:-6, 6:-6]
     np.testing.assert_allclose(found.advantage[inner], found.unexplained[inner], atol=1e-5)
     assert found.advantage[inner].mean() > 1.0
@@ -247,9 +245,7 @@ def test_the_flow_is_stated_in_full_size_px(step: tuple[float, float]) -> None:
 
 def test_where_the_frame_before_did_not_reach_nothing_is_better_explained() -> None:
     previous, current = np.full((60, 80), 200, np.uint8), np.full((60, 80), 20, np.uint8)
-    advantage = camera_evidence(
-        previous, current, translation(-30, 0), unmoving(current.shape), (1.0, 1.0)
-    ).advantage
+    advantage = camera_evidence(previous, current, translation(-30, 0), unmoving(current.shape), 1).advantage
     assert np.abs(advantage[:, :27]).max() == 0.0
 
 

@@ -12,7 +12,7 @@ from mlbs_actors.tracking.tracker import track
 from mlbs_actors.tracking.trajectories import empty_trajectories
 from orchestrator.sources.synthetic import scene
 
-SHAPE, STEP, OLDEST = (37, 50), (2.0, 2.0), 24
+SHAPE, SIDE, OLDEST = (37, 50), 2, 24
 
 
 def crowded(seed: int) -> tuple[Array, Array]:
@@ -24,7 +24,7 @@ def crowded(seed: int) -> tuple[Array, Array]:
 
 
 def square_of(position: Array) -> tuple[int, int]:
-    column, row = np.clip((position / STEP).astype(int), 0, [SHAPE[1] - 1, SHAPE[0] - 1])
+    column, row = np.clip((position / SIDE).astype(int), 0, [SHAPE[1] - 1, SHAPE[0] - 1])
     return int(row) // SQUARE, int(column) // SQUARE
 
 
@@ -39,29 +39,28 @@ def test_the_young_stay_and_of_the_oldest_as_many_of_the_first_as_a_square_takes
             inside.append(square_of(position))
             expected.append(point)
     assert len(expected) < 390
-    np.testing.assert_array_equal(within_room(positions, ages, OLDEST, SHAPE, STEP), expected)
+    np.testing.assert_array_equal(within_room(positions, ages, OLDEST, SHAPE, SIDE), expected)
 
 
 def test_room_is_what_a_square_takes_less_all_that_are_in_it() -> None:
     positions, _ = crowded(1)
     inside = [square_of(position) for position in positions]
-    room = room_left(positions, SHAPE, STEP)
+    room = room_left(positions, SHAPE, SIDE)
     assert room.shape == (5, 7)
     for square in np.ndindex(room.shape):
         assert room[square] == MOST_IN_SQUARE - inside.count(square)
 
 
 def test_trajectories_of_an_object_that_is_watched_for_long_do_not_pile_up() -> None:
-    config, shape = Config(), (240, 320)
+    config, shape, side = Config(), (240, 320), 1
     stage = scene("steady-crowd", frames=60, width=shape[1], height=shape[0], objects=1)
-    grays = [flow_gray(stage.frame(index), config.flow) for index in range(60)]
+    grays = [flow_gray(stage.frame(index), side) for index in range(60)]
     state = track(
         empty_trajectories(config.trajectories), np.zeros(0, bool), None, grays[0], grays[0], shape, config
     ).trajectories
     for index in range(1, 180):  # forth, back and forth
         before, gray = (grays[59 - abs(59 - (at % 118))] for at in (index - 1, index))
-        flow = dense_flow(before, gray, shape, config.flow, config.trajectories)
+        flow = dense_flow(before, gray, side, config.flow, config.trajectories)
         state = track(state, np.ones(len(state), bool), flow, before, gray, shape, config).trajectories
-        step = (shape[1] / gray.shape[1], shape[0] / gray.shape[0])
         old = state.positions[state.ages == config.trajectories.history_frames]
-        assert (room_left(old, gray.shape, step) >= 0).all()
+        assert (room_left(old, gray.shape, side) >= 0).all()

@@ -14,7 +14,7 @@ from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectorie
 from orchestrator.sources.synthetic import scene
 
 CONFIG = Config()
-SHAPE = (240, 320)
+SHAPE, SIDE = (240, 320), 1
 
 
 def two_frames() -> tuple[Array, Array, Array]:
@@ -25,14 +25,14 @@ def two_frames() -> tuple[Array, Array, Array]:
 
 def first(frame: Array) -> Tracked:
     before = empty_trajectories(CONFIG.trajectories)
-    gray = flow_gray(frame, CONFIG.flow)
+    gray = flow_gray(frame, SIDE)
     return track(before, np.zeros(0, bool), None, gray, gray, SHAPE, CONFIG)
 
 
 def followed(one: Array, other: Array) -> tuple[TrajectoryState, Tracked]:
     before = first(one).trajectories
-    grays = flow_gray(one, CONFIG.flow), flow_gray(other, CONFIG.flow)
-    flow = dense_flow(*grays, SHAPE, CONFIG.flow, CONFIG.trajectories)
+    grays = flow_gray(one, SIDE), flow_gray(other, SIDE)
+    flow = dense_flow(*grays, SIDE, CONFIG.flow, CONFIG.trajectories)
     return before, track(before, np.ones(len(before), bool), flow, *grays, SHAPE, CONFIG)
 
 
@@ -74,7 +74,7 @@ def test_a_crowd_does_not_make_the_camera_drive_where_one_homography_explains_th
     background = (shown.labels(6)[row, column] == 0) == (told_by == "the ground")
     asked = []
     monkeypatch.setattr(tracker, "forward_motion", lambda *given: asked.append(given))
-    grays = flow_gray(one, CONFIG.flow), flow_gray(other, CONFIG.flow)
-    flow = dense_flow(*grays, SHAPE, CONFIG.flow, CONFIG.trajectories)
+    grays = flow_gray(one, SIDE), flow_gray(other, SIDE)
+    flow = dense_flow(*grays, SIDE, CONFIG.flow, CONFIG.trajectories)
     track(before, background, flow, *grays, SHAPE, CONFIG)
     assert len(asked) == (0 if told_by == "the ground" else 1)

@@ -14,7 +14,7 @@ from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
 from mlbs_actors.flow.dense_flow import DenseFlow, dense_flow
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.density import MOST_IN_SQUARE, SQUARE
-from mlbs_actors.tracking.seeding import _seeds, seed_trajectories
+from mlbs_actors.tracking.seeding import _Ground, _seeds, seed_trajectories
 from mlbs_actors.tracking.trajectories import (
     EVIDENCE_BOUNDS,
     EVIDENCE_KEPT,
@@ -26,7 +26,7 @@ from mlbs_actors.tracking.trajectories import (
 )
 
 CONFIG = TrajectoriesConfig(history_frames=4)
-SHAPE = (120, 160)
+SHAPE, SIDE = (120, 160), 1
 SPACING = CONFIG.seed_spacing_px * length_scale(*SHAPE)
 
 
@@ -45,13 +45,13 @@ def shifted(canvas: Array, shift: tuple[float, float]) -> Array:
 
 
 def flow_between(first: Array, second: Array) -> DenseFlow:
-    return dense_flow(first, second, SHAPE, FlowConfig(), CONFIG)
+    return dense_flow(first, second, SIDE, FlowConfig(), CONFIG)
 
 
 def constant_flow(motion: tuple[float, float]) -> DenseFlow:
     """The same motion everywhere, confirmed everywhere."""
     forward = np.full((*SHAPE, 2), motion, np.float32)
-    return DenseFlow(forward, -forward, np.ones(SHAPE, bool), (1.0, 1.0), THRESHOLDS)
+    return DenseFlow(forward, -forward, np.ones(SHAPE, bool), 1, THRESHOLDS)
 
 
 #: Nothing but flow that leads elsewhere is refused.
@@ -59,7 +59,7 @@ THRESHOLDS = (0.01, 0.5, 1e6, 1e6)
 
 
 def seeded(gray: Array) -> TrajectoryState:
-    return seed_trajectories(empty_trajectories(CONFIG), gray, None, SHAPE, CONFIG)
+    return seed_trajectories(empty_trajectories(CONFIG), gray, None, SHAPE, SIDE, CONFIG)
 
 
 def test_a_point_is_followed_to_a_fraction_of_a_pixel() -> None:
@@ -128,9 +128,9 @@ def test_seeds_keep_their_distance_and_leave_no_gap_in_a_textured_frame() -> Non
     assert np.quantile(gap, 0.95) <= 1.5 * SPACING
 
 
-def squares_of(positions: Array, shape: tuple[int, int], step: tuple[float, float]) -> list[tuple[int, int]]:
-    """The square of the shrunk frame that each point is in."""
-    pixels = np.clip((positions / step).astype(int), 0, [shape[1] - 1, shape[0] - 1])
+def squares_of(positions: Array, shape: tuple[int, int], side: int) -> list[tuple[int, int]]:
+    """The square of cells that each point is in."""
+    pixels = np.clip((positions / side).astype(int), 0, [shape[1] - 1, shape[0] - 1])
     return [(int(y) // SQUARE, int(x) // SQUARE) for x, y in pixels]
 
 
@@ -141,26 +141,26 @@ def seeds_by_masks(
     dense: Array,
     shape: tuple[int, int],
     spacings: list[float],
+    side: int,
 ) -> Array:
-    """Seeds of two grids: how far each pixel is from the nearest point is known, and what a square holds."""
+    """Seeds of two grids: how far each cell is from the nearest point is known, and what a square holds."""
     height, width = shape
-    step = (width / structure.shape[1], height / structure.shape[0])
     mean, seeds = float(structure.mean()), np.zeros((0, 2), np.float32)
     v, u = np.indices(structure.shape)
-    inside = squares_of(positions, structure.shape, step)
+    inside = squares_of(positions, structure.shape, side)
     for spacing, chosen in zip(spacings, (wanted, wanted & dense), strict=True):
-        cells = (np.concatenate([positions, seeds]) / step).astype(int)
+        cells = (np.concatenate([positions, seeds]) / side).astype(int)
         cells = np.clip(cells, 0, [structure.shape[1] - 1, structure.shape[0] - 1])
         distance = np.full(structure.shape, np.inf)
         for column, row in cells:
             distance = np.minimum(distance, np.hypot(u - column, v - row))
-        free = distance >= 0.75 * spacing / np.mean(step)
+        free = distance >= 0.75 * spacing / side
         rows, columns = int(height / spacing), int(width / spacing)
         found = []
         for row in range(rows):
             for column in range(columns):
                 x, y = (np.float32((column + 0.5) * width / columns), np.float32((row + 0.5) * height / rows))
-                at = int(y / step[1]), int(x / step[0])
+                at = int(y / side), int(x / side)
                 border = min(x, y, width - 1 - x, height - 1 - y)
                 structured = structure[at] > mean * (0.1 + np.exp(-0.1 * border))
                 square = at[0] // SQUARE, at[1] // SQUARE
@@ -172,18 +172,18 @@ def seeds_by_masks(
 
 
 def test_seeds_are_the_points_of_two_grids_that_are_wanted_structured_and_far_from_all_points() -> None:
-    rng, shape = np.random.default_rng(0), (90, 140)
+    rng, shape, side = np.random.default_rng(0), (90, 140), 2
     structure, wanted = rng.random((45, 70)).astype(np.float32), rng.random((45, 70)) > 0.2
     dense = np.zeros((45, 70), bool)
     dense[10:30, 20:60] = True
     positions = (rng.random((25, 2)) * [150, 100] - 5).astype(np.float32)
-    expected = seeds_by_masks(positions, structure, wanted, dense, shape, [10.0, 4.5])
-    step = (2.0, 2.0)
-    mean, advantage = float(structure.mean()), np.where(dense, np.float32(3), np.float32(2))
-    found = _seeds(positions, structure, mean, wanted, advantage, 2.0, shape, step, (10.0, 4.5))
+    expected = seeds_by_masks(positions, structure, wanted, dense, shape, [10.0, 4.5], side)
+    advantage = np.where(dense, np.float32(3), np.float32(2))
+    ground = _Ground(structure, float(structure.mean()), wanted, advantage, side)
+    found = _seeds(positions, ground, 2.0, shape, (10.0, 4.5))
     assert len(found) > 50
     np.testing.assert_array_equal(found, expected)
-    inside = squares_of(np.concatenate([positions, found]), structure.shape, step)
+    inside = squares_of(np.concatenate([positions, found]), structure.shape, side)
     assert max(map(inside.count, inside)) == MOST_IN_SQUARE
 
 
@@ -191,11 +191,11 @@ def test_seeds_are_the_points_of_two_grids_that_are_wanted_structured_and_far_fr
 def test_a_tiny_frame_has_no_more_trajectories_than_its_pixels_can_tell_apart(shape: tuple[int, int]) -> None:
     gray = np.ascontiguousarray(shifted(texture(), (0, 0))[: shape[0], : shape[1]])
     motion = np.full((*shape, 2), (0.4, 0.3), np.float32)
-    flow = DenseFlow(motion, -motion, np.ones(shape, bool), (1.0, 1.0), THRESHOLDS)
+    flow = DenseFlow(motion, -motion, np.ones(shape, bool), 1, THRESHOLDS)
     state = empty_trajectories(CONFIG)
     for _ in range(12):
         state, _ = advance_trajectories(state, flow, shape)
-        state = seed_trajectories(state, gray, flow, shape, CONFIG)
+        state = seed_trajectories(state, gray, flow, shape, SIDE, CONFIG)
         assert 0 < len(state) <= shape[0] * shape[1] / 4
 
 
@@ -212,14 +212,14 @@ def test_only_the_places_that_trajectories_left_are_seeded_again() -> None:
     gray = shifted(texture(), (0, 0))
     state = seeded(gray)
     still = constant_flow((0.0, 0.0))
-    again = seed_trajectories(state, gray, still, SHAPE, CONFIG)
+    again = seed_trajectories(state, gray, still, SHAPE, SIDE, CONFIG)
     assert len(again) == len(state)
     kept = np.flatnonzero(state.positions[:, 0] < 80)
     contradicted = still.backward.copy()
     contradicted[:, 80:] = 9.0
     half, _ = advance_trajectories(state, replace(still, backward=contradicted), SHAPE)
     np.testing.assert_array_equal(half.ids, state.ids[kept])
-    refilled = seed_trajectories(half, gray, still, SHAPE, CONFIG)
+    refilled = seed_trajectories(half, gray, still, SHAPE, SIDE, CONFIG)
     fresh = refilled.positions[len(half) :]
     assert len(fresh) > 0.8 * (len(state) - len(half))
     assert fresh[:, 0].min() >= 80 - SPACING
@@ -236,7 +236,7 @@ def test_an_id_is_never_given_twice_and_ids_ascend() -> None:
         flow = flow_between(before, after)
         state, _ = advance_trajectories(state, flow, SHAPE)
         survivors = len(state)
-        state = seed_trajectories(state, after, flow, SHAPE, CONFIG)
+        state = seed_trajectories(state, after, flow, SHAPE, SIDE, CONFIG)
         assert (np.diff(state.ids) > 0).all()
         ever += state.ids[survivors:].tolist()
         assert state.next_id == len(ever)
@@ -248,7 +248,9 @@ def test_a_seed_brings_the_motion_that_led_to_it_but_has_none_in_the_first_frame
     gray = shifted(texture(), (0, 0))
     first = seeded(gray)
     assert set(first.ages.tolist()) == {0}
-    later = seed_trajectories(empty_trajectories(CONFIG), gray, constant_flow((2.0, 1.0)), SHAPE, CONFIG)
+    later = seed_trajectories(
+        empty_trajectories(CONFIG), gray, constant_flow((2.0, 1.0)), SHAPE, SIDE, CONFIG
+    )
     assert set(later.ages.tolist()) == {1}
     np.testing.assert_allclose(later.motions, np.tile((-2.0, -1.0), (len(later), 1)), atol=1e-6)
 
@@ -259,7 +261,7 @@ def test_no_seed_is_set_where_the_flow_that_led_there_is_not_confirmed() -> None
     confirmed = flow.backward_reliable.copy()
     confirmed[:60] = False
     state = seed_trajectories(
-        empty_trajectories(CONFIG), gray, replace(flow, backward_reliable=confirmed), SHAPE, CONFIG
+        empty_trajectories(CONFIG), gray, replace(flow, backward_reliable=confirmed), SHAPE, SIDE, CONFIG
     )
     assert len(state) > 0
     assert state.positions[:, 1].min() >= 60
@@ -322,7 +324,7 @@ def test_evidence_goes_on_with_its_trajectory_and_a_seed_has_none() -> None:
     followed, _ = advance_trajectories(state, flow, SHAPE)
     np.testing.assert_array_equal(followed.evidence, state.evidence[np.isin(state.ids, followed.ids)])
     assert len(followed) < len(state)
-    refilled = seed_trajectories(followed, gray, flow, SHAPE, CONFIG)
+    refilled = seed_trajectories(followed, gray, flow, SHAPE, SIDE, CONFIG)
     assert len(refilled) > len(followed)
     assert not refilled.evidence[len(followed) :].any()
 
@@ -334,8 +336,8 @@ def test_where_it_is_dense_more_is_seeded_and_nothing_is_outside() -> None:
     dense = np.zeros(SHAPE, bool)
     dense[30:90, 40:110] = True
     advantage = np.where(dense, np.float32(2 * config.dense_advantage), np.float32(0))
-    state = seed_trajectories(empty_trajectories(config), gray, flow, SHAPE, config)
-    more = seed_trajectories(state, gray, flow, SHAPE, config, advantage)
+    state = seed_trajectories(empty_trajectories(config), gray, flow, SHAPE, SIDE, config)
+    more = seed_trajectories(state, gray, flow, SHAPE, SIDE, config, advantage)
     np.testing.assert_array_equal(more.ids[: len(state)], state.ids)
     fresh = more.positions[len(state) :]
     x, y = np.rint(fresh).astype(int).T
@@ -347,12 +349,12 @@ def test_where_it_is_dense_more_is_seeded_and_nothing_is_outside() -> None:
 
     coarse = count(state.positions)
     assert count(more.positions) > 5 * coarse  # a full grid alone has ten times as many
-    alone = seed_trajectories(empty_trajectories(config), gray, flow, SHAPE, config, advantage)
+    alone = seed_trajectories(empty_trajectories(config), gray, flow, SHAPE, SIDE, config, advantage)
     assert count(alone.positions) > 5 * coarse
     np.testing.assert_array_equal(alone.positions, more.positions)
     spacing = config.dense_spacing_px * length_scale(*SHAPE)
     assert pdist(more.positions).min() >= 0.75 * spacing - 0.8  # distances are taken between whole pixels
-    nowhere = seed_trajectories(state, gray, flow, SHAPE, config, np.zeros(SHAPE, np.float32))
+    nowhere = seed_trajectories(state, gray, flow, SHAPE, SIDE, config, np.zeros(SHAPE, np.float32))
     assert len(nowhere) == len(state)
 
 

@@ -1,9 +1,10 @@
-"""Square cells of pixels for which a layer's posterior is one number.
+"""The cells of a frame: squares of pixels that share a flow vector, a posterior and samples of colours.
 
-A layer is evaluated, and keeps its colours, for cells of 2×2 pixels of a 640×480 frame, so for about as many
-cells whatever the frame's size: the dense flow is no finer, the graph cut draws the outlines from the pixels
-themselves, and what a cell's mean colour says is nearly as much at a fraction of the time, the memory and
-the messages. Objects' regions begin and end between cells.
+They are the one grid on which a frame is worked on: the dense flow, how well the camera explains the image,
+and every layer's posterior and colours are maps of cells. A cell is 2×2 pixels of a 640×480 frame, so there
+are about as many whatever the frame's size. The graph cut draws outlines from the pixels themselves, and what
+a cell's mean colour says is nearly as much at a fraction of the time, the memory and the messages. Objects'
+regions begin and end between cells.
 
 Differs from the paper, which evaluates and keeps samples for every pixel.
 """
@@ -29,7 +30,7 @@ __all__ = [
 
 
 def cell_side(shape: tuple[int, int], cell_px: float) -> int:
-    """Side of a cell, px of a (H, W) frame, for ``cell_px`` of a 640×480 frame; at least 1."""
+    """Return the side of a cell, px of a (H, W) frame, for ``cell_px`` of a 640×480 frame; at least 1."""
     return max(1, round(cell_px * length_scale(*shape)))
 
 

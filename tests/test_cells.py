@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mlbs_actors.appearance.cells import (
+from mlbs_actors.cells import (
     aligned,
     cell_side,
     cells_won,
