@@ -32,28 +32,11 @@ __all__ = [
     "add_appearance",
     "appearance_tables",
     "fused_costs",
-    "quantised_ratio",
     "with_appearance",
 ]
 
 #: Quantum of log r, nats.
 RATIO_STEP = 1.0 / 16.0
-
-
-def quantised_ratio(log_ratio: Array, largest: float) -> Array:
-    """Log r in quanta, held between −8 and ``largest`` (at most 7.9) nats.
-
-    Parameters
-    ----------
-    log_ratio : (h, w) float32
-        Nats.
-    largest : float
-
-    Returns
-    -------
-    (h, w) int8
-    """
-    return np.asarray(np.clip(np.rint(np.minimum(log_ratio, largest) / RATIO_STEP), -128, 127), np.int8)
 
 
 def with_appearance(

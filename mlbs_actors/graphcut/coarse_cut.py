@@ -15,41 +15,26 @@ Differs from the paper, which cuts the whole grid.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from mlbs_actors.graphcut.energy import UNDECIDED, LabelCostEnergy, UndecidedEnergy, undecided_energy
+from mlbs_actors.graphcut.energy import (
+    UNDECIDED,
+    LabelCostEnergy,
+    UndecidedEnergy,
+    energy_of_pixels,
+    undecided_energy,
+)
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
-__all__ = ["Band", "band_around_outlines", "costs_of_blocks", "halved", "of_blocks", "opened"]
+__all__ = ["band_around_outlines", "halved"]
 
 #: Largest unary cost of a block: what no sum of pair weights outweighs, and nine of which fit into 32 bits.
 MAX_BLOCK_COST = 2**24
 
 
-@dataclass(frozen=True, slots=True)
-class Band:
-    """What a labelling of blocks leaves open.
-
-    Attributes
-    ----------
-    labels : (H, W) int16
-        Of the pixels, ``UNDECIDED`` where they are open.
-    rest : UndecidedEnergy
-        Of those.
-    start : (n,) intp
-        The labels of their blocks.
-    """
-
-    labels: Array
-    rest: UndecidedEnergy
-    start: Array
-
-
 def halved(whole: LabelCostEnergy) -> LabelCostEnergy:
-    """The same energy for labellings that are constant on 2×2 blocks, outlines at their cheapest nearby.
+    """Return the energy of labellings that are constant on 2×2 blocks, outlines at their cheapest nearby.
 
     Parameters
     ----------
@@ -62,14 +47,12 @@ def halved(whole: LabelCostEnergy) -> LabelCostEnergy:
         Of (⌈H/2⌉, ⌈W/2⌉) blocks; but for the outlines equal on every such labelling, up to the bound of a
         block's cost.
     """
-    if whole.side != 2:
-        whole = whole.of_pixels()
-    unary, weights, places = costs_of_blocks(*whole.arrays[:5])
-    return LabelCostEnergy(unary, weights, whole.label_costs, places=places)
+    return _energy_of_blocks(whole if whole.side == 2 else energy_of_pixels(whole))
 
 
-def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
-    """What is left open by a labelling of blocks: the pixels on both sides of an outline.
+@compiled
+def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> tuple[Array, UndecidedEnergy, Array]:
+    """Open the pixels on both sides of an outline of a labelling of blocks.
 
     Parameters
     ----------
@@ -79,15 +62,24 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> Band:
 
     Returns
     -------
-    Band
+    labels : (H, W) int16
+        Of the pixels, ``UNDECIDED`` where they are open.
+    rest : UndecidedEnergy
+        Of those.
+    start : (n,) intp
+        The labels of their blocks.
     """
-    labels, elsewhere = opened(blocks, whole.label_costs.size, *whole.weights.shape[:2])
+    height, width = whole.weights.shape[:2]
+    labels, elsewhere = _opened(blocks, whole.label_costs.size, height, width)
     rest = undecided_energy(whole, labels, elsewhere)
-    return Band(labels, rest, of_blocks(blocks, rest.pixels, rest.row, labels.shape[1]))
+    start = np.empty(rest.pixels.size, np.intp)
+    for i in range(start.size):
+        start[i] = blocks[rest.pixels[i] // rest.width // 2, rest.pixels[i] % rest.width // 2]
+    return labels, rest, start
 
 
 @compiled
-def opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
+def _opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
     """The labels of the blocks' pixels, open beside the outlines; and which labels are elsewhere."""
     rows, columns = blocks.shape
     labels = np.empty((height, width), np.int16)
@@ -114,69 +106,58 @@ def opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Ar
 
 
 @compiled
-def of_blocks(blocks: Array, pixels: Array, row: Array, width: int) -> Array:
-    """Labels (n,) intp of the blocks that some pixels of an image lie in."""
-    labels = np.empty(pixels.size, np.intp)
-    for i in range(pixels.size):
-        labels[i] = blocks[row[i] // 2, (pixels[i] - row[i] * width) // 2]
-    return labels
-
-
-@compiled
-def costs_of_blocks(
-    unary: Array, side: int, extras: Array, places: Array, weights: Array
-) -> tuple[Array, Array, Array]:
-    """``unary``, ``weights`` and ``places`` of :func:`halved`; ``side`` is 1 or 2, ``places`` are of all
-    labels."""
-    height, width = weights.shape[:2]
-    boxes = np.empty_like(places)
-    for label in range(len(places)):
+def _energy_of_blocks(whole: LabelCostEnergy) -> LabelCostEnergy:
+    """:func:`halved` for cells of 1 or 2 px."""
+    height, width = whole.weights.shape[:2]
+    boxes = np.empty_like(whole.places)
+    for label in range(len(boxes)):
         for edge in range(4):
             most = height if edge < 2 else width
-            pixels = min(places[label, edge] * side, most)
+            pixels = min(whole.places[label, edge] * whole.side, most)
             # Blocks that lie in it with all their pixels; one that ends with the image holds its last block.
             begins = edge % 2 == 0
             boxes[label, edge] = (pixels + 1) // 2 if begins or pixels == most else pixels // 2
-    sums = np.empty((len(places), (height + 1) // 2, (width + 1) // 2), np.int32)
-    _sum_unary(unary, side, extras, boxes, height, width, sums)
-    return sums, _halved_weights(weights), boxes
+    sums = _summed_unary(whole, boxes)
+    return LabelCostEnergy(
+        sums, _halved_weights(whole.weights), whole.label_costs, boxes, 1, whole.extras[:0]
+    )
 
 
 @compiled
-def _sum_unary(
-    unary: Array, side: int, extras: Array, places: Array, height: int, width: int, sums: Array
-) -> None:
-    """Sums over blocks of 2×2 pixels of an (H, W) image, of which each, or each block, has its cost; made
-    only where a label can be, in boxes of blocks."""
-    most = np.int32(MAX_BLOCK_COST)
+def _summed_unary(whole: LabelCostEnergy, boxes: Array) -> Array:
+    """Sums over blocks of 2×2 pixels, made only where a label can be, in boxes of blocks."""
+    most, unary, extras = np.int32(MAX_BLOCK_COST), whole.unary, whole.extras
+    height, width = whole.weights.shape[:2]
+    sums = np.empty((unary.shape[0], (height + 1) // 2, (width + 1) // 2), np.int32)
     for label in range(unary.shape[0]):
-        top, bottom, left, right = places[label]
-        whole = min(right, width // 2)
+        top, bottom, left, right = boxes[label]
+        full = min(right, width // 2)
         for v in range(top, bottom):
             total = sums[label, v]
-            if side == 2:
+            if whole.side == 2:
                 down, own = np.int32(min(2, height - 2 * v)), unary[label, v]
-                for u in range(left, whole):
+                for u in range(left, full):
                     total[u] = np.int32(2) * down * own[u]
-                if whole < right:
-                    total[whole] = down * own[whole]
+                if full < right:
+                    total[full] = down * own[full]
                 continue
             total[left:right] = 0
             for y in range(2 * v, min(2 * v + 2, height)):
                 own = unary[label, y]
-                for u in range(left, whole):
+                for u in range(left, full):
                     first = np.uint64(2 * u)
                     total[np.uint64(u)] += own[first] + own[first + np.uint64(1)]
-                if whole < right:
-                    total[whole] += own[width - 1]
+                if full < right:
+                    total[full] += own[width - 1]
     for extra in range(extras.shape[0]):
         sums[extras[extra, 0], extras[extra, 1] // 2, extras[extra, 2] // 2] += extras[extra, 3]
     for label in range(unary.shape[0]):
-        top, bottom, left, right = places[label]
+        top, bottom, left, right = boxes[label]
         for v in range(top, bottom):
             total = sums[label, v]
             for u in range(left, right):
                 total[u] = min(total[u], most)
+    return sums
 
 
 @compiled

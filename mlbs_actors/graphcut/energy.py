@@ -7,7 +7,7 @@ folded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,13 +18,12 @@ __all__ = [
     "NEIGHBOUR_OFFSETS",
     "UNDECIDED",
     "LabelCostEnergy",
-    "Offers",
+    "SparseUnaries",
     "UndecidedEnergy",
     "cost_of_labels",
-    "costs_of_pixels",
-    "energy_of_labels",
-    "left_open",
+    "energy_of_pixels",
     "undecided_energy",
+    "undecided_energy_of",
 ]
 
 #: Label of a pixel that has none yet.
@@ -36,8 +35,7 @@ _SEVERAL = -2
 NEIGHBOUR_OFFSETS = np.array([(0, 1), (1, 0), (1, 1), (1, -1), (0, -1), (-1, 0), (-1, -1), (-1, 1)])
 
 
-@dataclass(frozen=True, slots=True)
-class LabelCostEnergy:
+class LabelCostEnergy(NamedTuple):
     """E(L) of an (H, W) image and K labels, in integers of any unit.
 
     Attributes
@@ -49,55 +47,26 @@ class LabelCostEnergy:
         outside the image. C-contiguous.
     label_costs : (K,) int64
         Cost of using a label at all, ≥ 0.
+    places : (K, 4) int64
+        The box of cells that each label can have: first row, row past the last, first column, column past the
+        last. Its costs elsewhere are never read.
     side : int
         Of the square cells whose pixels share their unary costs.
     extras : (n, 4) int64
         Label, row, column, and what is added to that label's unary cost at that pixel alone; the label can
         be there.
-    places : (K, 4) int64, optional
-        The box of cells that each label can have: first row, row past the last, first column, column past the
-        last. Its costs elsewhere are never read. Everywhere by default.
     """
 
     unary: Array
     weights: Array
     label_costs: Array
+    places: Array
     side: int = 1
-    extras: Array = field(default_factory=lambda: np.zeros((0, 4), np.int64))
-    places: Array | None = None
-
-    def boxes(self) -> Array:
-        """``places``, of all labels in any case."""
-        if self.places is not None:
-            return self.places
-        return np.tile(
-            np.array([0, self.unary.shape[1], 0, self.unary.shape[2]], np.int64), (len(self.unary), 1)
-        )
-
-    @property
-    def arrays(self) -> tuple[Array, int, Array, Array, Array, Array]:
-        """What kernels take of an energy, in their order: ``unary``, ``side``, ``extras``, ``places`` of all
-        labels, ``weights`` and ``label_costs``."""
-        return self.unary, self.side, self.extras, self.boxes(), self.weights, self.label_costs
-
-    def of_pixels(self) -> LabelCostEnergy:
-        """The same energy with a unary cost for each pixel, (K, H, W)."""
-        if self.side == 1 and len(self.extras) == 0:
-            return self
-        height, width = self.weights.shape[:2]
-        unary, places = costs_of_pixels(self.unary, self.side, self.extras, self.boxes(), height, width)
-        return LabelCostEnergy(unary, self.weights, self.label_costs, places=places)
-
-    def energy(self, labels: Array) -> int:
-        """E(labels) of label positions (H, W) intp, each of which can be where it is."""
-        used = np.bincount(labels.reshape(-1), minlength=self.label_costs.size) > 0
-        pixel_terms = _image_energy(self.of_pixels().unary, self.weights, labels)
-        return int(pixel_terms) + int(self.label_costs[used].sum())
+    extras: Array = np.zeros((0, 4), np.int64)
 
 
-@dataclass(frozen=True, slots=True)
-class Offers:
-    """What the undecided pixels can have: label by label, the pixels that can have it and what it costs them.
+class SparseUnaries(NamedTuple):
+    """Unary costs of the undecided pixels: label by label, the pixels that can have it and their costs.
 
     Attributes
     ----------
@@ -112,23 +81,18 @@ class Offers:
     pixel: Array
     cost: Array
 
-    def chosen(self, labels: Array) -> Array:
-        """What each pixel pays for its label, (n,) int32, of labels (n,) intp that they can have."""
-        return np.asarray(cost_of_labels(self.first, self.pixel, self.cost, labels))
 
-
-@dataclass(frozen=True, slots=True)
-class UndecidedEnergy:
+class UndecidedEnergy(NamedTuple):
     """The energy that is left on the n undecided pixels, up to a constant, in the unit of the whole.
 
     Attributes
     ----------
     pixels : (n,) intp
         Flat index in the image, ascending.
-    row : (n,) intp
-        Image row.
-    offers : Offers
-        Unary costs, with the pair terms to decided neighbours folded in.
+    width : int
+        Of the image.
+    unaries : SparseUnaries
+        With the pair terms to decided neighbours folded in.
     neighbour : (n, 8) int32
         Position in ``pixels`` of each neighbour, −1 where there is none or it is decided.
     weight : (n, 8) int32
@@ -140,21 +104,17 @@ class UndecidedEnergy:
     """
 
     pixels: Array
-    row: Array
-    offers: Offers
+    width: int
+    unaries: SparseUnaries
     neighbour: Array
     weight: Array
     label_costs: Array
     elsewhere: Array
 
-    def energy(self, labels: Array) -> int:
-        """Energy of a labelling (n,) intp of the undecided pixels."""
-        chosen = self.offers.chosen(labels)
-        return int(energy_of_labels(chosen, self.neighbour, self.weight, self.label_costs, labels))
 
-
+@compiled
 def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) -> UndecidedEnergy:
-    """The energy that is left where some pixels have their label.
+    """Return the energy that is left where some pixels have their label.
 
     Parameters
     ----------
@@ -168,112 +128,126 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     -------
     UndecidedEnergy
     """
-    pixels, row, offers, neighbour, weight, label_costs = left_open(*whole.arrays, labels, elsewhere)
-    return UndecidedEnergy(pixels, row, Offers(*offers), neighbour, weight, label_costs, elsewhere)
+    numbered = _numbered(labels)
+    around = _around(whole.weights, labels, numbered)
+    unaries = _sparse_unaries(whole, labels, numbered, around)
+    label_costs = np.where(elsewhere, 0, whole.label_costs)
+    return UndecidedEnergy(
+        numbered.pixels, labels.shape[1], unaries, around.neighbour, around.weight, label_costs, elsewhere
+    )
 
 
 @compiled
-def _neighbour_and_weight(y: int, x: int, k: int) -> tuple[int, int, int, int, int]:
-    """Row and column of a neighbour, and where the weight to it is found: row, column and direction."""
-    v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
-    if k < 4:
-        return v, u, y, x, k
-    return v, u, v, u, k - 4
-
-
-@compiled
-def left_open(
-    unary: Array, side: int, extras: Array, places: Array, weights: Array, label_costs: Array, labels: Array,
-    elsewhere: Array,
-) -> tuple[Array, Array, tuple[Array, Array, Array], Array, Array, Array]:  # fmt: skip
-    """The fields of `UndecidedEnergy` but the last."""
-    pixels, begins, position = _numbered(labels)
-    row, column = np.empty(pixels.size, np.intp), np.empty(pixels.size, np.int32)
-    for y in range(labels.shape[0]):
-        for i in range(begins[y], begins[y + 1]):
-            row[i], column[i] = y, pixels[i] - y * labels.shape[1]
-    neighbour, weight, known, saved = _around(weights, labels, position, row, column)
-    offers = _offers(unary, side, extras, places, weights, labels, begins, column, known, saved, position)
-    return pixels, row, offers, neighbour, weight, np.where(elsewhere, 0, label_costs)
-
-
-@compiled
-def costs_of_pixels(
-    unary: Array, side: int, extras: Array, places: Array, height: int, width: int
-) -> tuple[Array, Array]:
-    """``unary`` and ``places`` of :meth:`LabelCostEnergy.of_pixels`, of (H, W) pixels."""
-    boxes = places * side
-    spread = np.empty((unary.shape[0], height, width), np.int32)
-    for label in range(unary.shape[0]):
+def energy_of_pixels(whole: LabelCostEnergy) -> LabelCostEnergy:
+    """Return the same energy with a unary cost for each pixel, (K, H, W)."""
+    height, width, side = whole.weights.shape[0], whole.weights.shape[1], whole.side
+    boxes = whole.places * side
+    spread = np.empty((whole.unary.shape[0], height, width), np.int32)
+    for label in range(whole.unary.shape[0]):
         box = boxes[label]
         box[:2], box[2:] = np.minimum(box[:2], height), np.minimum(box[2:], width)
         for y in range(box[0], box[1]):
-            own, costs = unary[label, y // side], spread[label, y]
+            own, costs = whole.unary[label, y // side], spread[label, y]
             for x in range(box[2], box[3]):
                 costs[x] = own[x // side]
-    for extra in range(extras.shape[0]):
-        spread[extras[extra, 0], extras[extra, 1], extras[extra, 2]] += extras[extra, 3]
-    return spread, boxes
+    for extra in whole.extras:
+        spread[extra[0], extra[1], extra[2]] += extra[3]
+    return LabelCostEnergy(spread, whole.weights, whole.label_costs, boxes, 1, whole.extras[:0])
+
+
+class _Numbered(NamedTuple):
+    """Numbers of the undecided pixels.
+
+    Attributes
+    ----------
+    pixels : (n,) intp
+        Flat indices in the image, ascending.
+    row, column : (n,) intp, (n,) int32
+    before_row : (H + 1,) intp
+        How many of them come before each row.
+    position : (H, W) int32
+        How many come before each pixel; that is the number of an undecided one.
+    """
+
+    pixels: Array
+    row: Array
+    column: Array
+    before_row: Array
+    position: Array
+
+
+class _Around(NamedTuple):
+    """What surrounds the undecided pixels.
+
+    Attributes
+    ----------
+    neighbour, weight : (n, 8) int32
+        As of `UndecidedEnergy`.
+    known : (n,) int16
+        The label of their decided neighbours, ``_SEVERAL`` if these differ.
+    saved : (n,) int32
+        Sum of the weights to those.
+    """
+
+    neighbour: Array
+    weight: Array
+    known: Array
+    saved: Array
 
 
 @compiled
-def _offers(
-    unary: Array, side: int, extras: Array, places: Array, weights: Array, labels: Array, begins: Array,
-    column: Array, known: Array, saved: Array, position: Array,
-) -> tuple[Array, Array, Array]:  # fmt: skip
-    """The fields of `Offers`; the last five as of :func:`_numbered` and :func:`_around`."""
-    first = np.zeros(unary.shape[0] + 1, np.int64)
-    _count_offers(side, places, begins, position, first)
+def _sparse_unaries(
+    whole: LabelCostEnergy, labels: Array, numbered: _Numbered, around: _Around
+) -> SparseUnaries:
+    first = np.zeros(whole.unary.shape[0] + 1, np.int64)
+    _count_entries(whole, numbered, first)
     pixel, cost = np.empty(first[-1], np.int32), np.empty(first[-1], np.int32)
-    cell_of = np.arange(labels.shape[1]) // side
-    _write_offers(
-        unary, side, places, weights, labels, begins, column, known, saved, position, cell_of, pixel, cost
-    )
-    for extra in range(extras.shape[0]):
-        y, x = extras[extra, 1], extras[extra, 2]
+    _write_entries(whole, labels, numbered, around, pixel, cost)
+    for extra in whole.extras:
+        y, x = extra[1], extra[2]
         if labels[y, x] == UNDECIDED:
-            i = position[y, x]
-            begin, end = first[extras[extra, 0]], first[extras[extra, 0] + 1]
-            cost[begin + np.searchsorted(pixel[begin:end], i)] += extras[extra, 3]
-    return first, pixel, cost
+            begin, end = first[extra[0]], first[extra[0] + 1]
+            cost[begin + np.searchsorted(pixel[begin:end], numbered.position[y, x])] += extra[3]
+    return SparseUnaries(first, pixel, cost)
 
 
 @compiled
-def _count_offers(side: int, places: Array, begins: Array, position: Array, first: Array) -> None:
-    """``first`` of `Offers`, into zeros."""
+def _count_entries(whole: LabelCostEnergy, numbered: _Numbered, first: Array) -> None:
+    """Count the entries of each label into ``first``, zeros, one after the other."""
+    places, side = whole.places, whole.side
     for label in range(len(places)):
         first[label + 1] = first[label]
         left, right = places[label, 2] * side, places[label, 3] * side
-        for y in range(places[label, 0] * side, min(places[label, 1] * side, position.shape[0])):
-            first[label + 1] += _open_before(y, right, position, begins)
-            first[label + 1] -= _open_before(y, left, position, begins)
+        for y in range(places[label, 0] * side, min(places[label, 1] * side, numbered.position.shape[0])):
+            first[label + 1] += _open_before(y, right, numbered) - _open_before(y, left, numbered)
 
 
 @compiled
-def _write_offers(
-    unary: Array, side: int, places: Array, weights: Array, labels: Array, begins: Array, column: Array,
-    known: Array, saved: Array, position: Array, cell_of: Array, pixel: Array, cost: Array,
-) -> None:  # fmt: skip
-    """``pixel`` and ``cost`` of `Offers`; ``cell_of`` tells the cell of each column."""
+def _write_entries(
+    whole: LabelCostEnergy, labels: Array, numbered: _Numbered, around: _Around, pixel: Array, cost: Array
+) -> None:
+    places, side, known, saved = whole.places, whole.side, around.known, around.saved
+    cell_of = np.arange(labels.shape[1]) // side
     count = 0
     for label in range(len(places)):
         left, right = places[label, 2] * side, places[label, 3] * side
-        for y in range(places[label, 0] * side, min(places[label, 1] * side, position.shape[0])):
-            own = unary[label, y // side]
-            for i in range(_open_before(y, left, position, begins), _open_before(y, right, position, begins)):
-                total = own[cell_of[column[i]]]
+        for y in range(places[label, 0] * side, min(places[label, 1] * side, numbered.position.shape[0])):
+            own = whole.unary[label, y // side]
+            for i in range(_open_before(y, left, numbered), _open_before(y, right, numbered)):
+                total = own[cell_of[numbered.column[i]]]
                 # Up to a constant, agreeing with a neighbour of known label saves the weight.
                 total -= saved[i] if known[i] == label else np.int32(0)
                 if known[i] == _SEVERAL:
-                    total -= _saved_by(label, labels, weights, y, column[i])
+                    total -= _saved_by(label, labels, whole.weights, y, numbered.column[i])
                 pixel[count], cost[count] = i, total
                 count += 1
 
 
 @compiled
-def _open_before(y: int, x: int, position: Array, begins: Array) -> int:
-    """How many undecided pixels come before a place in a row, or at its end, from what `_numbered` tells."""
-    return int(position[y, x] if x < position.shape[1] else begins[y + 1])
+def _open_before(y: int, x: int, numbered: _Numbered) -> int:
+    """How many undecided pixels come before a place in a row, or at its end."""
+    position = numbered.position
+    return int(position[y, x] if x < position.shape[1] else numbered.before_row[y + 1])
 
 
 @compiled
@@ -281,48 +255,44 @@ def _saved_by(label: int, labels: Array, weights: Array, y: int, x: int) -> int:
     """Sum of the weights to a pixel's neighbours of one label."""
     saved = 0
     for k in range(8):
-        v, u, row, column, direction = _neighbour_and_weight(y, x, k)
+        v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
         if 0 <= v < labels.shape[0] and 0 <= u < labels.shape[1] and labels[v, u] == label:
-            saved += weights[row, column, direction]
+            saved += weights[y, x, k] if k < 4 else weights[v, u, k - 4]
     return saved
 
 
 @compiled
-def cost_of_labels(first: Array, pixel: Array, cost: Array, labels: Array) -> Array:
-    """:meth:`Offers.chosen` from the fields of `Offers`."""
+def cost_of_labels(unaries: SparseUnaries, labels: Array) -> Array:
+    """What each pixel pays for its label, (n,) int32, of labels (n,) intp that they can have."""
     chosen = np.empty(labels.size, np.int32)
-    for label in range(first.size - 1):
-        for entry in range(first[label], first[label + 1]):
-            p = np.uint64(pixel[entry])
-            chosen[p] = cost[entry] if labels[p] == label else chosen[p]
+    for label in range(unaries.first.size - 1):
+        for entry in range(unaries.first[label], unaries.first[label + 1]):
+            p = np.uint64(unaries.pixel[entry])
+            chosen[p] = unaries.cost[entry] if labels[p] == label else chosen[p]
     return chosen
 
 
 @compiled
-def _numbered(labels: Array) -> tuple[Array, Array, Array]:
-    """Flat indices of the undecided pixels, ascending; how many of them come before each row, (H + 1,), and
-    before each pixel, (H, W) int32: that is the position of an undecided one."""
+def _numbered(labels: Array) -> _Numbered:
     height, width = labels.shape
-    pixels, position = np.empty(labels.size, np.intp), np.empty((height, width), np.int32)
-    begins, count = np.empty(height + 1, np.intp), 0
+    pixels, row = np.empty(labels.size, np.intp), np.empty(labels.size, np.intp)
+    column, position = np.empty(labels.size, np.int32), np.empty((height, width), np.int32)
+    before_row, count = np.empty(height + 1, np.intp), 0
     for y in range(height):
-        begins[y] = count
+        before_row[y] = count
         for x in range(width):
             position[y, x] = count
             if labels[y, x] == UNDECIDED:
-                pixels[count] = y * width + x
+                pixels[count], row[count], column[count] = y * width + x, y, x
                 count += 1
-    begins[height] = count
-    return pixels[:count], begins, position
+    before_row[height] = count
+    return _Numbered(pixels[:count], row[:count], column[:count], before_row, position)
 
 
 @compiled
-def _around(
-    weights: Array, labels: Array, position: Array, rows: Array, columns: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Neighbours (n, 8) of the undecided pixels among themselves, and the weights to them; the label of their
-    decided neighbours, ``_SEVERAL`` if these differ, and the sum of the weights to those."""
+def _around(weights: Array, labels: Array, numbered: _Numbered) -> _Around:
     height, width = labels.shape
+    rows, columns, position = numbered.row, numbered.column, numbered.position
     neighbour, weight = np.empty((rows.size, 8), np.int32), np.empty((rows.size, 8), np.int32)
     known, saved = np.empty(rows.size, np.int16), np.empty(rows.size, np.int32)
     # Flat unsigned indices, and no look for the border in the interior: half the time.
@@ -352,40 +322,18 @@ def _around(
                     only = np.int16(_SEVERAL)
                 total += w
         known[i], saved[i] = only, total
-    return neighbour, weight, known, saved
+    return _Around(neighbour, weight, known, saved)
 
 
 @compiled
-def _image_energy(unary: Array, weights: Array, labels: Array) -> np.int64:
-    """Unary and pair terms; the first four neighbours name each pair once."""
-    total = np.int64(0)
-    height, width = labels.shape
-    for y in range(height):
-        for x in range(width):
-            label = labels[y, x]
-            total += unary[label, y, x]
-            for k in range(4):
-                w = weights[y, x, k]
-                if w > 0 and labels[y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]] != label:
-                    total += w
-    return total
-
-
-@compiled
-def energy_of_labels(
-    chosen: Array, neighbour: Array, weight: Array, label_costs: Array, labels: Array
-) -> np.int64:
-    """:meth:`UndecidedEnergy.energy` from what the pixels pay for their labels, (n,) int32."""
-    total = np.int64(0)
-    used = np.zeros(label_costs.size, np.bool_)
+def undecided_energy_of(rest: UndecidedEnergy, labels: Array) -> int:
+    """Return the energy of a labelling (n,) intp of the undecided pixels."""
+    total = cost_of_labels(rest.unaries, labels).astype(np.int64).sum()
+    used = np.zeros(rest.label_costs.size, np.bool_)
     for p in range(labels.size):
-        total += chosen[p]
         used[labels[p]] = True
         for k in range(4):  # they name each pair once
-            q = neighbour[p, k]
+            q = rest.neighbour[p, k]
             if q >= 0 and labels[q] != labels[p]:
-                total += weight[p, k]
-    for label in range(used.size):
-        if used[label]:
-            total += label_costs[label]
-    return total
+                total += rest.weight[p, k]
+    return int(total + rest.label_costs[used].sum())

@@ -1,4 +1,4 @@
-"""A labelling on its way down: one expansion after the other (§7).
+"""A labelling that is lowered by one expansion after the other (§7).
 
 Differs from the paper: an expansion is tried again only where a pixel or a neighbour has changed since;
 the last one was the best there.
@@ -6,7 +6,7 @@ the last one was the best there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,12 +22,13 @@ from mlbs_actors.graphcut.persistency import movable
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
-__all__ = ["Course", "expand_in_turn", "started"]
+__all__ = ["ExpansionState", "begin", "expand", "is_settled"]
 
 
-@dataclass(slots=True)
-class Course:
-    """A labelling on its way down, and when which expansion was tried.
+class ExpansionState(NamedTuple):
+    """A labelling of n undecided pixels, and when which expansion of it was tried.
+
+    Steps count the expansions that have changed the labelling; 0 is the start.
 
     Attributes
     ----------
@@ -37,228 +38,158 @@ class Course:
     used : (K,) int64
         How many pixels have each label.
     lost_at : (K,) int64
-        Step that last took a pixel from each label; 0 at the start.
-    energy : int
-    step : int
-        How many expansions have changed the labelling.
+        Step that last took a pixel from each label.
     changed_at : (n,) int32
-        Step that gave each pixel its label; 0 at the start.
+        Step that gave each pixel its label.
     news_at : (n,) int32
-        Step that last changed a pixel or a neighbour of it; 0 at the start.
+        Step that last changed a pixel or a neighbour of it.
     came_from : (n,) intp
         Label before that step; −1 at the start.
     expanded_at : (K,) int64
         Step after which each label was last expanded; −1 if never.
+    step : (1,) int64
+        The last one.
     """
 
     labels: Array
     chosen: Array
     used: Array
     lost_at: Array
-    energy: int
-    step: int
     changed_at: Array
     news_at: Array
     came_from: Array
     expanded_at: Array
-
-    @classmethod
-    def starting(cls, rest: UndecidedEnergy, labels: Array) -> Course:
-        """Before the first expansion of labels (n,) intp."""
-        offers = rest.offers
-        chosen, used, changed_at, news_at, came_from, expanded_at = started(
-            offers.first, offers.pixel, offers.cost, rest.label_costs.size, labels
-        )
-        return cls(
-            labels=labels,
-            chosen=chosen,
-            used=used,
-            lost_at=np.zeros_like(used),
-            energy=rest.energy(labels),
-            step=0,
-            changed_at=changed_at,
-            news_at=news_at,
-            came_from=came_from,
-            expanded_at=expanded_at,
-        )
-
-    def expand(self, rest: UndecidedEnergy, alphas: Array) -> None:
-        """One sweep; a label is left out if nothing has changed since its last expansion."""
-        turn = 0
-        while True:
-            turn, self.step, self.energy, nodes, price, paid = expand_in_turn(
-                alphas,
-                turn,
-                rest.offers.first,
-                rest.offers.pixel,
-                rest.offers.cost,
-                rest.neighbour,
-                rest.weight,
-                rest.label_costs,
-                self.labels,
-                self.chosen,
-                self.used,
-                self.lost_at,
-                self.changed_at,
-                self.news_at,
-                self.came_from,
-                self.expanded_at,
-                self.step,
-                self.energy,
-            )
-            if turn == alphas.size:
-                return
-            alpha = alphas[turn]
-            moves, change = paid_expansion(rest, self.labels, alpha, nodes, price, paid)
-            if self.used[alpha] == 0:
-                change += int(rest.label_costs[alpha])
-            if change < 0:
-                self.energy += change
-                self.step += 1
-                _take(
-                    rest.neighbour,
-                    self.labels,
-                    self.chosen,
-                    self.used,
-                    self.lost_at,
-                    self.changed_at,
-                    self.news_at,
-                    self.came_from,
-                    self.step,
-                    alpha,
-                    nodes,
-                    price,
-                    moves,
-                )
-            self.expanded_at[alpha] = self.step
-            turn += 1
+    step: Array
 
 
 @compiled
-def started(
-    first: Array, pixel: Array, cost: Array, label_count: int, labels: Array
-) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """The fields of `Course` but the labels, which are given, ``lost_at``, the energy and the step."""
-    chosen = cost_of_labels(first, pixel, cost, labels)
-    used = np.zeros(label_count, np.int64)
+def begin(rest: UndecidedEnergy, labels: Array) -> ExpansionState:
+    """Return the state before the first expansion of labels (n,) intp, which it goes on to change."""
+    count = rest.label_costs.size
+    used = np.zeros(count, np.int64)
     for label in labels:
         used[label] += 1
-    changed_at, news_at = np.zeros(labels.size, np.int32), np.zeros(labels.size, np.int32)
-    came_from, expanded_at = np.full(labels.size, -1), np.full(label_count, -1)
-    return chosen, used, changed_at, news_at, came_from, expanded_at
+    return ExpansionState(
+        labels,
+        cost_of_labels(rest.unaries, labels),
+        used,
+        np.zeros(count, np.int64),
+        np.zeros(labels.size, np.int32),
+        np.zeros(labels.size, np.int32),
+        np.full(labels.size, -1),
+        np.full(count, -1),
+        np.zeros(1, np.int64),
+    )
+
+
+def is_settled(state: ExpansionState) -> bool:
+    """Whether no expansion would change the labelling any more."""
+    return bool((state.expanded_at == state.step[0]).all())
+
+
+def expand(rest: UndecidedEnergy, state: ExpansionState, alphas: Array) -> None:
+    """Expand labels (k,) int64 in turn; one is left out if nothing has changed since its last expansion."""
+    turn = 0
+    while True:
+        turn, nodes, price, paid = _expand_in_turn(rest, state, alphas, turn)
+        if turn == alphas.size:
+            return
+        alpha = int(alphas[turn])
+        moves, change = paid_expansion(rest, state.labels, alpha, nodes, price, paid)
+        _take(rest, state, alpha, nodes, price, moves, np.int64(change))
+        turn += 1
 
 
 @compiled
-def expand_in_turn(
-    alphas: Array, turn: int, first: Array, pixel: Array, cost: Array, neighbour: Array, weight: Array,
-    label_costs: Array, labels: Array, chosen: Array, used: Array, lost_at: Array, changed_at: Array,
-    news_at: Array, came_from: Array, expanded_at: Array, step: int, energy: int,
-) -> tuple[int, int, int, Array, Array, Array]:  # fmt: skip
-    """Expand labels until one is due that could free several of their costs: its turn, how the course stands,
-    the pixels that may take it, what it costs them more, and those several."""
+def _expand_in_turn(
+    rest: UndecidedEnergy, state: ExpansionState, alphas: Array, turn: int
+) -> tuple[int, Array, Array, Array]:
+    """Expand labels until one is due that could free several others of their costs.
+
+    Returns
+    -------
+    turn : int
+        Position of that one; the number of labels if there is none.
+    nodes, price, paid
+        As :func:`~mlbs_actors.graphcut.expansion.paid_expansion` takes them.
+    """
     for due in range(turn, alphas.size):
         alpha = alphas[due]
-        if expanded_at[alpha] == step:
+        before = state.expanded_at[alpha]
+        if before == state.step[0]:
             continue
-        own = slice(first[alpha], first[alpha + 1])
-        before = expanded_at[alpha]
-        if before >= 0 and _nothing_new(
-            pixel[own], label_costs, labels, used, lost_at, news_at, before, alpha
-        ):
-            expanded_at[alpha] = step
+        if before >= 0 and _nothing_new(rest, state, alpha):
+            state.expanded_at[alpha] = state.step[0]
             continue
-        nodes, price, kept = movable(
-            pixel[own], cost[own], chosen, neighbour, weight, label_costs, labels, used, alpha
-        )
+        nodes, price, kept = movable(rest, state.labels, state.chosen, state.used, alpha)
         # What must be bought anew is paid for by all its parts together.
-        if before >= 0 and (label_costs[alpha] == 0 or used[alpha] > 0):
-            worth = _worth_expanding(
-                neighbour, kept, labels, used, lost_at, changed_at, news_at, came_from, before, alpha, nodes
-            )
+        if before >= 0 and (rest.label_costs[alpha] == 0 or state.used[alpha] > 0):
+            worth = _worth_expanding(rest, state, alpha, nodes, kept)
             nodes, price = nodes[worth], price[worth]
-        paid = paid_for(labels, nodes, kept)
-        if nodes.size:
-            if paid.size > 1:
-                moves, change, left = free_expansion(neighbour, weight, labels, alpha, nodes, price)
-                if may_free(labels, nodes, left, paid, label_costs):
-                    return due, step, energy, nodes, price, paid
-            elif paid.size:
-                moves, change = freeing_expansion(
-                    neighbour, weight, labels, alpha, nodes, price, paid[0], label_costs[paid[0]]
-                )
-            else:
-                moves, change, _ = free_expansion(neighbour, weight, labels, alpha, nodes, price)
-            if used[alpha] == 0:
-                change += label_costs[alpha]
-            if change < 0:
-                energy += int(change)
-                step += 1
-                _take(
-                    neighbour,
-                    labels,
-                    chosen,
-                    used,
-                    lost_at,
-                    changed_at,
-                    news_at,
-                    came_from,
-                    step,
-                    alpha,
-                    nodes,
-                    price,
-                    moves,
-                )
-        expanded_at[alpha] = step
+        paid = paid_for(state.labels, nodes, kept)
+        if paid.size > 1:
+            moves, change, left = free_expansion(rest, state.labels, alpha, nodes, price)
+            if may_free(rest, state.labels, nodes, left, paid):
+                return due, nodes, price, paid
+        elif paid.size:
+            moves, change = freeing_expansion(rest, state.labels, alpha, nodes, price, paid[0])
+        else:
+            moves, change, _ = free_expansion(rest, state.labels, alpha, nodes, price)
+        _take(rest, state, alpha, nodes, price, moves, change)
     nothing = np.empty(0, np.int64)
-    return alphas.size, step, energy, nothing, nothing, nothing
+    return alphas.size, nothing, nothing, nothing
 
 
 @compiled
 def _take(
-    neighbour: Array, labels: Array, chosen: Array, used: Array, lost_at: Array, changed_at: Array,
-    news_at: Array, came_from: Array, step: int, alpha: int, nodes: Array, price: Array, moves: Array,
+    rest: UndecidedEnergy, state: ExpansionState, alpha: int, nodes: Array, price: Array, moves: Array,
+    change: np.int64,
 ) -> None:  # fmt: skip
-    """Give the nodes that move the label alpha."""
-    for i in range(nodes.size):
-        if not moves[i]:
-            continue
-        p = nodes[i]
-        used[labels[p]] -= 1
-        lost_at[labels[p]] = step
-        came_from[p], labels[p] = labels[p], alpha
-        chosen[p] += price[i]
-        changed_at[p], news_at[p] = step, step
-        for k in range(8):
-            if neighbour[p, k] >= 0:
-                news_at[neighbour[p, k]] = step
-        used[alpha] += 1
+    """Give the nodes that move the label alpha, if that lowers the energy."""
+    if state.used[alpha] == 0:
+        change += rest.label_costs[alpha]
+    if change < 0:
+        state.step[0] += 1
+        step = state.step[0]
+        for i in range(nodes.size):
+            if not moves[i]:
+                continue
+            p = nodes[i]
+            label = state.labels[p]
+            state.used[label] -= 1
+            state.lost_at[label] = step
+            state.came_from[p], state.labels[p] = label, alpha
+            state.chosen[p] += price[i]
+            state.changed_at[p], state.news_at[p] = step, step
+            for k in range(8):
+                if rest.neighbour[p, k] >= 0:
+                    state.news_at[rest.neighbour[p, k]] = step
+            state.used[alpha] += 1
+    state.expanded_at[alpha] = state.step[0]
 
 
 @compiled
-def _nothing_new(
-    candidates: Array, label_costs: Array, labels: Array, used: Array, lost_at: Array, news_at: Array,
-    expanded_at: int, alpha: int,
-) -> bool:  # fmt: skip
+def _nothing_new(rest: UndecidedEnergy, state: ExpansionState, alpha: int) -> bool:
     """Whether nothing that a label could take has changed since its last expansion, nor what is beside it,
     nor what it could free of its cost."""
+    before, used = state.expanded_at[alpha], state.used
     offered = np.zeros(used.size, np.int64)
-    for p in candidates:
-        if labels[p] != alpha:
-            if news_at[p] > expanded_at:
+    for p in rest.unaries.pixel[rest.unaries.first[alpha] : rest.unaries.first[alpha + 1]]:
+        if state.labels[p] != alpha:
+            if state.news_at[p] > before:
                 return False
-            offered[labels[p]] += 1
+            offered[state.labels[p]] += 1
     for label in range(used.size):
-        could_be_freed = label_costs[label] > 0 and 0 < offered[label] == used[label]
-        if could_be_freed and lost_at[label] > expanded_at:
+        could_be_freed = rest.label_costs[label] > 0 and 0 < offered[label] == used[label]
+        if could_be_freed and state.lost_at[label] > before:
             return False
     return True
 
 
 @compiled
 def _worth_expanding(
-    neighbour: Array, kept: Array, labels: Array, used: Array, lost_at: Array, changed_at: Array,
-    news_at: Array, came_from: Array, expanded_at: int, alpha: int, nodes: Array,
-) -> Array:  # fmt: skip
+    rest: UndecidedEnergy, state: ExpansionState, alpha: int, nodes: Array, kept: Array
+) -> Array:
     """Nodes (m,) bool whose connected part an expansion of alpha, which is paid for, could still improve.
 
     What an expansion gains is the sum over the connected parts of what it moves, if each label that it could
@@ -267,6 +198,7 @@ def _worth_expanding(
     it from alpha: that was a best expansion too, which could have left any of it. Both hold for freeing a
     label as well, unless it has lost pixels since: then it might not have been freed so easily.
     """
+    before, labels, used = state.expanded_at[alpha], state.labels, state.used
     open_node = np.zeros(labels.size, np.bool_)
     open_node[nodes] = True
     worth = np.zeros(labels.size, np.bool_)
@@ -277,25 +209,25 @@ def _worth_expanding(
         open_node[nodes[i]] = False
         part[0] = nodes[i]
         head, tail = 0, 1
-        oldest, newest = changed_at[nodes[i]], changed_at[nodes[i]]
+        oldest = newest = state.changed_at[nodes[i]]
         from_alpha = True
         while head < tail:
             p = part[head]
             head += 1
-            oldest = min(oldest, changed_at[p])
-            newest = max(newest, news_at[p])
-            from_alpha = from_alpha and came_from[p] == alpha
+            oldest = min(oldest, state.changed_at[p])
+            newest = max(newest, state.news_at[p])
+            from_alpha = from_alpha and state.came_from[p] == alpha
             inside[labels[p]] += 1
             for k in range(8):
-                q = neighbour[p, k]
+                q = rest.neighbour[p, k]
                 if q >= 0 and open_node[q]:
                     open_node[q] = False
                     part[tail] = q
                     tail += 1
-        settled = newest <= expanded_at or (from_alpha and oldest == newest)
+        settled = newest <= before or (from_alpha and oldest == newest)
         for label in range(used.size):
             if inside[label] > 0 and not kept[label]:
-                whole = inside[label] == used[label] and lost_at[label] <= max(newest, expanded_at)
+                whole = inside[label] == used[label] and state.lost_at[label] <= max(newest, before)
                 settled = settled and whole
             inside[label] = 0
         if not settled:

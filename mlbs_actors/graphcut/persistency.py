@@ -25,8 +25,6 @@ Differs from the paper: the paper cuts the whole pixel grid.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mlbs_actors.graphcut.energy import (
@@ -37,45 +35,34 @@ from mlbs_actors.graphcut.energy import (
     undecided_energy,
 )
 from mlbs_actors.kernels.jit import compiled
-from mlbs_actors.kernels.simd import broadcast, gathered, load_int32, sum_of_lanes, where_equal
 from mlbs_actors.messages import Array
 
-__all__ = ["Pruning", "decide", "movable", "prune"]
+__all__ = ["movable", "prune"]
 
 
-@dataclass(frozen=True, slots=True)
-class Pruning:
-    """What every optimum of an energy has in common, and the energy that is left.
-
-    Attributes
-    ----------
-    labels : (H, W) int16
-        Label position of the decided pixels, ``UNDECIDED`` elsewhere.
-    rest : UndecidedEnergy
-    """
-
-    labels: Array
-    rest: UndecidedEnergy
-
-
-def prune(whole: LabelCostEnergy) -> Pruning:
+def prune(whole: LabelCostEnergy) -> tuple[Array, UndecidedEnergy]:
     """Decide the pixels whose label can be proven locally to be the same in all optima.
 
     Parameters
     ----------
     whole : LabelCostEnergy
+        Of single pixels: ``side`` is 1, and there are no extras.
 
     Returns
     -------
-    Pruning
+    labels : (H, W) int16
+        Label position of the decided pixels, ``UNDECIDED`` elsewhere.
+    rest : UndecidedEnergy
+        The energy that is left.
     """
-    labels, certain = decide(whole.unary, whole.boxes(), whole.weights, whole.label_costs)
-    return Pruning(labels, undecided_energy(whole, labels, certain))
+    labels, certain = _decide(whole)
+    return labels, undecided_energy(whole, labels, certain)
 
 
 @compiled
-def decide(unary: Array, places: Array, weights: Array, label_costs: Array) -> tuple[Array, Array]:
+def _decide(whole: LabelCostEnergy) -> tuple[Array, Array]:
     """Labels, and which of them are certain."""
+    unary, places, weights, label_costs = whole.unary, whole.places, whole.weights, whole.label_costs
     label_count, height, width = unary.shape
     best = np.zeros((height, width), np.int32)
     # Beyond every cost: there may be no other label.
@@ -183,10 +170,9 @@ def _sum_weights(weights: Array, total: Array) -> None:
 
 @compiled
 def movable(
-    candidates: Array, costs: Array, chosen: Array, neighbour: Array, weight: Array, label_costs: Array,
-    labels: Array, used: Array, alpha: int,
-) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Pixels that a best expansion of ``alpha`` may take, and labels that it leaves in use.
+    rest: UndecidedEnergy, labels: Array, chosen: Array, used: Array, alpha: int
+) -> tuple[Array, Array, Array]:
+    """Find the pixels that a best expansion of ``alpha`` may take, and the labels that it leaves in use.
 
     A pixel is left out when taking it costs more than its neighbours, those that can be at alpha, and the
     release of its own label can ever pay back: every move is better without it. Its neighbours then have one
@@ -194,15 +180,11 @@ def movable(
 
     Parameters
     ----------
-    candidates, costs : (c,) int32
-        Alpha's entries of the :class:`~mlbs_actors.graphcut.energy.Offers`.
-    chosen : (n,) int32
-        What each pixel pays for the label that it has.
-    neighbour, weight : (n, 8) int32
-    label_costs : (K,) int64
-        As of :class:`~mlbs_actors.graphcut.energy.UndecidedEnergy`.
+    rest : UndecidedEnergy
     labels : (n,) intp
         The labelling to expand in.
+    chosen : (n,) int32
+        What each pixel pays for its label.
     used : (K,) int64
         How many pixels have each label.
     alpha : int
@@ -217,59 +199,50 @@ def movable(
     kept : (K,) bool
         Labels that keep a pixel in every best move, or cost nothing; alpha's own entry has no meaning.
     """
+    own = slice(rest.unaries.first[alpha], rest.unaries.first[alpha + 1])
+    candidates, costs = rest.unaries.pixel[own], rest.unaries.cost[own]
+    neighbour, weight = rest.neighbour, rest.weight
     # What is saved if none of a label's pixels stays; 0 as soon as one does.
-    refund, charged = label_costs.copy(), False
-    for label in range(refund.size):
-        charged = charged or refund[label] > 0
-    if charged:
-        offered = np.zeros(used.size, np.int64)
-        for p in candidates:
-            offered[labels[p]] += 1
-        for label in range(refund.size):
-            refund[label] = refund[label] if offered[label] == used[label] else 0
-    ends, weights = neighbour.reshape(-1), weight.reshape(-1)
-    nothing, moving = broadcast(np.int32(0), 8), broadcast(np.int32(alpha), 8)
+    offered = np.zeros(used.size, np.int64)
+    for p in candidates:
+        offered[labels[p]] += 1
+    refund = np.where(offered == used, rest.label_costs, 0)
     # The labels if all move that still may.
-    moved = labels.astype(np.int32)
+    moved = labels.copy()
     price, pixels = np.empty(candidates.size, np.int64), np.empty(candidates.size, np.intp)
     count = 0
-    # A first look, as if all neighbours were at alpha. Nobody can foretell which pixels may move, so that is
-    # no branch, here and below, but a choice of values.
-    for i in range(candidates.size):
-        at = np.uint64(i)
-        p = np.uint64(candidates[at])
-        label = labels[p]
-        cost = np.int64(costs[at]) - chosen[p]
-        gain = np.int64(sum_of_lanes(load_int32(weights, np.uint64(8) * p, 8)))
-        if charged:
-            gain += refund[label]
-        other = label != alpha
-        moves = other & (cost <= gain)
-        if charged and other and not moves:
+    for i in range(candidates.size):  # a first look, as if all neighbours were at alpha
+        p = candidates[i]
+        label, cost = labels[p], np.int64(costs[i]) - chosen[p]
+        if label == alpha:
+            continue
+        gain = refund[label]
+        for k in range(8):
+            gain += weight[p, k]
+        if cost > gain:
             refund[label] = 0
-        moved[p] = alpha if moves else label
-        pixels[np.uint64(count)], price[np.uint64(count)] = p, cost
-        count += moves
+            continue
+        moved[p] = alpha
+        pixels[count], price[count] = p, cost
+        count += 1
     while True:
         left = 0
         for i in range(count):
-            at = np.uint64(i)
-            p, cost = np.uint64(pixels[at]), price[at]
-            label, first = labels[p], np.uint64(8) * p
+            p, cost = pixels[i], price[i]
+            label = labels[p]
+            gain = refund[label]
             # Beside a neighbour at alpha moving saves w; beside one that keeps p's own label it costs w.
-            w = load_int32(weights, first, 8)
-            beside = gathered(moved, where_equal(w, nothing, nothing, load_int32(ends, first, 8)))
-            own = broadcast(np.int32(label), 8)
-            saved = where_equal(beside, moving, w, where_equal(beside, own, nothing - w, nothing))
-            gain = np.int64(sum_of_lanes(saved))
-            if charged:
-                gain += refund[label]
-            moves = cost <= gain
-            if charged and not moves:
+            for k in range(8):
+                if weight[p, k] > 0:
+                    beside = moved[neighbour[p, k]]
+                    gain += weight[p, k] if beside == alpha else 0
+                    gain -= weight[p, k] if beside == label else 0
+            if cost > gain:
                 refund[label] = 0
-            moved[p] = alpha if moves else label
-            pixels[np.uint64(left)], price[np.uint64(left)] = p, cost
-            left += moves
+                moved[p] = label
+                continue
+            pixels[left], price[left] = p, cost
+            left += 1
         # A round that leaves out few is not worth another; stopping early only makes the graph larger.
         if 4 * (count - left) <= count:
             return pixels[:left], price[:left], refund == 0

@@ -17,10 +17,7 @@ from mlbs_actors.segmentation.label_runs import label_runs
 from mlbs_actors.segmentation.region_groups import grown, slices_in
 from mlbs_actors.segmentation.shadows import CHANNEL_NOISE, CHANNEL_SPREAD, Darkening
 
-__all__ = ["Seen", "contact_shadow", "look_over", "nothing_seen", "shadow_strips"]
-
-#: What :func:`look_over` returns.
-Seen = tuple[Array, tuple[Array, Array, Array, Array], Array]
+__all__ = ["contact_shadow"]
 
 #: Log darkening of a contact shadow, and its steepest mean gradient over 5×5 px, grey levels/px of 640×480.
 CONTACT_DARK, CONTACT_SMOOTH = -0.7, 6.0
@@ -54,22 +51,12 @@ def contact_shadow(
     -------
     (h, w) bool
     """
-    return shadow_strips(
-        labels, frame, look_over(labels, dark.mean, dark.spread, dark.brightness, side), side, scale, rise
-    )
-
-
-def shadow_strips(
-    labels: Array,
-    frame: Array,
-    seen: Seen,
-    side: int,
-    scale: float,
-    rise: float,
-) -> Array:
-    """:func:`contact_shadow` of what has been looked over already, by :func:`look_over`."""
-    unlit, runs, pieces = seen
+    unlit = _unlit(dark.mean, dark.spread, dark.brightness)
     found = np.zeros(labels.shape, np.bool_)
+    if not unlit.any():
+        return found
+    runs = label_runs(labels, True)
+    pieces = _unlit_pieces(labels, *runs, unlit, side)
     edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
     steepest, gap = np.float32(CONTACT_SMOOTH / scale), CONTACT_GAP_PX * scale
@@ -84,24 +71,6 @@ def shadow_strips(
         core = _resting(foot, above, _steepness(frame, wide), left, top, steepest, least, gap)
         _take_strip(cv2.dilate(core, disc), foot, body, found, feet.x, feet.y)
     return found
-
-
-@compiled
-def look_over(labels: Array, mean: Array, spread: Array, brightness: Array, side: int) -> Seen:
-    """The cells without light, the label map's runs, and the pieces of objects to look at more closely; runs
-    are only looked for if there is such a cell."""
-    unlit = _unlit(mean, spread, brightness)
-    if not unlit.any():
-        return nothing_seen()
-    runs = label_runs(labels, True)
-    return unlit, runs, _unlit_pieces(labels, runs[0], runs[1], runs[2], runs[3], unlit, side)
-
-
-@compiled
-def nothing_seen() -> Seen:
-    """:func:`look_over` a map in which nothing lacks light."""
-    none = np.zeros(0, np.int64)
-    return np.zeros((0, 0), np.bool_), (none, none, none, none), np.zeros((0, 5), np.int64)
 
 
 @compiled

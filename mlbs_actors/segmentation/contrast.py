@@ -12,62 +12,33 @@ import math
 
 import numpy as np
 
-from mlbs_actors.errors import ConfigError, FrameError
 from mlbs_actors.graphcut.energy import NEIGHBOUR_OFFSETS
 from mlbs_actors.kernels.image_rows import padded_part
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
-__all__ = ["COST_QUANTUM", "MAX_COST", "contrast_weights", "weights_by_distance", "weights_of"]
+__all__ = ["COST_QUANTUM", "contrast_weights", "weights_by_distance"]
 
 #: Unit of all costs, nats.
 COST_QUANTUM = 1.0 / 1024.0
 
-#: Largest unary cost or pair weight, quanta: sums of nine still fit into 32 bits.
-MAX_COST = 2**24
-
-
-def contrast_weights(image: Array, strength: float = 0.8, scale: float = 200.0) -> Array:
-    """Contrast-sensitive Potts weights: strength · exp(−|ΔRGB|² / scale), diagonals divided by √2.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        Colour image; the order of the channels does not matter.
-    strength : float
-        Weight between equal colours, nats, from 0 to ``MAX_COST`` quanta.
-    scale : float
-        Squared colour distance, summed over the channels, at which the weight has fallen to 1/e, > 0.
-
-    Returns
-    -------
-    (H, W, 4) int32
-        To the neighbour at ``NEIGHBOUR_OFFSETS[k]``, k < 4; 0 where it would be outside. Units of
-        ``COST_QUANTUM``.
-
-    Raises
-    ------
-    FrameError
-        The image is not (H, W, 3) uint8.
-    ConfigError
-        ``strength`` or ``scale`` is out of range.
-    """
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
-        raise FrameError(f"Give an (H, W, 3) uint8 image; this one is {image.shape} {image.dtype}.")
-    if not 0 <= strength <= MAX_COST * COST_QUANTUM:
-        raise ConfigError(
-            f"The contrast strength is {strength}; give a value from 0 to {MAX_COST * COST_QUANTUM:g} nats."
-        )
-    if not 0 < scale < math.inf:
-        raise ConfigError(f"The contrast scale is {scale}; give a positive number of squared grey levels.")
-    whole = (0, 0, image.shape[1], image.shape[0])
-    return np.asarray(weights_of(np.ascontiguousarray(image), whole, weights_by_distance(strength, scale)))
-
 
 @functools.lru_cache(maxsize=16)
 def weights_by_distance(strength: float, scale: float) -> Array:
-    """Weights by squared colour distance, which is an integer: straight ones, then diagonal ones; the last,
-    for all distances from there on, is 0."""
+    """Return the weights by squared colour distance, which is an integer, (2, n) int32.
+
+    Parameters
+    ----------
+    strength : float
+        Weight between equal colours, nats.
+    scale : float
+        Squared colour distance, summed over the channels, at which the weight has fallen to 1/e.
+
+    Returns
+    -------
+    (2, n) int32
+        Straight ones, then diagonal ones; the last, for all distances from there on, is 0. ``COST_QUANTUM``.
+    """
     reach = scale * math.log(max(1.0, 2.0 * strength / COST_QUANTUM))
     straight = strength * np.exp(-np.arange(int(min(reach, 3 * 255**2)) + 1) / scale)
     table = np.zeros((2, straight.size + 1))
@@ -76,9 +47,24 @@ def weights_by_distance(strength: float, scale: float) -> Array:
 
 
 @compiled
-def weights_of(image: Array, box: tuple[int, int, int, int], table: Array) -> Array:
-    """:func:`contrast_weights` of a part of a C-contiguous image: left, top, width and height; by a table of
-    :func:`weights_by_distance`."""
+def contrast_weights(image: Array, box: tuple[int, int, int, int], table: Array) -> Array:
+    """Return contrast-sensitive Potts weights: strength · exp(−|ΔRGB|² / scale), diagonals divided by √2.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        C-contiguous; the order of the channels does not matter.
+    box : (left, top, width, height)
+        The part of it that is looked at.
+    table : (2, n) int32
+        Of :func:`weights_by_distance`.
+
+    Returns
+    -------
+    (height, width, 4) int32
+        To the neighbour at ``NEIGHBOUR_OFFSETS[k]``, k < 4; 0 where it would be outside. Units of
+        ``COST_QUANTUM``.
+    """
     left, top, width, height = box
     weights = np.empty((height, width, 4), np.int32)
     _weigh(padded_part(image, left, top, width, height), table, np.empty((4, width), np.int32), weights)

@@ -15,11 +15,11 @@ import numpy as np
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
-__all__ = ["claims_of_layers"]
+__all__ = ["proposal_boxes"]
 
 
 @compiled
-def claims_of_layers(
+def proposal_boxes(
     cost: Array,
     places: Array,
     positions: Array,

@@ -22,13 +22,9 @@ __all__ = [
     "CHANNEL_NOISE",
     "CHANNEL_SPREAD",
     "Darkening",
-    "blur_weights",
-    "darkened",
     "darkening",
     "ground_colour",
-    "likelihood_of_shadow",
     "shadow_likelihood",
-    "smoothed",
 ]
 
 #: The ground's colour is found on the frame shrunk by this.
@@ -127,7 +123,8 @@ def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darken
     -------
     Darkening
     """
-    return Darkening(*darkened(np.ascontiguousarray(picture), blur_weights(blur), ground, box.box))
+    smooth = _smoothed(np.ascontiguousarray(picture), _blur_weights(blur), box.box)
+    return Darkening(*_compared(smooth, ground, box.y, box.x, picture.shape[:2], _LOG))
 
 
 def shadow_likelihood(dark: Darkening) -> Array:
@@ -142,11 +139,12 @@ def shadow_likelihood(dark: Darkening) -> Array:
     (h, w) float32
         0 = no shadow … 1 = darker ground.
     """
-    return np.asarray(likelihood_of_shadow(dark.mean, dark.spread, dark.brightness, dark.variance))
+    likelihood: Array = _shadow_likelihood(dark.mean, dark.spread, dark.brightness, dark.variance)
+    return likelihood
 
 
 @functools.lru_cache(maxsize=16)
-def blur_weights(blur: float) -> Array:
+def _blur_weights(blur: float) -> Array:
     """Weights of a Gaussian of this standard deviation, at most 1 px, as OpenCV smooths 8-bit pictures with
     it: (2 · 4 + 1,) int32, parts of 256."""
     flat = np.zeros((1, 4 * BLUR_REACH + 1), np.uint8)
@@ -158,15 +156,7 @@ def blur_weights(blur: float) -> Array:
 
 
 @compiled
-def darkened(
-    picture: Array, weights: Array, ground: Array, box: tuple[int, int, int, int]
-) -> tuple[Array, Array, Array, Array]:
-    """The fields of :func:`darkening` in a box, smoothed by :func:`blur_weights`."""
-    return _compared(smoothed(picture, weights, box), ground, box[1], box[0], picture.shape[:2], _LOG)
-
-
-@compiled
-def smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) -> Array:
+def _smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) -> Array:
     """A box of a picture (h, w, 3) uint8, smoothed; past the picture's border it is mirrored at that."""
     left, top, width, height = box
     middle = weights.size // 2
@@ -210,8 +200,7 @@ def _mirrored(at: int, length: int) -> int:
 
 
 @compiled
-def likelihood_of_shadow(mean: Array, spread: Array, brightness: Array, variance: Array) -> Array:
-    """:func:`shadow_likelihood` of a darkening's fields."""
+def _shadow_likelihood(mean: Array, spread: Array, brightness: Array, variance: Array) -> Array:
     likelihood = np.empty(mean.shape, np.float32)
     for y in range(mean.shape[0]):
         for x in range(mean.shape[1]):

@@ -14,37 +14,49 @@ from mlbs_actors.layer.points_in_box import points_in_box
 from mlbs_actors.messages import COST_STEP, Array
 from mlbs_actors.segmentation.contrast import COST_QUANTUM
 
-__all__ = ["claimed_costs"]
+__all__ = ["discount_shadows", "proposed_costs", "track_pulls"]
 
 #: Quanta of the graph cut in one of the layers' costs.
 _QUANTA = np.int32(round(COST_STEP / COST_QUANTUM))
 
 
 @compiled
-def claimed_costs(
-    cost: Array, own: Array, box: tuple[int, int, int, int], claims: Array, shadow: Array,
-    strength: np.float32, positions: Array, tracks: Array, corner: tuple[int, int], shape: tuple[int, int],
-    side: int, pull: int,
-) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Costs (k, rows, columns) int32 of some layers in a box of cells, ``COST_QUANTUM`` a pixel; the places
-    (k, 4) where they are made, as a layer owns nothing outside its claim; and the trajectories' pulls."""
+def proposed_costs(
+    cost: Array, own: Array, box: tuple[int, int, int, int], boxes: Array
+) -> tuple[Array, Array]:
+    """Return the costs of some layers in a box of cells.
+
+    Parameters
+    ----------
+    cost, boxes
+        Of :class:`~mlbs_actors.segmentation.group_labelling.Proposals`.
+    own : (k,) int64
+        Which of its layers.
+    box : (left, top, width, height)
+        Cells of ``cost``.
+
+    Returns
+    -------
+    costs : (k, height, width) int32
+        Of a pixel, ``COST_QUANTUM``; only made where a layer has a proposal, outside which it owns nothing.
+    places : (k, 4) int64
+        Where that is: first row, row past the last, first column, column past the last.
+    """
     left, top, width, height = box
     costs, places = np.empty((own.size, height, width), np.int32), np.empty((own.size, 4), np.int64)
     for label in range(own.size):
-        place, claim = places[label], claims[own[label]]
-        place[0], place[1] = max(claim[0] - top, 0), min(claim[1] - top, height)
-        place[2], place[3] = max(claim[2] - left, 0), min(claim[3] - left, width)
+        place, proposal = places[label], boxes[own[label]]
+        place[0], place[1] = max(proposal[0] - top, 0), min(proposal[1] - top, height)
+        place[2], place[3] = max(proposal[2] - left, 0), min(proposal[3] - left, width)
         for y in range(place[0], place[1]):
             fused, row = cost[own[label], top + y], costs[label, y]
             for x in range(place[2], place[3]):
                 row[x] = np.int32(fused[left + x]) * _QUANTA
-    if strength > 0:
-        _discount_shadows(costs, places, shadow, strength)
-    return costs, places, _track_pulls(positions, tracks[own], places * side, corner, shape, pull)
+    return costs, places
 
 
 @compiled
-def _track_pulls(
+def track_pulls(
     positions: Array, tracks: Array, places: Array, corner: tuple[int, int], shape: tuple[int, int], pull: int
 ) -> Array:
     """The trajectories' data cost: −c for their own label at their pixel, +c for every other.
@@ -75,7 +87,7 @@ def _track_pulls(
 
 
 @compiled
-def _discount_shadows(costs: Array, places: Array, shadow: Array, strength: np.float32) -> None:
+def discount_shadows(costs: Array, places: Array, shadow: Array, strength: np.float32) -> None:
     """Take away, as far as a cell is a shadow, what an object has over the background, and a little more."""
     for label in range(1, costs.shape[0]):
         top, bottom, left, right = places[label]

@@ -7,7 +7,7 @@ from math import exp, log
 import numpy as np
 import pytest
 
-from mlbs_actors.appearance.fusion import RATIO_STEP, fused_costs, quantised_ratio, with_appearance
+from mlbs_actors.appearance.fusion import RATIO_STEP, fused_costs, with_appearance
 from mlbs_actors.messages import BACKGROUND, COST_STEP, Array, LayerPosterior, Region
 
 SHAPE = (18, 24)
@@ -223,31 +223,3 @@ def test_costs_are_cut_and_do_not_wrap_around() -> None:
             HALF,
         )
         assert (found == expected).all()
-
-
-def test_a_ratio_comes_back_from_its_quanta_to_half_a_step() -> None:
-    values = np.linspace(-8.0, 7.9, 1000).astype(np.float32)
-    quanta = quantised_ratio(values, np.inf)
-    assert quanta.dtype == np.int8
-    np.testing.assert_allclose(quanta * RATIO_STEP, values, atol=0.5 * RATIO_STEP + 1e-6)
-    every = np.arange(-128, 128)
-    np.testing.assert_array_equal(quantised_ratio((every * RATIO_STEP).astype(np.float32), np.inf), every)
-
-
-def test_a_ratio_is_held_between_its_bounds() -> None:
-    values = np.array([-1e6, -8.1, 2.9, 3.1, 1e6], np.float32)
-    np.testing.assert_array_equal(quantised_ratio(values, 3.0) * RATIO_STEP, [-8, -8, 2.875, 3, 3])
-    assert quantised_ratio(np.array([1e6], np.float32), np.inf)[0] == 127
-
-
-def test_no_pixels_have_no_costs() -> None:
-    nothing = np.zeros((0, 0))
-    found = with_appearance(
-        nothing.astype(np.uint8),
-        nothing.astype(np.int8),
-        nothing.astype(np.uint8),
-        nothing.astype(np.int8),
-        WEIGHT,
-        HALF,
-    )
-    assert found.shape == (0, 0)

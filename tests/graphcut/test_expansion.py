@@ -4,8 +4,14 @@ import itertools
 
 import numpy as np
 import pytest
+from energy_fakes import energy_of
 
-from mlbs_actors.graphcut.energy import UNDECIDED, LabelCostEnergy, undecided_energy
+from mlbs_actors.graphcut.energy import (
+    UNDECIDED,
+    LabelCostEnergy,
+    undecided_energy,
+    undecided_energy_of,
+)
 from mlbs_actors.graphcut.expansion import (
     free_expansion,
     freeing_expansion,
@@ -23,7 +29,7 @@ def random_energy(seed: int) -> LabelCostEnergy:
     weights = rng.integers(0, int(rng.integers(1, 9)), (HEIGHT, WIDTH, 4)).astype(np.int32)
     weights[:, -1, 0], weights[-1, :, 1:], weights[:, -1, 2], weights[:, 0, 3] = 0, 0, 0, 0
     unary = rng.integers(0, 20, (LABELS, HEIGHT, WIDTH)).astype(np.int32)
-    return LabelCostEnergy(unary, weights, rng.integers(0, 60, LABELS))
+    return energy_of(unary, weights, rng.integers(0, 60, LABELS))
 
 
 @pytest.mark.parametrize("paid", [(1,), (1, 2)])
@@ -44,7 +50,7 @@ def test_an_expansion_frees_labels_where_that_is_best(seed: int, paid: tuple[int
     def change(moves: Array) -> int:
         after = labels.copy()
         after[nodes[moves]] = alpha
-        terms = rest.energy(after) - rest.energy(labels)
+        terms = undecided_energy_of(rest, after) - undecided_energy_of(rest, labels)
         freed = [k for k in range(LABELS) if k in labels and k not in after and k not in paid]
         began = int(whole.label_costs[alpha]) * (alpha in after and alpha not in labels)
         return terms + int(whole.label_costs[freed].sum()) - began
@@ -54,10 +60,7 @@ def test_an_expansion_frees_labels_where_that_is_best(seed: int, paid: tuple[int
     found, stated = paid_expansion(rest, labels, alpha, nodes, price, paid_for(labels, nodes, kept))
     assert change(found) == stated == least
     if len(paid) == 1:
-        label_cost = int(rest.label_costs[paid[0]])
-        moves, change_of_moves = freeing_expansion(
-            rest.neighbour, rest.weight, labels, alpha, nodes, price, paid[0], label_cost
-        )
+        moves, change_of_moves = freeing_expansion(rest, labels, alpha, nodes, price, paid[0])
         assert change(moves) == change_of_moves == least
 
 
@@ -73,8 +76,8 @@ def test_a_label_is_kept_without_a_second_cut_only_where_that_is_best() -> None:
         price = (costs[alpha, nodes] - costs[labels[nodes], nodes]).astype(np.int64)
         paid = paid_for(labels, nodes, np.zeros(LABELS, bool))
         best, least = paid_expansion(rest, labels, alpha, nodes, price, paid)
-        moves, change, left = free_expansion(rest.neighbour, rest.weight, labels, alpha, nodes, price)
-        seen.add(freeing := may_free(labels, nodes, left, paid, rest.label_costs))
+        moves, change, left = free_expansion(rest, labels, alpha, nodes, price)
+        seen.add(freeing := may_free(rest, labels, nodes, left, paid))
         if not freeing:
             assert change == least
             np.testing.assert_array_equal(moves, best)

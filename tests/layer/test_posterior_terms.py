@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from layer_fakes import SHAPE, frame_of, published
 
-from mlbs_actors.appearance.fusion import quantised_ratio, with_appearance
+from mlbs_actors.appearance.fusion import RATIO_STEP, with_appearance
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.layer.posterior_terms import (
     LOG_UNIFORM,
@@ -99,7 +99,8 @@ def test_the_colours_are_quantised_as_the_fusion_reads_them() -> None:
     density = np.where(count > 0, rng.uniform(-45, -5, SIZE), np.nan).astype(np.float32)
     needed = rng.random(SIZE) < 0.7
     log_ratio, samples = quantised_colours(density, count, needed, 3.0)
-    expected = quantised_ratio(np.nan_to_num(density, nan=LOG_UNIFORM) - np.float32(LOG_UNIFORM), 3.0)
+    ratio = np.minimum(np.nan_to_num(density, nan=LOG_UNIFORM) - np.float32(LOG_UNIFORM), 3.0)
+    expected = np.clip(np.rint(ratio / RATIO_STEP), -128, 127).astype(np.int8)
     np.testing.assert_array_equal(log_ratio, np.where(needed, expected, 0))
     np.testing.assert_array_equal(samples, np.where(needed, count, 0))
     assert log_ratio.min() == -128

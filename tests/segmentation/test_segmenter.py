@@ -7,13 +7,13 @@ from math import exp, log
 
 import numpy as np
 import pytest
+from energy_fakes import MAX_COST, energy_of, slow_energy, weights_of_image
 from joined_evidence import joined_evidence
 
 from mlbs_actors.appearance.fusion import fused_costs
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
-from mlbs_actors.graphcut.energy import LabelCostEnergy
-from mlbs_actors.graphcut.graph_cut import minimise, searched_labels
+from mlbs_actors.graphcut.graph_cut import minimise
 from mlbs_actors.messages import (
     BACKGROUND,
     COST_STEP,
@@ -25,8 +25,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
-from mlbs_actors.segmentation import segmenter
-from mlbs_actors.segmentation.contrast import COST_QUANTUM, MAX_COST, contrast_weights
+from mlbs_actors.segmentation.contrast import COST_QUANTUM
 from mlbs_actors.segmentation.segmenter import Segmenter, SegmenterState
 
 SHAPE = (24, 32)
@@ -156,10 +155,10 @@ def test_groups_of_regions_are_labelled_as_one_problem_of_the_whole_frame(
     for own, one in zip(unary, posteriors, strict=True):
         own[one.region.slices] = one.cost.astype(np.int32) * round(COST_STEP / COST_QUANTUM)
     label_costs = np.array([0, *[round(label_cost / COST_QUANTUM)] * 3])
-    whole = LabelCostEnergy(unary, contrast_weights(frame(), 1.0, 5e3), label_costs)
+    whole = energy_of(unary, weights_of_image(frame(), 1.0, 5e3), label_costs)
     labels = np.searchsorted(list(regions), result.labels)
     assert labels.any()
-    assert whole.energy(labels) == minimise(whole).energy
+    assert slow_energy(labels, whole) == slow_energy(minimise(whole), whole)
 
 
 def test_posteriors_of_cells_are_those_of_all_their_pixels() -> None:
@@ -271,16 +270,7 @@ def test_each_box_of_claims_in_a_region_has_its_labels_and_its_summary() -> None
     assert [one.centroid for one in result.layers] == [(6.0, 5.5), (24.0, 17.0)]
 
 
-def test_what_has_to_be_cut_in_the_general_way_is_published_like_the_rest(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    general = []
-
-    def search(energy: LabelCostEnergy) -> Array:
-        general.append(energy)
-        return searched_labels(energy)
-
-    monkeypatch.setattr(segmenter, "searched_labels", search)
+def test_a_label_that_frees_two_others_of_their_costs_takes_their_place() -> None:
     # Beside a layer for the left half and one for the right half, one that is hardly worse everywhere: to use
     # it pays only if it frees both of their label costs at once.
     left, right = np.full((2, *SHAPE), 100, np.uint8)
@@ -288,7 +278,6 @@ def test_what_has_to_be_cut_in_the_general_way_is_published_like_the_rest(
     posteriors = [posterior(0, 100), posterior(2, left), posterior(3, right), posterior(5, 1)]
     of_a_label = 2.5 * left[:, :16].size * COST_STEP / length_scale(*SHAPE) ** 2
     result = segmented(posteriors, configured(track_cost=0.0, label_cost=of_a_label))
-    assert len(general) == 1
     assert (result.labels == 5).all()
     assert [(one.layer, one.region, one.area) for one in result.layers] == [(5, WHOLE, WHOLE.area)]
 

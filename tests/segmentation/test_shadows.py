@@ -10,11 +10,11 @@ from joined_evidence import joined_evidence
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region
 from mlbs_actors.segmentation.shadows import (
     Darkening,
-    blur_weights,
+    _blur_weights,
+    _smoothed,
     darkening,
     ground_colour,
     shadow_likelihood,
-    smoothed,
 )
 
 SHAPE = (240, 320)
@@ -188,4 +188,4 @@ def test_a_box_is_smoothed_as_opencv_smooths_the_whole_picture(blur: float, shap
     for _ in range(10):
         x, y = int(rng.integers(shape[1])), int(rng.integers(shape[0]))
         box = Region(x, y, int(rng.integers(1, shape[1] - x + 1)), int(rng.integers(1, shape[0] - y + 1)))
-        np.testing.assert_array_equal(smoothed(image, blur_weights(blur), box.box), whole[box.slices])
+        np.testing.assert_array_equal(_smoothed(image, _blur_weights(blur), box.box), whole[box.slices])
