@@ -1,1 +1,0 @@
-"""How long the engine takes, and what else one could use, measured in one run."""

@@ -1,1 +1,0 @@
-"""Brings faults about in real runs of the command, and tells which of them it survives."""

@@ -1,0 +1,204 @@
+"""``scripts/chaos``: brings faults about and prints which were held; soaks; tells what recovery costs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmark.plots import draw, require_matplotlib
+from chaos.endurance.recovery_cost import measure_cost
+from chaos.endurance.soak import memory_plot, soak
+from chaos.harness.observed_run import NotHeldError
+from chaos.harness.reference import References
+from chaos.harness.scenario import Fault, Place, Scenario, Verdict, Verdicts
+from chaos.scenarios.catalogue import FAULTS
+from chaos.scenarios.kills import KILLS
+from mlbs_actors.errors import ConfigError, MlbsError
+
+__all__ = ["main"]
+
+#: Numbers of the quick faults that stand for the others.
+_FAST = ("1", "28")
+
+_DESCRIPTION = """\
+Bring faults about in real runs of the command, and tell which of them are survived.
+
+  faults   every fault of the list: a row each, how often it was held; how long until label maps were made
+           again ("back after"), and until there was one that had not been there before ("got on after")
+  kills    every kind of process killed at every step, the command between any two steps of a commit
+  soak     long streams whose objects come and go: memory, processes and descriptors over time
+  cost     the rate with synced commits and snapshots beside that with the same files alone, in turns
+"""
+
+
+def main(argv: Sequence[str] | None, ray_scratch: Path) -> int:
+    """Run the command.
+
+    Parameters
+    ----------
+    argv : sequence of str or None
+        Without the program's name; None: those of this process.
+    ray_scratch : Path
+        From :func:`orchestrator.ray_session.ray_settings`.
+
+    Returns
+    -------
+    int
+        0: everything was held; 1: something was not; 2: wrong usage.
+    """
+    arguments = _parser().parse_args(argv)
+    try:
+        if arguments.plot:
+            require_matplotlib()
+        with tempfile.TemporaryDirectory(prefix="mlbs-chaos-") as scratch:
+            if arguments.what == "soak":
+                return _soak(arguments, Path(scratch))
+            if arguments.what == "cost":
+                print(measure_cost(arguments.pairs, arguments.frames or 144, ray_scratch).table())
+                return 0
+            return _bring_about(_chosen(arguments), arguments, Path(scratch))
+    except NotHeldError as error:
+        print(error, file=sys.stderr)
+        return 1
+    except MlbsError as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+def _chosen(arguments: argparse.Namespace) -> list[tuple[Scenario, tuple[Fault, ...]]]:
+    """Scenarios, and which of their faults are wanted."""
+    all_ = KILLS if arguments.what == "kills" else FAULTS
+    numbers = _FAST if arguments.fast else arguments.faults and arguments.faults.split(",")
+    words = arguments.only or ""
+
+    def wanted(fault: Fault) -> bool:
+        return words in fault.name and (not numbers or bool(set(numbers) & set(fault.number.split())))
+
+    chosen = [(scenario, tuple(filter(wanted, scenario.faults))) for scenario in all_]
+    if not any(faults for _, faults in chosen):
+        known = {number for scenario in all_ for fault in scenario.faults for number in fault.number.split()}
+        raise ConfigError(f"There is no such fault; choose from {', '.join(sorted(known, key=int))}.")
+    return [(scenario, faults) for scenario, faults in chosen if faults]
+
+
+def _bring_about(
+    chosen: Sequence[tuple[Scenario, tuple[Fault, ...]]], arguments: argparse.Namespace, scratch: Path
+) -> int:
+    seeds = range(1, 1 + _seeds(arguments))
+    references = References(scratch / "references")
+    turns = [
+        (scenario, faults, Place(scratch / f"{position}-{seed}", references, _random(scenario, seed)))
+        for position, (scenario, faults) in enumerate(chosen)
+        for seed in seeds
+    ]
+    held = True
+    print(f"{'fault':8} {'what':56} {'held':>6} {'back after':>12} {'got on after':>12}", flush=True)
+    with _mapping(arguments.jobs) as map_:
+        outcomes = iter(map_(_outcome, *zip(*turns, strict=True)))
+        for _, faults in chosen:
+            of_seeds = [next(outcomes) for _ in seeds]
+            for fault in faults:
+                verdicts = [verdicts.by_name[fault.name] for verdicts in of_seeds]
+                print(_row(fault, verdicts), flush=True)
+                for seed, verdict in zip(seeds, verdicts, strict=True):
+                    if verdict.why_not_held is not None:
+                        held = False
+                        print(f"{'':8} seed {seed}: {verdict.why_not_held}", flush=True)
+    return 0 if held else 1
+
+
+def _seeds(arguments: argparse.Namespace) -> int:
+    """How often each is brought about: kills are many, so by default each once."""
+    if arguments.fast or (arguments.seeds is None and arguments.what == "kills"):
+        return 1
+    return 3 if arguments.seeds is None else int(arguments.seeds)
+
+
+def _random(scenario: Scenario, seed: int) -> np.random.Generator:
+    return np.random.default_rng([zlib.crc32(scenario.name.encode()), seed])
+
+
+@contextmanager
+def _mapping(jobs: int) -> Iterator[Callable[..., Iterable[Any]]]:
+    """``map``, of so many calls at once; an exception ends it without those that have not begun."""
+    if jobs == 1:
+        yield map
+        return
+    pool = ThreadPoolExecutor(jobs)
+    try:
+        yield pool.map
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _outcome(scenario: Scenario, faults: Sequence[Fault], place: Place) -> Verdicts:
+    verdicts = Verdicts((fault.name for fault in faults), _tell)
+    try:
+        scenario.bring_about(place, verdicts)
+    except Exception as error:  # the rest of the table is wanted all the same
+        for verdict in verdicts.by_name.values():
+            verdict.add(f"{type(error).__name__}: {error}")
+    return verdicts
+
+
+def _tell(name: str, verdict: Verdict) -> None:
+    back = "" if verdict.back is None else f", back after {verdict.back.first:.1f} s"
+    print(f"{name}: {verdict.why_not_held or 'held'}{back}", file=sys.stderr, flush=True)
+
+
+def _row(fault: Fault, verdicts: Sequence[Verdict]) -> str:
+    held = sum(verdict.why_not_held is None for verdict in verdicts)
+    backs = [verdict.back for verdict in verdicts if verdict.back is not None]
+    first = _range([back.first for back in backs])
+    new = _range([back.new for back in backs if back.new is not None])
+    return f"{fault.number:8} {fault.name:56} {f'{held}/{len(verdicts)}':>6} {first:>12} {new:>12}"
+
+
+def _range(seconds: Sequence[float]) -> str:
+    return f"{min(seconds):.1f}–{max(seconds):.1f} s" if seconds else ""
+
+
+def _soak(arguments: argparse.Namespace, scratch: Path) -> int:
+    figures = soak(arguments.streams, arguments.frames or 300, scratch / "soak")
+    print(figures.table())
+    if arguments.plot:
+        draw(memory_plot(figures.looks), arguments.plot)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scripts/chaos",
+        description=_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    add(
+        "what",
+        nargs="?",
+        choices=("faults", "kills", "soak", "cost"),
+        default="faults",
+        help="what to do (default: faults)",
+    )
+    add(
+        "--seeds", type=int, metavar="N", help="how often each, at other moments (default: faults 3, kills 1)"
+    )
+    add("--faults", metavar="NUMBERS", help="only these, with commas (default: all)")
+    add("--only", metavar="WORDS", help="only those with these words in their name")
+    add("--jobs", type=int, default=1, metavar="N", help="runs at once, which makes each slower (default: 1)")
+    add("--fast", action="store_true", help="a few quick ones, one seed")
+    add("--streams", type=int, default=2, metavar="N", help="streams of the soak (default: 2)")
+    add("--frames", type=int, metavar="N", help="frames of each stream (default: soak 300, cost 144)")
+    add("--plot", type=Path, metavar="PNG", help="draw the soak's memory over time there")
+    add("--pairs", type=int, default=3, metavar="N", help="pairs of runs for the cost (default: 3)")
+    return parser

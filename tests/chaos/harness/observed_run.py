@@ -1,0 +1,256 @@
+"""A run of the command as its user has it: a process of its own, with the processes that it starts."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from benchmark.through_ray.process_costs import Process, process_tree
+from chaos.harness.injection import Plant
+from orchestrator.sinks.commit_log import read_commits
+
+__all__ = ["NotHeldError", "ObservedRun", "content", "expect", "living_still"]
+
+#: How long a run may take until it is given up, s.
+_RUN_SECONDS = 400.0
+
+#: How long processes may live on after the end of a run, and after a kill of its driver, s.
+_CLEAN_SECONDS, _CLEAN_SECONDS_AFTER_KILL = 10.0, 90.0
+
+
+class NotHeldError(Exception):
+    """A fault was not survived; says what is wrong."""
+
+
+def expect(holds: bool, otherwise: str) -> None:
+    """Raise NotHeldError if something does not hold."""
+    if not holds:
+        raise NotHeldError(otherwise)
+
+
+def content(stream: Path, *, committed: bool = False) -> dict[str, Any]:
+    """All of a stream's record that must not depend on faults: masks, and rows without times; checks it.
+
+    Parameters
+    ----------
+    stream : Path
+    committed : bool
+        Only what counts for good: of a stream that is being written, or was interrupted.
+
+    Raises
+    ------
+    NotHeldError
+        If a frame is there twice, missing or out of order, or does not count.
+    """
+    commits = [commit for commit in read_commits(stream) if not (committed and commit.provisional)]
+    counted = commits[-1].last + 1 if commits else 0
+    most = counted if committed else None
+    rows, layers = _rows(stream, "frames", most), _rows(stream, "layers", most)
+    frames = [row["frame"] for row in rows]
+    expect(frames == list(range(counted)), f"{stream.name}: the rows are not the {counted} committed frames")
+    masks = {path.name: path.read_bytes() for path in sorted((stream / "masks").glob("*.png"))}
+    labelled = {f"{row['name']}.png" for row in rows if row["status"] == "ok"}
+    if committed:
+        masks = {name: mask for name, mask in masks.items() if name in labelled}
+    expect(masks.keys() == labelled, f"{stream.name}: {len(masks)} masks for {len(labelled)} labelled frames")
+    frame_rows = [{key: row[key] for key in row if not key.startswith("ms_")} for row in rows]
+    return {"masks": masks, "layers": layers, "frames": frame_rows}
+
+
+def _rows(stream: Path, table: str, most: int | None) -> list[dict[str, Any]]:
+    """Rows of a table's parts, without those parts that begin after the first ``most`` frames."""
+    parts = sorted(stream.glob(f"{table}-*.parquet"))
+    counted = [part for part in parts if most is None or int(part.stem.rpartition("-")[2]) < most]
+    return [row for part in counted for row in pq.read_table(part).to_pylist()]
+
+
+class ObservedRun:
+    """One start of ``python -m orchestrator``, ended with everything it started when the ``with`` block ends.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        Of the list of streams.
+    folder : Path
+        Holds the list and the output.
+    flags : str
+    plant : Plant, optional
+        Traps for its processes.
+    settings : mapping of str to str, optional
+        More of its environment.
+    """
+
+    def __init__(
+        self,
+        lines: Sequence[str],
+        folder: Path,
+        *flags: str,
+        plant: Plant | None = None,
+        settings: Mapping[str, str] | None = None,
+    ) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.output = folder / "out"
+        self.lines = tuple(lines)
+        (folder / "list.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        self._seen: dict[int, Process] = {}
+        self._words: str | None = None  # on standard error, once the command has ended
+        self._found = self._status_text()  # of the run that this one goes on with
+        self._process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "orchestrator", "--streams", str(folder / "list.txt")),
+                *("--output", str(self.output), "--save", "masks,parquet", *flags),
+            ],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=(os.environ if plant is None else plant.environment()) | dict(settings or {}),
+        )
+        if plant is not None:
+            plant.tell_driver(self._process.pid)
+
+    def __enter__(self) -> ObservedRun:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.tree()
+        if self._process.poll() is None:
+            self._process.kill()
+        self._said()
+        for pid in self._left():
+            _signal(pid, signal.SIGKILL)
+
+    def status(self) -> dict[str, dict[str, Any]]:
+        """Streams of ``status.json``, none before this run has written it."""
+        text = self._status_text()
+        streams: dict[str, dict[str, Any]] = {} if text == self._found else json.loads(text)["streams"]
+        return streams
+
+    def _status_text(self) -> str:
+        try:
+            return (self.output / "status.json").read_text(encoding="utf-8")
+        except FileNotFoundError:
+            return ""
+
+    @property
+    def pid(self) -> int:
+        """Process id of the command."""
+        return self._process.pid
+
+    @property
+    def ended(self) -> bool:
+        """Whether the command has ended."""
+        return self._process.poll() is not None
+
+    def tree(self) -> dict[int, Process]:
+        """All living processes of the run."""
+        tree = process_tree(self._process.pid)
+        self._seen |= {pid: one for pid, one in tree.items() if pid != self._process.pid}
+        return tree
+
+    def processes(self, title: str) -> list[int]:
+        """Living processes of the run whose title begins so, in the order of their ids."""
+        return sorted(pid for pid, one in self.tree().items() if one.title.startswith(title))
+
+    def wait(self, condition: Callable[[], bool], what: str, seconds: float = _RUN_SECONDS) -> None:
+        """Wait for a condition; raises NotHeldError if it does not come about while the run lives."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            expect(time.monotonic() < deadline, f"{what}: waited {seconds:.0f} s in vain")
+            if self.ended:
+                raise NotHeldError(f"{what}: the run had ended before, {self._end_in_words()}")
+            time.sleep(0.02)
+
+    def wait_for_frames(self, stream: str, frames: int) -> None:
+        """Wait until a stream has read so many frames."""
+
+        def there() -> bool:
+            return bool(self.status().get(stream, {}).get("read", 0) >= frames)
+
+        self.wait(there, f"frame {frames} of {stream}")
+
+    def signal_driver(self, number: signal.Signals) -> None:
+        """Send a signal to the command itself."""
+        self.tree()
+        self._process.send_signal(number)
+
+    def signal_actor(self, title: str, number: signal.Signals, choice: int = 0) -> None:
+        """Send a signal to one of the run's processes whose title begins so; waits until there is one."""
+        found: list[int] = []
+
+        def there() -> bool:
+            found[:] = self.processes(title)
+            return bool(found)
+
+        self.wait(there, f"a process {title}")
+        self.signal_process(found[choice % len(found)], number)
+
+    def signal_process(self, pid: int, number: signal.Signals) -> None:
+        """Send a signal to one of :meth:`processes`."""
+        _signal(pid, number)
+
+    def end(self, *, killed: bool = False) -> tuple[int, str]:
+        """Wait for the end of the run and of all its processes; return its exit status and standard error."""
+        self.tree()
+        try:
+            words = self._said(_RUN_SECONDS)
+        except subprocess.TimeoutExpired:
+            raise NotHeldError(f"the run did not end within {_RUN_SECONDS:.0f} s") from None
+        if not killed:
+            self.expect_clean(_CLEAN_SECONDS)
+        return self._process.returncode, words
+
+    def _said(self, seconds: float | None = None) -> str:
+        """Wait for the end of the command, and return its standard error."""
+        if self._words is None:
+            self._words = self._process.communicate(timeout=seconds)[1]
+        return self._words
+
+    def _end_in_words(self) -> str:
+        words = self._said()
+        return f"with status {self._process.returncode}: {words}"
+
+    def expect_clean(self, seconds: float = _CLEAN_SECONDS_AFTER_KILL) -> None:
+        """Wait until no process of the run is left."""
+        deadline = time.monotonic() + seconds
+        while self._left():
+            expect(time.monotonic() < deadline, f"processes left after {seconds:.0f} s: {self._left()}")
+            time.sleep(0.1)
+
+    def scratch_is_gone(self) -> bool:
+        """Whether nothing is left of the files of this run's Ray."""
+        return not [*Path("/tmp").glob(f"mlbs-ray-*/session_*_{self._process.pid}")]
+
+    def _left(self) -> dict[int, str]:
+        """Ids and titles of the run's processes that still live."""
+        return living_still(self._seen, process_tree(1))
+
+
+def living_still(seen: Mapping[int, Process], living: Mapping[int, Process]) -> dict[int, str]:
+    """Ids and titles of processes that were seen before; a number may belong to another process by now.
+
+    What has ended and is not collected by its parent has no title any more.
+    """
+    return {
+        pid: living[pid].title
+        for pid, one in seen.items()
+        if pid in living and living[pid].started == one.started and living[pid].title
+    }
+
+
+def _signal(pid: int, number: signal.Signals) -> None:
+    try:
+        os.kill(pid, number)
+    except ProcessLookupError:
+        return

@@ -1,0 +1,24 @@
+"""All faults that are brought about, by the scenarios that they share."""
+
+from __future__ import annotations
+
+from chaos.harness.scenario import Scenario
+from chaos.scenarios import (
+    damaged_sources,
+    ended_commands,
+    lost_camera_processes,
+    lost_frames,
+    lost_processes,
+    scarce_resources,
+)
+
+__all__ = ["FAULTS"]
+
+FAULTS: tuple[Scenario, ...] = (
+    *damaged_sources.SCENARIOS,
+    *lost_frames.SCENARIOS,
+    *lost_processes.SCENARIOS,
+    *lost_camera_processes.SCENARIOS,
+    *ended_commands.SCENARIOS,
+    *scarce_resources.SCENARIOS,
+)

@@ -1,0 +1,111 @@
+"""The command is killed, interrupted, started twice, and its disk fails; then ``--resume``."""
+
+from __future__ import annotations
+
+import errno
+import pickle
+import signal
+import time
+from pathlib import Path
+
+from chaos.harness.end_series import End, bring_about_ends, frames_for_ends, kill
+from chaos.harness.injection import Plant, Trap
+from chaos.harness.observed_run import ObservedRun, expect
+from chaos.harness.scenario import Fault, Place, Scenario, Verdicts, expect_end, victim
+
+__all__ = ["SCENARIOS"]
+
+
+def _interrupted(number: signal.Signals, signals: int) -> End:
+    def bring_about(run: ObservedRun, plant: Plant) -> None:
+        for _ in range(signals):
+            run.signal_driver(number)
+            time.sleep(0.1)
+        expect_end(run, 128 + number)
+
+    return bring_about
+
+
+def _two_runs_on_one_folder(run: ObservedRun, plant: Plant) -> None:
+    folder = run.output.parent
+    for flags in ((), ("--resume",)):
+        with ObservedRun(run.lines, folder, *flags) as second:
+            expect_end(second, 2)
+    expect(not run.ended, "the first run has ended")
+
+
+def _killed_and_files_damaged(run: ObservedRun, plant: Plant) -> None:
+    run.wait(lambda: bool([*run.output.glob("victim/snapshots/*/*/parts")]), "a snapshot")
+    kill(run, plant)
+    run.expect_clean()  # or its processes would write among what is damaged
+    _damage_files(run.output)
+
+
+def _damage_files(output: Path) -> None:
+    """A torn last line; of the snapshots the newest is damaged, the others are joined by a planted pickle."""
+    with (output / "victim/commits.jsonl").open("a", encoding="utf-8") as lines:
+        lines.write('{"generation": 0, "first": 6')
+    lists = output.glob("victim/snapshots/*/*/parts")
+    newest = max(lists, key=lambda path: path.stat().st_mtime).with_name("coordinator")
+    data = bytearray(newest.read_bytes())
+    data[len(data) // 2] ^= 1
+    newest.write_bytes(data)
+    planted = output / "victim/snapshots/99/00000001"
+    planted.mkdir(parents=True)
+    (planted / "parts").write_bytes(pickle.dumps(Path("/tmp")))
+
+
+def _disk_fails(full: Trap) -> End:
+    """Nothing can be published any more: the streams fail, and what was committed is kept."""
+
+    def bring_about(run: ObservedRun, plant: Plant) -> None:
+        plant.arm(full)
+        words = expect_end(run, 1)
+        plant.disarm(full)
+        expect("cannot be written" in words, f"the error is not told: {words}")
+
+    return bring_about
+
+
+def _publishing_fails(place: Place, number: int) -> Trap:
+    return Trap(
+        "orchestrator.run.durable_files:publish",
+        "fail",
+        int(place.random.integers(3)),
+        value=number,
+        process="ray::SinkActor",
+        armed=False,
+    )
+
+
+_FAULTS = (
+    Fault("21", "two runs on one folder"),
+    Fault("19", "driver killed, then --resume"),
+    Fault("20", "a signal, then --resume"),
+    Fault("20", "a second signal, then --resume"),
+    Fault("27", "driver killed, files damaged, then --resume"),
+    Fault("22", "disk full, then --resume"),
+    Fault("23", "output folder read-only, then --resume"),
+)
+
+
+def _one_after_the_other(place: Place, verdicts: Verdicts) -> None:
+    one, two = (
+        signal.SIGINT if interrupt else signal.SIGTERM for interrupt in place.random.integers(2, size=2)
+    )
+    full, read_only = (_publishing_fails(place, number) for number in (errno.ENOSPC, errno.EROFS))
+    ends = (
+        _two_runs_on_one_folder,
+        kill,
+        _interrupted(one, 1),
+        _interrupted(two, 2),
+        _killed_and_files_damaged,
+        _disk_fails(full),
+        _disk_fails(read_only),
+    )
+    chosen = [(fault.name, end) for fault, end in zip(_FAULTS, ends, strict=True) if fault.name in verdicts]
+    # A stream alone: whatever ends the command hits all of its streams.
+    bring_about_ends(place, verdicts, chosen, (victim(frames_for_ends(len(chosen))),), (full, read_only))
+
+
+SCENARIOS = (Scenario("the command ended one way after the other", _FAULTS, _one_after_the_other),)

@@ -1,0 +1,202 @@
+"""Cameras that refuse, stall and hang up, and parts that are too slow for their source."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from chaos.harness.camera import RATE, Camera, as_received, play
+from chaos.harness.injection import Plant, Trap
+from chaos.harness.observed_run import ObservedRun, content, expect
+from chaos.harness.scenario import (
+    BESIDE,
+    LINES,
+    Back,
+    Fault,
+    Place,
+    Scenario,
+    Verdicts,
+    alone,
+    expect_end,
+    expect_identical,
+    expect_no_secret,
+)
+from mlbs_actors import MultilayerSubtractor
+from mlbs_actors.messages import Array
+from orchestrator.sources.synthetic import scene
+
+__all__ = ["SCENARIOS"]
+
+#: Pictures of a camera that are read, the dropped ones included.
+_ROWS = 120
+
+#: What connecting and a busy machine may add to a pause, s.
+_LATE = 3.0
+
+#: Frames that may be read and not yet written: those of a burst, those on their way to the sink, some held.
+_MOST_FRAMES_AHEAD = 24
+
+_FOREVER = 1_000_000
+
+#: Connections that a camera refuses before it accepts.
+_REFUSALS = 4
+
+
+def _pictures() -> list[Array]:
+    made = scene("demo", frames=100, width=160, height=120)
+    return [made.frame(t) for t in range(100)]
+
+
+def _expect_told(run: ObservedRun, name: str, gaps: int) -> list[dict[str, Any]]:
+    """Expect that the rows and the status of a camera tell the same; return the rows."""
+    door = run.status()[name]
+    rows: list[dict[str, Any]] = content(run.output / name)["frames"]
+    statuses = [row["status"] for row in rows]
+    told = {"ok": door["committed"], "dropped": door["dropped"], "gap": door["gaps"]}
+    expect(door["state"] == "done" and door["read"] == _ROWS, f"the camera's stream is told as {door}")
+    counted = {status: statuses.count(status) for status in told}
+    expect(counted == told, f"the rows are {counted}, the status tells {told}")
+    expect(told["gap"] == gaps, f"{told['gap']} gaps are told instead of {gaps}")
+    times = [row["pts"] for row in rows]
+    expect(times == sorted(times), "the times go back")
+    return rows
+
+
+def _expect_pauses(camera: Camera, failures: int, hung_up: Sequence[float]) -> None:
+    """Expect that tries come after growing pauses, within their bounds."""
+    for number in range(failures):
+        longest = min(0.5 * 2.0**number, 30.0)
+        pause = camera.connected[number + 1] - hung_up[number]
+        expect(longest / 2 - 0.1 <= pause <= longest + _LATE, f"pause {number} was {pause:.1f} s")
+
+
+def _refusing(number: int) -> Iterator[int] | None:
+    return None if number < _REFUSALS else play(0, _FOREVER, time.monotonic())
+
+
+def _stalling(silence: float) -> Callable[[int], Iterator[int]]:
+    """A silence that ends by itself, or one after which the camera has to be connected anew."""
+    began = time.monotonic()
+
+    def script(number: int) -> Iterator[int]:
+        if number == 0:
+            began_sending = time.monotonic()
+            yield from play(0, 30, began_sending)
+            time.sleep(silence)
+            yield from play(30 + round(silence * RATE), _FOREVER, began_sending)
+        else:
+            yield from play(round((time.monotonic() - began) * RATE), _FOREVER, began)
+
+    return script
+
+
+def _flapping(flaps: int, length: int, hung_up: list[float]) -> Callable[[int], Iterator[int]]:
+    """So many connections end after some pictures; tells when."""
+    began = time.monotonic()
+
+    def script(number: int) -> Iterator[int]:
+        first = round((time.monotonic() - began) * RATE)
+        yield from play(first, _FOREVER if number == flaps else first + length, began)
+        hung_up.append(time.monotonic())
+
+    return script
+
+
+_REFUSES = Fault("3", "a camera refuses four times")
+_STALLS = Fault("4", "a camera stalls without an error")
+_FLAPS = Fault("5", "a flapping camera")
+
+
+def _cameras(place: Place, verdicts: Verdicts) -> None:
+    """Cameras that go wrong, each in its own way, and a file beside: every gap and drop is told."""
+    pictures = _pictures()
+    silence = float(place.random.choice([6.5, 13.0]))
+    flaps, length = int(place.random.integers(2, 4)), int(place.random.integers(5, 20))
+    hung_up: list[float] = []
+    with (
+        Camera(pictures, _refusing) as refusing,
+        Camera(pictures, _stalling(silence)) as stalling,
+        Camera(pictures, _flapping(flaps, length, hung_up)) as flapping,
+    ):
+        cameras = {"refuses": refusing, "stalls": stalling, "flaps": flapping}
+        lines = [f"{name} {camera.address}" for name, camera in cameras.items()]
+        with ObservedRun([*lines, BESIDE], place.folder, "--max-frames", str(_ROWS)) as run:
+            words = expect_end(run, 0)
+            for fault, name, gaps in (
+                (_REFUSES, "refuses", 0),
+                (_STALLS, "stalls", 1),
+                (_FLAPS, "flaps", flaps),
+            ):
+                with verdicts.of(fault.name):
+                    _expect_told(run, name, gaps)
+                    expect_no_secret(run, words, Camera.password)
+                    expect_identical(place, run, BESIDE)
+            with verdicts.of(_REFUSES.name) as verdict:
+                _expect_pauses(refusing, _REFUSALS, refusing.connected)
+                verdict.back = Back(refusing.connected[_REFUSALS] - refusing.connected[0])
+            with verdicts.of(_STALLS.name):
+                connections = len(stalling.connected)
+                expect(connections == (1 if silence < 10 else 2), f"{connections} connections")
+            with verdicts.of(_FLAPS.name) as verdict:
+                _expect_pauses(flapping, flaps, hung_up)
+                pauses = zip(hung_up, flapping.connected[1:], strict=False)
+                verdict.back = Back(max(back - away for away, back in pauses))
+
+
+def _slow_pipeline(place: Place) -> None:
+    """A camera that is faster than the labelling: as if nothing else had come than what is labelled."""
+    slow = Trap(
+        "mlbs_actors.actors.stream.segmenter_actor:SegmenterActor.step",
+        "wait",
+        value=place.random.uniform(0.1, 0.3),
+    )
+    pictures = _pictures()
+    plant = Plant(place.folder / "plant", [slow])
+    with Camera(pictures, lambda number: play(0, _FOREVER, time.monotonic())) as camera:
+        lines, flags = [f"door {camera.address}"], ("--max-frames", str(_ROWS))
+        with ObservedRun(lines, place.folder, *flags, plant=plant) as run:
+            expect_no_secret(run, expect_end(run, 0), camera.password)
+            rows = _expect_told(run, "door", 0)
+            dropped = sum(row["status"] == "dropped" for row in rows)
+            expect(dropped > _ROWS // 4, f"only {dropped} pictures were dropped")
+            labelled = [row for row in rows if row["status"] == "ok"]
+            received = as_received(pictures, 1 + round(rows[-1]["pts"] * RATE))
+            given = [received[round(row["pts"] * RATE)] for row in labelled]
+            for row, labels in zip(labelled, _in_process(given), strict=True):
+                mask = np.asarray(Image.open(run.output / "door/masks" / f"{row['name']}.png"))
+                expect(bool((mask == labels).all()), f"frame {row['frame']} is labelled otherwise")
+
+
+def _in_process(pictures: Sequence[Array]) -> list[Array]:
+    subtractor = MultilayerSubtractor()
+    results = [result for picture in pictures for result in subtractor.apply(picture)]
+    return [result.labels for result in [*results, *subtractor.flush()]]
+
+
+def _slow_sink(place: Place) -> None:
+    """A disk that is slower than the labelling holds the reading of a file back."""
+    slow = Trap("orchestrator.sinks.record:StreamRecord.write", "wait", value=place.random.uniform(0.2, 0.4))
+    ahead = [0]
+
+    def look(run: ObservedRun) -> bool:
+        written = len([*run.output.glob("victim/masks/*"), *run.output.glob("victim/masks/.*.part")])
+        victim = run.status().get("victim", {"read": 0, "state": "waiting"})
+        ahead.append(victim["read"] - written)
+        return bool(victim["state"] == "done")
+
+    with ObservedRun(LINES, place.folder, plant=Plant(place.folder / "plant", [slow])) as run:
+        run.wait(lambda: look(run), "victim at its end")
+        expect_end(run, 0)
+        expect_identical(place, run)
+        expect(max(ahead) <= _MOST_FRAMES_AHEAD, f"{max(ahead)} frames were read and not written")
+
+
+SCENARIOS = (
+    Scenario("cameras that go wrong", (_REFUSES, _STALLS, _FLAPS), _cameras),
+    alone("24", "slow sink, a file as source", _slow_sink),
+    alone("25", "slow pipeline, a live source", _slow_pipeline),
+)
