@@ -3,7 +3,7 @@
 Read in this order:
 
 - :mod:`benchmark.command`: the options, and which measurement each name stands for
-- :mod:`benchmark.setting`, :mod:`benchmark.finding`, :mod:`benchmark.plots`: what a measurement is given and
+- :mod:`benchmark.settings`, :mod:`benchmark.result`, :mod:`benchmark.plots`: what a measurement is given and
   what it returns
 - :mod:`benchmark.in_process`: the engine, and OpenCV's subtractors beside it, in this process
 - :mod:`benchmark.through_ray`: whole streams through Ray, and the processes that they consist of

@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmark.finding import Finding
 from benchmark.in_process.peers import PEERS
 from benchmark.measurements.births import measure_births
 from benchmark.measurements.layers import measure_layers
@@ -18,7 +17,8 @@ from benchmark.measurements.ray_cost import measure_ray
 from benchmark.measurements.sizes import measure_sizes
 from benchmark.measurements.streams import measure_streams
 from benchmark.plots import draw, require_matplotlib
-from benchmark.setting import Setting
+from benchmark.result import MeasurementResult
+from benchmark.settings import Settings
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.evaluation import datasets
@@ -74,20 +74,20 @@ def main(arguments: Sequence[str] | None, scratch: Path) -> int:
     options = parser.parse_args(arguments)
     try:
         _check(options)
-        setting = Setting(
+        settings = Settings(
             sequences={name: datasets.open_sequence(name, options.data) for name in options.sequences},
             config=load_config(None, options.set),
             frames=options.frames,
             warm=options.warm,
             folder=scratch,
         )
-        _measure_all(setting, options)
+        _measure_all(settings, options)
     except MlbsError as error:
         parser.error(str(error))
     return 0
 
 
-def _measurements(peers: Sequence[str]) -> dict[str, Callable[[Setting], Finding]]:
+def _measurements(peers: Sequence[str]) -> dict[str, Callable[[Settings], MeasurementResult]]:
     return {
         METHODS: partial(measure_methods, peers=peers),
         "sizes": measure_sizes,
@@ -99,18 +99,18 @@ def _measurements(peers: Sequence[str]) -> dict[str, Callable[[Setting], Finding
     }
 
 
-def _measure_all(setting: Setting, options: argparse.Namespace) -> None:
-    """Measure one after the other; what is measured is printed and written before the next begins."""
+def _measure_all(settings: Settings, options: argparse.Namespace) -> None:
+    """Measure one after the other; print and write each result before the next measurement begins."""
     figures: dict[str, Any] = {}
     measurements = _measurements(options.peers)
     for number, name in enumerate(options.measure):
-        finding = measurements[name](setting)
-        print(("\n" if number else "") + "\n\n".join(finding.tables), flush=True)
-        figures |= finding.figures if name == METHODS else {name: finding.figures}
+        result = measurements[name](settings)
+        print(("\n" if number else "") + "\n\n".join(result.tables), flush=True)
+        figures |= result.figures if name == METHODS else {name: result.figures}
         if options.json:
             write_figures(options.json, figures)
         if options.plots:
-            for file, plot in finding.plots.items():
+            for file, plot in result.plots.items():
                 draw(plot, options.plots / f"{file}.png")
 
 

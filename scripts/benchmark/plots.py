@@ -15,7 +15,7 @@ __all__ = ["Plot", "draw", "require_matplotlib"]
 
 @dataclass(frozen=True)
 class Plot:
-    """What a plot shows.
+    """The data of a plot.
 
     Attributes
     ----------

@@ -34,7 +34,7 @@ from benchmark.measurements.ray_cost import (
 from benchmark.measurements.sizes import measure_sizes
 from benchmark.measurements.streams import StreamsCost, most_frames_a_second, streams_table
 from benchmark.plots import Plot, draw, require_matplotlib
-from benchmark.setting import Setting
+from benchmark.settings import Settings
 from benchmark.through_ray.empty_parts import EmptyParts, last_messages
 from benchmark.through_ray.endless_video import EndlessReader, write_video
 from benchmark.through_ray.pipeline import Arrival, SteadyWindow
@@ -275,15 +275,15 @@ def test_a_video_is_played_for_ever_with_frames_that_count_on(tmp_path: Path) ->
     assert np.abs(pictures[2].astype(float) - made.frame(2)[:48]).mean() < 8
 
 
-def setting(tmp_path: Path) -> Setting:
-    return Setting(sequences={}, config=Config(), frames=7, warm=6, folder=tmp_path)
+def settings(tmp_path: Path) -> Settings:
+    return Settings(sequences={}, config=Config(), frames=7, warm=6, folder=tmp_path)
 
 
 def test_sizes_and_layers_have_a_row_for_each_and_the_engines_stages(tmp_path: Path) -> None:
-    sizes = measure_sizes(setting(tmp_path), ((96, 64), (128, 96)))
+    sizes = measure_sizes(settings(tmp_path), ((96, 64), (128, 96)))
     assert [line.split()[0] for line in sizes.tables[0].splitlines()] == ["size", "96×64", "128×96"]
     assert sizes.figures["96×64"]["stage_ms"]["flow"] > 0
-    layers = measure_layers(setting(tmp_path), (1,), ())
+    layers = measure_layers(settings(tmp_path), (1,), ())
     assert layers.figures["in_process"]["1"]["cpu_ms"] > 0
     assert layers.plots["layers"].x == [1]
 

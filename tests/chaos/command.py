@@ -1,4 +1,4 @@
-"""``scripts/chaos``: brings faults about and prints which were held; soaks; tells what recovery costs."""
+"""The command ``scripts/chaos``: inject faults, print which were survived; soak; measure recovery's cost."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ import numpy as np
 from benchmark.plots import draw, require_matplotlib
 from chaos.endurance.recovery_cost import measure_cost
 from chaos.endurance.soak import memory_plot, soak
-from chaos.harness.observed_run import NotHeldError
+from chaos.harness.observed_run import ExpectationError
 from chaos.harness.reference import References
-from chaos.harness.scenario import Fault, Place, Scenario, Verdict, Verdicts
+from chaos.harness.scenario import Fault, Scenario, ScenarioContext, Verdict, Verdicts
 from chaos.scenarios.catalogue import FAULTS
 from chaos.scenarios.kills import KILLS
 from mlbs_actors.errors import ConfigError, MlbsError
 
 __all__ = ["main"]
 
-#: Numbers of the quick faults that stand for the others.
+#: Numbers of some quick faults, for ``--fast``.
 _FAST = ("1", "28")
 
 _DESCRIPTION = """\
@@ -53,7 +53,7 @@ def main(argv: Sequence[str] | None, ray_scratch: Path) -> int:
     Returns
     -------
     int
-        0: everything was held; 1: something was not; 2: wrong usage.
+        0: everything was survived; 1: something was not; 2: wrong usage.
     """
     arguments = _parser().parse_args(argv)
     try:
@@ -65,8 +65,8 @@ def main(argv: Sequence[str] | None, ray_scratch: Path) -> int:
             if arguments.what == "cost":
                 print(measure_cost(arguments.pairs, arguments.frames or 144, ray_scratch).table())
                 return 0
-            return _bring_about(_chosen(arguments), arguments, Path(scratch))
-    except NotHeldError as error:
+            return _run_scenarios(_chosen(arguments), arguments, Path(scratch))
+    except ExpectationError as error:
         print(error, file=sys.stderr)
         return 1
     except MlbsError as error:
@@ -75,7 +75,7 @@ def main(argv: Sequence[str] | None, ray_scratch: Path) -> int:
 
 
 def _chosen(arguments: argparse.Namespace) -> list[tuple[Scenario, tuple[Fault, ...]]]:
-    """Scenarios, and which of their faults are wanted."""
+    """Return the scenarios, and which of their faults were chosen."""
     all_ = KILLS if arguments.what == "kills" else FAULTS
     numbers = _FAST if arguments.fast else arguments.faults and arguments.faults.split(",")
     words = arguments.only or ""
@@ -90,34 +90,38 @@ def _chosen(arguments: argparse.Namespace) -> list[tuple[Scenario, tuple[Fault, 
     return [(scenario, faults) for scenario, faults in chosen if faults]
 
 
-def _bring_about(
+def _run_scenarios(
     chosen: Sequence[tuple[Scenario, tuple[Fault, ...]]], arguments: argparse.Namespace, scratch: Path
 ) -> int:
     seeds = range(1, 1 + _seeds(arguments))
     references = References(scratch / "references")
-    turns = [
-        (scenario, faults, Place(scratch / f"{position}-{seed}", references, _random(scenario, seed)))
+    runs = [
+        (
+            scenario,
+            faults,
+            ScenarioContext(scratch / f"{position}-{seed}", references, _random(scenario, seed)),
+        )
         for position, (scenario, faults) in enumerate(chosen)
         for seed in seeds
     ]
     held = True
     print(f"{'fault':8} {'what':56} {'held':>6} {'back after':>12} {'got on after':>12}", flush=True)
     with _mapping(arguments.jobs) as map_:
-        outcomes = iter(map_(_outcome, *zip(*turns, strict=True)))
+        outcomes = iter(map_(_outcome, *zip(*runs, strict=True)))
         for _, faults in chosen:
             of_seeds = [next(outcomes) for _ in seeds]
             for fault in faults:
                 verdicts = [verdicts.by_name[fault.name] for verdicts in of_seeds]
                 print(_row(fault, verdicts), flush=True)
                 for seed, verdict in zip(seeds, verdicts, strict=True):
-                    if verdict.why_not_held is not None:
+                    if verdict.failure is not None:
                         held = False
-                        print(f"{'':8} seed {seed}: {verdict.why_not_held}", flush=True)
+                        print(f"{'':8} seed {seed}: {verdict.failure}", flush=True)
     return 0 if held else 1
 
 
 def _seeds(arguments: argparse.Namespace) -> int:
-    """How often each is brought about: kills are many, so by default each once."""
+    """Return how often each fault is injected: kills are many, so by default once."""
     if arguments.fast or (arguments.seeds is None and arguments.what == "kills"):
         return 1
     return 3 if arguments.seeds is None else int(arguments.seeds)
@@ -129,7 +133,7 @@ def _random(scenario: Scenario, seed: int) -> np.random.Generator:
 
 @contextmanager
 def _mapping(jobs: int) -> Iterator[Callable[..., Iterable[Any]]]:
-    """``map``, of so many calls at once; an exception ends it without those that have not begun."""
+    """Yield a ``map`` that runs so many calls at once; an exception cancels those that have not begun."""
     if jobs == 1:
         yield map
         return
@@ -140,24 +144,24 @@ def _mapping(jobs: int) -> Iterator[Callable[..., Iterable[Any]]]:
         pool.shutdown(cancel_futures=True)
 
 
-def _outcome(scenario: Scenario, faults: Sequence[Fault], place: Place) -> Verdicts:
-    verdicts = Verdicts((fault.name for fault in faults), _tell)
+def _outcome(scenario: Scenario, faults: Sequence[Fault], context: ScenarioContext) -> Verdicts:
+    verdicts = Verdicts((fault.name for fault in faults), _report)
     try:
-        scenario.bring_about(place, verdicts)
-    except Exception as error:  # the rest of the table is wanted all the same
+        scenario.run(context, verdicts)
+    except Exception as error:  # the rest of the table is still useful
         for verdict in verdicts.by_name.values():
             verdict.add(f"{type(error).__name__}: {error}")
     return verdicts
 
 
-def _tell(name: str, verdict: Verdict) -> None:
-    back = "" if verdict.back is None else f", back after {verdict.back.first:.1f} s"
-    print(f"{name}: {verdict.why_not_held or 'held'}{back}", file=sys.stderr, flush=True)
+def _report(name: str, verdict: Verdict) -> None:
+    back = "" if verdict.recovery is None else f", back after {verdict.recovery.first:.1f} s"
+    print(f"{name}: {verdict.failure or 'held'}{back}", file=sys.stderr, flush=True)
 
 
 def _row(fault: Fault, verdicts: Sequence[Verdict]) -> str:
-    held = sum(verdict.why_not_held is None for verdict in verdicts)
-    backs = [verdict.back for verdict in verdicts if verdict.back is not None]
+    held = sum(verdict.failure is None for verdict in verdicts)
+    backs = [verdict.recovery for verdict in verdicts if verdict.recovery is not None]
     first = _range([back.first for back in backs])
     new = _range([back.new for back in backs if back.new is not None])
     return f"{fault.number:8} {fault.name:56} {f'{held}/{len(verdicts)}':>6} {first:>12} {new:>12}"
@@ -171,7 +175,7 @@ def _soak(arguments: argparse.Namespace, scratch: Path) -> int:
     figures = soak(arguments.streams, arguments.frames or 300, scratch / "soak")
     print(figures.table())
     if arguments.plot:
-        draw(memory_plot(figures.looks), arguments.plot)
+        draw(memory_plot(figures.samples), arguments.plot)
     return 0
 
 

@@ -21,12 +21,20 @@ import pytest
 
 from benchmark.through_ray.process_costs import Process
 from chaos import command
-from chaos.endurance.soak import Look, SoakFigures, growth
+from chaos.endurance.soak import Sample, SoakFigures, growth
 from chaos.harness.camera import RATE, Camera, as_received, play
-from chaos.harness.injection import Plant, Trap
-from chaos.harness.observed_run import NotHeldError, content, expect, living_still
+from chaos.harness.injection import Injection, Injector
+from chaos.harness.observed_run import ExpectationError, content, expect, still_running
 from chaos.harness.reference import References
-from chaos.harness.scenario import Back, Fault, Place, Scenario, Verdicts, alone, beginning
+from chaos.harness.scenario import (
+    Fault,
+    RecoveryTime,
+    Scenario,
+    ScenarioContext,
+    Verdicts,
+    first_frames,
+    single_fault,
+)
 from chaos.scenarios.catalogue import FAULTS
 from chaos.scenarios.kills import COMMIT_STEPS, KILLS, STEPS
 from mlbs_actors.actors.stream.protocol import SourceFrame
@@ -55,20 +63,20 @@ def test_content_leaves_times_out_and_refuses_what_is_not_complete(tmp_path: Pat
     mask = tmp_path / "a/masks/00007.png"
     kept = mask.read_bytes()
     mask.unlink()
-    with pytest.raises(NotHeldError, match="39 masks for 40"):
+    with pytest.raises(ExpectationError, match="39 masks for 40"):
         content(tmp_path / "a")
     mask.write_bytes(kept)
     log = tmp_path / "a/commits.jsonl"
     lines = log.read_text().splitlines(keepends=True)
     for damaged in (lines[:1], lines[1:]):
         log.write_text("".join(damaged))
-        with pytest.raises(NotHeldError, match="committed frames"):
+        with pytest.raises(ExpectationError, match="committed frames"):
             content(tmp_path / "a")
     log.write_text("".join(lines))
     (tmp_path / "a/frames-00000064.parquet").write_bytes(
         (tmp_path / "a/frames-00000032.parquet").read_bytes()
     )
-    with pytest.raises(NotHeldError, match="committed frames"):
+    with pytest.raises(ExpectationError, match="committed frames"):
         content(tmp_path / "a")
     assert [json.loads(line)["last"] for line in lines] == [7, 31, 39]
 
@@ -83,7 +91,7 @@ def test_what_is_committed_is_compared_without_what_may_yet_change(tmp_path: Pat
     for ends in ([], [provisional]):
         log.write_text("".join(lines[:-1] + ends))
         begun = content(tmp_path / "a", committed=True)
-        assert begun == beginning(whole, 32)
+        assert begun == first_frames(whole, 32)
         assert (len(begun["masks"]), len(begun["frames"])) == (32, 32)
 
 
@@ -95,32 +103,32 @@ def test_a_run_s_processes_are_known_again_under_other_titles_and_others_are_not
         4: Process(4, 1, "", 0.0, started=504),  # has ended, and waits for its parent
         6: Process(6, 1, "ray::IDLE", 0.0, started=506),
     }
-    assert living_still(seen, now) == {2: "ray::SinkActor"}
+    assert still_running(seen, now) == {2: "ray::SinkActor"}
 
 
 def test_the_table_says_which_seeds_were_held_and_why_not(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    def held(place: Place) -> Back:
-        return Back(float(place.random.uniform(1, 2)), 3.0)
+    def held(context: ScenarioContext) -> RecoveryTime:
+        return RecoveryTime(float(context.random.uniform(1, 2)), 3.0)
 
-    def not_always(place: Place, verdicts: Verdicts) -> None:
+    def not_always(context: ScenarioContext, verdicts: Verdicts) -> None:
         for name in ("two", "three", "four"):
-            with verdicts.of(name) as verdict:
-                verdict.back = Back(1.0)
-                if name == "two" and place.folder.name.endswith("2"):
-                    raise NotHeldError("a frame is missing")
-        with verdicts.of("three"):
-            expect(not place.folder.name.endswith("3"), "in the end a frame is missing")
-        with verdicts.of("two"):
-            raise NotHeldError("all is lost")
+            with verdicts.check(name) as verdict:
+                verdict.recovery = RecoveryTime(1.0)
+                if name == "two" and context.folder.name.endswith("2"):
+                    raise ExpectationError("a frame is missing")
+        with verdicts.check("three"):
+            expect(not context.folder.name.endswith("3"), "in the end a frame is missing")
+        with verdicts.check("two"):
+            raise ExpectationError("all is lost")
 
     faults = tuple(Fault(number, name) for number, name in (("2 3", "two"), ("4", "three"), ("5", "never")))
     series = Scenario("a series", faults, not_always)
-    monkeypatch.setattr(command, "FAULTS", (alone("1", "one", held), series))
+    monkeypatch.setattr(command, "FAULTS", (single_fault("1", "one", held), series))
     assert command.main([], tmp_path) == 1
-    table, told = capsys.readouterr()
-    assert "three: held, back after 1.0 s\n" in told
+    table, reported = capsys.readouterr()
+    assert "three: held, back after 1.0 s\n" in reported
     rows = [row.split() for row in table.splitlines()]
     assert rows[1][:3] == ["1", "one", "3/3"]
     assert rows[1][-2:] == ["3.0–3.0", "s"]
@@ -167,7 +175,7 @@ def test_a_reference_is_what_a_run_records(tmp_path: Path) -> None:
     assert references.of("yard 'yard/'", tmp_path) is record
 
 
-# Traps
+# Injections
 
 
 PART = """
@@ -181,11 +189,11 @@ class Part:
 """
 
 
-def in_process(folder: Path, code: str, *traps: Trap) -> subprocess.CompletedProcess[str]:
-    """Run code over a module ``steps`` with traps in it."""
+def in_process(folder: Path, code: str, *injections: Injection) -> subprocess.CompletedProcess[str]:
+    """Run code over a module ``steps`` with injections in it."""
     (folder / "steps.py").write_text(PART)
-    plant = Plant(folder / "plant", traps)
-    plant.tell_driver(-1)
+    injector = Injector(folder / "injector", injections)
+    injector.set_driver(-1)
     return subprocess.run(
         [sys.executable, "-c", f"import asyncio, steps\npart = steps.Part()\n{code}"],
         env=_environment(folder),
@@ -195,9 +203,9 @@ def in_process(folder: Path, code: str, *traps: Trap) -> subprocess.CompletedPro
     )
 
 
-def test_a_trap_kills_its_process_at_one_call_and_once_in_a_run(tmp_path: Path) -> None:
+def test_an_injection_kills_its_process_at_one_call_and_once_in_a_run(tmp_path: Path) -> None:
     code = "for number in range(4): print(part.work(number), flush=True)"
-    killed = in_process(tmp_path, code, Trap("steps:Part.work", "die", 2))
+    killed = in_process(tmp_path, code, Injection("steps:Part.work", "die", 2))
     assert (killed.returncode, killed.stdout.split()) == (-signal.SIGKILL, ["0", "1"])
     again = subprocess.run(
         killed.args, env=_environment(tmp_path), capture_output=True, text=True, check=True
@@ -205,38 +213,38 @@ def test_a_trap_kills_its_process_at_one_call_and_once_in_a_run(tmp_path: Path) 
     assert again.stdout.split() == ["0", "1", "2", "3"]
 
 
-def test_a_trap_counts_calls_from_when_it_is_armed_and_not_once_it_is_disarmed(tmp_path: Path) -> None:
-    traps = [Trap("steps:Part.work", "fail", 1, value=errno.ENOSPC, armed=False)]
+def test_an_injection_counts_calls_from_when_it_is_armed_and_not_once_it_is_disarmed(tmp_path: Path) -> None:
+    injections = [Injection("steps:Part.work", "fail", 1, value=errno.ENOSPC, armed=False)]
     code = (
-        f"from pathlib import Path; armed = Path({str(tmp_path)!r}) / 'plant/armed-0'\n"
+        f"from pathlib import Path; armed = Path({str(tmp_path)!r}) / 'injector/armed-0'\n"
         "for number in range(6):\n"
         "    armed.touch() if number == 1 else armed.unlink() if number == 4 else None\n"
         "    try: print(part.work(number))\n"
         "    except OSError: print('failed')"
     )
-    assert in_process(tmp_path, code, *traps).stdout.split() == ["0", "1", "failed", "failed", "4", "5"]
-    plant = Plant(tmp_path / "other", traps)
+    assert in_process(tmp_path, code, *injections).stdout.split() == ["0", "1", "failed", "failed", "4", "5"]
+    injector = Injector(tmp_path / "other", injections)
     assert not [*(tmp_path / "other").glob("armed-*")]
-    plant.arm(traps[0])
+    injector.arm(injections[0])
     assert [path.name for path in (tmp_path / "other").glob("armed-*")] == ["armed-0"]
-    plant.disarm(traps[0])
-    assert not plant.has_sprung(traps[0])
+    injector.disarm(injections[0])
+    assert not injector.has_fired(injections[0])
 
 
-def test_a_trap_notes_when_each_process_comes_to_it_first(tmp_path: Path) -> None:
-    trap = Trap("steps:Part.work", "note", when="after")
+def test_an_injection_records_when_each_process_first_calls_it(tmp_path: Path) -> None:
+    injection = Injection("steps:Part.work", "record", when="after")
     before = time.monotonic()
-    ended = in_process(tmp_path, "for number in range(3): part.work(number)", trap)
+    ended = in_process(tmp_path, "for number in range(3): part.work(number)", injection)
     subprocess.run(ended.args, env=_environment(tmp_path), check=True)
-    times = Plant(tmp_path / "another", [trap]).noted(trap)
+    times = Injector(tmp_path / "another", [injection]).recorded_times(injection)
     assert times == []
-    notes = sorted(float(note.read_text()) for note in (tmp_path / "plant").glob("noted-0-*"))
+    notes = sorted(float(note.read_text()) for note in (tmp_path / "injector").glob("recorded-0-*"))
     assert len(notes) == 2
     assert before < notes[0] < notes[1] < time.monotonic()
 
 
-def test_a_trap_is_sprung_only_in_processes_of_its_kind(tmp_path: Path) -> None:
-    ended = in_process(tmp_path, "part.work(0)", Trap("steps:Part.work", "die", process="ray::Sink"))
+def test_an_injection_fires_only_in_processes_of_its_kind(tmp_path: Path) -> None:
+    ended = in_process(tmp_path, "part.work(0)", Injection("steps:Part.work", "die", process="ray::Sink"))
     assert ended.returncode == 0
 
 
@@ -250,24 +258,23 @@ def test_a_call_fails_from_one_on_and_a_coroutine_is_awaited_and_a_value_set(tmp
     ended = in_process(
         tmp_path,
         code,
-        Trap("steps:Part.work", "fail", 1, value=errno.ENOSPC),
-        Trap("steps:Part.later", "wait", value=0.01),
-        Trap("steps:LIMIT", "set", value=5),
+        Injection("steps:Part.work", "fail", 1, value=errno.ENOSPC),
+        Injection("steps:Part.later", "wait", value=0.01),
+        Injection("steps:LIMIT", "set", value=5),
     )
     assert ended.stdout.splitlines() == ["5.0 7 0", *["No space left on device"] * 2], ended.stderr
-    assert Plant(tmp_path / "other", []).sprung == 0
-    assert len([*(tmp_path / "plant").glob("sprung-*")]) == 2
+    assert len([*(tmp_path / "injector").glob("fired-*")]) == 2
 
 
 def test_after_its_return_a_call_takes_the_driver_with_it(tmp_path: Path) -> None:
     with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]) as driver:
-        code = f"open({str(tmp_path / 'plant/driver')!r}, 'w').write('{driver.pid}'); part.work(0)"
-        ended = in_process(tmp_path, code, Trap("steps:Part.work", "kill driver", when="after"))
+        code = f"open({str(tmp_path / 'injector/driver')!r}, 'w').write('{driver.pid}'); part.work(0)"
+        ended = in_process(tmp_path, code, Injection("steps:Part.work", "kill driver", when="after"))
         assert (ended.returncode, driver.wait()) == (-signal.SIGKILL, -signal.SIGKILL)
 
 
 def _environment(folder: Path) -> dict[str, str]:
-    paths = (folder / "plant", folder)
+    paths = (folder / "injector", folder)
     return os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
 
 
@@ -302,19 +309,19 @@ def test_the_camera_sends_what_it_is_told_to_and_refuses_when_it_is_told_to() ->
 # The soak
 
 
-def looks(sizes: list[float], running: str) -> list[Look]:
+def samples(sizes: list[float], running: str) -> list[Sample]:
     return [
-        Look(number, 100 * number, frozenset(running), {"sink": size, "layer": 50.0}, 9, 4, 100)
+        Sample(number, 100 * number, frozenset(running), {"sink": size, "layer": 50.0}, 9, 4, 100)
         for number, size in enumerate(sizes)
     ]
 
 
 def test_growth_is_told_over_stretches_with_the_same_streams_at_work() -> None:
-    rising = looks([100 + 0.3 * number for number in range(8)], "ab")
-    ended = looks([20 + 0.3 * number for number in range(8)], "b")
+    rising = samples([100 + 0.3 * number for number in range(8)], "ab")
+    ended = samples([20 + 0.3 * number for number in range(8)], "b")
     assert growth([*rising, *ended], ["sink"]) == pytest.approx(3.0)
     assert growth([*rising, *ended], ["layer"]) == pytest.approx(0.0)
-    assert np.isnan(growth(looks([1.0] * 9, ""), ["sink"]))
+    assert np.isnan(growth(samples([1.0] * 9, ""), ["sink"]))
     # A process more is no growth of the others.
     more = [replace(look, processes=10, memory={"sink": 2 * look.memory["sink"]}) for look in rising[4:]]
     assert growth([*rising[:4], *more], ["sink"]) == pytest.approx(4.5)

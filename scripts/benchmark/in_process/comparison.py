@@ -1,4 +1,4 @@
-"""The engine and its peers on the same frames in turn, so that a busy machine is as busy for all of them.
+"""Time the engine and its peers on the same frames in turn, so that other load weighs on all of them alike.
 
 Everything is in this process and in one thread. Only the ratios of one run mean much: another run, or another
 machine, has other times.
@@ -53,7 +53,7 @@ class Measurement:
 
 
 def frame_order(length: int, frames: int) -> list[int]:
-    """Indices of a sequence played back and forth without a cut.
+    """Return the indices of a sequence that is played back and forth without a cut.
 
     Parameters
     ----------
@@ -66,8 +66,8 @@ def frame_order(length: int, frames: int) -> list[int]:
     -------
     list of int
     """
-    there_and_back = [*range(length), *range(length - 2, 0, -1)]
-    return [there_and_back[index % len(there_and_back)] for index in range(frames)]
+    back_and_forth = [*range(length), *range(length - 2, 0, -1)]
+    return [back_and_forth[index % len(back_and_forth)] for index in range(frames)]
 
 
 @dataclass(slots=True)

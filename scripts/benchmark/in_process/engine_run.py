@@ -1,4 +1,4 @@
-"""The engine alone in this process, frame by frame: what each call takes and what comes out of it."""
+"""Time the engine alone in this process, call by call, and keep what comes out of each call."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ __all__ = ["EngineCall", "EngineCost", "play", "steady_cost"]
 
 @dataclass(frozen=True, slots=True)
 class EngineCall:
-    """One frame given to the engine.
+    """One call of the engine, with one frame.
 
     Attributes
     ----------
     wall_ms, cpu_ms : float
-        What the call took, ms.
+        Duration of the call, ms.
     objects : tuple of frozenset of int
         For each label map that came out, the objects in it.
     stage_ms : mapping of str to float
@@ -56,12 +56,12 @@ class EngineCost:
 
 
 def play(frames: Iterable[Array], config: Config) -> list[EngineCall]:
-    """Give frames to a new engine, in one thread of a process that is set up as those of the pipeline are.
+    """Feed frames to a new engine, in one thread of a process that is set up as those of the pipeline are.
 
     Parameters
     ----------
     frames : iterable of (H, W, 3) uint8 BGR
-        Made outside the time that is taken.
+        Produced outside the timed interval.
     config : Config
     """
     settle_memory()
@@ -82,7 +82,7 @@ def play(frames: Iterable[Array], config: Config) -> list[EngineCall]:
 
 
 def steady_cost(calls: Sequence[EngineCall], warm: int) -> EngineCost:
-    """Cost of a frame, without the first ``warm`` ones."""
+    """Return the cost of a frame, without the first ``warm`` ones."""
     steady = calls[warm:]
     stages = dict.fromkeys(stage for call in steady for stage in call.stage_ms)
     counts = [len(objects) for call in steady for objects in call.objects]

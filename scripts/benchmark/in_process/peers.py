@@ -1,4 +1,4 @@
-"""What one would use instead: moving against not moving with OpenCV alone, in a few lines each.
+"""Alternatives to the engine: moving against not moving with OpenCV alone, in a few lines each.
 
 All of them take the camera's motion out by a homography and give one mask a frame; none tells objects apart.
 They are written to be good at it with one set of parameters, in one thread, so that a comparison is fair.
@@ -25,10 +25,10 @@ VOTE_STEP = 16
 #: Residual motion below this is noise, px a frame.
 LEAST_RESIDUAL_PX = 1.0
 #: Share of the last frame's average that is kept.
-KEPT = 0.7
+KEPT_SHARE = 0.7
 #: Components smaller than this share of the frame are specks.
 SPECK_SHARE = 0.0005
-#: How far the stabilised frame may drift, in frame widths; past it the background is learnt anew.
+#: How far the stabilised frame may drift, in frame widths; beyond that the background is learnt anew.
 MOST_DRIFT = 0.25
 
 
@@ -47,7 +47,7 @@ class FlowResidual:
 
     def apply(self, frame: Array) -> Array:
         """See :class:`Peer`."""
-        backward = self._flow.to_last(frame)
+        backward = self._flow.to_previous(frame)
         if backward is None:
             return np.zeros(frame.shape[:2], bool)
         return _without_specks(_moving(_residual(backward)))
@@ -62,24 +62,24 @@ class FlowComposite:
 
     def apply(self, frame: Array) -> Array:
         """See :class:`Peer`."""
-        backward = self._flow.to_last(frame)
+        backward = self._flow.to_previous(frame)
         if backward is None:
             return np.zeros(frame.shape[:2], bool)
         residual = _residual(backward)
         if self._average is not None:
-            residual = KEPT * _followed(self._average, backward) + (1.0 - KEPT) * residual
+            residual = KEPT_SHARE * _warped(self._average, backward) + (1.0 - KEPT_SHARE) * residual
         self._average = residual
         moving = _moving(residual).astype(np.uint8)
         height, width = moving.shape
         size = (max(1, width // SHRINK), max(1, height // SHRINK))
         small = cv2.resize(frame, size, interpolation=cv2.INTER_AREA)
-        outlined = _outlined(small, cv2.resize(moving, size, interpolation=cv2.INTER_NEAREST).astype(bool))
-        large = cv2.resize(outlined.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+        cut_out = _cut_out(small, cv2.resize(moving, size, interpolation=cv2.INTER_NEAREST).astype(bool))
+        large = cv2.resize(cut_out.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
         return _without_specks(large.astype(bool))
 
 
 class StabilisedMog2:
-    """MOG2 on frames that are laid over the first one by homographies of tracked corners."""
+    """MOG2 on frames that are registered to the first one by homographies of tracked corners."""
 
     def __init__(self) -> None:
         self._restart()
@@ -101,8 +101,10 @@ class StabilisedMog2:
         if not np.abs(moved).max() < MOST_DRIFT * width:
             self._restart()
         self._last = gray
-        laid = cv2.warpPerspective(frame, self._to_first, (width, height), borderMode=cv2.BORDER_REPLICATE)
-        foreground = (self._model.apply(laid) > 0).astype(np.uint8)
+        stabilised = cv2.warpPerspective(
+            frame, self._to_first, (width, height), borderMode=cv2.BORDER_REPLICATE
+        )
+        foreground = (self._model.apply(stabilised) > 0).astype(np.uint8)
         flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         back = cv2.warpPerspective(foreground, self._to_first, (width, height), flags=flags)
         return _without_specks(cv2.medianBlur(back, 5).astype(bool))
@@ -123,8 +125,8 @@ class _BackwardFlow:
         self._dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         self._last: Array | None = None
 
-    def to_last(self, frame: Array) -> Array | None:
-        """Flow, (H, W, 2) float32 px; None for the first frame."""
+    def to_previous(self, frame: Array) -> Array | None:
+        """Return the flow, (H, W, 2) float32 px; None for the first frame."""
         gray, last = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), self._last
         self._last = gray
         return None if last is None else self._dis.calc(gray, last, None)  # type: ignore[call-overload]
@@ -136,7 +138,7 @@ def _pixels(shape: tuple[int, ...]) -> Array:
 
 
 def _residual(backward: Array) -> Array:
-    """What the camera's homography leaves of a backward flow, (h, w) float32, px."""
+    """Return the residual of a backward flow after the camera's homography, (h, w) float32, px."""
     at = _pixels(backward.shape)
     votes = np.s_[VOTE_STEP // 2 :: VOTE_STEP, VOTE_STEP // 2 :: VOTE_STEP]
     start, end = at[votes].reshape(-1, 2), (at + backward)[votes].reshape(-1, 2)
@@ -149,14 +151,14 @@ def _residual(backward: Array) -> Array:
     return np.asarray(np.hypot(*np.moveaxis(at + backward - by_camera, 2, 0)), np.float32)
 
 
-def _followed(image: Array, backward: Array) -> Array:
-    """A map of the last frame, moved along the flow."""
+def _warped(image: Array, backward: Array) -> Array:
+    """Warp a map of the last frame along the flow."""
     source = _pixels(backward.shape) + backward
     return cv2.remap(image, source, None, cv2.INTER_LINEAR)  # type: ignore[call-overload,no-any-return]
 
 
 def _moving(residual: Array) -> Array:
-    """Otsu's threshold, but not under the noise; few very fast pixels do not raise it."""
+    """Apply Otsu's threshold, but not below the noise; few very fast pixels do not raise it."""
     top = float(np.quantile(residual, 0.995))
     if top <= LEAST_RESIDUAL_PX:
         return np.zeros(residual.shape, bool)
@@ -165,8 +167,8 @@ def _moving(residual: Array) -> Array:
     return np.asarray(residual > max(threshold * top / 255, LEAST_RESIDUAL_PX))
 
 
-def _outlined(image: Array, moving: Array) -> Array:
-    """GrabCut from a rough mask: sure well inside and well outside of it, open between."""
+def _cut_out(image: Array, moving: Array) -> Array:
+    """Run GrabCut from a rough mask: certain well inside and well outside of it, undecided between."""
     kernel = np.ones((9, 9), np.uint8)
     inside = cv2.erode(moving.astype(np.uint8), kernel).astype(bool)
     near = cv2.dilate(moving.astype(np.uint8), kernel).astype(bool)
@@ -179,7 +181,7 @@ def _outlined(image: Array, moving: Array) -> Array:
 
 
 def _corner_homography(gray: Array, last: Array) -> Array:
-    """From this frame's pixels to the last one's; the identity if too few corners can be followed."""
+    """Estimate the homography from this frame to the last; the identity if too few corners are tracked."""
     points = cv2.goodFeaturesToTrack(gray, 400, 0.01, 10)
     if points is None:
         return np.eye(3)

@@ -1,4 +1,4 @@
-"""How long a frame takes when an object enters, against the others."""
+"""Measure how long a frame takes when an object enters, against the others."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import pairwise
 
-from benchmark.finding import Finding
 from benchmark.in_process.engine_run import EngineCall, play
 from benchmark.plots import Plot
-from benchmark.setting import Setting, say
+from benchmark.result import MeasurementResult
+from benchmark.settings import Settings, report_progress
 from benchmark.through_ray.endless_video import open_video, write_video
 from benchmark.through_ray.pipeline import Arrival, pipeline
 from mlbs_actors.actors.parts import EngineParts
@@ -38,7 +38,7 @@ class FrameTime:
 
 @dataclass(frozen=True, slots=True)
 class BirthCost:
-    """Frames with a birth against all.
+    """Times of the frames with a birth against those of all frames.
 
     Attributes
     ----------
@@ -57,31 +57,31 @@ class BirthCost:
 
 
 def measure_births(
-    setting: Setting, scenes: tuple[str, ...] = SCENES, size: tuple[int, int] = _SIZE
-) -> Finding:
+    settings: Settings, scenes: tuple[str, ...] = SCENES, size: tuple[int, int] = _SIZE
+) -> MeasurementResult:
     """Play each scene once, in this process and through Ray.
 
     Through Ray a frame's time is that between its label map and the one before, as they are made, and the
     pool has its spare processes ready, as after some seconds of any run. In this process, as in those of Ray,
-    the kernels have been loaded before: what a process's first object ever costs beside is not a birth's.
+    the kernels have been loaded before: loading them is not a cost of a birth.
     """
     EngineParts().warm_stream()
     rows, figures, plots = [], {}, {}
     for number, name in enumerate(scenes):
-        say(f"births: {name} in this process ({number + 1} of {len(scenes)})")
-        uri = f"synthetic:{name}?frames={setting.frames}&width={size[0]}&height={size[1]}"
-        frames = list(setting.played(open_sequence(uri, None)))
-        alone = times_in_process(play(frames, setting.config), setting.warm)
-        say(f"births: {name} through Ray ({number + 1} of {len(scenes)})")
-        video = setting.folder / f"{name}.mp4"
+        report_progress(f"births: {name} in this process ({number + 1} of {len(scenes)})")
+        uri = f"synthetic:{name}?frames={settings.frames}&width={size[0]}&height={size[1]}"
+        frames = list(settings.played(open_sequence(uri, None)))
+        alone = times_in_process(play(frames, settings.config), settings.warm)
+        report_progress(f"births: {name} through Ray ({number + 1} of {len(scenes)})")
+        video = settings.folder / f"{name}.mp4"
         write_video(frames, video)
-        with pipeline(setting.config, setting.folder) as session:
-            session.start(partial(open_video, video), max_frames=setting.warm)
+        with pipeline(settings.config, settings.folder) as session:
+            session.start(partial(open_video, video), max_frames=settings.warm)
             session.run_to_end()
             session.settle()
             stream = session.start(partial(open_video, video))
             session.run_to_end()
-            by_ray = times_through_ray(session.arrivals(stream), setting.warm)
+            by_ray = times_through_ray(session.arrivals(stream), settings.warm)
         ways = {"in process": alone, "through Ray": by_ray}
         rows += [(name, way, birth_cost(times)) for way, times in ways.items()]
         figures[name] = {
@@ -97,11 +97,11 @@ def measure_births(
             | {f"births {way}": _by_frame(times, alone, births=True) for way, times in ways.items()},
             "lines",
         )
-    return Finding((births_table(rows),), figures, plots)
+    return MeasurementResult((births_table(rows),), figures, plots)
 
 
 def times_in_process(calls: Sequence[EngineCall], warm: int) -> list[FrameTime]:
-    """The calls after the warm ones; a birth is in the call that gave the label map with the new object."""
+    """Return the times after the warm calls; a birth counts for the call that returned its label map."""
     born = _births(frozenset().union(*call.objects) for call in calls)
     return [
         FrameTime(index, call.wall_ms, birth)
@@ -111,7 +111,7 @@ def times_in_process(calls: Sequence[EngineCall], warm: int) -> list[FrameTime]:
 
 
 def times_through_ray(arrivals: Sequence[Arrival], warm: int) -> list[FrameTime]:
-    """Time from each label map to the next, as they are made, after the warm ones."""
+    """Return the time from each label map to the next, as they are made, after the warm ones."""
     born = _births(one.objects for one in arrivals)
     return [
         FrameTime(one.frame, 1e3 * (one.labelled - before.labelled), birth)
@@ -130,7 +130,7 @@ def _births(objects: Iterable[frozenset[int]]) -> list[bool]:
 
 
 def birth_cost(times: Sequence[FrameTime]) -> BirthCost:
-    """Median of all frames, and the longest with and without a birth."""
+    """Return the median of all frames, and the longest with and without a birth."""
     births = [time.wall_ms for time in times if time.birth]
     others = [time.wall_ms for time in times if not time.birth]
     return BirthCost(
@@ -144,13 +144,13 @@ def birth_cost(times: Sequence[FrameTime]) -> BirthCost:
 def _by_frame(
     times: Sequence[FrameTime], frames: Sequence[FrameTime], *, births: bool = False
 ) -> list[float]:
-    """Times in the order of other times' frames; NaN, which is not drawn, for what is not there."""
+    """Align times with the frames of others; NaN, which is not drawn, where there is none."""
     known = {time.frame: time.wall_ms for time in times if time.birth or not births}
     return [known.get(time.frame, math.nan) for time in frames]
 
 
 def births_table(rows: Sequence[tuple[str, str, BirthCost]]) -> str:
-    """A row for each scene and way to run."""
+    """Format a row for each scene and way to run."""
     cells = [
         [
             name,

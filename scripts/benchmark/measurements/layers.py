@@ -1,9 +1,9 @@
-"""What a frame of a steady crowd costs by the number of objects in it, in one process and through Ray.
+"""Measure the cost of a frame by the number of its objects, in one process and through Ray.
 
-Through Ray there is a stream of each number in one session, and they take turns, there and back: what else
-runs on a shared machine changes within minutes, by more than what an object costs, so that what is measured
-one after the other says little of the difference. Believe the mean over all further objects, not the step
-from one number to the next.
+Through Ray one session has a stream for each number of objects, and they run alternately, in an order that is
+reversed every other round: the load of a shared machine changes within minutes by more than an object costs,
+so that measurements one after the other say little of the difference. The mean over all further objects is
+more reliable than the step from one number to the next.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from functools import partial
 from itertools import pairwise
 from typing import Any
 
-from benchmark.finding import Finding
 from benchmark.in_process.engine_run import EngineCost, play, steady_cost
 from benchmark.measurements.ray_cost import SteadyCost
 from benchmark.plots import Plot
-from benchmark.setting import Setting, say
+from benchmark.result import MeasurementResult
+from benchmark.settings import Settings, report_progress
 from benchmark.through_ray.endless_video import EndlessReader
-from benchmark.through_ray.pipeline import TURNS, pipeline
+from benchmark.through_ray.pipeline import ROUNDS, pipeline
 from orchestrator.evaluation.datasets import open_sequence
 from orchestrator.evaluation.figures import format_number, format_table
 
@@ -37,25 +37,25 @@ __all__ = [
 OBJECTS = (1, 3, 8, 16, 32)
 OBJECTS_THROUGH_RAY = (3, 8, 16)
 
-#: The number of objects of an ordinary frame, which the others are held against.
+#: The number of objects of an ordinary frame, which the others are compared with.
 ORDINARY = 3
 
 _SIZE = "width=640&height=480"
 
 
 def measure_layers(
-    setting: Setting,
+    settings: Settings,
     objects: tuple[int, ...] = OBJECTS,
     through_ray: tuple[int, ...] = OBJECTS_THROUGH_RAY,
-) -> Finding:
+) -> MeasurementResult:
     """Play the scene ``steady-crowd`` at 640×480 with each number of objects."""
     alone: dict[int, EngineCost] = {}
     for number, count in enumerate(objects):
-        say(f"layers: {count} objects in this process ({number + 1} of {len(objects)})")
-        sequence = open_sequence(_scene(setting, count), None)
-        alone[count] = steady_cost(play(setting.played(sequence), setting.config), setting.warm)
-    turns = _costs_through_ray(setting, through_ray) if through_ray else {}
-    together = {count: SteadyCost.mean(costs) for count, costs in turns.items()}
+        report_progress(f"layers: {count} objects in this process ({number + 1} of {len(objects)})")
+        sequence = open_sequence(_scene(settings, count), None)
+        alone[count] = steady_cost(play(settings.played(sequence), settings.config), settings.warm)
+    rounds = _costs_through_ray(settings, through_ray) if through_ray else {}
+    together = {count: SteadyCost.mean(costs) for count, costs in rounds.items()}
     plot = Plot(
         "A frame by the number of its objects (640×480, 1 % of the frame each), in one process",
         "objects",
@@ -71,24 +71,24 @@ def measure_layers(
         "in_process": _figures(alone, {count: cost.cpu_ms for count, cost in alone.items()}),
         "through_ray": _figures(together, {count: cost.all_cpu_ms for count, cost in together.items()}),
     }
-    for count, costs in turns.items():
+    for count, costs in rounds.items():
         figures["through_ray"][str(count)]["turns_cpu_ms"] = [one.all_cpu_ms for one in costs]
     tables = (layers_table(alone), *([processes_table(together)] if together else []))
-    return Finding(tables, figures, {"layers": plot})
+    return MeasurementResult(tables, figures, {"layers": plot})
 
 
-def _costs_through_ray(setting: Setting, objects: Sequence[int]) -> dict[int, list[SteadyCost]]:
-    """What each number of objects costs in each of the turns."""
-    names = [_scene(setting, count) for count in objects]
-    scenes = replace(setting, sequences={name: open_sequence(name, None) for name in names})
+def _costs_through_ray(settings: Settings, objects: Sequence[int]) -> dict[int, list[SteadyCost]]:
+    """Measure each number of objects in each of the rounds."""
+    names = [_scene(settings, count) for count in objects]
+    scenes = replace(settings, sequences={name: open_sequence(name, None) for name in names})
     videos = [scenes.endless_video(name) for name in names]
     costs: dict[int, list[SteadyCost]] = {count: [] for count in objects}
-    told = f"layers: {', '.join(map(str, objects))} objects through Ray, by turns"
-    say(f"{told}: until all processes are there")
-    with pipeline(setting.config, setting.folder) as session:
+    activity = f"layers: {', '.join(map(str, objects))} objects through Ray, alternately"
+    report_progress(f"{activity}: until all processes are there")
+    with pipeline(settings.config, settings.folder) as session:
         each = [[session.start(partial(EndlessReader, video))] for video in videos]
-        for turn, windows in enumerate(session.turns(setting.warm, setting.steady, each)):
-            say(f"{told} ({turn + 1} of {TURNS} done)")
+        for number, windows in enumerate(session.alternating_windows(settings.warm, settings.steady, each)):
+            report_progress(f"{activity} ({number + 1} of {ROUNDS} done)")
             for count, window in zip(objects, windows, strict=True):
                 costs[count].append(SteadyCost.of(window))
     return costs
@@ -109,12 +109,12 @@ def _figures(
     }
 
 
-def _scene(setting: Setting, objects: int) -> str:
-    return f"synthetic:steady-crowd?frames={setting.frames}&{_SIZE}&objects={objects}"
+def _scene(settings: Settings, objects: int) -> str:
+    return f"synthetic:steady-crowd?frames={settings.frames}&{_SIZE}&objects={objects}"
 
 
 def further_object_ms(cpu_ms: Mapping[int, float]) -> dict[int, float]:
-    """CPU time of one object more, ms a frame: the mean from the row before; NaN for the first."""
+    """Return the CPU time of one object more, ms a frame: the mean from the row before; NaN for the first."""
     further = dict.fromkeys(cpu_ms, math.nan)
     for (fewer, less), (count, more) in pairwise(cpu_ms.items()):
         further[count] = (more - less) / (count - fewer)
@@ -122,7 +122,7 @@ def further_object_ms(cpu_ms: Mapping[int, float]) -> dict[int, float]:
 
 
 def mean_further_object_ms(cpu_ms: Mapping[int, float]) -> dict[int, float]:
-    """The same over all objects past those of an ordinary frame; NaN up to there."""
+    """Average the same over all objects beyond those of an ordinary frame; NaN up to there."""
     ordinary = cpu_ms.get(ORDINARY, math.nan)
     return {
         count: (more - ordinary) / (count - ORDINARY) if count > ORDINARY else math.nan
@@ -131,7 +131,7 @@ def mean_further_object_ms(cpu_ms: Mapping[int, float]) -> dict[int, float]:
 
 
 def layers_table(costs: Mapping[int, EngineCost]) -> str:
-    """A row for each number of objects in one process; the last four columns tell how the cost grows."""
+    """Format a row for each number of objects in one process; the last four columns show the growth."""
     growth = _growth({count: cost.cpu_ms for count, cost in costs.items()})
     rows = [
         [
@@ -147,7 +147,7 @@ def layers_table(costs: Mapping[int, EngineCost]) -> str:
 
 
 def processes_table(costs: Mapping[int, SteadyCost]) -> str:
-    """The same through Ray, with the CPU time of all processes, and of those that are objects."""
+    """Format the same through Ray, with the CPU time of all processes, and of those that are objects."""
     growth = _growth({count: cost.all_cpu_ms for count, cost in costs.items()})
     rows = [
         [

@@ -1,20 +1,20 @@
-"""Private memory of a stream's processes, by kind."""
+"""Measure the private memory of a stream's processes, by kind."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
 
-from benchmark.finding import Finding
 from benchmark.plots import Plot
-from benchmark.setting import Setting, say
+from benchmark.result import MeasurementResult
+from benchmark.settings import Settings, report_progress
 from benchmark.through_ray.endless_video import EndlessReader
 from benchmark.through_ray.pipeline import SteadyWindow, pipeline
 from orchestrator.evaluation.figures import format_table
 
 __all__ = ["KindMemory", "measure_memory", "memory_by_kind", "stream_mib"]
 
-#: What every stream has for itself; the rest it shares with the others of its node.
+#: Kinds that every stream has for itself; the rest it shares with the others of its node.
 _OF_A_STREAM = ("reader", "coordinator", "segmenter", "background layer", "object layer")
 
 
@@ -34,15 +34,15 @@ class KindMemory:
     largest_mib: float
 
 
-def measure_memory(setting: Setting) -> Finding:
-    """Run each sequence through Ray and look at its processes at the end of the steady window."""
+def measure_memory(settings: Settings) -> MeasurementResult:
+    """Run each sequence through Ray and read its processes' memory at the end of the steady window."""
     tables, figures, plots = [], {}, {}
-    for number, name in enumerate(setting.sequences):
-        say(f"memory: {name} ({number + 1} of {len(setting.sequences)})")
-        video = setting.endless_video(name)
-        with pipeline(setting.config, setting.folder) as session:
+    for number, name in enumerate(settings.sequences):
+        report_progress(f"memory: {name} ({number + 1} of {len(settings.sequences)})")
+        video = settings.endless_video(name)
+        with pipeline(settings.config, settings.folder) as session:
             session.start(partial(EndlessReader, video))
-            kinds = memory_by_kind(session.steady_window(setting.warm, setting.steady))
+            kinds = memory_by_kind(session.steady_window(settings.warm, settings.steady))
         tables.append(memory_table(name, kinds))
         figures[name] = {
             kind: {"processes": one.processes, "mean_mib": one.mean_mib, "largest_mib": one.largest_mib}
@@ -56,11 +56,11 @@ def measure_memory(setting: Setting) -> Finding:
             {"mean": [one.mean_mib for one in kinds.values()]},
             "bars",
         )
-    return Finding(tuple(tables), figures, plots)
+    return MeasurementResult(tuple(tables), figures, plots)
 
 
 def memory_by_kind(window: SteadyWindow) -> dict[str, KindMemory]:
-    """Private memory at the end of a window, by kind."""
+    """Summarise the private memory at the end of a window, by kind."""
     by_kind: dict[str, list[float]] = {}
     for pid, size in window.memory.items():
         by_kind.setdefault(window.kinds[pid], []).append(size / 2**20)
@@ -71,12 +71,12 @@ def memory_by_kind(window: SteadyWindow) -> dict[str, KindMemory]:
 
 
 def stream_mib(kinds: dict[str, KindMemory]) -> float:
-    """Private memory of all processes that one stream has for itself, MiB."""
+    """Sum the private memory of all processes that one stream has for itself, MiB."""
     return sum(kinds[kind].processes * kinds[kind].mean_mib for kind in _OF_A_STREAM if kind in kinds)
 
 
 def memory_table(name: str, kinds: dict[str, KindMemory]) -> str:
-    """A row for each kind of process, then the stream's own together and all of the session."""
+    """Format a row for each kind of process, then the stream's own together and all of the session."""
     rows = [
         [kind, str(one.processes), f"{one.mean_mib:.0f}", f"{one.largest_mib:.0f}"]
         for kind, one in kinds.items()

@@ -1,30 +1,30 @@
-"""The engine beside its peers on each sequence: what they find and what they take; the engine's stages."""
+"""Compare the engine with its peers on each sequence: scores and times; the engine's stages."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
-from benchmark.finding import Finding
 from benchmark.in_process.comparison import ENGINE, Measurement, measure
 from benchmark.in_process.peers import PEERS
 from benchmark.plots import Plot
-from benchmark.setting import Setting, say
+from benchmark.result import MeasurementResult
+from benchmark.settings import Settings, report_progress
 from orchestrator.evaluation.figures import format_number, format_table, mean_of_sequences
 
 __all__ = ["as_json", "measure_methods", "methods_table", "stages_table"]
 
-#: The peer that the others are held against.
+#: The peer that the others are compared with.
 REFERENCE = "composite"
 
 
-def measure_methods(setting: Setting, peers: Sequence[str]) -> Finding:
+def measure_methods(settings: Settings, peers: Sequence[str]) -> MeasurementResult:
     """Time the engine and the peers of these names on each sequence."""
     measured = {}
-    for name, sequence in setting.sequences.items():
-        say(f"{name}: {setting.frames} frames")
+    for name, sequence in settings.sequences.items():
+        report_progress(f"{name}: {settings.frames} frames")
         chosen = {peer: PEERS[peer] for peer in peers}
-        measured[name] = measure(sequence, chosen, setting.config, setting.frames, setting.warm)
+        measured[name] = measure(sequence, chosen, settings.config, settings.frames, settings.warm)
     plot = Plot(
         "CPU time by method, in one process and one thread",
         "",
@@ -33,11 +33,13 @@ def measure_methods(setting: Setting, peers: Sequence[str]) -> Finding:
         {name: [one.cpu_ms for one in methods] for name, methods in measured.items()},
         "bars",
     )
-    return Finding((methods_table(measured), stages_table(measured)), as_json(measured), {"methods": plot})
+    return MeasurementResult(
+        (methods_table(measured), stages_table(measured)), as_json(measured), {"methods": plot}
+    )
 
 
 def methods_table(measured: dict[str, list[Measurement]]) -> str:
-    """A row for each sequence and method: what it finds, what it takes, CPU time against the composite's.
+    """Format a row for each sequence and method: its scores, its times, CPU time against the composite's.
 
     Several sequences are followed by a row for each method with the means of its columns.
     """
@@ -63,7 +65,7 @@ def _cells(row: list[float]) -> list[str]:
 
 
 def stages_table(measured: dict[str, list[Measurement]]) -> str:
-    """The engine's stages, ms a frame: a row for each stage, a column for each sequence."""
+    """Format the engine's stages, ms a frame: a row for each stage, a column for each sequence."""
     columns = {name: methods[0].stage_ms for name, methods in measured.items()}
     stages = dict.fromkeys(stage for column in columns.values() for stage in column)
     rows = [
@@ -74,7 +76,7 @@ def stages_table(measured: dict[str, list[Measurement]]) -> str:
 
 
 def as_json(measured: dict[str, list[Measurement]]) -> dict[str, Any]:
-    """The figures by sequence and method, percent and ms."""
+    """Return the figures by sequence and method, percent and ms."""
     return {
         name: {
             one.method: {

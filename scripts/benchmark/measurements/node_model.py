@@ -1,4 +1,4 @@
-"""A node with many streams, simulated from what one stream was measured to cost.
+"""Simulate a node with many streams from the measured cost of one stream.
 
 Each actor of a stream does one frame at a time, on whichever core is free first; a sink serves several
 streams. A frame waits as in a run (:mod:`mlbs_actors.actors.stream.coordinator_actor`): it is tracked once
@@ -25,7 +25,7 @@ __all__ = ["NodeRun", "StageCosts", "most_cameras", "simulate"]
 #: As in the actors: pictures that a reader keeps ahead, and rows on their way to the sink.
 _PICTURES, _ROWS = 2, 14
 
-#: What a camera may lose at most where it is said to be served.
+#: Largest share of its pictures that a camera that counts as served may lose.
 MOST_DROPPED = 0.01
 
 
@@ -39,7 +39,7 @@ class StageCosts:
     layers : tuple of float
         Of each layer's process.
     other : float
-        Of what serves the calls, beside the way of the frame.
+        Of what serves the calls, outside the path of the frame.
     """
 
     reader: float
@@ -51,7 +51,7 @@ class StageCosts:
 
     @staticmethod
     def of(cpu_ms: Mapping[str, float], objects: int) -> StageCosts:
-        """From measured times by kind of process, those of a stream with so many objects."""
+        """Derive the costs of a stream with so many objects from measured times by kind of process."""
         each = cpu_ms["object layer"] / objects
         known = {kind: cpu_ms[kind] for kind in ("reader", "coordinator", "segmenter", "sink")}
         layers = (cpu_ms["background layer"], *[each] * objects)
@@ -61,20 +61,20 @@ class StageCosts:
 
     @property
     def together(self) -> float:
-        """CPU time of all, ms."""
+        """Return the CPU time of all, ms."""
         return self.reader + self.coordinator + sum(self.layers) + self.segmenter + self.sink + self.other
 
 
 @dataclass(frozen=True, slots=True)
 class NodeRun:
-    """What a simulated node does in steady state.
+    """Throughput of a simulated node in steady state.
 
     Attributes
     ----------
     frames_a_second : float
         Label maps of all streams together.
     dropped : float
-        Share of the cameras' pictures that nobody had time for.
+        Share of the cameras' pictures that were dropped.
     sink_busy : float
         Share of the time in which the sinks work.
     """
@@ -86,7 +86,7 @@ class NodeRun:
 
 @dataclass(slots=True, eq=False)
 class _Stream:
-    """How many frames each actor has done, and which of them are at work."""
+    """How many frames each actor has done, and which actors are busy."""
 
     layers: list[int]
     sink: int
@@ -125,7 +125,7 @@ def simulate(
             for arrival in np.arange(start, seconds, 1.0 / camera_rate).tolist():
                 node.at(1e3 * arrival, stream, "arrival")
     for stream in node.streams:
-        node.start_what_can(stream)
+        node.start_ready(stream)
     node.run_until(200.0 * seconds)
     before, sink_before = node.totals(), node.sink_ms
     node.run_until(1e3 * seconds)
@@ -136,7 +136,7 @@ def simulate(
 
 
 def most_cameras(costs: StageCosts, cores: int, camera_rate: float) -> int:
-    """How many cameras a node serves without dropping more than one picture in a hundred."""
+    """Return how many cameras a node serves without dropping more than one picture in a hundred."""
 
     def serves(cameras: int) -> bool:
         return simulate(costs, cameras, cores, camera_rate).dropped <= MOST_DROPPED
@@ -162,17 +162,17 @@ class _Node:
         self._sinks_at_work: set[int] = set()
 
     def at(self, time: float, stream: _Stream, what: str | int) -> None:
-        """Have something happen later."""
+        """Schedule an event, at a time in ms."""
         heapq.heappush(self._events, (time, self._number, stream, what))
         self._number += 1
 
     def totals(self) -> Array:
-        """How many frames all streams have written, dropped and read, (3,) int64."""
+        """Count the frames that all streams have written, dropped and read, (3,) int64."""
         counts: Array = np.array([(one.written, one.dropped, one.read) for one in self.streams])
         return np.asarray(counts.sum(axis=0))
 
     def run_until(self, end: float) -> None:
-        """Go on to a time, ms."""
+        """Advance to a time, ms."""
         while self._events and self._events[0][0] <= end:
             self._now, _, stream, what = heapq.heappop(self._events)
             if what == "arrival":
@@ -181,11 +181,11 @@ class _Node:
                 self._free += 1
                 stream.busy.discard(what)
                 self._done(stream, what)
-            self.start_what_can(stream)
+            self.start_ready(stream)
         self._now = end
 
-    def start_what_can(self, stream: _Stream) -> None:
-        """Queue what a stream's actors can do now, and give the free cores work."""
+    def start_ready(self, stream: _Stream) -> None:
+        """Queue what a stream's actors can do now, and assign queued work to free cores."""
         for what in self._possible(stream):
             if what not in stream.busy:
                 stream.busy.add(what)
@@ -246,6 +246,4 @@ class _Node:
             stream.written += 1
             self.sink_ms += self._costs.sink
             self._sinks_at_work.discard(stream.sink)
-            self._ready.append(
-                (stream, "other")
-            )  # what serves the calls takes its time, but nobody waits for it
+            self._ready.append((stream, "other"))  # it takes its time, but nobody waits for it

@@ -1,4 +1,4 @@
-"""The whole pipeline through Ray, and the same calls with the same payloads and nothing behind them."""
+"""Measure the whole pipeline through Ray, and the same calls and payloads without any computation."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 from statistics import fmean
 
-from benchmark.finding import Finding
 from benchmark.plots import Plot
-from benchmark.setting import Setting, say
+from benchmark.result import MeasurementResult
+from benchmark.settings import Settings, report_progress
 from benchmark.through_ray.empty_parts import EmptyParts, EmptyReader, EmptySink, last_messages
 from benchmark.through_ray.endless_video import EndlessReader
 from benchmark.through_ray.pipeline import Arrival, SteadyWindow, pipeline, record_in
@@ -72,18 +72,18 @@ class SteadyCost:
 
     @staticmethod
     def of(window: SteadyWindow) -> SteadyCost:
-        """What a window of the stream tells."""
+        """Derive the cost from a window of the stream."""
         return SteadyCost(window.frames_a_second, 1e3 / window.frames_a_second, cpu_ms_by_kind(window))
 
     @staticmethod
     def mean(costs: Sequence[SteadyCost]) -> SteadyCost:
-        """Of windows of the same length."""
+        """Average the costs of windows of the same length."""
         wall_ms = fmean(one.wall_ms for one in costs)
         return SteadyCost(1e3 / wall_ms, wall_ms, mean_of_kinds([one.cpu_ms for one in costs]))
 
     @property
     def all_cpu_ms(self) -> float:
-        """CPU time of all processes, ms a frame."""
+        """Return the CPU time of all processes, ms a frame."""
         return sum(self.cpu_ms.values())
 
 
@@ -99,16 +99,18 @@ class PipelineCost(SteadyCost):
     start_up: StartUp
 
 
-def measure_ray(setting: Setting) -> Finding:
+def measure_ray(settings: Settings) -> MeasurementResult:
     """Run each sequence through Ray, and then its messages with empty methods."""
     tables, figures, plots = [], {}, {}
-    for number, (name, sequence) in enumerate(setting.sequences.items()):
-        say(f"ray: {name}, the engine ({number + 1} of {len(setting.sequences)})")
-        engine = pipeline_cost(setting, None, partial(EndlessReader, setting.endless_video(name)), record_in)
-        say(f"ray: {name}, the same calls with empty methods")
-        frames = list(setting.played(sequence))
-        parts = EmptyParts(last_messages(frames, setting.config))
-        empty = pipeline_cost(setting, parts, partial(EmptyReader, frames[-1]), _no_record)
+    for number, (name, sequence) in enumerate(settings.sequences.items()):
+        report_progress(f"ray: {name}, the engine ({number + 1} of {len(settings.sequences)})")
+        engine = pipeline_cost(
+            settings, None, partial(EndlessReader, settings.endless_video(name)), record_in
+        )
+        report_progress(f"ray: {name}, the same calls with empty methods")
+        frames = list(settings.played(sequence))
+        parts = EmptyParts(last_messages(frames, settings.config))
+        empty = pipeline_cost(settings, parts, partial(EmptyReader, frames[-1]), _no_record)
         tables += [cost_table(name, engine, empty), start_table(name, engine)]
         figures[name] = {
             "engine": asdict(engine) | {"all_cpu_ms": engine.all_cpu_ms},
@@ -127,11 +129,11 @@ def measure_ray(setting: Setting) -> Finding:
             },
             "bars",
         )
-    return Finding(tuple(tables), figures, plots)
+    return MeasurementResult(tuple(tables), figures, plots)
 
 
 def pipeline_cost(
-    setting: Setting,
+    settings: Settings,
     parts: PartFactory | None,
     open_reader: Callable[[], FrameReader],
     open_record: Callable[[Path], StreamSink],
@@ -146,9 +148,9 @@ def pipeline_cost(
     open_reader, open_record : callable
         Where its frames come from, for ever, and where its results go.
     """
-    with pipeline(setting.config, setting.folder, parts) as session:
+    with pipeline(settings.config, settings.folder, parts) as session:
         stream = session.start(open_reader, open_record)
-        steady = SteadyCost.of(session.steady_window(setting.warm, setting.steady))
+        steady = SteadyCost.of(session.steady_window(settings.warm, settings.steady))
         started = start_up(session.started, session.ready, session.arrivals(stream), steady.wall_ms)
     return PipelineCost(steady.frames_a_second, steady.wall_ms, steady.cpu_ms, started)
 
@@ -158,19 +160,19 @@ def _no_record(folder: Path) -> StreamSink:
 
 
 def cpu_ms_by_kind(window: SteadyWindow) -> dict[str, float]:
-    """CPU time of the session's processes in a steady window by kind, ms a frame."""
+    """Return the CPU time of the session's processes in a steady window by kind, ms a frame."""
     seconds = sum_by_kind(cpu_growth(window.before, window.after), window.kinds)
     return {kind: 1e3 * value / window.frames for kind, value in seconds.items()}
 
 
 def mean_of_kinds(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """CPU time a frame of each kind of process, over several runs."""
+    """Average the CPU time a frame of each kind of process over several runs."""
     kinds = sorted({kind for run in runs for kind in run})
     return {kind: fmean(run.get(kind, 0.0) for run in runs) for kind in kinds}
 
 
 def start_up(started: float, ready: float, arrivals: Sequence[Arrival], wall_ms: float) -> StartUp:
-    """How long a session took to its first label map, and to its steady rate.
+    """Return how long a session took to its first label map, and to its steady rate.
 
     Parameters
     ----------
@@ -193,7 +195,7 @@ def _kinds(*costs: PipelineCost) -> list[str]:
 
 
 def cost_table(name: str, engine: PipelineCost, empty: PipelineCost) -> str:
-    """A row for each kind of process, then all of them: CPU ms a frame with the engine and without."""
+    """Format a row for each kind of process, then all of them: CPU ms a frame with the engine and without."""
     rows = [
         [kind, *(format_number(cost.cpu_ms.get(kind, 0.0)) for cost in (engine, empty)), ""]
         for kind in _kinds(engine, empty)
@@ -206,7 +208,7 @@ def cost_table(name: str, engine: PipelineCost, empty: PipelineCost) -> str:
 
 
 def start_table(name: str, engine: PipelineCost) -> str:
-    """Seconds from the start of Ray."""
+    """Format the start-up times, seconds from the start of Ray."""
     start = engine.start_up
     rows = [
         ["Ray is up", f"{start.ray:.1f}"],

@@ -1,14 +1,14 @@
-"""The cost of a frame by its size: the engine in this process on one scene in four sizes."""
+"""Measure the cost of a frame by its size: the engine in this process on one scene in four sizes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from benchmark.finding import Finding
 from benchmark.in_process.engine_run import EngineCost, play, steady_cost
 from benchmark.plots import Plot
-from benchmark.setting import Setting, say
+from benchmark.result import MeasurementResult
+from benchmark.settings import Settings, report_progress
 from orchestrator.evaluation.datasets import open_sequence
 from orchestrator.evaluation.figures import format_number, format_table
 
@@ -17,14 +17,14 @@ __all__ = ["SIZES", "measure_sizes"]
 SIZES = ((320, 240), (640, 480), (1280, 720), (1920, 1080))
 
 
-def measure_sizes(setting: Setting, sizes: tuple[tuple[int, int], ...] = SIZES) -> Finding:
+def measure_sizes(settings: Settings, sizes: tuple[tuple[int, int], ...] = SIZES) -> MeasurementResult:
     """Play the scene ``demo`` in each size, (width, height) px."""
     costs = {}
     for number, (width, height) in enumerate(sizes):
-        say(f"sizes: {width}×{height} ({number + 1} of {len(sizes)})")
-        uri = f"synthetic:demo?frames={setting.frames}&width={width}&height={height}"
-        calls = play(setting.played(open_sequence(uri, None)), setting.config)
-        costs[f"{width}×{height}"] = steady_cost(calls, setting.warm)
+        report_progress(f"sizes: {width}×{height} ({number + 1} of {len(sizes)})")
+        uri = f"synthetic:demo?frames={settings.frames}&width={width}&height={height}"
+        calls = play(settings.played(open_sequence(uri, None)), settings.config)
+        costs[f"{width}×{height}"] = steady_cost(calls, settings.warm)
     plot = Plot(
         "A frame by its size, in one process",
         "megapixels",
@@ -37,11 +37,11 @@ def measure_sizes(setting: Setting, sizes: tuple[tuple[int, int], ...] = SIZES) 
         "lines",
     )
     figures = {size: asdict(cost) for size, cost in costs.items()}
-    return Finding((sizes_table(costs, sizes), stages_by_size(costs)), figures, {"sizes": plot})
+    return MeasurementResult((sizes_table(costs, sizes), stages_by_size(costs)), figures, {"sizes": plot})
 
 
 def sizes_table(costs: Mapping[str, EngineCost], sizes: tuple[tuple[int, int], ...]) -> str:
-    """A row for each size: wall and CPU ms a frame, and CPU ms a megapixel."""
+    """Format a row for each size: wall and CPU ms a frame, and CPU ms a megapixel."""
     rows = [
         [
             size,
@@ -55,7 +55,7 @@ def sizes_table(costs: Mapping[str, EngineCost], sizes: tuple[tuple[int, int], .
 
 
 def stages_by_size(costs: Mapping[str, EngineCost]) -> str:
-    """The engine's stages, wall ms a frame: a row for each stage, a column for each size."""
+    """Format the engine's stages, wall ms a frame: a row for each stage, a column for each size."""
     stages = dict.fromkeys(stage for cost in costs.values() for stage in cost.stage_ms)
     rows = [
         [stage, *(format_number(cost.stage_ms.get(stage, 0.0)) for cost in costs.values())]

@@ -1,7 +1,7 @@
-"""Several streams at once through Ray, against what the cores could do at best, and against a model.
+"""Measure several streams at once through Ray, against the best the cores could do, and against a model.
 
-The model (:mod:`benchmark.measurements.node_model`) knows what one stream alone costs. Where it tells the
-rates of several at once, it is believed for nodes that are not there: how many cameras they would serve.
+The model (:mod:`benchmark.measurements.node_model`) is given the cost of one stream alone. Where it predicts
+the rates of several at once, its predictions for other nodes are credible: how many cameras they would serve.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from statistics import fmean
 
-from benchmark.finding import Finding
 from benchmark.measurements.node_model import StageCosts, most_cameras, simulate
 from benchmark.measurements.ray_cost import cpu_ms_by_kind, mean_of_kinds
 from benchmark.plots import Plot
-from benchmark.setting import Setting, say
+from benchmark.result import MeasurementResult
+from benchmark.settings import Settings, report_progress
 from benchmark.through_ray.endless_video import EndlessReader
-from benchmark.through_ray.pipeline import TURNS, SteadyWindow, pipeline
+from benchmark.through_ray.pipeline import ROUNDS, SteadyWindow, pipeline
 from benchmark.through_ray.process_costs import cpu_growth
 from orchestrator.evaluation.figures import format_number, format_table
 from orchestrator.run.admission import STREAM_BYTES, cores
@@ -26,7 +26,7 @@ __all__ = ["STREAMS", "StreamsCost", "fleet_table", "measure_streams", "most_fra
 
 STREAMS = (1, 2, 4, 8)
 
-#: Nodes that are reckoned for so many cameras with so many pictures a second each.
+#: Cores of the nodes that are simulated, for so many cameras with so many pictures a second each.
 _NODES = (2, 8, 16, 64)
 _CAMERAS, _CAMERA_RATE = 1000, 5.0
 
@@ -48,34 +48,36 @@ class StreamsCost:
 
     @staticmethod
     def of(window: SteadyWindow) -> StreamsCost:
-        """What a steady window shows."""
+        """Derive the cost from a steady window."""
         seconds = sum(cpu_growth(window.before, window.after).values())
         return StreamsCost(window.frames_a_second, 1e3 * seconds / window.frames)
 
     @staticmethod
     def mean(costs: Sequence[StreamsCost]) -> StreamsCost:
-        """Of several runs."""
+        """Average the costs of several runs."""
         return StreamsCost(fmean(one.frames_a_second for one in costs), fmean(one.cpu_ms for one in costs))
 
 
-def measure_streams(setting: Setting, streams: tuple[int, ...] = STREAMS) -> Finding:
-    """Run each sequence through Ray once, twice … at once; none waits for a place, as in a run it might.
+def measure_streams(settings: Settings, streams: tuple[int, ...] = STREAMS) -> MeasurementResult:
+    """Run each sequence through Ray once, twice … at once, without the admission control of a run.
 
-    All streams are in one session, in which one, two … of them take turns, there and back: where the
-    machine's own speed changes meanwhile, it does so for all numbers. The means count.
+    All streams are in one session, in which one, two … of them run alternately, so that a change of the
+    machine's own speed affects all numbers alike. The means count.
     """
     tables, figures, plots = [], {}, {}
-    for number, name in enumerate(setting.sequences):
-        video = setting.endless_video(name)
+    for number, name in enumerate(settings.sequences):
+        video = settings.endless_video(name)
         runs: dict[int, list[StreamsCost]] = {count: [] for count in streams}
         alone: list[Mapping[str, float]] = []
-        told = f"streams: {name}, {', '.join(map(str, streams))} at once, by turns"
-        say(f"{told}: until all processes are there")
-        with pipeline(setting.config, setting.folder) as session:
+        activity = f"streams: {name}, {', '.join(map(str, streams))} at once, alternately"
+        report_progress(f"{activity}: until all processes are there")
+        with pipeline(settings.config, settings.folder) as session:
             numbers = [session.start(partial(EndlessReader, video)) for _ in range(max(streams))]
             groups = [numbers[:count] for count in streams]
-            for turn, windows in enumerate(session.turns(setting.warm, setting.steady, groups)):
-                say(f"{told} ({turn + 1} of {TURNS} done)")
+            for round_number, windows in enumerate(
+                session.alternating_windows(settings.warm, settings.steady, groups)
+            ):
+                report_progress(f"{activity} ({round_number + 1} of {ROUNDS} done)")
                 for count, window in zip(streams, windows, strict=True):
                     runs[count].append(StreamsCost.of(window))
                 alone.append(cpu_ms_by_kind(windows[0]))
@@ -84,7 +86,7 @@ def measure_streams(setting: Setting, streams: tuple[int, ...] = STREAMS) -> Fin
         one = StageCosts.of(mean_of_kinds(alone), objects)
         costs = {count: StreamsCost.mean(of_count) for count, of_count in runs.items()}
         most = most_frames_a_second(cores(), costs[streams[0]].cpu_ms)
-        say(f"streams: {name}, the model of nodes")
+        report_progress(f"streams: {name}, the model of nodes")
         modelled = {count: simulate(one, count, cores()).frames_a_second for count in streams}
         tables += [streams_table(name, costs, modelled, most), fleet_table(name, one)]
         figures[name] = {
@@ -104,18 +106,18 @@ def measure_streams(setting: Setting, streams: tuple[int, ...] = STREAMS) -> Fin
             },
             "lines",
         )
-    return Finding(tuple(tables), figures, plots)
+    return MeasurementResult(tuple(tables), figures, plots)
 
 
 def most_frames_a_second(core_count: int, cpu_ms: float) -> float:
-    """What the cores could do if they were busy with nothing else and never waited."""
+    """Return the rate of cores that do nothing else and never wait."""
     return 1e3 * core_count / cpu_ms
 
 
 def streams_table(
     name: str, costs: Mapping[int, StreamsCost], modelled: Mapping[int, float], most: float
 ) -> str:
-    """A row for each number of streams: rates, CPU time, and the rate against what the cores could do."""
+    """Format a row for each number of streams: rates, CPU time, and the rate against the best possible."""
     rows = [
         [
             str(count),
@@ -132,7 +134,7 @@ def streams_table(
 
 
 def fleet_table(name: str, costs: StageCosts, nodes: tuple[int, ...] = _NODES) -> str:
-    """What nodes of some sizes serve, by the model, and how many are needed for a thousand cameras."""
+    """Format how many cameras nodes of some sizes serve, and how many nodes a thousand cameras need."""
     rows = []
     for node_cores in nodes:
         cameras = most_cameras(costs, node_cores, _CAMERA_RATE)

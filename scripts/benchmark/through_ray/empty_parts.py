@@ -1,7 +1,7 @@
-"""Parts that do nothing: the engine's own messages of one frame, sent for every frame.
+"""Parts that compute nothing: they send the engine's own messages of one frame for every frame.
 
-With them the actors make the same calls with the same payloads, and what is left is the cost of Ray, and of
-what the actors themselves do.
+With them the actors make the same calls with the same payloads; what remains is the cost of Ray, and of the
+actors themselves.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mlbs_actors import Config, MultilayerSubtractor
-from mlbs_actors.actors.ipc.shared_memory import SharedMemory
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, SegmenterPart
 from mlbs_actors.actors.stream.protocol import GapStatus, Opening, Snapshot, SourceFrame
 from mlbs_actors.messages import (
@@ -31,7 +30,7 @@ __all__ = ["EmptyParts", "EmptyReader", "EmptySink", "FrameMessages", "last_mess
 
 @dataclass(frozen=True)
 class FrameMessages:
-    """All that passes between the parts for one frame.
+    """All messages between the parts for one frame.
 
     Attributes
     ----------
@@ -46,30 +45,30 @@ class FrameMessages:
     segmentation: Segmentation
 
 
-class _HeardSegmenter(Segmenter):
-    """The engine's segmenter, which hears and says everything about a frame; remembers it."""
+class _CapturingSegmenter(Segmenter):
+    """The engine's segmenter, which receives and returns all messages of a frame; keeps the last ones."""
 
-    heard: FrameMessages
+    captured: FrameMessages
 
     def step(self, evidence: FrameEvidence, frame: Array, posteriors: list[LayerPosterior]) -> Segmentation:
         segmentation = super().step(evidence, frame, posteriors)
-        self.heard = FrameMessages(evidence, tuple(posteriors), segmentation)
+        self.captured = FrameMessages(evidence, tuple(posteriors), segmentation)
         return segmentation
 
 
 def last_messages(frames: Iterable[Array], config: Config) -> FrameMessages:
     """Run the engine in this process; return the messages of the last frame."""
     engine = MultilayerSubtractor(config)
-    engine._segmenter = segmenter = _HeardSegmenter(config)
+    engine._segmenter = segmenter = _CapturingSegmenter(config)
     for frame in frames:
         engine.apply(frame)
     engine.flush()
-    return segmenter.heard
+    return segmenter.captured
 
 
 @dataclass(frozen=True)
 class NoState:
-    """State of a part that remembers nothing."""
+    """State of a part that has none."""
 
 
 @dataclass
@@ -116,35 +115,32 @@ class _EmptySegmenter:
 
 @dataclass(frozen=True)
 class EmptyParts:
-    """Makes parts that answer at once with the messages of one frame; a ``PartFactory``."""
+    """A ``PartFactory`` of parts that answer at once with the messages of one frame."""
 
     messages: FrameMessages
 
     def coordinator(self, config: Config) -> CoordinatorPart:
-        """Make a coordinator that finds the same in every frame."""
+        """Make a coordinator that returns the same evidence for every frame."""
         return _EmptyCoordinator(self.messages.evidence)
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
-        """Make a layer that has the same posterior in every frame."""
+        """Make a layer that returns the same posterior for every frame."""
         return _EmptyLayer(next(one for one in self.messages.posteriors if one.layer == layer))
 
-    def loop(self, part: LayerPart, memory: SharedMemory) -> None:
-        """There is none."""
-
     def segmenter(self, config: Config) -> SegmenterPart:
-        """Make a segmenter that gives the same label map for every frame."""
+        """Make a segmenter that returns the same label map for every frame."""
         return _EmptySegmenter(self.messages.segmentation)
 
     def warm_layer(self) -> None:
-        """Nothing is to be compiled."""
+        """Do nothing: there is nothing to compile."""
 
     def warm_stream(self) -> None:
-        """Nothing is to be imported."""
+        """Do nothing: there is nothing to import."""
 
 
 @dataclass
 class EmptyReader:
-    """Delivers one picture for ever."""
+    """A reader that delivers one picture without end."""
 
     image: Array
     problem: str | None = None
@@ -156,12 +152,12 @@ class EmptyReader:
         return SourceFrame(index, self.image, float(index), f"{index:05d}")
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: no file is open."""
 
 
 @dataclass
 class EmptySink:
-    """Writes nothing."""
+    """A sink that writes nothing."""
 
     rows: int = 0
     opening: Opening = field(default_factory=Opening)
@@ -174,15 +170,15 @@ class EmptySink:
         return self.rows
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
-        """Pass over it."""
+        """Ignore the gap."""
         return self.rows
 
     def keep(self, snapshot: Snapshot) -> bool:
-        """None is offered, since none is asked for."""
+        """Decline the snapshot; none is requested."""
         return False
 
     def provisional(self) -> None:
-        """Nothing is kept."""
+        """Do nothing: nothing is recorded."""
 
     def close(self, *, whole: bool) -> int:
         """Return the number of rows."""

@@ -1,4 +1,4 @@
-"""Frames of a sequence as a video file, and a reader that plays such a file for ever."""
+"""Write frames as a video file, and read such a file in a loop."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from orchestrator.sources.opening import open_reader
 __all__ = ["EndlessReader", "open_video", "write_video"]
 
 _RATE = 25
-#: H.264 with the sensor's noise still in it.
+#: H.264 that preserves the sensor's noise.
 _QUALITY = {"crf": "18", "preset": "veryfast"}
 
 
@@ -45,7 +45,7 @@ def open_video(path: Path) -> FrameReader:
 
 @dataclass
 class EndlessReader:
-    """Plays a video again and again, without a cut if it goes forth and back.
+    """A reader that plays a video in a loop, without a cut if it runs forward and back.
 
     Attributes
     ----------

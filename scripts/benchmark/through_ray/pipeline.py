@@ -1,9 +1,8 @@
-"""Streams through Ray as users run them, watched from the driver: a session, a node, readers, real records.
+"""Run streams through Ray as users do, observed from the driver: a session, a node, readers, real records.
 
 The source is a video file, so that its reader does what a user's does. A *steady window* begins when every
-stream has read its warm frames and no process is starting any more. What is noted on the way (which
-process is which layer, when each label map came to the sink) goes to small files of the processes it happens
-in.
+stream has read its warm frames and no process is starting any more. The processes record in small files
+which layer each of them is, and when each label map reached the sink.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmark.through_ray.process_costs import Process, kinds_of, private_bytes, process_tree
-from benchmark.through_ray.recording_parts import SPARE, NotingParts, NotingSink
+from benchmark.through_ray.recording_parts import SPARE, RecordingParts, RecordingSink
 from mlbs_actors import Config
 from mlbs_actors.actors import Node, PoolPolicy, StreamActors
 from mlbs_actors.actors.parts import EngineParts, PartFactory
@@ -30,28 +29,28 @@ from orchestrator.command_line import SAVED
 from orchestrator.ray_session import ray_session
 from orchestrator.sinks.record import StreamRecord
 
-__all__ = ["TURNS", "Arrival", "Pipeline", "SteadyWindow", "pipeline", "record_in"]
+__all__ = ["ROUNDS", "Arrival", "Pipeline", "SteadyWindow", "pipeline", "record_in"]
 
-#: Between two looks at whether the layer processes have started, s.
-_LOOK_SECONDS = 0.2
+#: Interval of polling whether the layer processes have started, s.
+_POLL_SECONDS = 0.2
 
-#: How often streams that are compared take turns.
-TURNS = 6
+#: How often streams that are compared run alternately.
+ROUNDS = 6
 
-#: What the processes are that wait for the next stream.
+#: Kind of the processes that wait for the next stream.
 STANDBY = "standby"
 
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A label map that has come to the sink.
+    """A label map that has reached the sink.
 
     Attributes
     ----------
     seconds : float
         When, on the machine's monotonic clock, s.
     labelled : float
-        When it was made: some go to the sink together.
+        When it was made; several may reach the sink together.
     frame : int
         Index of the frame.
     objects : frozenset of int
@@ -73,7 +72,7 @@ class SteadyWindow:
     begin, end : float
         On the machine's monotonic clock, s.
     frames : int
-        Label maps of all streams that came to the sink between them.
+        Label maps of all streams that reached the sink between them.
     before, after : dict of int to Process
         The session's processes then.
     kinds : dict of int to str
@@ -92,7 +91,7 @@ class SteadyWindow:
 
     @property
     def frames_a_second(self) -> float:
-        """Of all streams together."""
+        """Return the rate of all streams together."""
         return self.frames / (self.end - self.begin)
 
 
@@ -119,7 +118,7 @@ class Pipeline:
     _config: Config
     _folder: Path
     _streams: list[StreamActors] = field(default_factory=list)
-    #: What is under way, and of which stream.
+    #: Bursts of frames in progress, with the number of their stream.
     _bursts: dict[Future[StreamProgress], int] = field(default_factory=dict)
 
     def start(
@@ -128,10 +127,12 @@ class Pipeline:
         open_record: Callable[[Path], StreamSink] = record_in,
         max_frames: int | None = None,
     ) -> int:
-        """Start a stream; return its number, by which :meth:`arrivals` knows it."""
+        """Start a stream; return its number, which :meth:`arrivals` takes."""
         number = len(self._streams)
         open_sink = partial(
-            NotingSink, partial(open_record, self._folder / f"record-{number}"), self._notes(number)
+            RecordingSink,
+            partial(open_record, self._folder / f"record-{number}"),
+            self._arrivals_file(number),
         )
         spec = StreamSpec(f"stream {number}", self._config, open_reader, open_sink, max_frames)
         self._streams.append(self._node.start(spec))
@@ -147,10 +148,10 @@ class Pipeline:
     def settle(self) -> None:
         """Wait until no layer process is starting any more."""
         while not self._settled():
-            time.sleep(_LOOK_SECONDS)
+            time.sleep(_POLL_SECONDS)
 
     def steady_window(self, warm: int, frames: int) -> SteadyWindow:
-        """Drive all streams, which must not end; stop them.
+        """Drive all streams, which must not end, until a steady window is over; stop them.
 
         Parameters
         ----------
@@ -165,10 +166,13 @@ class Pipeline:
         self._stop()
         return window
 
-    def turns(self, warm: int, frames: int, groups: Sequence[Sequence[int]]) -> Iterator[list[SteadyWindow]]:
-        """Drive groups of streams, which must not end, one after the other, there and back; stop them.
+    def alternating_windows(
+        self, warm: int, frames: int, groups: Sequence[Sequence[int]]
+    ) -> Iterator[list[SteadyWindow]]:
+        """Drive groups of streams, which must not end, alternately; stop them at the end.
 
-        So what else runs on a shared machine, whose speed changes within minutes, weighs on all alike.
+        Every other round is in reverse order, so that other load on a shared machine, which changes within
+        minutes, affects all groups alike.
 
         Parameters
         ----------
@@ -180,17 +184,17 @@ class Pipeline:
         Yields
         ------
         list of SteadyWindow
-            Of each of the :data:`TURNS` one for each group, in which no other stream was driven.
+            For each of the :data:`ROUNDS` one of each group, in which no other stream was driven.
         """
         self._warm_up(warm)
-        for turn in range(TURNS):
+        for round_number in range(ROUNDS):
             windows = []
-            for group in reversed(groups) if turn % 2 else groups:
+            for group in reversed(groups) if round_number % 2 else groups:
                 wait(self._bursts)  # the last group's
                 self._bursts.clear()
                 self._drive(group, bool)
                 windows.append(self._window(group, frames))
-            yield windows[::-1] if turn % 2 else windows
+            yield windows[::-1] if round_number % 2 else windows
         self._stop()
 
     def _warm_up(self, warm: int) -> None:
@@ -200,26 +204,26 @@ class Pipeline:
 
         def steady(read: Mapping[int, int]) -> bool:
             least.update(read)
-            return min(least.values()) >= warm and self._settled() and self._stands_by()
+            return min(least.values()) >= warm and self._settled() and self._standby_is_ready()
 
         self._drive(numbers, steady)
 
     def _window(self, numbers: Sequence[int], frames: int) -> SteadyWindow:
-        """Drive some streams, which are driven already, until each has had so many label maps more."""
+        """Drive streams that are driven already until each has produced so many more label maps."""
         begin, before = time.monotonic(), process_tree(os.getpid())
         arrived = {number: self._arrived(number) for number in numbers}
         self._drive(numbers, lambda _: all(self._arrived(one) - arrived[one] >= frames for one in numbers))
         end, after = time.monotonic(), process_tree(os.getpid())
         memory = {pid: private_bytes(pid) for pid in after}
         kinds = kinds_of(after, os.getpid(), self._layer_kinds())
-        kinds |= {pid: STANDBY for pid in after if (self._folder / "waiting" / str(pid)).exists()}
+        kinds |= {pid: STANDBY for pid in after if (self._folder / "standby" / str(pid)).exists()}
         count = sum(begin < one.seconds <= end for number in numbers for one in self.arrivals(number))
         return SteadyWindow(begin, end, count, before, after, kinds, memory)
 
     def _drive(self, numbers: Sequence[int], enough: Callable[[Mapping[int, int]], bool]) -> None:
-        """Have streams read on until it is enough, which is asked after bursts with what was read by then.
+        """Keep streams reading until ``enough``, called after bursts, is true of the frames read.
 
-        The next bursts are under way at the end.
+        The next bursts are in progress when this returns.
         """
         for number in set(numbers) - set(self._bursts.values()):
             self._bursts[self._streams[number].advance()] = number
@@ -238,9 +242,9 @@ class Pipeline:
             stream.stop(drain=False)
 
     def arrivals(self, number: int) -> list[Arrival]:
-        """All label maps of a stream that have come to the sink, in order."""
-        notes = self._notes(number)
-        lines = notes.read_text(encoding="ascii").splitlines(keepends=True) if notes.exists() else []
+        """Return all label maps of a stream that have reached the sink, in order."""
+        file = self._arrivals_file(number)
+        lines = file.read_text(encoding="ascii").splitlines(keepends=True) if file.exists() else []
         words = [line.split() for line in lines if line.endswith("\n")]  # the last may not be whole
         return [
             Arrival(float(line[0]), float(line[1]), int(line[2]), frozenset(map(int, line[3:])))
@@ -248,11 +252,11 @@ class Pipeline:
         ]
 
     def _arrived(self, number: int) -> int:
-        """How many label maps there are: asked after every burst, so they are not read."""
-        notes = self._notes(number)
-        return notes.read_bytes().count(b"\n") if notes.exists() else 0
+        """Count the label maps without parsing them, because this happens after every burst."""
+        file = self._arrivals_file(number)
+        return file.read_bytes().count(b"\n") if file.exists() else 0
 
-    def _notes(self, number: int) -> Path:
+    def _arrivals_file(self, number: int) -> Path:
         return self._folder / f"arrivals-{number}"
 
     def _settled(self) -> bool:
@@ -261,18 +265,18 @@ class Pipeline:
         # With fewer idle ones the pool is about to start another.
         return len(started) >= census.idle + census.busy and census.idle >= PoolPolicy().least
 
-    def _stands_by(self) -> bool:
-        """Whether the coordinator and the segmenter wait that the next stream begins in."""
-        return len(list((self._folder / "waiting").iterdir())) >= 2
+    def _standby_is_ready(self) -> bool:
+        """Return whether the standby processes of the next coordinator and segmenter are ready."""
+        return len(list((self._folder / "standby").iterdir())) >= 2
 
     def _layer_kinds(self) -> dict[int, str]:
-        notes = (self._folder / "layers").iterdir()
-        return {int(note.name): note.read_text(encoding="utf-8") or SPARE for note in notes}
+        files = (self._folder / "layers").iterdir()
+        return {int(file.name): file.read_text(encoding="utf-8") or SPARE for file in files}
 
 
 @contextmanager
 def pipeline(config: Config, scratch: Path, parts: PartFactory | None = None) -> Iterator[Pipeline]:
-    """Have a Ray session with one node while the ``with`` block runs; its streams end with it.
+    """Keep a Ray session with one node while the ``with`` block runs; its streams end with it.
 
     Parameters
     ----------
@@ -285,19 +289,19 @@ def pipeline(config: Config, scratch: Path, parts: PartFactory | None = None) ->
     """
     started = time.monotonic()
     at_sigterm = signal.getsignal(signal.SIGTERM)
-    # Ray prints its own warnings; standard output belongs to the tables.
+    # Ray prints its own warnings; standard output is for the tables.
     with (
         redirect_stdout(sys.stderr),
         TemporaryDirectory(prefix="mlbs-bench-") as name,
         ray_session(None, scratch),
     ):
         ready = time.monotonic()
-        signal.signal(signal.SIGTERM, at_sigterm)  # Ray replaces it, and would end without the block's exits
+        signal.signal(signal.SIGTERM, at_sigterm)  # Ray replaces it, and would exit without unwinding
         folder = Path(name)
-        noting = NotingParts(parts or EngineParts(), folder / "layers", folder / "waiting")
-        noting.folder.mkdir()
-        noting.waiting.mkdir()
-        node = Node(parts=noting)
+        recording_parts = RecordingParts(parts or EngineParts(), folder / "layers", folder / "standby")
+        recording_parts.folder.mkdir()
+        recording_parts.standby.mkdir()
+        node = Node(parts=recording_parts)
         made = Pipeline(started, ready, node, config, folder)
         try:
             yield made

@@ -1,6 +1,6 @@
-"""What processes cost: CPU time and private memory of a process and all its descendants, by kind.
+"""Read the CPU time and private memory of a process and all its descendants, by kind of process.
 
-Read from ``/proc``. The kind of one of our actors is known by the name that Ray gives its process,
+The source is ``/proc``. The kind of one of our actors is known by the name that Ray gives its process,
 ``ray::ReaderActor.serve``; whatever else descends from the driver is Ray's own.
 """
 
@@ -24,7 +24,7 @@ __all__ = [
     "sum_by_kind",
 ]
 
-#: Kinds that are no actors, and the actors whose kind depends on what they were made.
+#: Kinds that are no actors, and actors whose role is not known.
 DRIVER, RAY, LAYER = "driver", "Ray's own", "layer"
 
 _ACTOR = re.compile(r"ray::(\w+)")
@@ -50,7 +50,7 @@ class Process:
     cpu_seconds : float
         User and system time of all its threads since its start, s.
     started : int
-        When, by the kernel's clock, ticks: process ids are given again, but not with the same start.
+        When, by the kernel's clock, ticks: process ids are reused, but not with the same start.
     """
 
     pid: int
@@ -61,14 +61,14 @@ class Process:
 
 
 def process_tree(root: int, proc: Path = Path("/proc")) -> dict[int, Process]:
-    """A process and all that descend from it, by process id.
+    """Return a process and all that descend from it, by process id.
 
     Parameters
     ----------
     root : int
         Process id.
     proc : Path
-        Where the kernel tells of processes.
+        Where the kernel lists processes.
     """
     known = [_read(folder) for folder in proc.iterdir() if folder.name.isdecimal()]
     children: dict[int, list[Process]] = {}
@@ -97,7 +97,7 @@ def _read(folder: Path) -> Process | None:
 
 
 def kinds_of(tree: Mapping[int, Process], driver: int, layers: Mapping[int, str]) -> dict[int, str]:
-    """Kind of each process of a session.
+    """Return the kind of each process of a session.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def kinds_of(tree: Mapping[int, Process], driver: int, layers: Mapping[int, str]
     driver : int
         Process id of the driver.
     layers : mapping of int to str
-        What the layer processes are, where it is known; the others are :data:`LAYER`.
+        Roles of the layer processes, where they are known; the others are :data:`LAYER`.
     """
     kinds = {}
     for pid, process in tree.items():
@@ -117,9 +117,9 @@ def kinds_of(tree: Mapping[int, Process], driver: int, layers: Mapping[int, str]
 
 
 def cpu_growth(before: Mapping[int, Process], after: Mapping[int, Process]) -> dict[int, float]:
-    """CPU seconds that each process has used between two moments.
+    """Return the CPU seconds that each process has used between two moments.
 
-    One that was started meanwhile counts whole; one that ended meanwhile is not known any more.
+    One that was started in between counts whole; one that ended in between is left out.
     """
     return {
         pid: process.cpu_seconds - (before[pid].cpu_seconds if pid in before else 0.0)
@@ -128,7 +128,7 @@ def cpu_growth(before: Mapping[int, Process], after: Mapping[int, Process]) -> d
 
 
 def sum_by_kind(values: Mapping[int, float], kinds: Mapping[int, str]) -> dict[str, float]:
-    """Sums of a figure of each process over the processes of a kind, in the order of the kinds' names."""
+    """Sum a figure of each process over the processes of a kind, in the order of the kinds' names."""
     sums: dict[str, float] = {}
     for pid, value in values.items():
         sums[kinds[pid]] = sums.get(kinds[pid], 0.0) + value
@@ -136,7 +136,7 @@ def sum_by_kind(values: Mapping[int, float], kinds: Mapping[int, str]) -> dict[s
 
 
 def private_bytes(pid: int, proc: Path = Path("/proc")) -> int:
-    """Memory that would be free if this process ended (its unique set size), bytes; 0 if it has ended."""
+    """Return the memory that would be freed if a process ended (its unique set size), bytes; 0 if it has."""
     try:
         lines = (proc / str(pid) / "smaps_rollup").read_text(encoding="ascii").splitlines()
     except OSError:

@@ -1,6 +1,6 @@
-"""Parts of a stream that note on the way what they are, and when what came.
+"""Parts of a stream that record the role of their process, and when label maps were made and arrived.
 
-Each writes to small files of the process it works in; otherwise they are the parts that they are made around.
+Each wraps another part and otherwise behaves like it; it writes to small files, one for each process.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 
-__all__ = ["SPARE", "NotingParts", "NotingSink"]
+__all__ = ["SPARE", "RecordingParts", "RecordingSink"]
 
-#: What a layer process is as long as it has been no layer.
+#: Kind of a layer process that has not been a layer yet.
 SPARE = "spare layer"
 
 #: Among the stages of a label map on its way to the sink: when it was made.
@@ -34,52 +34,52 @@ _LABELLED = "labelled"
 
 
 @dataclass(frozen=True)
-class NotingParts:
-    """Other parts, and a file for each layer process that says what it is; one for those that wait."""
+class RecordingParts:
+    """Wrap other parts; keep a file with its role for each layer process, and one for each on standby."""
 
     parts: PartFactory
     folder: Path
-    waiting: Path
+    standby: Path
 
     def coordinator(self, config: Config) -> CoordinatorPart:
         """See :class:`PartFactory`."""
-        self._wait_no_more()
+        self._leave_standby()
         return self.parts.coordinator(config)
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         """See :class:`PartFactory`."""
-        if self._own_note.exists():  # else the layer begins in the segmenter's process
-            self._note("background layer" if kind == "background" else "object layer")
+        if self._own_file.exists():  # else the layer starts in the segmenter's process
+            self._record_kind("background layer" if kind == "background" else "object layer")
         return self.parts.layer(config, layer, kind)
 
     def segmenter(self, config: Config) -> SegmenterPart:
         """See :class:`PartFactory`."""
-        self._wait_no_more()
-        return _NotingSegmenter(self.parts.segmenter(config))
+        self._leave_standby()
+        return _TimestampingSegmenter(self.parts.segmenter(config))
 
     def warm_layer(self) -> None:
         """See :class:`PartFactory`."""
         self.parts.warm_layer()
-        self._note(SPARE)
+        self._record_kind(SPARE)
 
     def warm_stream(self) -> None:
         """See :class:`PartFactory`."""
         self.parts.warm_stream()
-        (self.waiting / str(os.getpid())).touch()
+        (self.standby / str(os.getpid())).touch()
 
-    def _wait_no_more(self) -> None:
-        (self.waiting / str(os.getpid())).unlink(missing_ok=True)
+    def _leave_standby(self) -> None:
+        (self.standby / str(os.getpid())).unlink(missing_ok=True)
 
-    def _note(self, kind: str) -> None:
-        self._own_note.write_text(kind, encoding="utf-8")
+    def _record_kind(self, kind: str) -> None:
+        self._own_file.write_text(kind, encoding="utf-8")
 
     @property
-    def _own_note(self) -> Path:
+    def _own_file(self) -> Path:
         return self.folder / str(os.getpid())
 
 
-class _NotingSegmenter:
-    """Another segmenter, which notes in each label map when it was made."""
+class _TimestampingSegmenter:
+    """Wrap another segmenter; add to each label map when it was made."""
 
     def __init__(self, part: SegmenterPart) -> None:
         self._part = part
@@ -99,13 +99,13 @@ class _NotingSegmenter:
         return replace(made, stage_ms={**made.stage_ms, _LABELLED: time.monotonic()})
 
 
-class NotingSink:
-    """Another sink, and a line for each label map that came to it."""
+class RecordingSink:
+    """Wrap another sink; write a line for each label map that arrives."""
 
-    def __init__(self, open_sink: Callable[[], StreamSink], notes: Path) -> None:
+    def __init__(self, open_sink: Callable[[], StreamSink], file: Path) -> None:
         self._sink = open_sink()
         self.opening = self._sink.opening
-        self._notes = notes.open("w", encoding="ascii", buffering=1)
+        self._file = file.open("w", encoding="ascii", buffering=1)
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
@@ -114,7 +114,7 @@ class NotingSink:
         objects = " ".join(str(layer.layer) for layer in segmentation.layers)
         stage_ms = dict(segmentation.stage_ms)
         labelled = stage_ms.pop(_LABELLED)
-        self._notes.write(f"{time.monotonic()} {labelled} {frame.index} {objects}\n")
+        self._file.write(f"{time.monotonic()} {labelled} {frame.index} {objects}\n")
         return self._sink.write(replace(segmentation, stage_ms=stage_ms), frame, background)
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
@@ -131,5 +131,5 @@ class NotingSink:
 
     def close(self, *, whole: bool) -> int:
         """See :class:`StreamSink`."""
-        self._notes.close()
+        self._file.close()
         return self._sink.close(whole=whole)

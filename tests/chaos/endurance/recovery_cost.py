@@ -1,8 +1,8 @@
-"""What recovery costs: the rate of a stream whose record survives a kill, beside one that would not.
+"""Measure the cost of recovery: the rate of a stream whose record survives a kill, beside one that would not.
 
-Both write the same masks and tables, which is what the run is for. What is compared is what only serves to
-go on after a kill: waiting for the disk, and the snapshots. The two kinds of streams are run in turns in one
-session, so that what else the machine does hits both.
+Both write the same masks and tables, which is what the run is for. The difference is what only serves to
+resume after a kill: waiting for the disk, and the snapshots. The two kinds of streams run alternately in one
+session, so that other load of the machine affects both.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _WIDTH, _HEIGHT = 320, 240
 
 _SAVE = frozenset({"masks", "parquet"})
 
-#: Frames of the start, that are not timed.
+#: Frames at the start that are not timed.
 _WARM_FRAMES = 16
 
 
@@ -49,11 +49,11 @@ class CostFigures:
 
     @property
     def ratios(self) -> list[float]:
-        """Of each pair, the rate with recovery over that without."""
+        """Return for each pair the rate with recovery over that without."""
         return [one / other for one, other in zip(self.safe, self.unsafe, strict=True)]
 
     def table(self) -> str:
-        """The figures as text."""
+        """Format the figures."""
         pairs = zip(self.safe, self.unsafe, self.ratios, strict=True)
         rows = [
             [str(number), f"{one:.2f}", f"{other:.2f}", f"{ratio:.3f}"]
@@ -64,7 +64,7 @@ class CostFigures:
 
 
 def measure_cost(pairs: int, frames: int, scratch: Path) -> CostFigures:
-    """Run a scene again and again in one session, in turn with and without what recovery needs.
+    """Run a scene repeatedly in one session, alternately with and without what recovery needs.
 
     Parameters
     ----------
@@ -95,12 +95,12 @@ def _reader(frames: int) -> SceneReader:
 
 
 def _safe(folder: Path) -> StreamRecord:
-    """A record as the command keeps it, without what is derived from it; with snapshots."""
+    """Open a record as the command does, with snapshots, without derived outputs."""
     return StreamRecord(folder, folder.name, _SAVE)
 
 
 class _UnsafeRecord(StreamRecord):
-    """The same files and the line that says they count, but nobody waits for the disk, and no snapshots."""
+    """The same files and commits, but without waiting for the disk, and without snapshots."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder, folder.name, _SAVE)

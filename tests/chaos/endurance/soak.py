@@ -1,4 +1,4 @@
-"""Many long streams whose objects come and go: what the run's processes take over time."""
+"""Run many long streams whose objects come and go, and sample the resources of its processes."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from chaos.harness.scenario import expect_end
 from mlbs_actors.messages import Array
 from orchestrator.evaluation.figures import format_table
 
-__all__ = ["Look", "SoakFigures", "growth", "look_at", "memory_plot", "soak"]
+__all__ = ["Sample", "SoakFigures", "growth", "memory_plot", "soak", "take_sample"]
 
-#: Between two looks, s.
-_LOOK_SECONDS = 5.0
+#: Interval between two samples, s.
+_SAMPLE_SECONDS = 5.0
 
-#: Frames of a stream that its growth is told without: buffers fill, objects are born.
+#: First frames of a stream that do not count for the growth: buffers fill, objects are born.
 _SETTLING_FRAMES = 100
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """The run at one moment.
+class Sample:
+    """Resources of the run at one moment.
 
     Attributes
     ----------
@@ -54,42 +54,44 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class SoakFigures:
-    """What a soak showed.
+    """Outcome of a soak.
 
     Attributes
     ----------
-    looks : tuple of Look
+    samples : tuple of Sample
     label_maps, objects : int
         Committed, and found, over all streams.
     """
 
-    looks: tuple[Look, ...]
+    samples: tuple[Sample, ...]
     label_maps: int
     objects: int
 
     def table(self) -> str:
-        """The figures as text."""
-        looks = self.looks
-        largest = max(looks, key=lambda look: sum(look.memory.values()))
-        kinds = sorted({kind for look in looks for kind in look.memory})
-        rows = [[kind, f"{largest.memory.get(kind, 0.0):.0f}", _growth_text(looks, [kind])] for kind in kinds]
+        """Format the figures."""
+        samples = self.samples
+        largest = max(samples, key=lambda sample: sum(sample.memory.values()))
+        kinds = sorted({kind for sample in samples for kind in sample.memory})
+        rows = [
+            [kind, f"{largest.memory.get(kind, 0.0):.0f}", _growth_text(samples, [kind])] for kind in kinds
+        ]
         steady = [kind for kind in kinds if kind != LAYER]
-        rows.append(["all but layers", _sum_text(largest, steady), _growth_text(looks, steady)])
-        rows.append(["all", _sum_text(largest, kinds), _growth_text(looks, kinds)])
-        frames, seconds = looks[-1].frames, looks[-1].seconds
+        rows.append(["all but layers", _sum_text(largest, steady), _growth_text(samples, steady)])
+        rows.append(["all", _sum_text(largest, kinds), _growth_text(samples, kinds)])
+        frames, seconds = samples[-1].frames, samples[-1].seconds
         return "\n".join(
             (
                 f"{frames} frames in {seconds:.0f} s, {self.label_maps} label maps, {self.objects} objects",
-                f"processes {_range([look.processes for look in looks])}, "
-                f"of them layers {_range([look.layers for look in looks])}, "
-                f"descriptors {_range([look.descriptors for look in looks])}",
+                f"processes {_range([sample.processes for sample in samples])}, "
+                f"of them layers {_range([sample.layers for sample in samples])}, "
+                f"descriptors {_range([sample.descriptors for sample in samples])}",
                 format_table(["private memory", "MiB at most", "MiB per 1,000 frames"], rows),
             )
         )
 
 
 def soak(streams: int, frames: int, folder: Path) -> SoakFigures:
-    """Run streams through which objects drive, one after the other.
+    """Run streams at once in which objects drive through the scene, one after the other.
 
     Parameters
     ----------
@@ -100,7 +102,7 @@ def soak(streams: int, frames: int, folder: Path) -> SoakFigures:
 
     Raises
     ------
-    NotHeldError
+    ExpectationError
         If the run does not end with every frame labelled.
     """
     names = [f"street{number}" for number in range(streams)]
@@ -108,27 +110,27 @@ def soak(streams: int, frames: int, folder: Path) -> SoakFigures:
         f"{name} 'synthetic:traffic?frames={frames}&width=320&height=240&seed={number}'"
         for number, name in enumerate(names)
     ]
-    looks: list[Look] = []
+    samples: list[Sample] = []
     began = time.monotonic()
     with ObservedRun(lines, folder) as run:
         while not run.ended:
-            looks.append(look_at(run, time.monotonic() - began))
-            time.sleep(_LOOK_SECONDS)
+            samples.append(take_sample(run, time.monotonic() - began))
+            time.sleep(_SAMPLE_SECONDS)
         expect_end(run, 0)
         records = [content(run.output / name) for name in names]
     label_maps = sum(len(record["masks"]) for record in records)
     expect(label_maps == streams * frames, f"{label_maps} label maps of {streams * frames}")
     objects = sum(len({row["layer"] for row in record["layers"]}) for record in records)
-    return SoakFigures(tuple(looks), label_maps, objects)
+    return SoakFigures(tuple(samples), label_maps, objects)
 
 
-def look_at(run: ObservedRun, seconds: float) -> Look:
-    """Look at a run's processes and its status."""
+def take_sample(run: ObservedRun, seconds: float) -> Sample:
+    """Sample a run's processes and its status."""
     tree = run.tree()
     kinds = kinds_of(tree, run.pid, {})
     status = run.status()
     memory = sum_by_kind({pid: private_bytes(pid) / 2**20 for pid in tree}, kinds)
-    return Look(
+    return Sample(
         seconds=seconds,
         frames=sum(stream["read"] for stream in status.values()),
         running=frozenset(
@@ -143,35 +145,35 @@ def look_at(run: ObservedRun, seconds: float) -> Look:
     )
 
 
-def growth(looks: Sequence[Look], kinds: Sequence[str]) -> float:
-    """Growth of the memory of processes, MiB per 1,000 frames; nan if nothing can be told.
+def growth(samples: Sequence[Sample], kinds: Sequence[str]) -> float:
+    """Return the growth of the memory of processes, MiB per 1,000 frames; nan if it is not known.
 
-    The line of least squares through all stretches over which the same streams are at work, in as many
-    processes and layers: each has a level of its own. That processes become more is told by their number.
+    It is the slope of a least-squares fit over all stretches with the same streams at work, in as many
+    processes and layers; each stretch has a level of its own. The number of processes is reported separately.
     """
     above, below = 0.0, 0.0
     start = 0
-    for end in range(1, len(looks) + 1):
-        if end < len(looks) and _at_work(looks[end]) == _at_work(looks[start]):
+    for end in range(1, len(samples) + 1):
+        if end < len(samples) and _at_work(samples[end]) == _at_work(samples[start]):
             continue
-        stretch, start = looks[start:end], end
+        stretch, start = samples[start:end], end
         if stretch[0].running and len(stretch) > 2:
-            frames = _centred([look.frames for look in stretch])
-            sizes = _centred([sum(look.memory.get(kind, 0.0) for kind in kinds) for look in stretch])
+            frames = _centred([sample.frames for sample in stretch])
+            sizes = _centred([sum(sample.memory.get(kind, 0.0) for kind in kinds) for sample in stretch])
             above, below = above + float(frames @ sizes), below + float(frames @ frames)
     return 1000 * above / below if below else float("nan")
 
 
-def _at_work(look: Look) -> tuple[frozenset[str], int, int]:
-    return look.running, look.processes, look.layers
+def _at_work(sample: Sample) -> tuple[frozenset[str], int, int]:
+    return sample.running, sample.processes, sample.layers
 
 
-def memory_plot(looks: Sequence[Look]) -> Plot:
-    """The memory of each kind of process over time."""
-    kinds = sorted({kind for look in looks for kind in look.memory})
-    series = {kind: [look.memory.get(kind, 0.0) for look in looks] for kind in kinds}
-    series["all"] = [sum(look.memory.values()) for look in looks]
-    minutes = [look.seconds / 60 for look in looks]
+def memory_plot(samples: Sequence[Sample]) -> Plot:
+    """Return a plot of the memory of each kind of process over time."""
+    kinds = sorted({kind for sample in samples for kind in sample.memory})
+    series = {kind: [sample.memory.get(kind, 0.0) for sample in samples] for kind in kinds}
+    series["all"] = [sum(sample.memory.values()) for sample in samples]
+    minutes = [sample.seconds / 60 for sample in samples]
     return Plot("Private memory of the run's processes", "minutes", "MiB", minutes, series, "lines")
 
 
@@ -188,13 +190,13 @@ def _descriptors(pid: int) -> int:
         return 0  # it has ended meanwhile
 
 
-def _growth_text(looks: Sequence[Look], kinds: Sequence[str]) -> str:
-    value = growth(looks, kinds)
+def _growth_text(samples: Sequence[Sample], kinds: Sequence[str]) -> str:
+    value = growth(samples, kinds)
     return "unknown" if np.isnan(value) else f"{value:+.2f}"
 
 
-def _sum_text(look: Look, kinds: Sequence[str]) -> str:
-    return f"{sum(look.memory.get(kind, 0.0) for kind in kinds):.0f}"
+def _sum_text(sample: Sample, kinds: Sequence[str]) -> str:
+    return f"{sum(sample.memory.get(kind, 0.0) for kind in kinds):.0f}"
 
 
 def _range(values: Sequence[int]) -> str:

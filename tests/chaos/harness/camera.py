@@ -1,8 +1,8 @@
-"""A network camera that does what it is told: an RTSP server on this machine that stalls and refuses.
+"""A scripted network camera: an RTSP server on this machine that can stall and refuse.
 
-It speaks as much RTSP (RFC 2326) as libav asks for: DESCRIBE, SETUP, PLAY, with RTP interleaved in the same
-connection (10.12). The video is an MPEG transport stream (RFC 2250) of key frames alone. Which pictures
-a connection sends, and when, is said by a script.
+It implements as much RTSP (RFC 2326) as libav requests: DESCRIBE, SETUP, PLAY, with RTP interleaved in the
+same connection (10.12). The video is an MPEG transport stream (RFC 2250) of key frames alone. A script
+decides which pictures a connection sends, and when.
 """
 
 from __future__ import annotations
@@ -42,23 +42,23 @@ _CLOCK = 90_000
 
 
 def as_received(pictures: Sequence[Array], count: int) -> list[Array]:
-    """What a camera's first ``count`` pictures are at the other end: (H, W, 3) uint8 each."""
+    """Decode a camera's first ``count`` pictures as a client receives them: (H, W, 3) uint8 each."""
     with _Packets(*pictures[0].shape[:2]) as packets:
         sent = b"".join(packets.of(pictures[number % len(pictures)], number) for number in range(count + 1))
     with av.open(io.BytesIO(sent), "r", format="mpegts") as container:
-        # The last picture is not known to be whole, since nothing follows.
+        # The last picture is left out: nothing after it shows that it is whole.
         return [frame.to_ndarray(format="bgr24") for frame in container.decode(video=0)][:count]
 
 
 def play(first: int, last: int, began: float) -> Iterator[int]:
-    """Numbers from ``first`` up to ``last``, each when it is due by a camera that began at ``began``."""
+    """Yield ``first`` to ``last`` (excluded), each when a camera that started at ``began`` sends it."""
     for number in range(first, last):
         time.sleep(max(0.0, began + number / RATE - time.monotonic()))
         yield number
 
 
 class Camera:
-    """A camera while the ``with`` block runs.
+    """A camera that serves while the ``with`` block runs.
 
     Parameters
     ----------
@@ -72,10 +72,10 @@ class Camera:
     address : str
         With a password.
     connected : list of float
-        When connections were asked for, monotonic time, s.
+        When connections were requested, monotonic time, s.
     """
 
-    #: In no message or file may this be found.
+    #: Must not appear in any message or file.
     password = "hunter2"
 
     def __init__(self, pictures: Sequence[Array], script: Callable[[int], Iterator[int] | None]) -> None:
@@ -100,9 +100,9 @@ class Camera:
                 return
             script = self._script(len(self.connected))
             self.connected.append(time.monotonic())
-            threading.Thread(target=self._converse, args=(line, script), daemon=True).start()
+            threading.Thread(target=self._serve_connection, args=(line, script), daemon=True).start()
 
-    def _converse(self, line: socket.socket, script: Iterator[int] | None) -> None:
+    def _serve_connection(self, line: socket.socket, script: Iterator[int] | None) -> None:
         with line, suppress(OSError):
             requests = line.makefile("r", encoding="ascii", newline="\r\n")
             while script is not None:
@@ -159,7 +159,7 @@ class _Packets:
         self._container.close()
 
     def of(self, picture: Array, number: int) -> bytes:
-        """The packets of one picture."""
+        """Return the packets of one picture."""
         frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
         frame.pts, frame.time_base = number, Fraction(1, RATE)
         for packet in self._stream.encode(frame):

@@ -1,8 +1,8 @@
-"""Faults at an exact place: what a function of the run does when it is called, changed from outside.
+"""Inject faults at an exact call: change from outside what a function of a run does when it is called.
 
-A run is started with a folder on its ``PYTHONPATH`` whose ``sitecustomize`` calls :func:`spring` in each of
-its processes, those of Ray's actors too. There the traps' functions are replaced as soon as their modules
-are imported. The product knows nothing of this.
+A run is started with a folder on its ``PYTHONPATH`` whose ``sitecustomize`` calls :func:`install` in each of
+its processes, those of Ray's actors too. There the functions are replaced as soon as their modules are
+imported. The product knows nothing of this.
 """
 
 from __future__ import annotations
@@ -24,48 +24,48 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, TypeAlias
 
-__all__ = ["Plant", "Trap", "When", "spring"]
+__all__ = ["Injection", "Injector", "When", "install"]
 
 When: TypeAlias = Literal["before", "after", "soon after"]
 
-#: How long after a return a process dies that is to die then, s.
-_SOON = 0.005
+#: Delay of an action that comes soon after a return, s.
+_SOON_SECONDS = 0.005
 
 #: Folder that this package is imported from, which need not be on the path of the run.
 _IMPORT_ROOT = str(Path(__file__).resolve().parents[2])
 
-#: Actions that go on once they have begun.
-_LASTING = ("fail", "wait")
+#: Actions that are repeated at every later call.
+_REPEATED = ("fail", "wait")
 
 
 @dataclass(frozen=True, slots=True)
-class Trap:
-    """What a function is to do.
+class Injection:
+    """A fault at the calls of one function.
 
     Attributes
     ----------
     function : str
         ``module:Class.method`` or ``module:function``.
-    action : {"die", "abort", "kill driver", "fail", "wait", "note", "set"}
-        The process is killed, aborts, takes the run's driver with it; the call raises OSError, is late, is
-        noted; or the name is no function and gets ``value``.
+    action : {"die", "abort", "kill driver", "fail", "wait", "record", "set"}
+        The process is killed, aborts, or is killed with the run's driver; the call raises OSError, is
+        delayed, or its time is recorded; or the name is no function and is set to ``value``.
     call : int
-        The first call of a process at which that happens, from 0, since the trap was laid or armed; for
+        The first call of a process at which that happens, from 0, counted while the injection is armed; for
         "fail" and "wait" at later ones too.
     when : {"before", "after", "soon after"}
-        The call, or the return.
+        The call, after its return, or a moment later.
     times : int
-        How often at most in the whole run; "fail", "wait" and "note" have no end.
+        How often at most in the whole run; "fail", "wait" and "record" are not limited.
     value : float
-        The number of the error, the seconds to wait, what to set.
+        The number of the error, the seconds to wait, the value to set.
     process : str
-        How the titles of the processes begin in which that happens.
+        Prefix of the titles of the processes in which that happens.
     armed : bool
-        Whether it is from the start; else :meth:`Plant.arm` does it.
+        Whether it is armed from the start; else :meth:`Injector.arm` does it.
     """
 
     function: str
-    action: Literal["die", "abort", "kill driver", "fail", "wait", "note", "set"]
+    action: Literal["die", "abort", "kill driver", "fail", "wait", "record", "set"]
     call: int = 0
     when: When = "before"
     times: int = 1
@@ -74,89 +74,86 @@ class Trap:
     armed: bool = True
 
 
-class Plant:
-    """A folder that brings traps into every process of a run.
+class Injector:
+    """A folder that installs injections in every process of a run.
 
     Parameters
     ----------
     folder : Path
-        Made here.
-    traps : sequence of Trap
+        Created here.
+    injections : sequence of Injection
     """
 
-    def __init__(self, folder: Path, traps: Sequence[Trap]) -> None:
+    def __init__(self, folder: Path, injections: Sequence[Injection]) -> None:
         folder.mkdir(parents=True)
-        self._traps = tuple(traps)
-        (folder / "traps.json").write_text(json.dumps([asdict(trap) for trap in traps]))
+        self._injections = tuple(injections)
+        (folder / "injections.json").write_text(json.dumps([asdict(injection) for injection in injections]))
         (folder / "sitecustomize.py").write_text(
             f"import sys\nsys.path.insert(0, {_IMPORT_ROOT!r})\n"
-            f"from {__name__} import spring\ndel sys.path[0]\n"
-            f"spring({str(folder)!r})\n"
+            f"from {__name__} import install\ndel sys.path[0]\n"
+            f"install({str(folder)!r})\n"
         )
         self._folder = folder
-        for trap in traps:
-            if trap.armed:
-                self.arm(trap)
+        for injection in injections:
+            if injection.armed:
+                self.arm(injection)
 
-    def arm(self, trap: Trap) -> None:
-        """Let one of the traps snap from now on, in processes that run already too."""
-        _arming(self._folder, self._traps.index(trap)).touch()
+    def arm(self, injection: Injection) -> None:
+        """Let an injection fire from now on, also in processes that are running."""
+        _armed_marker(self._folder, self._injections.index(injection)).touch()
 
-    def disarm(self, trap: Trap) -> None:
-        """Let one of the traps snap no more."""
-        _arming(self._folder, self._traps.index(trap)).unlink()
+    def disarm(self, injection: Injection) -> None:
+        """Let an injection fire no more."""
+        _armed_marker(self._folder, self._injections.index(injection)).unlink()
 
     def environment(self) -> dict[str, str]:
-        """The environment with which a run has the traps."""
+        """Return an environment that installs the injections in a run."""
         paths = [str(self._folder), *filter(None, [os.environ.get("PYTHONPATH")])]
         return os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
 
-    def tell_driver(self, pid: int) -> None:
-        """Say which process is the run's driver."""
+    def set_driver(self, pid: int) -> None:
+        """Set which process is the run's driver."""
         (self._folder / "driver").write_text(str(pid))
 
-    @property
-    def sprung(self) -> int:
-        """How often traps have snapped."""
-        return len([*self._folder.glob("sprung-*")])
+    def has_fired(self, injection: Injection) -> bool:
+        """Return whether an injection has fired."""
+        return any(self._folder.glob(f"fired-{self._injections.index(injection)}-*"))
 
-    def has_sprung(self, trap: Trap) -> bool:
-        """Whether one of the traps has snapped."""
-        return any(self._folder.glob(f"sprung-{self._traps.index(trap)}-*"))
-
-    def noted(self, trap: Trap) -> list[float]:
-        """When processes first came to a trap that notes it: one time each, monotonic, s, in order."""
-        notes = self._folder.glob(f"noted-{self._traps.index(trap)}-*")
-        return sorted(float(text) for note in notes if (text := note.read_text()))
+    def recorded_times(self, injection: Injection) -> list[float]:
+        """Return the times that a "record" injection has recorded: one a process, monotonic, s, in order."""
+        files = self._folder.glob(f"recorded-{self._injections.index(injection)}-*")
+        return sorted(float(text) for file in files if (text := file.read_text()))
 
 
-def spring(folder: str) -> None:
-    """Lay the traps of a :class:`Plant` in this process."""
-    traps = [Trap(**fields) for fields in json.loads((Path(folder) / "traps.json").read_text())]
-    by_module: dict[str, list[_Laid]] = {}
-    for number, trap in enumerate(traps):
-        module, _, name = trap.function.partition(":")
-        by_module.setdefault(module, []).append(_Laid(trap, name, Path(folder), number))
-    for module, laid in by_module.items():
+def install(folder: str) -> None:
+    """Install the injections of an :class:`Injector` in this process."""
+    injections = [
+        Injection(**fields) for fields in json.loads((Path(folder) / "injections.json").read_text())
+    ]
+    by_module: dict[str, list[_Installed]] = {}
+    for number, injection in enumerate(injections):
+        module, _, name = injection.function.partition(":")
+        by_module.setdefault(module, []).append(_Installed(injection, name, Path(folder), number))
+    for module, installed in by_module.items():
         if module in sys.modules:
-            _lay(sys.modules[module], laid)
+            _replace_functions(sys.modules[module], installed)
     sys.meta_path.insert(0, _Finder(by_module))
 
 
-class _Laid:
-    """A trap in this process."""
+class _Installed:
+    """An injection in this process."""
 
-    def __init__(self, trap: Trap, name: str, folder: Path, number: int) -> None:
-        self.trap = trap
+    def __init__(self, injection: Injection, name: str, folder: Path, number: int) -> None:
+        self.injection = injection
         self.name = name
         self._folder = folder
         self._number = number
         self._calls = 0
 
     def replacement(self, function: Any) -> Any:
-        """What takes the function's place."""
-        if self.trap.action == "set":
-            return type(function)(self.trap.value)
+        """Return what replaces the function."""
+        if self.injection.action == "set":
+            return type(function)(self.injection.value)
         if inspect.iscoroutinefunction(function):
 
             @functools.wraps(function)
@@ -175,30 +172,32 @@ class _Laid:
 
     @contextmanager
     def _around(self) -> Iterator[None]:
-        snaps = self._snaps()
-        if snaps and self.trap.when == "before":
+        fires = self._fires()
+        if fires and self.injection.when == "before":
             self._act()
         yield
-        if snaps and self.trap.when == "after":
+        if fires and self.injection.when == "after":
             self._act()
-        elif snaps and self.trap.when == "soon after":
-            threading.Timer(_SOON, self._act).start()
+        elif fires and self.injection.when == "soon after":
+            threading.Timer(_SOON_SECONDS, self._act).start()
 
-    def _snaps(self) -> bool:
-        if not Path("/proc/self/cmdline").read_text(errors="replace").startswith(self.trap.process):
+    def _fires(self) -> bool:
+        if not Path("/proc/self/cmdline").read_text(errors="replace").startswith(self.injection.process):
             return False
-        if not _arming(self._folder, self._number).exists():
+        if not _armed_marker(self._folder, self._number).exists():
             return False
         call, self._calls = self._calls, self._calls + 1
-        return call == self.trap.call or (self.trap.action in _LASTING and call > self.trap.call)
+        return call == self.injection.call or (
+            self.injection.action in _REPEATED and call > self.injection.call
+        )
 
     def _act(self) -> None:
-        action, value = self.trap.action, self.trap.value
-        if action == "note":
-            note = self._folder / f"noted-{self._number}-{os.getpid()}"
-            note.write_text(repr(time.monotonic()))
+        action, value = self.injection.action, self.injection.value
+        if action == "record":
+            file = self._folder / f"recorded-{self._number}-{os.getpid()}"
+            file.write_text(repr(time.monotonic()))
             return
-        if not self._counted():
+        if not self._count_firing():
             return
         if action == "wait":
             time.sleep(value)
@@ -211,29 +210,29 @@ class _Laid:
         if action in ("die", "kill driver"):
             os.kill(os.getpid(), signal.SIGKILL)
 
-    def _counted(self) -> bool:
-        """Note that the trap snaps, unless it has done so often enough in whatever process."""
-        if self.trap.action in _LASTING:
-            (self._folder / f"sprung-{self._number}-0").touch()
+    def _count_firing(self) -> bool:
+        """Count that the injection fires; return False if it has fired often enough, in whichever process."""
+        if self.injection.action in _REPEATED:
+            (self._folder / f"fired-{self._number}-0").touch()
             return True
-        for time_ in range(self.trap.times):
+        for time_ in range(self.injection.times):
             try:
-                (self._folder / f"sprung-{self._number}-{time_}").touch(exist_ok=False)
+                (self._folder / f"fired-{self._number}-{time_}").touch(exist_ok=False)
             except FileExistsError:
                 continue
             return True
         return False
 
 
-def _arming(folder: Path, number: int) -> Path:
-    """The file that is there while a trap is armed."""
+def _armed_marker(folder: Path, number: int) -> Path:
+    """Return the file that exists while an injection is armed."""
     return folder / f"armed-{number}"
 
 
 class _Finder(importlib.abc.MetaPathFinder):
-    """Lets modules be found as ever, and lays the traps once they are executed."""
+    """Let other finders find a module, and replace its functions once it has been executed."""
 
-    def __init__(self, by_module: Mapping[str, Sequence[_Laid]]) -> None:
+    def __init__(self, by_module: Mapping[str, Sequence[_Installed]]) -> None:
         self._by_module = by_module
 
     def find_spec(
@@ -245,23 +244,23 @@ class _Finder(importlib.abc.MetaPathFinder):
             spec = None if finder is self else finder.find_spec(fullname, path, target)
             if spec is not None and spec.loader is not None:
                 spec.loader.exec_module = functools.partial(  # type: ignore[method-assign]
-                    _execute_and_lay, spec.loader.exec_module, self._by_module[fullname]
+                    _execute_and_replace, spec.loader.exec_module, self._by_module[fullname]
                 )
                 return spec
         return None
 
 
-def _execute_and_lay(
-    execute: Callable[[ModuleType], None], traps: Sequence[_Laid], module: ModuleType
+def _execute_and_replace(
+    execute: Callable[[ModuleType], None], injections: Sequence[_Installed], module: ModuleType
 ) -> None:
     execute(module)
-    _lay(module, traps)
+    _replace_functions(module, injections)
 
 
-def _lay(module: ModuleType, traps: Sequence[_Laid]) -> None:
-    for laid in traps:
+def _replace_functions(module: ModuleType, injections: Sequence[_Installed]) -> None:
+    for installed in injections:
         owner: Any = module
-        *outer, name = laid.name.split(".")
+        *outer, name = installed.name.split(".")
         for step in outer:
             owner = getattr(owner, step)
-        setattr(owner, name, laid.replacement(getattr(owner, name)))
+        setattr(owner, name, installed.replacement(getattr(owner, name)))

@@ -1,4 +1,4 @@
-"""A run of the command as its user has it: a process of its own, with the processes that it starts."""
+"""Run the command as its user does, in a process of its own, and observe all processes that it starts."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from benchmark.through_ray.process_costs import Process, process_tree
-from chaos.harness.injection import Plant
+from chaos.harness.injection import Injector
 from orchestrator.sinks.commit_log import read_commits
 
-__all__ = ["NotHeldError", "ObservedRun", "content", "expect", "living_still"]
+__all__ = ["ExpectationError", "ObservedRun", "content", "expect", "still_running"]
 
-#: How long a run may take until it is given up, s.
+#: Time limit of a run, s.
 _RUN_SECONDS = 400.0
 
-#: How long processes may live on after the end of a run, and after a kill of its driver, s.
+#: How long processes may outlive the end of a run, and a kill of its driver, s.
 _CLEAN_SECONDS, _CLEAN_SECONDS_AFTER_KILL = 10.0, 90.0
 
 
-class NotHeldError(Exception):
-    """A fault was not survived; says what is wrong."""
+class ExpectationError(Exception):
+    """Something that must hold of a run does not; the message says what."""
 
 
 def expect(holds: bool, otherwise: str) -> None:
-    """Raise NotHeldError if something does not hold."""
+    """Raise ExpectationError if a condition does not hold."""
     if not holds:
-        raise NotHeldError(otherwise)
+        raise ExpectationError(otherwise)
 
 
 def content(stream: Path, *, committed: bool = False) -> dict[str, Any]:
-    """All of a stream's record that must not depend on faults: masks, and rows without times; checks it.
+    """Read and check what of a stream's record must not depend on faults: masks, and rows without times.
 
     Parameters
     ----------
     stream : Path
     committed : bool
-        Only what counts for good: of a stream that is being written, or was interrupted.
+        Only what is committed for good: of a stream that is being written, or was interrupted.
 
     Raises
     ------
-    NotHeldError
+    ExpectationError
         If a frame is there twice, missing or out of order, or does not count.
     """
     commits = [commit for commit in read_commits(stream) if not (committed and commit.provisional)]
@@ -68,14 +68,14 @@ def content(stream: Path, *, committed: bool = False) -> dict[str, Any]:
 
 
 def _rows(stream: Path, table: str, most: int | None) -> list[dict[str, Any]]:
-    """Rows of a table's parts, without those parts that begin after the first ``most`` frames."""
+    """Read a table's rows, without the parts that begin after the first ``most`` frames."""
     parts = sorted(stream.glob(f"{table}-*.parquet"))
     counted = [part for part in parts if most is None or int(part.stem.rpartition("-")[2]) < most]
     return [row for part in counted for row in pq.read_table(part).to_pylist()]
 
 
 class ObservedRun:
-    """One start of ``python -m orchestrator``, ended with everything it started when the ``with`` block ends.
+    """A run of ``python -m orchestrator``; the end of the ``with`` block ends it and all that it started.
 
     Parameters
     ----------
@@ -84,8 +84,8 @@ class ObservedRun:
     folder : Path
         Holds the list and the output.
     flags : str
-    plant : Plant, optional
-        Traps for its processes.
+    injector : Injector, optional
+        Of faults into its processes.
     settings : mapping of str to str, optional
         More of its environment.
     """
@@ -95,7 +95,7 @@ class ObservedRun:
         lines: Sequence[str],
         folder: Path,
         *flags: str,
-        plant: Plant | None = None,
+        injector: Injector | None = None,
         settings: Mapping[str, str] | None = None,
     ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -103,8 +103,8 @@ class ObservedRun:
         self.lines = tuple(lines)
         (folder / "list.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
         self._seen: dict[int, Process] = {}
-        self._words: str | None = None  # on standard error, once the command has ended
-        self._found = self._status_text()  # of the run that this one goes on with
+        self._stderr: str | None = None  # None until the command has ended
+        self._earlier_status = self._status_text()  # of the run that this one resumes
         self._process = subprocess.Popen(
             [
                 *(sys.executable, "-m", "orchestrator", "--streams", str(folder / "list.txt")),
@@ -113,10 +113,10 @@ class ObservedRun:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
-            env=(os.environ if plant is None else plant.environment()) | dict(settings or {}),
+            env=(os.environ if injector is None else injector.environment()) | dict(settings or {}),
         )
-        if plant is not None:
-            plant.tell_driver(self._process.pid)
+        if injector is not None:
+            injector.set_driver(self._process.pid)
 
     def __enter__(self) -> ObservedRun:
         return self
@@ -127,14 +127,16 @@ class ObservedRun:
         self.tree()
         if self._process.poll() is None:
             self._process.kill()
-        self._said()
-        for pid in self._left():
+        self._wait_for_stderr()
+        for pid in self._remaining():
             _signal(pid, signal.SIGKILL)
 
     def status(self) -> dict[str, dict[str, Any]]:
-        """Streams of ``status.json``, none before this run has written it."""
+        """Return the streams of ``status.json``, none before this run has written it."""
         text = self._status_text()
-        streams: dict[str, dict[str, Any]] = {} if text == self._found else json.loads(text)["streams"]
+        streams: dict[str, dict[str, Any]] = (
+            {} if text == self._earlier_status else json.loads(text)["streams"]
+        )
         return streams
 
     def _status_text(self) -> str:
@@ -145,31 +147,31 @@ class ObservedRun:
 
     @property
     def pid(self) -> int:
-        """Process id of the command."""
+        """Return the process id of the command."""
         return self._process.pid
 
     @property
     def ended(self) -> bool:
-        """Whether the command has ended."""
+        """Return whether the command has ended."""
         return self._process.poll() is not None
 
     def tree(self) -> dict[int, Process]:
-        """All living processes of the run."""
+        """Return all living processes of the run."""
         tree = process_tree(self._process.pid)
         self._seen |= {pid: one for pid, one in tree.items() if pid != self._process.pid}
         return tree
 
     def processes(self, title: str) -> list[int]:
-        """Living processes of the run whose title begins so, in the order of their ids."""
+        """Return the ids of the run's living processes with this prefix of their title, sorted."""
         return sorted(pid for pid, one in self.tree().items() if one.title.startswith(title))
 
     def wait(self, condition: Callable[[], bool], what: str, seconds: float = _RUN_SECONDS) -> None:
-        """Wait for a condition; raises NotHeldError if it does not come about while the run lives."""
+        """Wait for a condition; raise ExpectationError if the run ends, or time runs out, before it holds."""
         deadline = time.monotonic() + seconds
         while not condition():
-            expect(time.monotonic() < deadline, f"{what}: waited {seconds:.0f} s in vain")
+            expect(time.monotonic() < deadline, f"{what}: did not happen within {seconds:.0f} s")
             if self.ended:
-                raise NotHeldError(f"{what}: the run had ended before, {self._end_in_words()}")
+                raise ExpectationError(f"{what}: the run had ended before, {self._describe_end()}")
             time.sleep(0.02)
 
     def wait_for_frames(self, stream: str, frames: int) -> None:
@@ -186,7 +188,7 @@ class ObservedRun:
         self._process.send_signal(number)
 
     def signal_actor(self, title: str, number: signal.Signals, choice: int = 0) -> None:
-        """Send a signal to one of the run's processes whose title begins so; waits until there is one."""
+        """Wait for a process of the run with this prefix of its title, and send it a signal."""
         found: list[int] = []
 
         def there() -> bool:
@@ -204,43 +206,43 @@ class ObservedRun:
         """Wait for the end of the run and of all its processes; return its exit status and standard error."""
         self.tree()
         try:
-            words = self._said(_RUN_SECONDS)
+            stderr = self._wait_for_stderr(_RUN_SECONDS)
         except subprocess.TimeoutExpired:
-            raise NotHeldError(f"the run did not end within {_RUN_SECONDS:.0f} s") from None
+            raise ExpectationError(f"the run did not end within {_RUN_SECONDS:.0f} s") from None
         if not killed:
             self.expect_clean(_CLEAN_SECONDS)
-        return self._process.returncode, words
+        return self._process.returncode, stderr
 
-    def _said(self, seconds: float | None = None) -> str:
+    def _wait_for_stderr(self, seconds: float | None = None) -> str:
         """Wait for the end of the command, and return its standard error."""
-        if self._words is None:
-            self._words = self._process.communicate(timeout=seconds)[1]
-        return self._words
+        if self._stderr is None:
+            self._stderr = self._process.communicate(timeout=seconds)[1]
+        return self._stderr
 
-    def _end_in_words(self) -> str:
-        words = self._said()
-        return f"with status {self._process.returncode}: {words}"
+    def _describe_end(self) -> str:
+        stderr = self._wait_for_stderr()
+        return f"with status {self._process.returncode}: {stderr}"
 
     def expect_clean(self, seconds: float = _CLEAN_SECONDS_AFTER_KILL) -> None:
         """Wait until no process of the run is left."""
         deadline = time.monotonic() + seconds
-        while self._left():
-            expect(time.monotonic() < deadline, f"processes left after {seconds:.0f} s: {self._left()}")
+        while self._remaining():
+            expect(time.monotonic() < deadline, f"processes left after {seconds:.0f} s: {self._remaining()}")
             time.sleep(0.1)
 
     def scratch_is_gone(self) -> bool:
-        """Whether nothing is left of the files of this run's Ray."""
+        """Return whether nothing is left of the files of this run's Ray."""
         return not [*Path("/tmp").glob(f"mlbs-ray-*/session_*_{self._process.pid}")]
 
-    def _left(self) -> dict[int, str]:
-        """Ids and titles of the run's processes that still live."""
-        return living_still(self._seen, process_tree(1))
+    def _remaining(self) -> dict[int, str]:
+        """Return ids and titles of the run's processes that are still alive."""
+        return still_running(self._seen, process_tree(1))
 
 
-def living_still(seen: Mapping[int, Process], living: Mapping[int, Process]) -> dict[int, str]:
-    """Ids and titles of processes that were seen before; a number may belong to another process by now.
+def still_running(seen: Mapping[int, Process], living: Mapping[int, Process]) -> dict[int, str]:
+    """Return ids and titles of the processes seen before that still run; ids may have been reused.
 
-    What has ended and is not collected by its parent has no title any more.
+    A process that has ended and is not collected by its parent has no title any more.
     """
     return {
         pid: living[pid].title

@@ -1,4 +1,4 @@
-"""What all faults share: the streams they are brought into, and what must hold of a run whatever happened."""
+"""Scenarios, their faults and verdicts; the streams they disturb, and what must hold of every run."""
 
 from __future__ import annotations
 
@@ -11,58 +11,58 @@ from typing import Any
 
 import numpy as np
 
-from chaos.harness.observed_run import NotHeldError, ObservedRun, content, expect
+from chaos.harness.observed_run import ExpectationError, ObservedRun, content, expect
 from chaos.harness.reference import References
 
 __all__ = [
-    "BESIDE",
+    "BYSTANDER",
     "FRAMES",
     "LINES",
     "VICTIM",
-    "Back",
     "Fault",
-    "Place",
+    "RecoveryTime",
     "Scenario",
+    "ScenarioContext",
     "Verdict",
     "Verdicts",
-    "alone",
-    "beginning",
-    "beside",
+    "bystander",
     "expect_end",
     "expect_identical",
     "expect_no_secret",
     "expect_prefix",
+    "first_frames",
+    "single_fault",
     "victim",
 ]
 
 
 def victim(frames: int) -> str:
-    """Line of the list: the stream that faults are brought into."""
+    """Return the line of the list for the stream that faults are injected into."""
     return f"victim 'synthetic:demo?frames={frames}&width=160&height=120'"
 
 
-def beside(frames: int) -> str:
-    """Line of the list: the stream that must not notice."""
-    return f"beside 'synthetic:pan?frames={frames}&width=160&height=120'"
+def bystander(frames: int) -> str:
+    """Return the line of the list for the stream that must not be affected."""
+    return f"bystander 'synthetic:pan?frames={frames}&width=160&height=120'"
 
 
-#: Length of the streams where one fault is brought about: three commits, and a snapshot before the last.
+#: Length of the streams where one fault is injected: three commits, and a snapshot before the last.
 FRAMES = 48
 
-VICTIM, BESIDE = victim(FRAMES), beside(FRAMES)
-LINES = (VICTIM, BESIDE)
+VICTIM, BYSTANDER = victim(FRAMES), bystander(FRAMES)
+LINES = (VICTIM, BYSTANDER)
 
 
 @dataclass(frozen=True, slots=True)
-class Back:
-    """How long it took until work went on.
+class RecoveryTime:
+    """How long it took to recover.
 
     Attributes
     ----------
     first : float
-        Until the first label map, those included that are made a second time, s.
+        Until the first label map, also one that is made a second time, s.
     new : float, optional
-        Until the first one that was not there before, s.
+        Until the first one that did not exist before, s.
     """
 
     first: float
@@ -70,8 +70,8 @@ class Back:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where faults are brought about.
+class ScenarioContext:
+    """What a scenario is given.
 
     Attributes
     ----------
@@ -87,11 +87,11 @@ class Place:
     random: np.random.Generator
 
     def expected(self, line: str) -> dict[str, Any]:
-        """Content of the undisturbed stream of a list's line."""
+        """Return the content of the undisturbed stream of a list's line."""
         return self.references.of(line, self.folder)
 
     def prepare(self, lines: Iterable[str]) -> None:
-        """Label undisturbed streams now, because it takes a while, and a run goes on meanwhile."""
+        """Label undisturbed streams now, because it takes a while, and a run would advance meanwhile."""
         for line in lines:
             self.expected(line)
 
@@ -113,111 +113,113 @@ class Fault:
 
 @dataclass(slots=True)
 class Verdict:
-    """What became of a fault.
+    """Whether a fault was survived, and how fast.
 
     Attributes
     ----------
     problem : str or None
-        Why it was not held.
-    back : Back or None
+        Why it was not survived.
+    recovery : RecoveryTime or None
         None where it has no meaning.
     """
 
     problem: str | None = None
-    back: Back | None = None
-    _looked_at: bool = False
+    recovery: RecoveryTime | None = None
+    _checked: bool = False
 
     def add(self, problem: str | None) -> None:
-        """Take what one more look has shown; the first problem is kept."""
+        """Add the outcome of one more check; the first problem is kept."""
         self.problem = self.problem or problem
-        self._looked_at = True
+        self._checked = True
 
     @property
-    def why_not_held(self) -> str | None:
-        """A sentence, None if it was held."""
-        return self.problem if self._looked_at else "it was not brought about"
+    def failure(self) -> str | None:
+        """Return why the fault was not survived, None if it was."""
+        return self.problem if self._checked else "it was not brought about"
 
 
 class Verdicts:
-    """What becomes of the faults of a scenario, as far as anybody wants to know it.
+    """Verdicts on the chosen faults of a scenario.
 
     Parameters
     ----------
     wanted : iterable of str
         Names of faults.
-    tell : callable
-        Told the name of a fault and its verdict after each look at it: a scenario takes minutes.
+    report : callable
+        Called with the name of a fault and its verdict after each check: a scenario takes minutes.
     """
 
-    def __init__(self, wanted: Iterable[str], tell: Callable[[str, Verdict], None]) -> None:
+    def __init__(self, wanted: Iterable[str], report: Callable[[str, Verdict], None]) -> None:
         self.by_name = {name: Verdict() for name in wanted}
-        self._tell = tell
+        self._report = report
 
     def __contains__(self, name: str) -> bool:
         return name in self.by_name
 
     @contextmanager
-    def of(self, name: str) -> Iterator[Verdict]:
-        """Bring a fault about, or look at what it has done; the first thing that does not hold is kept."""
+    def check(self, name: str) -> Iterator[Verdict]:
+        """Judge a fault by what the ``with`` block raises; the first problem is kept."""
         verdict = self.by_name.setdefault(name, Verdict())
         try:
             yield verdict
-        except NotHeldError as error:
+        except ExpectationError as error:
             verdict.add(str(error))
-        except Exception as error:  # such as a missing file; the rest of the table is wanted all the same
+        except Exception as error:  # such as a missing file; the rest of the table is still useful
             verdict.add(f"{type(error).__name__}: {error}")
         else:
             verdict.add(None)
-        self._tell(name, verdict)
+        self._report(name, verdict)
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """Faults that are brought about together, in one run or in some that follow each other.
+    """Faults that are injected together, in one run or in some that follow each other.
 
     Attributes
     ----------
     name : str
     faults : tuple of Fault
-    bring_about : callable
-        Tells the verdicts, of those at least that are wanted.
+    run : callable
+        Injects the faults that the verdicts contain, and adds to these.
     """
 
     name: str
     faults: tuple[Fault, ...]
-    bring_about: Callable[[Place, Verdicts], None]
+    run: Callable[[ScenarioContext, Verdicts], None]
 
 
-def alone(number: str, name: str, bring_about: Callable[[Place], Back | None]) -> Scenario:
-    """Make a scenario of one fault; ``bring_about`` raises NotHeldError."""
+def single_fault(
+    number: str, name: str, inject: Callable[[ScenarioContext], RecoveryTime | None]
+) -> Scenario:
+    """Make a scenario of one fault; ``inject`` raises ExpectationError."""
 
-    def tell(place: Place, verdicts: Verdicts) -> None:
-        with verdicts.of(name) as verdict:
-            verdict.back = bring_about(place)
+    def run(context: ScenarioContext, verdicts: Verdicts) -> None:
+        with verdicts.check(name) as verdict:
+            verdict.recovery = inject(context)
 
-    return Scenario(name, (Fault(number, name),), tell)
+    return Scenario(name, (Fault(number, name),), run)
 
 
-def expect_identical(place: Place, run: ObservedRun, *lines: str) -> None:
-    """Expect of these streams, by default of both, what an undisturbed run gives."""
+def expect_identical(context: ScenarioContext, run: ObservedRun, *lines: str) -> None:
+    """Expect that these streams, by default both, are those of an undisturbed run."""
     for line in lines or LINES:
         name = line.split()[0]
-        expect(content(run.output / name) == place.expected(line), f"{name} is not as without the fault")
+        expect(content(run.output / name) == context.expected(line), f"{name} is not as without the fault")
 
 
-def expect_prefix(place: Place, run: ObservedRun, *lines: str) -> None:
+def expect_prefix(context: ScenarioContext, run: ObservedRun, *lines: str) -> None:
     """Expect that what these streams, by default both, have committed is that of an undisturbed run."""
     for line in lines or LINES:
         name = line.split()[0]
         committed = content(run.output / name, committed=True)
         expect(
-            committed == beginning(place.expected(line), len(committed["frames"])),
+            committed == first_frames(context.expected(line), len(committed["frames"])),
             f"{name}: what was committed is not as without the fault",
         )
 
 
-def beginning(whole: dict[str, Any], frames: int) -> dict[str, Any]:
-    """The first frames of a content."""
+def first_frames(whole: dict[str, Any], frames: int) -> dict[str, Any]:
+    """Return the first frames of a content."""
     rows = whole["frames"][:frames]
     names = {f"{row['name']}.png" for row in rows if row["status"] == "ok"}
     return {
@@ -228,31 +230,30 @@ def beginning(whole: dict[str, Any], frames: int) -> dict[str, Any]:
 
 
 def expect_end(run: ObservedRun, status: int) -> str:
-    """Wait for the end of a run and of its processes; expect its exit status and a true ``status.json``.
-
-    Returns what it said on standard error.
-    """
-    ended, words = run.end()
-    expect(ended == status, f"exit status {ended} instead of {status}: {words}")
-    expect("Traceback" not in words, f"a traceback: {words}")
+    """Wait for the end of a run; expect its exit status and a true ``status.json``; return its stderr."""
+    ended, stderr = run.end()
+    expect(ended == status, f"exit status {ended} instead of {status}: {stderr}")
+    expect("Traceback" not in stderr, f"a traceback: {stderr}")
     if status != 2:
         expect(run.scratch_is_gone(), "the folder of Ray's files is left")
         _expect_true_status(run.output / "status.json", status)
-    return words
+    return stderr
 
 
 def _expect_true_status(path: Path, status: int) -> None:
-    told = json.loads(path.read_text(encoding="utf-8"))
-    expect((told["ended"], told["exit_status"]) == (True, status), "status.json does not tell the end")
-    for name, stream in told["streams"].items():
+    reported = json.loads(path.read_text(encoding="utf-8"))
+    expect(
+        (reported["ended"], reported["exit_status"]) == (True, status), "status.json does not show the end"
+    )
+    for name, stream in reported["streams"].items():
         counted = stream["committed"] + stream["dropped"] + stream["quarantined"]
         whole = stream["state"] in ("done", "partial") and not stream["interrupted"]
         expect(not whole or stream["read"] == counted, f"{name}: the counts are not those of what was read")
 
 
-def expect_no_secret(run: ObservedRun, words: str, secret: str) -> None:
-    """Expect that no file of the run, and nothing that it said, holds a secret."""
-    expect(secret not in words, "a password is told")
+def expect_no_secret(run: ObservedRun, stderr: str, secret: str) -> None:
+    """Expect a secret neither in a file of the run nor in what it printed."""
+    expect(secret not in stderr, "a password is printed")
     for path in run.output.rglob("*"):
         expect(
             not path.is_file() or secret.encode() not in path.read_bytes(), f"a password is in {path.name}"

@@ -1,4 +1,4 @@
-"""The faults that are brought about, a module for each kind; :mod:`~chaos.scenarios.catalogue` lists them.
+"""The faults that are injected, a module for each kind; :mod:`~chaos.scenarios.catalogue` lists them.
 
 From the source to the machine: :mod:`~chaos.scenarios.damaged_sources`, :mod:`~chaos.scenarios.lost_frames`,
 :mod:`~chaos.scenarios.lost_processes`, :mod:`~chaos.scenarios.lost_camera_processes`,

@@ -1,4 +1,4 @@
-"""All faults that are brought about, by the scenarios that they share."""
+"""All faults, grouped into the scenarios that inject them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sources that are missing, damaged or odd, and lists that mean ill."""
+"""Sources that are missing, damaged or odd, and hostile lists."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from av.video.stream import VideoStream
 
 from chaos.harness.observed_run import ObservedRun, content, expect
 from chaos.harness.scenario import (
-    BESIDE,
+    BYSTANDER,
     Fault,
-    Place,
     Scenario,
+    ScenarioContext,
     Verdicts,
-    alone,
     expect_end,
     expect_identical,
+    single_fault,
 )
 from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.messages import Array
@@ -50,7 +50,7 @@ def write_video(
     pictures : sequence of (H, W, 3) uint8
     codec : str
     times : iterable of int, optional
-        Of the pictures, in frames; only of a codec of key frames alone may they be in disorder.
+        Of the pictures, in frames; only with a codec of key frames alone may they be out of order.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w") as container:
@@ -65,7 +65,7 @@ def write_video(
         packets = [packet for frame in [*frames, None] for packet in stream.encode(frame)]
         for packet, time in zip(packets, count() if times is None else times, strict=False):
             if times is not None:
-                packet.pts = time  # the order of the file is that of decoding, whatever the times say
+                packet.pts = time  # the order of the file is that of decoding, whatever the times are
             container.mux(packet)
 
 
@@ -74,31 +74,31 @@ def _pictures(frames: int) -> list[Array]:
     return [made.frame(t) for t in range(frames)]
 
 
-def _cut_off(path: Path, place: Place) -> None:
+def _cut_off(path: Path, context: ScenarioContext) -> None:
     write_video(path, _pictures(40))
     data = path.read_bytes()
-    path.write_bytes(data[: int(len(data) * place.random.uniform(0.3, 0.9))])
+    path.write_bytes(data[: int(len(data) * context.random.uniform(0.3, 0.9))])
 
 
-def _flipped_bits(path: Path, place: Place) -> None:
+def _flipped_bits(path: Path, context: ScenarioContext) -> None:
     write_video(path, _pictures(40))
     data = bytearray(path.read_bytes())
     start, end = len(data) // 4, data.rfind(b"moov")  # of the pictures, not of the table that finds them
-    for place_ in place.random.integers(start, end, 12):
-        data[place_] ^= 1 << int(place.random.integers(8))
+    for position in context.random.integers(start, end, 12):
+        data[position] ^= 1 << int(context.random.integers(8))
     path.write_bytes(data)
 
 
-def _disordered_times(path: Path, place: Place) -> None:
+def _disordered_times(path: Path, context: ScenarioContext) -> None:
     times = np.arange(30)
     times[8] = times[9] = 20  # ahead, then the same, then back
-    times[15:] += int(place.random.integers(1_000, 100_000))
+    times[15:] += int(context.random.integers(1_000, 100_000))
     times[22] += 7
     write_video(path, _pictures(30), "mjpeg", (int(time) for time in times))
 
 
-def _changing_size(folder: Path, place: Place) -> None:
-    sizes = [(160, 120), (120, 160)] if place.random.integers(2) else [(160, 120), (128, 96)]
+def _changing_size(folder: Path, context: ScenarioContext) -> None:
+    sizes = [(160, 120), (120, 160)] if context.random.integers(2) else [(160, 120), (128, 96)]
     folder.mkdir()
     for number, (width, height) in enumerate(sizes):
         made = scene("demo", frames=_OF_A_SIZE, width=width, height=height, seed=number)
@@ -106,8 +106,8 @@ def _changing_size(folder: Path, place: Place) -> None:
             cv2.imwrite(str(folder / f"{number}-{t:02d}.png"), made.frame(t))
 
 
-def _odd_pictures(place: Place) -> list[str]:
-    """An undecodable picture; black, white, constant, smooth ones; a cut; grey, 16 bits, alpha, odd sizes."""
+def _odd_pictures(context: ScenarioContext) -> list[str]:
+    """Write pictures: undecodable, black, white, constant, smooth, grey, 16 bits, alpha, odd sizes; a cut."""
     made = scene("demo", frames=8, width=97, height=73)
     colours = [made.frame(t) for t in range(8)]
     other = scene("pan", frames=4, width=97, height=73)
@@ -125,10 +125,10 @@ def _odd_pictures(place: Place) -> list[str]:
         "damaged": colours,
     }
     for name, pictures in kinds.items():
-        (place.folder / name).mkdir(parents=True)
+        (context.folder / name).mkdir(parents=True)
         for index, picture in enumerate(pictures):
-            cv2.imwrite(str(place.folder / name / f"{index}.png"), picture)
-    (place.folder / "damaged" / f"{place.random.integers(8)}.png").write_bytes(_NO_PNG)
+            cv2.imwrite(str(context.folder / name / f"{index}.png"), picture)
+    (context.folder / "damaged" / f"{context.random.integers(8)}.png").write_bytes(_NO_PNG)
     return list(kinds)
 
 
@@ -141,7 +141,7 @@ _TIMES = Fault("11", "times that go back, stand still, jump")
 
 
 #: Odd sources of which each is one stream: the fault, the file or folder, and what makes it.
-_ODD: tuple[tuple[Fault, str, Callable[[Path, Place], None]], ...] = (
+_ODD: tuple[tuple[Fault, str, Callable[[Path, ScenarioContext], None]], ...] = (
     (_CUT_OFF, "cut.mkv", _cut_off),
     (_FLIPPED, "flipped.mp4", _flipped_bits),
     (_TIMES, "times.mkv", _disordered_times),
@@ -149,51 +149,53 @@ _ODD: tuple[tuple[Fault, str, Callable[[Path, Place], None]], ...] = (
 )
 
 
-def _odd_sources(place: Place, verdicts: Verdicts) -> None:
-    """All in one run: each is labelled like what can be decoded of it, and beside it all is as ever."""
-    folder = place.folder
+def _odd_sources(context: ScenarioContext, verdicts: Verdicts) -> None:
+    """Run all at once: each is labelled like what can be decoded of it, and the bystander as ever."""
+    folder = context.folder
     folder.mkdir()
-    lines = [BESIDE, "missing none.mp4", "text text.mp4", "empty empty/"]
+    lines = [BYSTANDER, "missing none.mp4", "text text.mp4", "empty empty/"]
     (folder / "text.mp4").write_text("no video")
     (folder / "empty").mkdir()
     odd = [(fault, path, make) for fault, path, make in _ODD if fault.name in verdicts]
     for _, path, make in odd:
-        make(folder / path, place)
+        make(folder / path, context)
         lines.append(f"{path} {path}")
-    kinds = _odd_pictures(place) if _PICTURES.name in verdicts else []
+    kinds = _odd_pictures(context) if _PICTURES.name in verdicts else []
     lines += [f"{kind} {kind}" for kind in kinds]
     with ObservedRun(lines, folder) as run:
-        words = expect_end(run, 1)
+        stderr = expect_end(run, 1)
         status = run.status()
-        with verdicts.of(_MISSING.name):
+        with verdicts.check(_MISSING.name):
             failed = {name for name, stream in status.items() if stream["state"] == "failed"}
             expect(failed == {"missing", "text", "empty"}, f"failed: {failed}")
-            expect(all(name in words for name in failed), f"they are not told: {words}")
-            expect_identical(place, run, BESIDE)
+            expect(all(name in stderr for name in failed), f"they are not reported: {stderr}")
+            expect_identical(context, run, BYSTANDER)
         for fault, path, _ in odd:
-            with verdicts.of(fault.name):
-                _expect_as_decoded(place, run, path)
+            with verdicts.check(fault.name):
+                _expect_as_decoded(context, run, path)
                 if fault == _CUT_OFF:
-                    expect(status[path]["state"] == "partial", f"it is told as {status[path]}")
+                    expect(status[path]["state"] == "partial", f"it is reported as {status[path]}")
                 if fault == _SIZES:
                     _expect_new_ids(content(run.output / path))
         for kind in kinds:
-            with verdicts.of(_PICTURES.name):
-                _expect_as_decoded(place, run, kind)
+            with verdicts.check(_PICTURES.name):
+                _expect_as_decoded(context, run, kind)
                 whole = ("partial", 7) if kind == "damaged" else ("done", 8)
                 stream = status[kind]
                 expect((stream["state"], stream["committed"]) == whole, f"{kind}: {stream}")
 
 
-def _expect_as_decoded(place: Place, run: ObservedRun, path: str) -> None:
+def _expect_as_decoded(context: ScenarioContext, run: ObservedRun, path: str) -> None:
     """Expect what another process has decoded to be labelled as in this one, and its state to be true."""
-    expect_identical(place, run, f"{path} {path}")
-    reader = open_reader(parse_address(path, place.folder))
+    expect_identical(context, run, f"{path} {path}")
+    reader = open_reader(parse_address(path, context.folder))
     whole = True
     while isinstance(frame := reader.read(), SourceFrame):
         whole = whole and frame.status == "ok"
     state = run.status()[path]["state"]
-    expect(state == ("done" if whole and reader.problem is None else "partial"), f"{path} is told as {state}")
+    expect(
+        state == ("done" if whole and reader.problem is None else "partial"), f"{path} is reported as {state}"
+    )
 
 
 def _expect_new_ids(record: dict[str, Any]) -> None:
@@ -206,18 +208,18 @@ def _expect_new_ids(record: dict[str, Any]) -> None:
     expect(max(ids[0]) < min(ids[1]), "an id from before the change is used again")
 
 
-def _hostile_list(place: Place) -> None:
+def _hostile_list(context: ScenarioContext) -> None:
     lines = ["../up a.mp4", "concat:a|b", "x http://user:hunter2@host/y"]
     lines += ["twin a.mp4", "twin b.mp4", "nul\0 a.mp4"]
-    with ObservedRun(lines, place.folder) as run:
-        words = expect_end(run, 2)
+    with ObservedRun(lines, context.folder) as run:
+        stderr = expect_end(run, 2)
         expect(not run.output.exists(), "there is output")
-        expect("hunter2" not in words, "a password is told")
+        expect("hunter2" not in stderr, "a password is printed")
         for number in (1, 2, 3, 5, 6):
-            expect(f"line {number}:" in words, f"line {number} is not refused: {words}")
-    with ObservedRun(["a.mp4"] * 1_000_000, place.folder) as run:
-        words = expect_end(run, 2)
-        expect(len(words) < 10_000 and not run.output.exists(), "a million lines are not refused in short")
+            expect(f"line {number}:" in stderr, f"line {number} is not refused: {stderr}")
+    with ObservedRun(["a.mp4"] * 1_000_000, context.folder) as run:
+        stderr = expect_end(run, 2)
+        expect(len(stderr) < 10_000 and not run.output.exists(), "a million lines are not refused in short")
 
 
 SCENARIOS = (
@@ -226,5 +228,5 @@ SCENARIOS = (
         (_MISSING, _CUT_OFF, _PICTURES, _FLIPPED, _SIZES, _TIMES),
         _odd_sources,
     ),
-    alone("28", "hostile list", _hostile_list),
+    single_fault("28", "hostile list", _hostile_list),
 )

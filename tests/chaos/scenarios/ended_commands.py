@@ -1,4 +1,4 @@
-"""The command is killed, interrupted, started twice, and its disk fails; then ``--resume``."""
+"""Kill, interrupt or start the command twice, or fail its disk; then ``--resume``."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ import signal
 import time
 from pathlib import Path
 
-from chaos.harness.end_series import End, bring_about_ends, frames_for_ends, kill
-from chaos.harness.injection import Plant, Trap
+from chaos.harness.end_series import End, frames_for_ends, kill, run_end_series
+from chaos.harness.injection import Injection, Injector
 from chaos.harness.observed_run import ObservedRun, expect
-from chaos.harness.scenario import Fault, Place, Scenario, Verdicts, expect_end, victim
+from chaos.harness.scenario import Fault, Scenario, ScenarioContext, Verdicts, expect_end, victim
 
 __all__ = ["SCENARIOS"]
 
 
 def _interrupted(number: signal.Signals, signals: int) -> End:
-    def bring_about(run: ObservedRun, plant: Plant) -> None:
+    def inject(run: ObservedRun, injector: Injector) -> None:
         for _ in range(signals):
             run.signal_driver(number)
             time.sleep(0.1)
         expect_end(run, 128 + number)
 
-    return bring_about
+    return inject
 
 
-def _two_runs_on_one_folder(run: ObservedRun, plant: Plant) -> None:
+def _two_runs_on_one_folder(run: ObservedRun, injector: Injector) -> None:
     folder = run.output.parent
     for flags in ((), ("--resume",)):
         with ObservedRun(run.lines, folder, *flags) as second:
@@ -34,15 +34,15 @@ def _two_runs_on_one_folder(run: ObservedRun, plant: Plant) -> None:
     expect(not run.ended, "the first run has ended")
 
 
-def _killed_and_files_damaged(run: ObservedRun, plant: Plant) -> None:
+def _killed_and_files_damaged(run: ObservedRun, injector: Injector) -> None:
     run.wait(lambda: bool([*run.output.glob("victim/snapshots/*/*/parts")]), "a snapshot")
-    kill(run, plant)
-    run.expect_clean()  # or its processes would write among what is damaged
+    kill(run, injector)
+    run.expect_clean()  # or its processes would write among the damaged files
     _damage_files(run.output)
 
 
 def _damage_files(output: Path) -> None:
-    """A torn last line; of the snapshots the newest is damaged, the others are joined by a planted pickle."""
+    """Tear the last line, damage the newest snapshot, and add a foreign pickle to the snapshots."""
     with (output / "victim/commits.jsonl").open("a", encoding="utf-8") as lines:
         lines.write('{"generation": 0, "first": 6')
     lists = output.glob("victim/snapshots/*/*/parts")
@@ -50,28 +50,28 @@ def _damage_files(output: Path) -> None:
     data = bytearray(newest.read_bytes())
     data[len(data) // 2] ^= 1
     newest.write_bytes(data)
-    planted = output / "victim/snapshots/99/00000001"
-    planted.mkdir(parents=True)
-    (planted / "parts").write_bytes(pickle.dumps(Path("/tmp")))
+    foreign = output / "victim/snapshots/99/00000001"
+    foreign.mkdir(parents=True)
+    (foreign / "parts").write_bytes(pickle.dumps(Path("/tmp")))
 
 
-def _disk_fails(full: Trap) -> End:
-    """Nothing can be published any more: the streams fail, and what was committed is kept."""
+def _disk_fails(full: Injection) -> End:
+    """Let publishing fail: the streams fail, and what was committed is kept."""
 
-    def bring_about(run: ObservedRun, plant: Plant) -> None:
-        plant.arm(full)
-        words = expect_end(run, 1)
-        plant.disarm(full)
-        expect("cannot be written" in words, f"the error is not told: {words}")
+    def inject(run: ObservedRun, injector: Injector) -> None:
+        injector.arm(full)
+        stderr = expect_end(run, 1)
+        injector.disarm(full)
+        expect("cannot be written" in stderr, f"the error is not reported: {stderr}")
 
-    return bring_about
+    return inject
 
 
-def _publishing_fails(place: Place, number: int) -> Trap:
-    return Trap(
+def _publishing_fails(context: ScenarioContext, number: int) -> Injection:
+    return Injection(
         "orchestrator.run.durable_files:publish",
         "fail",
-        int(place.random.integers(3)),
+        int(context.random.integers(3)),
         value=number,
         process="ray::SinkActor",
         armed=False,
@@ -89,11 +89,11 @@ _FAULTS = (
 )
 
 
-def _one_after_the_other(place: Place, verdicts: Verdicts) -> None:
+def _one_after_the_other(context: ScenarioContext, verdicts: Verdicts) -> None:
     one, two = (
-        signal.SIGINT if interrupt else signal.SIGTERM for interrupt in place.random.integers(2, size=2)
+        signal.SIGINT if interrupt else signal.SIGTERM for interrupt in context.random.integers(2, size=2)
     )
-    full, read_only = (_publishing_fails(place, number) for number in (errno.ENOSPC, errno.EROFS))
+    full, read_only = (_publishing_fails(context, number) for number in (errno.ENOSPC, errno.EROFS))
     ends = (
         _two_runs_on_one_folder,
         kill,
@@ -105,7 +105,7 @@ def _one_after_the_other(place: Place, verdicts: Verdicts) -> None:
     )
     chosen = [(fault.name, end) for fault, end in zip(_FAULTS, ends, strict=True) if fault.name in verdicts]
     # A stream alone: whatever ends the command hits all of its streams.
-    bring_about_ends(place, verdicts, chosen, (victim(frames_for_ends(len(chosen))),), (full, read_only))
+    run_end_series(context, verdicts, chosen, (victim(frames_for_ends(len(chosen))),), (full, read_only))
 
 
 SCENARIOS = (Scenario("the command ended one way after the other", _FAULTS, _one_after_the_other),)

@@ -1,7 +1,7 @@
-"""Every kind of process killed at every step, and the command killed between any two steps of a commit.
+"""Kill every kind of process at every step, and the command between any two steps of a commit.
 
-Many kills come one after the other in one run, and all bytes are compared after each; a run is started for
-each kill only where the loss is noticed by nobody, or at the end of the stream.
+Many kills come one after the other in one run, and all bytes are compared after each; a kill has a run of its
+own only where nothing detects the loss, or at the end of the stream.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal, TypeAlias
 
-from chaos.harness.end_series import End, bring_about_ends, frames_for_ends, kill
-from chaos.harness.injection import Plant, Trap, When
-from chaos.harness.loss_series import Loss, bring_about_losses, frames_for_losses
+from chaos.harness.end_series import End, frames_for_ends, kill, run_end_series
+from chaos.harness.injection import Injection, Injector, When
+from chaos.harness.loss_series import Loss, frames_for_losses, run_loss_series
 from chaos.harness.observed_run import ObservedRun, expect
 from chaos.harness.scenario import (
     VICTIM,
     Fault,
-    Place,
     Scenario,
+    ScenarioContext,
     Verdicts,
-    alone,
     expect_end,
     expect_identical,
+    single_fault,
     victim,
 )
 
@@ -33,22 +33,22 @@ __all__ = ["COMMIT_STEPS", "KILLS", "STEPS", "Step"]
 _ACTORS = "mlbs_actors.actors"
 _SINKS = "orchestrator.sinks"
 
-#: When a step comes: again and again; when a stream is started, also after a loss; seldom, or at its end.
+#: When a step comes: repeatedly; when a stream is started, also after a loss; at its end or seldom.
 Time: TypeAlias = Literal["going on", "start", "end"]
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What a process may be killed at.
+    """A step at which a process may be killed.
 
     Attributes
     ----------
     actor, name : str
     function : str
-        As in :class:`Trap`.
+        As in :class:`Injection`.
     time : {"going on", "start", "end"}
     calls : int
-        Up to which of its calls it may be hit.
+        At which of its first calls it may be killed, at random.
     """
 
     actor: str
@@ -124,90 +124,94 @@ def _moments(step: Step) -> tuple[When, When]:
     return ("before", "after") if step in COMMIT_STEPS else ("before", "soon after")
 
 
-def _trap(step: Step, when: When, place: Place, *, armed: bool = False) -> Trap:
+def _make_injection(step: Step, when: When, context: ScenarioContext, *, armed: bool = False) -> Injection:
     action: Literal["die", "kill driver"] = "kill driver" if step in COMMIT_STEPS else "die"
     process = "ray::SinkActor" if step in COMMIT_STEPS else ""
-    call = int(place.random.integers(step.calls))
-    return Trap(step.function, action, call, when, process=process, armed=armed)
+    call = int(context.random.integers(step.calls))
+    return Injection(step.function, action, call, when, process=process, armed=armed)
 
 
-def _provoke(step: Step, trap: Trap, run: ObservedRun, plant: Plant) -> None:
-    """Arm a trap; one at a start needs a loss before."""
-    plant.arm(trap)
+def _provoke(step: Step, injection: Injection, run: ObservedRun, injector: Injector) -> None:
+    """Arm an injection; one at the start of a process needs a loss before."""
+    injector.arm(injection)
     if step.time == "start":
         run.signal_actor("ray::SegmenterActor.serve", signal.SIGKILL)
 
 
-def _actor_dies(step: Step, trap: Trap) -> Loss:
-    def bring_about(run: ObservedRun, plant: Plant) -> None:
-        _provoke(step, trap, run, plant)
-        run.wait(lambda: plant.has_sprung(trap), "the kill")
+def _actor_dies(step: Step, injection: Injection) -> Loss:
+    def inject(run: ObservedRun, injector: Injector) -> None:
+        _provoke(step, injection, run, injector)
+        run.wait(lambda: injector.has_fired(injection), "the kill")
 
-    return bring_about
-
-
-def _run_dies(step: Step, trap: Trap) -> End:
-    """The sink and the command are killed at one moment, as by a power cut; the rest ends as it may."""
-
-    def bring_about(run: ObservedRun, plant: Plant) -> None:
-        _provoke(step, trap, run, plant)
-        status, words = run.end(killed=True)
-        expect(plant.has_sprung(trap), f"the run ended before the kill, with status {status}: {words}")
-
-    return bring_about
+    return inject
 
 
-def _wanted(steps: Sequence[Step], place: Place, verdicts: Verdicts) -> list[tuple[Step, When, Trap]]:
-    """The kills at some steps that a verdict is asked for, each with its trap."""
+def _run_dies(step: Step, injection: Injection) -> End:
+    """Kill the sink and the command at one moment, as a power cut does; the rest ends by itself."""
+
+    def inject(run: ObservedRun, injector: Injector) -> None:
+        _provoke(step, injection, run, injector)
+        status, stderr = run.end(killed=True)
+        expect(
+            injector.has_fired(injection), f"the run ended before the kill, with status {status}: {stderr}"
+        )
+
+    return inject
+
+
+def _wanted(
+    steps: Sequence[Step], context: ScenarioContext, verdicts: Verdicts
+) -> list[tuple[Step, When, Injection]]:
+    """Return the kills at some steps that the verdicts contain, each with its injection."""
     return [
-        (step, when, _trap(step, when, place))
+        (step, when, _make_injection(step, when, context))
         for step in steps
         for when in _moments(step)
         if _name(step, when) in verdicts
     ]
 
 
-def _actors_die(steps: tuple[Step, ...], place: Place, verdicts: Verdicts) -> None:
-    kills = _wanted(steps, place, verdicts)
-    losses = [(_name(step, when), _actor_dies(step, trap)) for step, when, trap in kills]
+def _actors_die(steps: tuple[Step, ...], context: ScenarioContext, verdicts: Verdicts) -> None:
+    kills = _wanted(steps, context, verdicts)
+    losses = [(_name(step, when), _actor_dies(step, injection)) for step, when, injection in kills]
     lines = (victim(frames_for_losses(len(losses))),)
-    bring_about_losses(place, verdicts, losses, lines, [trap for _, _, trap in kills])
+    run_loss_series(context, verdicts, losses, lines, [injection for _, _, injection in kills])
 
 
-def _runs_die(place: Place, verdicts: Verdicts) -> None:
-    kills = _wanted(COMMIT_STEPS, place, verdicts)
-    ends = [(_name(step, when), _run_dies(step, trap)) for step, when, trap in kills]
+def _runs_die(context: ScenarioContext, verdicts: Verdicts) -> None:
+    kills = _wanted(COMMIT_STEPS, context, verdicts)
+    ends = [(_name(step, when), _run_dies(step, injection)) for step, when, injection in kills]
     ends += [(fault.name, kill) for fault in _AT_ANY_TIME if fault.name in verdicts]
     lines = (victim(frames_for_ends(len(ends))),)
-    bring_about_ends(place, verdicts, ends, lines, [trap for _, _, trap in kills])
+    run_end_series(context, verdicts, ends, lines, [injection for _, _, injection in kills])
 
 
-def _dies_at_the_end(step: Step, when: When, place: Place) -> None:
-    trap = _trap(step, when, place, armed=True)
-    plant = Plant(place.folder / "plant", [trap])
-    with ObservedRun([VICTIM], place.folder, plant=plant) as run:
-        run.wait(lambda: plant.has_sprung(trap), "the kill")
+def _dies_at_the_end(step: Step, when: When, context: ScenarioContext) -> None:
+    injection = _make_injection(step, when, context, armed=True)
+    injector = Injector(context.folder / "injector", [injection])
+    with ObservedRun([VICTIM], context.folder, injector=injector) as run:
+        run.wait(lambda: injector.has_fired(injection), "the kill")
         expect_end(run, 0)
-        expect_identical(place, run, VICTIM)
+        expect_identical(context, run, VICTIM)
 
 
 _AT_ANY_TIME = tuple(Fault("19", f"driver: at any time, {time}") for time in range(1, _ANY_TIME + 1))
 
 
 def _series(*actors: str) -> Scenario:
-    """The kills of these kinds of processes that can be brought about in one run."""
+    """Make a scenario of the kills of these kinds of processes that one run can survive."""
     steps = tuple(step for step in STEPS if step.actor in actors and step.time != "end")
     faults = tuple(_fault(step, when) for step in steps for when in _moments(step))
     return Scenario(", ".join(actors), faults, partial(_actors_die, steps))
 
 
-#: All of them, by what is killed.
+#: All kills, by what is killed.
 KILLS: tuple[Scenario, ...] = (
     _series("reader", "coordinator"),
     _series("layer", "segmenter"),
     _series("pool", "sink"),
     *(
-        alone(_fault(step, when).number, _name(step, when), partial(_dies_at_the_end, step, when))
+        single_fault(_fault(step, when).number, _name(step, when), partial(_dies_at_the_end, step, when))
         for step in STEPS
         if step.time == "end"
         for when in _moments(step)

@@ -10,22 +10,22 @@ import numpy as np
 from PIL import Image
 
 from chaos.harness.camera import RATE, Camera, as_received, play
-from chaos.harness.injection import Plant, Trap
+from chaos.harness.injection import Injection, Injector
 from chaos.harness.observed_run import ObservedRun, content, expect
+from chaos.harness.reference import label_in_process
 from chaos.harness.scenario import (
-    BESIDE,
+    BYSTANDER,
     LINES,
-    Back,
     Fault,
-    Place,
+    RecoveryTime,
     Scenario,
+    ScenarioContext,
     Verdicts,
-    alone,
     expect_end,
     expect_identical,
     expect_no_secret,
+    single_fault,
 )
-from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import scene
 
@@ -37,7 +37,7 @@ _ROWS = 120
 #: What connecting and a busy machine may add to a pause, s.
 _LATE = 3.0
 
-#: Frames that may be read and not yet written: those of a burst, those on their way to the sink, some held.
+#: Frames that may be read and not yet written: in a burst, in the parts, on their way to the sink.
 _MOST_FRAMES_AHEAD = 24
 
 _FOREVER = 1_000_000
@@ -51,23 +51,23 @@ def _pictures() -> list[Array]:
     return [made.frame(t) for t in range(100)]
 
 
-def _expect_told(run: ObservedRun, name: str, gaps: int) -> list[dict[str, Any]]:
-    """Expect that the rows and the status of a camera tell the same; return the rows."""
+def _expect_consistent_rows(run: ObservedRun, name: str, gaps: int) -> list[dict[str, Any]]:
+    """Expect that the rows and the status of a camera agree; return the rows."""
     door = run.status()[name]
     rows: list[dict[str, Any]] = content(run.output / name)["frames"]
     statuses = [row["status"] for row in rows]
-    told = {"ok": door["committed"], "dropped": door["dropped"], "gap": door["gaps"]}
-    expect(door["state"] == "done" and door["read"] == _ROWS, f"the camera's stream is told as {door}")
-    counted = {status: statuses.count(status) for status in told}
-    expect(counted == told, f"the rows are {counted}, the status tells {told}")
-    expect(told["gap"] == gaps, f"{told['gap']} gaps are told instead of {gaps}")
+    reported = {"ok": door["committed"], "dropped": door["dropped"], "gap": door["gaps"]}
+    expect(door["state"] == "done" and door["read"] == _ROWS, f"the camera's stream is reported as {door}")
+    counted = {status: statuses.count(status) for status in reported}
+    expect(counted == reported, f"the rows are {counted}, the status says {reported}")
+    expect(reported["gap"] == gaps, f"{reported['gap']} gaps are reported instead of {gaps}")
     times = [row["pts"] for row in rows]
     expect(times == sorted(times), "the times go back")
     return rows
 
 
 def _expect_pauses(camera: Camera, failures: int, hung_up: Sequence[float]) -> None:
-    """Expect that tries come after growing pauses, within their bounds."""
+    """Expect attempts after growing pauses, within their bounds."""
     for number in range(failures):
         longest = min(0.5 * 2.0**number, 30.0)
         pause = camera.connected[number + 1] - hung_up[number]
@@ -79,7 +79,7 @@ def _refusing(number: int) -> Iterator[int] | None:
 
 
 def _stalling(silence: float) -> Callable[[int], Iterator[int]]:
-    """A silence that ends by itself, or one after which the camera has to be connected anew."""
+    """Make a script with a silence that ends by itself, or after which the client has to reconnect."""
     began = time.monotonic()
 
     def script(number: int) -> Iterator[int]:
@@ -95,7 +95,7 @@ def _stalling(silence: float) -> Callable[[int], Iterator[int]]:
 
 
 def _flapping(flaps: int, length: int, hung_up: list[float]) -> Callable[[int], Iterator[int]]:
-    """So many connections end after some pictures; tells when."""
+    """Make a script in which so many connections end after some pictures; append when to ``hung_up``."""
     began = time.monotonic()
 
     def script(number: int) -> Iterator[int]:
@@ -111,11 +111,11 @@ _STALLS = Fault("4", "a camera stalls without an error")
 _FLAPS = Fault("5", "a flapping camera")
 
 
-def _cameras(place: Place, verdicts: Verdicts) -> None:
-    """Cameras that go wrong, each in its own way, and a file beside: every gap and drop is told."""
+def _cameras(context: ScenarioContext, verdicts: Verdicts) -> None:
+    """Run faulty cameras and a file as bystander: every gap and drop is reported."""
     pictures = _pictures()
-    silence = float(place.random.choice([6.5, 13.0]))
-    flaps, length = int(place.random.integers(2, 4)), int(place.random.integers(5, 20))
+    silence = float(context.random.choice([6.5, 13.0]))
+    flaps, length = int(context.random.integers(2, 4)), int(context.random.integers(5, 20))
     hung_up: list[float] = []
     with (
         Camera(pictures, _refusing) as refusing,
@@ -124,79 +124,75 @@ def _cameras(place: Place, verdicts: Verdicts) -> None:
     ):
         cameras = {"refuses": refusing, "stalls": stalling, "flaps": flapping}
         lines = [f"{name} {camera.address}" for name, camera in cameras.items()]
-        with ObservedRun([*lines, BESIDE], place.folder, "--max-frames", str(_ROWS)) as run:
-            words = expect_end(run, 0)
+        with ObservedRun([*lines, BYSTANDER], context.folder, "--max-frames", str(_ROWS)) as run:
+            stderr = expect_end(run, 0)
             for fault, name, gaps in (
                 (_REFUSES, "refuses", 0),
                 (_STALLS, "stalls", 1),
                 (_FLAPS, "flaps", flaps),
             ):
-                with verdicts.of(fault.name):
-                    _expect_told(run, name, gaps)
-                    expect_no_secret(run, words, Camera.password)
-                    expect_identical(place, run, BESIDE)
-            with verdicts.of(_REFUSES.name) as verdict:
+                with verdicts.check(fault.name):
+                    _expect_consistent_rows(run, name, gaps)
+                    expect_no_secret(run, stderr, Camera.password)
+                    expect_identical(context, run, BYSTANDER)
+            with verdicts.check(_REFUSES.name) as verdict:
                 _expect_pauses(refusing, _REFUSALS, refusing.connected)
-                verdict.back = Back(refusing.connected[_REFUSALS] - refusing.connected[0])
-            with verdicts.of(_STALLS.name):
+                verdict.recovery = RecoveryTime(refusing.connected[_REFUSALS] - refusing.connected[0])
+            with verdicts.check(_STALLS.name):
                 connections = len(stalling.connected)
                 expect(connections == (1 if silence < 10 else 2), f"{connections} connections")
-            with verdicts.of(_FLAPS.name) as verdict:
+            with verdicts.check(_FLAPS.name) as verdict:
                 _expect_pauses(flapping, flaps, hung_up)
                 pauses = zip(hung_up, flapping.connected[1:], strict=False)
-                verdict.back = Back(max(back - away for away, back in pauses))
+                verdict.recovery = RecoveryTime(max(back - away for away, back in pauses))
 
 
-def _slow_pipeline(place: Place) -> None:
-    """A camera that is faster than the labelling: as if nothing else had come than what is labelled."""
-    slow = Trap(
+def _slow_pipeline(context: ScenarioContext) -> None:
+    """Run a camera that is faster than labelling: as if only the labelled pictures had been sent."""
+    slow = Injection(
         "mlbs_actors.actors.stream.segmenter_actor:SegmenterActor.step",
         "wait",
-        value=place.random.uniform(0.1, 0.3),
+        value=context.random.uniform(0.1, 0.3),
     )
     pictures = _pictures()
-    plant = Plant(place.folder / "plant", [slow])
+    injector = Injector(context.folder / "injector", [slow])
     with Camera(pictures, lambda number: play(0, _FOREVER, time.monotonic())) as camera:
         lines, flags = [f"door {camera.address}"], ("--max-frames", str(_ROWS))
-        with ObservedRun(lines, place.folder, *flags, plant=plant) as run:
+        with ObservedRun(lines, context.folder, *flags, injector=injector) as run:
             expect_no_secret(run, expect_end(run, 0), camera.password)
-            rows = _expect_told(run, "door", 0)
+            rows = _expect_consistent_rows(run, "door", 0)
             dropped = sum(row["status"] == "dropped" for row in rows)
             expect(dropped > _ROWS // 4, f"only {dropped} pictures were dropped")
             labelled = [row for row in rows if row["status"] == "ok"]
             received = as_received(pictures, 1 + round(rows[-1]["pts"] * RATE))
             given = [received[round(row["pts"] * RATE)] for row in labelled]
-            for row, labels in zip(labelled, _in_process(given), strict=True):
+            for row, labels in zip(labelled, label_in_process(given), strict=True):
                 mask = np.asarray(Image.open(run.output / "door/masks" / f"{row['name']}.png"))
                 expect(bool((mask == labels).all()), f"frame {row['frame']} is labelled otherwise")
 
 
-def _in_process(pictures: Sequence[Array]) -> list[Array]:
-    subtractor = MultilayerSubtractor()
-    results = [result for picture in pictures for result in subtractor.apply(picture)]
-    return [result.labels for result in [*results, *subtractor.flush()]]
-
-
-def _slow_sink(place: Place) -> None:
-    """A disk that is slower than the labelling holds the reading of a file back."""
-    slow = Trap("orchestrator.sinks.record:StreamRecord.write", "wait", value=place.random.uniform(0.2, 0.4))
+def _slow_sink(context: ScenarioContext) -> None:
+    """Run with a disk that is slower than labelling: reading a file waits for it."""
+    slow = Injection(
+        "orchestrator.sinks.record:StreamRecord.write", "wait", value=context.random.uniform(0.2, 0.4)
+    )
     ahead = [0]
 
-    def look(run: ObservedRun) -> bool:
+    def finished(run: ObservedRun) -> bool:
         written = len([*run.output.glob("victim/masks/*"), *run.output.glob("victim/masks/.*.part")])
         victim = run.status().get("victim", {"read": 0, "state": "waiting"})
         ahead.append(victim["read"] - written)
         return bool(victim["state"] == "done")
 
-    with ObservedRun(LINES, place.folder, plant=Plant(place.folder / "plant", [slow])) as run:
-        run.wait(lambda: look(run), "victim at its end")
+    with ObservedRun(LINES, context.folder, injector=Injector(context.folder / "injector", [slow])) as run:
+        run.wait(lambda: finished(run), "victim at its end")
         expect_end(run, 0)
-        expect_identical(place, run)
+        expect_identical(context, run)
         expect(max(ahead) <= _MOST_FRAMES_AHEAD, f"{max(ahead)} frames were read and not written")
 
 
 SCENARIOS = (
     Scenario("cameras that go wrong", (_REFUSES, _STALLS, _FLAPS), _cameras),
-    alone("24", "slow sink, a file as source", _slow_sink),
-    alone("25", "slow pipeline, a live source", _slow_pipeline),
+    single_fault("24", "slow sink, a file as source", _slow_sink),
+    single_fault("25", "slow pipeline, a live source", _slow_pipeline),
 )

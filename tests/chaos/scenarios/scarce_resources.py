@@ -1,4 +1,4 @@
-"""Disks that are full, read-only or gone, memory that runs out, and machines that go."""
+"""Remove the output folder, use up the memory, and lose a node of a cluster."""
 
 from __future__ import annotations
 
@@ -11,78 +11,78 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.through_ray.process_costs import process_tree
-from chaos.harness.injection import Plant
-from chaos.harness.loss_series import LABELLED, newest_label_map, seconds_back
+from chaos.harness.injection import Injector
+from chaos.harness.loss_series import LABELLED, newest_label_map, time_recovery
 from chaos.harness.observed_run import ObservedRun, expect
 from chaos.harness.scenario import (
-    BESIDE,
+    BYSTANDER,
     FRAMES,
     LINES,
-    Back,
-    Place,
-    alone,
-    beside,
+    RecoveryTime,
+    ScenarioContext,
+    bystander,
     expect_end,
     expect_identical,
+    single_fault,
     victim,
 )
 
 __all__ = ["SCENARIOS"]
 
-#: What is left to a run that is to run out of memory, and what is taken at most, bytes.
+#: Memory left to a run that is to run out of it, and the most that is allocated, bytes.
 _LEFT_BYTES, _MOST_TAKEN_BYTES = 4 * 2**30, 8 * 2**30
 _TAKEN_AT_ONCE_BYTES = 2**28
 
-#: Until a loss is told, s.
+#: Until a loss is reported, s.
 _NOTICED_SECONDS = 5.0
 
 #: Length of streams that go on while memory is taken, and while nodes are waited for, frames.
 _VERY_LONG, _LONG = 24 * FRAMES, 8 * FRAMES
 
 
-def _folder_gone(place: Place) -> None:
-    with ObservedRun(LINES, place.folder) as run:
-        run.wait_for_frames("victim", int(place.random.integers(1, FRAMES // 2)))
+def _folder_gone(context: ScenarioContext) -> None:
+    with ObservedRun(LINES, context.folder) as run:
+        run.wait_for_frames("victim", int(context.random.integers(1, FRAMES // 2)))
         (run.output / "victim").rename(run.output / "elsewhere")
-        words = expect_end(run, 1)
-        expect("victim" in words and "cannot be written" in words, f"the error is not told: {words}")
-        expect_identical(place, run, BESIDE)
+        stderr = expect_end(run, 1)
+        expect("victim" in stderr and "cannot be written" in stderr, f"the error is not reported: {stderr}")
+        expect_identical(context, run, BYSTANDER)
 
 
-def _memory_runs_out(place: Place) -> Back:
-    """Ray ends processes when the machine's memory is used up to a threshold."""
+def _memory_runs_out(context: ScenarioContext) -> RecoveryTime:
+    """Allocate memory until Ray, above a threshold of the machine's memory, ends a process."""
     total, free = _memory()
     threshold = (total - free + _LEFT_BYTES) / total
     expect(threshold < 1, "not injected: less than 4 GB of memory are free")
     settings = {"RAY_memory_usage_threshold": f"{threshold:.4f}", "RAY_memory_monitor_refresh_ms": "100"}
-    lines = victim(_VERY_LONG), beside(_VERY_LONG)
-    place.prepare(lines)
-    plant = Plant(place.folder / "plant", [LABELLED])
-    with ObservedRun(lines, place.folder, plant=plant, settings=settings) as run:
-        run.wait_for_frames("victim", int(place.random.integers(8, FRAMES)))
-        newest = {name: newest_label_map(run.output / name) for name in ("victim", "beside")}
-        while not _gone_back(run):  # one that only waited may have been ended
-            ended = _take_memory_until_a_process_is_ended(run)
+    lines = victim(_VERY_LONG), bystander(_VERY_LONG)
+    context.prepare(lines)
+    injector = Injector(context.folder / "injector", [LABELLED])
+    with ObservedRun(lines, context.folder, injector=injector, settings=settings) as run:
+        run.wait_for_frames("victim", int(context.random.integers(8, FRAMES)))
+        newest = {name: newest_label_map(run.output / name) for name in ("victim", "bystander")}
+        while not _returned(run):  # an idle one may have been ended
+            ended = _allocate_until_a_process_is_ended(run)
             time.sleep(_NOTICED_SECONDS)
-        back = seconds_back(run, plant, ended, newest, lambda: _gone_back(run))
+        back = time_recovery(run, injector, ended, newest, lambda: _returned(run))
         expect_end(run, 0)
-        expect_identical(place, run, *lines)
+        expect_identical(context, run, *lines)
         return back
 
 
-def _gone_back(run: ObservedRun) -> set[str]:
+def _returned(run: ObservedRun) -> set[str]:
     return {name for name, stream in run.status().items() if stream["returns"]}
 
 
 def _memory() -> tuple[int, int]:
-    """Memory of the machine, and what of it is available, bytes."""
+    """Return the memory of the machine, and what of it is available, bytes."""
     lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
     kilobytes = {line.partition(":")[0]: int(line.split()[1]) for line in lines}
     return 1024 * kilobytes["MemTotal"], 1024 * kilobytes["MemAvailable"]
 
 
-def _take_memory_until_a_process_is_ended(run: ObservedRun) -> float:
-    """Take more and more memory, and give it back as soon as Ray has ended a process; return when."""
+def _allocate_until_a_process_is_ended(run: ObservedRun) -> float:
+    """Allocate memory until Ray has ended a process, and free it; return when, monotonic, s."""
     taken: list[mmap.mmap] = []
     living = run.tree().keys()
     try:
@@ -97,45 +97,45 @@ def _take_memory_until_a_process_is_ended(run: ObservedRun) -> float:
 
 
 def _memory_in_use(size: int) -> mmap.mmap:
-    """Memory that is there: something is written on each page (on large ones, because that is quicker)."""
+    """Allocate memory and write to each page (large ones, because that is quicker)."""
     memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     memory.madvise(mmap.MADV_HUGEPAGE)
     memory[:: mmap.PAGESIZE] = bytes(size // mmap.PAGESIZE)
     return memory
 
 
-def _node_lost(place: Place) -> Back:
-    """Of a cluster of three nodes one is lost that has a stream, which goes on on another one."""
+def _node_lost(context: ScenarioContext) -> RecoveryTime:
+    """Remove one of a cluster's three nodes that has a stream, which is restored on another one."""
     from ray.cluster_utils import Cluster
 
-    lines = victim(_LONG), beside(_LONG)
-    place.prepare(lines)
-    plant = Plant(place.folder / "plant", [LABELLED])
-    with _springing(plant):
+    lines = victim(_LONG), bystander(_LONG)
+    context.prepare(lines)
+    injector = Injector(context.folder / "injector", [LABELLED])
+    with _injected_environment(injector):
         cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
         nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
     try:
-        with ObservedRun(lines, place.folder, "--address", cluster.address, plant=plant) as run:
-            run.wait_for_frames("victim", int(place.random.integers(8, FRAMES)))
-            run.wait_for_frames("beside", int(place.random.integers(8, FRAMES)))
-            newest = {name: newest_label_map(run.output / name) for name in ("victim", "beside")}
+        with ObservedRun(lines, context.folder, "--address", cluster.address, injector=injector) as run:
+            run.wait_for_frames("victim", int(context.random.integers(8, FRAMES)))
+            run.wait_for_frames("bystander", int(context.random.integers(8, FRAMES)))
+            newest = {name: newest_label_map(run.output / name) for name in ("victim", "bystander")}
             busy = [node for node in nodes if _has_a_stream(node)]
             expect(bool(busy), "not injected: no stream is on a node that can be lost")
             began = time.monotonic()
-            cluster.remove_node(busy[int(place.random.integers(len(busy)))], allow_graceful=False)
-            back = seconds_back(run, plant, began, newest, lambda: _gone_back(run))
+            cluster.remove_node(busy[int(context.random.integers(len(busy)))], allow_graceful=False)
+            back = time_recovery(run, injector, began, newest, lambda: _returned(run))
             expect_end(run, 0)
-            expect_identical(place, run, *lines)
+            expect_identical(context, run, *lines)
             return back
     finally:
         cluster.shutdown()  # type: ignore[no-untyped-call]
 
 
 @contextmanager
-def _springing(plant: Plant) -> Iterator[None]:
-    """Give the environment of a plant to the processes that are started meanwhile."""
+def _injected_environment(injector: Injector) -> Iterator[None]:
+    """Give the injector's environment to the processes that are started in the ``with`` block."""
     before = os.environ.get("PYTHONPATH")
-    os.environ["PYTHONPATH"] = plant.environment()["PYTHONPATH"]
+    os.environ["PYTHONPATH"] = injector.environment()["PYTHONPATH"]
     try:
         yield
     finally:
@@ -146,13 +146,13 @@ def _springing(plant: Plant) -> Iterator[None]:
 
 
 def _has_a_stream(node: Any) -> bool:
-    """Whether a node of Ray's cluster for tests has processes of a stream."""
+    """Return whether a node of Ray's cluster for tests has processes of a stream."""
     raylet = node.all_processes["raylet"][0].process.pid
     return any(one.title.startswith("ray::SegmenterActor") for one in process_tree(raylet).values())
 
 
 SCENARIOS = (
-    alone("18", "a node of three lost with its stream", _node_lost),
-    alone("23", "output folder gone", _folder_gone),
-    alone("26", "memory runs out", _memory_runs_out),
+    single_fault("18", "a node of three lost with its stream", _node_lost),
+    single_fault("23", "output folder gone", _folder_gone),
+    single_fault("26", "memory runs out", _memory_runs_out),
 )

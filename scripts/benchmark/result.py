@@ -1,4 +1,4 @@
-"""What a measurement gives: tables to read, figures for a program, a plot."""
+"""What a measurement returns: tables to read, figures for a program, plots."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 
 from benchmark.plots import Plot
 
-__all__ = ["Finding"]
+__all__ = ["MeasurementResult"]
 
 
 @dataclass(frozen=True)
-class Finding:
-    """One measurement's outcome.
+class MeasurementResult:
+    """Outcome of one measurement.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What all measurements of one run of the benchmark share."""
+"""Settings that all measurements of one run of the benchmark share."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from mlbs_actors import Config
 from mlbs_actors.messages import Array
 from orchestrator.evaluation.datasets import Sequence
 
-__all__ = ["Setting", "say"]
+__all__ = ["Settings", "report_progress"]
 
 
 @dataclass(frozen=True)
-class Setting:
-    """How to measure, and what on.
+class Settings:
+    """How to measure, and on which sequences.
 
     Attributes
     ----------
@@ -43,18 +43,18 @@ class Setting:
 
     @property
     def steady(self) -> int:
-        """Frames that are timed."""
+        """Return the number of frames that are timed."""
         return self.frames - self.warm
 
     def played(self, sequence: Sequence) -> Iterator[Array]:
-        """The frames to play, back and forth, one at a time."""
+        """Yield the frames to play, back and forth, one at a time."""
         return (sequence.frame(index) for index in frame_order(len(sequence.stems), self.frames))
 
     def endless_video(self, name: str) -> Path:
-        """A sequence once forth and back as a video file, which has no cut when it is played again."""
+        """Write a sequence, once forward and back, as a video file that can be looped without a cut."""
         path = self.folder / f"{hashlib.sha256(name.encode()).hexdigest()}.mp4"
         if not path.exists():
-            say(f"{name}: writing it as a video")
+            report_progress(f"{name}: writing it as a video")
             sequence = self.sequences[name]
             length = len(sequence.stems)
             pictures = [sequence.frame(index) for index in range(length)]
@@ -62,6 +62,6 @@ class Setting:
         return path
 
 
-def say(text: str) -> None:
-    """Tell on standard error what is being measured, and how far it is."""
+def report_progress(text: str) -> None:
+    """Report on standard error what is being measured, and how far it is."""
     print(text, file=sys.stderr, flush=True)
