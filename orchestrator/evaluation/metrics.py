@@ -12,6 +12,7 @@ failure, also a real small mover that the truth leaves out; :func:`object_level`
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -184,16 +185,16 @@ def object_level(overlap: FrameOverlap) -> Agreement:
     return _region_means(overlap, count_extras=False)
 
 
-def multi_label_matlab(overlap: FrameOverlap) -> float:
-    """The figure of the authors' program: F = Σ 2PR(P+R) / Σ (P+R)² over the objects of one frame.
+def multi_label_matlab(overlap: FrameOverlap) -> Agreement:
+    """The figures of the authors' program: F = Σ 2PR(P+R) / Σ (P+R)² over the objects of one frame.
 
-    Regions are assigned on pixel overlap with the background among them; its row is dropped afterwards and
-    extra regions are ignored. An object without a partner, or with one it does not touch, has P = 1, R = 0.
-    NaN without truth objects.
+    Precision and recall are the plain means over the objects. Regions are assigned on pixel overlap with the
+    background among them; its row is dropped afterwards and extra regions are ignored. An object without a
+    partner, or with one it does not touch, has P = 1, R = 0. NaN without truth objects.
     """
     counts = overlap.counts
     rows, columns = linear_sum_assignment(counts, maximize=True)
-    numerator = denominator = 0.0
+    precisions, recalls = [], []
     partner = dict(zip(rows.tolist(), columns.tolist(), strict=True))
     for row in range(1, counts.shape[0]):
         column = partner.get(row)
@@ -201,9 +202,15 @@ def multi_label_matlab(overlap: FrameOverlap) -> float:
         if column is not None and counts[row, column]:
             precision = float(counts[row, column] / counts[:, column].sum())
             recall = float(counts[row, column] / counts[row].sum())
-        numerator += 2 * precision * recall * (precision + recall)
-        denominator += (precision + recall) ** 2
-    return numerator / denominator if denominator else float("nan")
+        precisions.append(precision)
+        recalls.append(recall)
+    if not precisions:
+        return Agreement(math.nan, math.nan, math.nan)
+    pairs = list(zip(precisions, recalls, strict=True))
+    numerator = sum(2 * precision * recall * (precision + recall) for precision, recall in pairs)
+    denominator = sum((precision + recall) ** 2 for precision, recall in pairs)
+    count = len(pairs)
+    return Agreement(sum(precisions) / count, sum(recalls) / count, numerator / denominator)
 
 
 def id_switches(overlaps: Iterable[FrameOverlap]) -> int:

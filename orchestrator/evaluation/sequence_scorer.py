@@ -67,8 +67,9 @@ class ExtraLayer:
 class RangeScore:
     """Means over the frames with truth of one range of a sequence; NaN where no frame counts.
 
-    ``precision``, ``recall``, ``two_label_f`` and ``j`` are means over all of them, ``multi_f``, ``object_f``
-    and ``multi_f_matlab`` over those whose truth has objects. All in [0, 1].
+    ``precision``, ``recall``, ``two_label_f`` and ``j`` are means over all of them, the others over those
+    whose truth has objects: ``multi_precision``, ``multi_recall`` and ``multi_f`` as the paper's text has
+    them, the same with ``_matlab`` as the authors' program does. All in [0, 1].
     """
 
     frames: int
@@ -76,8 +77,12 @@ class RangeScore:
     recall: float
     two_label_f: float
     j: float
+    multi_precision: float
+    multi_recall: float
     multi_f: float
     object_f: float
+    multi_precision_matlab: float
+    multi_recall_matlab: float
     multi_f_matlab: float
 
 
@@ -116,15 +121,21 @@ class SequenceScore:
 def _score_range(overlaps: Sequence[FrameOverlap]) -> RangeScore:
     binary = [two_label(overlap) for overlap in overlaps]
     with_objects = [overlap for overlap in overlaps if len(overlap.objects)]
+    multi = [multi_label(overlap) for overlap in with_objects]
+    matlab = [multi_label_matlab(overlap) for overlap in with_objects]
     return RangeScore(
         frames=len(overlaps),
         precision=_mean(agreement.precision for agreement in binary),
         recall=_mean(agreement.recall for agreement in binary),
         two_label_f=_mean(agreement.f for agreement in binary),
         j=_mean(jaccard(overlap) for overlap in overlaps),
-        multi_f=_mean(multi_label(overlap).f for overlap in with_objects),
+        multi_precision=_mean(agreement.precision for agreement in multi),
+        multi_recall=_mean(agreement.recall for agreement in multi),
+        multi_f=_mean(agreement.f for agreement in multi),
         object_f=_mean(object_level(overlap).f for overlap in with_objects),
-        multi_f_matlab=_mean(multi_label_matlab(overlap) for overlap in with_objects),
+        multi_precision_matlab=_mean(agreement.precision for agreement in matlab),
+        multi_recall_matlab=_mean(agreement.recall for agreement in matlab),
+        multi_f_matlab=_mean(agreement.f for agreement in matlab),
     )
 
 

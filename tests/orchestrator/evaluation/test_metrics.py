@@ -65,7 +65,7 @@ def test_pixels_of_value_255_belong_to_no_region_of_either_side() -> None:
     assert two_label(judged) == (1, 1, 1)
     assert jaccard(judged) == 1
     assert multi_label(judged) == (1, 1, 1)  # label 8, only there, is no extra region
-    assert multi_label_matlab(judged) == 1
+    assert multi_label_matlab(judged) == (1, 1, 1)
 
 
 def test_multi_f_counts_an_extra_region_as_a_failure() -> None:
@@ -108,24 +108,27 @@ def test_pairs_without_common_pixels_are_not_matched() -> None:
 
 def test_multi_f_matlab_weighs_objects_by_the_square_of_p_plus_r() -> None:
     # Σ 2PR(P+R) = 2·1·¾·1¾ + 2·½·½·1 = 3.125; Σ (P+R)² = 1.75² + 1² = 4.0625
-    assert multi_label_matlab(overlap(*TWO_OBJECTS)) == pytest.approx(3.125 / 4.0625)
+    scores = multi_label_matlab(overlap(*TWO_OBJECTS))
+    assert scores.f == pytest.approx(3.125 / 4.0625)
+    assert scores.precision == pytest.approx((1 + 1 / 2) / 2)
+    assert scores.recall == pytest.approx((3 / 4 + 1 / 2) / 2)
 
 
 @pytest.mark.parametrize("background", ["0 0 0 0", "0 0 0 9"])
 def test_multi_f_matlab_gives_an_unmatched_object_full_precision_and_no_recall(background: str) -> None:
     # Object 1: P = R = 1, so 4 and 4; object 2: P = 1, R = 0, so 0 and 1. An extra label changes nothing.
     lost = overlap("1 1 1 1 2 2 0 0 0 0", f"5 5 5 5 0 0 {background}")
-    assert multi_label_matlab(lost) == pytest.approx(4 / 5)
+    assert multi_label_matlab(lost) == pytest.approx((1, 1 / 2, 4 / 5))
 
 
 def test_multi_f_matlab_lets_an_object_take_the_background_label() -> None:
     # Overlap is largest with background → 7 (3 px) and object 1 → label 0 (2 px): P = 2/3, R = 2/3.
     swapped = overlap("1 1 1 0 0 0 0", "0 0 7 7 7 7 0")
-    assert multi_label_matlab(swapped) == pytest.approx(2 / 3)
+    assert multi_label_matlab(swapped) == pytest.approx((2 / 3, 2 / 3, 2 / 3))
 
 
 def test_multi_f_matlab_of_a_frame_without_objects_is_undefined() -> None:
-    assert math.isnan(multi_label_matlab(overlap("0 0", "0 3")))
+    assert all(math.isnan(value) for value in multi_label_matlab(overlap("0 0", "0 3")))
 
 
 def test_pixel_counts_equal_those_of_a_loop() -> None:
@@ -278,8 +281,12 @@ def test_the_sequence_figures_are_means_of_the_frames_figures() -> None:
     assert whole.recall == pytest.approx((4 / 6 + 1) / 2)
     assert whole.two_label_f == pytest.approx((4 / 6 + 1) / 2)
     assert whole.j == pytest.approx((4 / 8 + 1) / 2)
+    assert whole.multi_precision == pytest.approx((5 / 6 + 1) / 2)
+    assert whole.multi_recall == pytest.approx((5 / 12 + 1) / 2)
     assert whole.multi_f == pytest.approx((19 / 42 + 1) / 2)
     assert whole.object_f == pytest.approx((19 / 28 + 1) / 2)
+    assert whole.multi_precision_matlab == pytest.approx((3 / 4 + 1) / 2)
+    assert whole.multi_recall_matlab == pytest.approx((5 / 8 + 1) / 2)
     assert whole.multi_f_matlab == pytest.approx((10 / 13 + 1) / 2)
 
 
