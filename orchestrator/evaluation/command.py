@@ -22,7 +22,8 @@ from orchestrator.evaluation.figures import (
     results_as_json,
     write_figures,
 )
-from orchestrator.evaluation.scoring import SequenceResult, run_label_maps, score_sequence
+from orchestrator.evaluation.paper_tables import paper_sequences, paper_tables
+from orchestrator.evaluation.scoring import SequenceResult, run_label_maps, score_sequence, warm_engine
 from orchestrator.evaluation.variants import Variant, VariantResults, run_variants, variants_as_json
 from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
@@ -35,6 +36,7 @@ Score label maps against truth.
   scripts/evaluate --data data                              the engine, in process, on every folder below
                                                             data that holds frames/ and gt/
   scripts/evaluate --sequences 'synthetic:demo?frames=60'   the engine on a scene with exact truth
+  scripts/evaluate --data data --paper                      the tables of the paper, with our figures
   scripts/evaluate --data data --ablate                     what each stage of the method gives
   scripts/evaluate --data data --disturb                    how much accidents of parameters and input cost
 
@@ -75,8 +77,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(ablation_table(rows))
     elif options.disturb:
         print(disturbance_table(rows))
+    elif options.paper:
+        print(paper_tables(rows[0].results))
+        _print_remarks(rows[0].results)
     else:
         _print_figures(rows[0].results)
+        _print_remarks(rows[0].results)
     _print_failures(rows)
     if options.json:
         try:
@@ -96,10 +102,17 @@ def _parser() -> argparse.ArgumentParser:
         "--run", type=Path, metavar="OUT_DIR", help="score the masks of this finished run; needs --truth"
     )
     what.add_argument(
+        "--paper",
+        action="store_true",
+        help="run the engine on those of the paper's ten sequences that are there, and print the paper's "
+        "tables 1 to 4 with our figures beside the published ones; --jobs 1 for times without contention",
+    )
+    what.add_argument(
         "--ablate",
         action="store_true",
         help="run the engine once for each stage of the method: first with all stages off, then with one "
-        "more each time; prints means, and two_label_f of each sequence",
+        "more each time; then once for each of some parts that the whole method is left without; prints "
+        "means, and two_label_f of each sequence",
     )
     what.add_argument(
         "--disturb",
@@ -181,12 +194,7 @@ def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
     overrides = list(options.set)
     if options.lookahead is not None:
         overrides.append(f"layers.lookahead={options.lookahead}")
-    names = options.sequences
-    if not names:
-        root = datasets.data_root(options.data)
-        names = datasets.find_sequences(root)
-        if not names:
-            raise ConfigError(f"No folder below {root} holds frames/ and gt/.")
+    names = _sequence_names(options)
     # What cannot be run, parameters or sequences, is told before anything runs.
     variants = _variants(options, overrides)
     for variant in variants:
@@ -195,7 +203,24 @@ def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
     for change in (variant.change for variant in variants if variant.change is not None):
         for sequence in opened:
             change(sequence)
-    return run_variants(variants, names, options.data, options.jobs, options.sheets)
+    prepare = warm_engine if options.paper else None  # its tables hold times
+    return run_variants(variants, names, options.data, options.jobs, options.sheets, prepare)
+
+
+def _sequence_names(options: argparse.Namespace) -> list[str]:
+    names: list[str] = options.sequences
+    if not names:
+        root = datasets.data_root(options.data)
+        names = datasets.find_sequences(root)
+        if not names:
+            raise ConfigError(f"No folder below {root} holds frames/ and gt/.")
+    if not options.paper:
+        return names
+    selected = paper_sequences(names)
+    others = set(names) - set(selected)
+    if options.sequences and others:
+        raise ConfigError(f"--paper knows the paper's sequences only: leave {', '.join(sorted(others))} out.")
+    return selected
 
 
 def _variants(options: argparse.Namespace, overrides: Sequence[str]) -> tuple[Variant, ...]:
@@ -218,6 +243,9 @@ def _print_figures(results: Sequence[SequenceResult]) -> None:
             rows.append(["mean", *(format_number(mean) for mean in means)])
         if rows:
             print(format_table(["sequence", *(heading for heading, _ in columns)], rows) + "\n")
+
+
+def _print_remarks(results: Sequence[SequenceResult]) -> None:
     for result in results:
         if result.remark:
             print(f"{result.name}: {result.remark}")

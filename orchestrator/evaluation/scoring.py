@@ -14,6 +14,7 @@ from typing import Protocol
 import cv2
 
 from mlbs_actors import MultilayerSubtractor
+from mlbs_actors.actors.parts import EngineParts
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import FrameError, MlbsError, SinkError, SourceError
 from mlbs_actors.messages import Array, Segmentation
@@ -21,7 +22,14 @@ from orchestrator.evaluation import datasets
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, extra_layer_sheet, spread_evenly
 from orchestrator.evaluation.sequence_scorer import SequenceScore, SequenceScorer
 
-__all__ = ["EngineLabelling", "SequenceResult", "engine_result", "run_label_maps", "score_sequence"]
+__all__ = [
+    "EngineLabelling",
+    "SequenceResult",
+    "engine_result",
+    "run_label_maps",
+    "score_sequence",
+    "warm_engine",
+]
 
 SHEET_FRAMES = 8
 
@@ -172,6 +180,11 @@ def score_sequence(
         sheets=_write_sheets(sheet_folder, sequence, score, sheet_frames) if sheet_folder else (),
         remark=sequence.remark,
     )
+
+
+def warm_engine() -> None:
+    """Compile or load the engine's kernels in this process, so that no frame's time holds it."""
+    EngineParts().warm_stream()
 
 
 def engine_result(

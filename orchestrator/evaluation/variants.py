@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -74,6 +74,7 @@ def run_variants(
     root: Path | None,
     jobs: int,
     sheet_folder: Path | None = None,
+    prepare: Callable[[], None] | None = None,
 ) -> list[VariantResults]:
     """Run and score every variant on every sequence; each that is done is told on stderr.
 
@@ -88,6 +89,8 @@ def run_variants(
         Processes at the same time; 1: all in this process.
     sheet_folder : Path or None
         Gets the contact sheets, which bear the names of the sequences only: for a single variant.
+    prepare : callable or None
+        Called once in each process before its first run; a function of a module.
 
     Returns
     -------
@@ -100,7 +103,7 @@ def run_variants(
         for name in sequences
     ]
     results: dict[int, SequenceResult] = {}
-    for place, result in _as_they_end(calls, jobs):
+    for place, result in _as_they_end(calls, jobs, prepare):
         results[place] = result
         variant = variants[place // len(sequences)]
         what = f"{variant.name}, {result.name}" if variant.name else result.name
@@ -110,14 +113,19 @@ def run_variants(
     return [VariantResults(variant, tuple(next(in_order) for _ in sequences)) for variant in variants]
 
 
-def _as_they_end(calls: Sequence[_Call], jobs: int) -> Iterator[tuple[int, SequenceResult]]:
+def _as_they_end(
+    calls: Sequence[_Call], jobs: int, prepare: Callable[[], None] | None
+) -> Iterator[tuple[int, SequenceResult]]:
     """Each call's place and result, whichever ends first."""
     if jobs == 1 or len(calls) == 1:
+        if prepare is not None:
+            prepare()
         for place, call in enumerate(calls):
             yield place, engine_result(*call)
         return
     # Fresh processes: an engine's threads and compiled functions do not survive a fork.
-    with ProcessPoolExecutor(min(jobs, len(calls)), mp_context=get_context("spawn")) as pool:
+    workers = min(jobs, len(calls))
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=prepare) as pool:
         places = {pool.submit(engine_result, *call): place for place, call in enumerate(calls)}
         for future in as_completed(places):
             yield places[future], future.result()
