@@ -212,6 +212,9 @@ class AppearanceConfig(_Section):
     half_confidence_samples: float = Field(
         2.0, gt=0, description="Samples at which a pixel's model is trusted half."
     )
+    warp: bool = Field(
+        True, description="Whether a layer's samples and its last posterior move along with it (§6.1)."
+    )
 
 
 class PosteriorConfig(_Section):

@@ -234,11 +234,14 @@ class Layer:
         motion = np.ascontiguousarray(motions[part])
         image = mean_of_cells(frame[home.slices], side)
 
+        carried, carried_in_region = motions, motion
+        if not config.appearance.warp:
+            carried, carried_in_region = np.zeros_like(motions), np.zeros_like(motion)
         # The appearance moves along and is compared with the frame's colours.
         opened = np.zeros(image.shape[:2], np.bool_)
         opened[part] = needed
         density = AppearanceParameters.configured(config, self.kind, side)
-        model, log_density = warp_and_evaluate(state.model, home_cells, motions, image, density, opened)
+        model, log_density = warp_and_evaluate(state.model, home_cells, carried, image, density, opened)
         log_ratio, samples = quantised_colours(
             np.ascontiguousarray(log_density[part]),
             np.ascontiguousarray(model.count[part]),
@@ -247,7 +250,7 @@ class Layer:
         )
         # So does the last posterior: the prior.
         before = in_cells(state.region, state.cell)
-        prior = warp_map(last_posterior, before, cells, motion, needed)
+        prior = warp_map(last_posterior, before, cells, carried_in_region, needed)
 
         if self._is_background:
             trusted = trusted_background(config, own, evidence, side)

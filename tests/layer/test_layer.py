@@ -347,6 +347,24 @@ def test_the_prior_is_the_last_posterior_moved_by_the_layers_own_motion() -> Non
     assert centre < outside
 
 
+def test_without_the_warp_samples_and_prior_stay_where_they_are() -> None:
+    won, moved = Region(70, 45, 20, 15), grid(CAR) + np.array([3.0, 0.0], np.float32)
+    left, right = (52, 71), (52, 91)  # only where it was, and only where it is by its own motion
+    for warp in (True, False):
+        weights = {**SILENT, "appearance": 1.0, "prior": 1.0, "region_margin_px": 40.0}
+        config = Config.model_validate({"posterior": weights, "appearance": {"warp": warp}})
+        layer = Layer(config, 1, "object")
+        step(layer, 0, picture(), grid(CAR), motion=(-3.0, 0.0))
+        before = published(0, owned(won), normaliser=60)
+        second = step(layer, 1, picture(), moved, before, motion=(-3.0, 0.0))  # the picture has not moved
+        corner = np.array([second.region.y, second.region.x])
+        cost = {place: second.cost[tuple(place - corner)] for place in (left, right)}
+        assert (cost[left] > cost[right]) == warp
+        known = second.samples > 0
+        assert known.sum() > 20
+        assert (second.log_ratio[known].mean() > 0) == (not warp)
+
+
 def test_a_prior_never_falls_below_its_floor() -> None:
     config = configured(prior=1.0, prior_floor=0.2)
     layer = Layer(config, 1, "object")
