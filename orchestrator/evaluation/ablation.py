@@ -1,6 +1,7 @@
-"""What each stage of the method gives: the method built up stage by stage, a row for each.
+"""What each stage of the method gives: the method built up stage by stage, then left without one part.
 
-The first row has every stage off, each next row switches one more on, and the last is the whole method.
+The first row has every stage off, each next row of :data:`STAGES` switches one more on, and the last of them
+is the whole method. The rows of :data:`PARTS` follow; each is the whole method without that one part.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 
 from orchestrator.evaluation.variants import Variant, VariantResults, variants_table
 
-__all__ = ["STAGES", "Stage", "ablation_table", "ablation_variants"]
+__all__ = ["PARTS", "STAGES", "Stage", "ablation_table", "ablation_variants"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,34 +48,68 @@ STAGES: tuple[Stage, ...] = (
 )
 
 
-def ablation_variants(overrides: Sequence[str], stages: Sequence[Stage] = STAGES) -> tuple[Variant, ...]:
-    """The rows: each has all stages after its own switched off.
+#: More frames than any sequence has.
+_NEVER = 1_000_000
+
+_NO_SPLITS = (f"layers.probation_frames={_NEVER}", f"layers.part_probation_frames={_NEVER}")
+
+#: What the whole method is tried without.
+PARTS: tuple[Stage, ...] = (
+    # Edges this stiff leave a field one degree of freedom an axis: its shift from its prior. The prior of an
+    # object is a single motion, that of the background the camera's homography.
+    Stage("without motion field (rigid)", ("motion.smoothness_std_px=0.001",)),
+    # All standard deviations divided by 128: the mean stays what it is, to the bit, as only the ratios of the
+    # precisions count, and the variance falls to 1/16,384.
+    Stage(
+        "without variance of the motion",
+        (
+            "motion.smoothness_std_px=0.00390625",
+            "motion.point_std_px=0.00390625",
+            "motion.prior_std_px=0.15625",
+        ),
+    ),
+    Stage("without warp of the model", ("appearance.warp=false",)),
+    # No candidate that a later clustering finds outlasts its probation.
+    Stage("without splits", _NO_SPLITS),
+    # Nor is there a later clustering, from the tenth frame on.
+    Stage("without splits, propagation", (*_NO_SPLITS, f"layers.clustering_period={_NEVER}")),
+    Stage("with absorbing propagation", ("affinity.propagation=absorbing",)),
+    Stage("without label cost", ("segmentation.label_cost=0",)),
+)
+
+
+def ablation_variants(
+    overrides: Sequence[str], stages: Sequence[Stage] = STAGES, parts: Sequence[Stage] = PARTS
+) -> tuple[Variant, ...]:
+    """Make the rows: one for each stage, with all later stages off, then one for each part, without it.
 
     Parameters
     ----------
     overrides : sequence of str
-        Parameters of every row; a stage that is off is off whatever they say.
-    stages : sequence of Stage
+        Parameters of every row; what is off is off whatever they say.
+    stages, parts : sequence of Stage
 
     Returns
     -------
     tuple of Variant
-        One a stage, in their order.
+        In the order of the stages, then of the parts.
 
     Notes
     -----
     Where two stages switch the same parameter, the earlier one decides while both are off: without it the
     later one has nothing to build on.
     """
-    return tuple(
+    built_up = (
         Variant(
             stage.name,
             (*overrides, *(override for later in reversed(stages[row + 1 :]) for override in later.off)),
         )
         for row, stage in enumerate(stages)
     )
+    left_out = (Variant(part.name, (*overrides, *part.off)) for part in parts)
+    return (*built_up, *left_out)
 
 
 def ablation_table(rows: Sequence[VariantResults]) -> str:
-    """The rows as text: how well movers and objects are found, and what is found too much or renamed."""
+    """Write the rows as text: how well movers and objects are found, what is too much or renamed."""
     return variants_table(rows, "stage", ("two_label_f", "object_f", "extra", "switches"))
