@@ -183,9 +183,9 @@ class LayersConfig(_Section):
 class MotionConfig(_Section):
     """Motion field of a layer: Gaussian belief propagation (§5)."""
 
-    grid_px: int = Field(18, ge=1, description="Spacing of the field's grid, px (not scaled with the frame).")
-    variance_grid_px: int = Field(
-        32, ge=1, description="Spacing of the grid on which marginal variances hold, px."
+    grid_px: float = Field(18.0, gt=0, description="Spacing of the field's grid, px; rounded to whole cells.")
+    variance_grid_px: float = Field(
+        32.0, gt=0, description="Spacing of the grid on which marginal variances hold, px; so too."
     )
     smoothness_std_px: float = Field(0.5, gt=0, description="σ_m: difference of neighbouring nodes, px.")
     point_std_px: float = Field(0.5, gt=0, description="σ_p: a trajectory's error, px.")

@@ -208,7 +208,7 @@ class Layer:
     def _motion_field(self, own: LayerEvidence, evidence: FrameEvidence, home: Region) -> MotionField:
         """Infer how the layer moves; where no trajectory tells, the background moves as the camera does, and
         an object by the median of its trajectories, or as before."""
-        parameters = MotionParameters.configured(self.config)
+        parameters = MotionParameters.configured(self.config, evidence.shape, self._side(evidence.shape))
         shape, corner = (home.height, home.width), (home.x, home.y)
         if self._is_background:
             nodes = node_positions(shape, parameters.spacing_px).astype(np.float64)
@@ -230,7 +230,7 @@ class Layer:
         side, home, region, needed = places
         cells, home_cells = in_cells(region, side), in_cells(home, side)
         part = slices_in(cells, home_cells)
-        motions = field.of_cells(side) * np.float32(1.0 / side)  # in cells
+        motions = field.dense(side) * np.float32(1.0 / side)  # in cells
         motion = np.ascontiguousarray(motions[part])
         image = mean_of_cells(frame[home.slices], side)
 
@@ -267,7 +267,7 @@ class Layer:
                 prior[0] >= np.float32(0.5),
                 np.float32(config.posterior.photometric_cap),
             )
-        variance = np.ascontiguousarray(field.variance_of_cells(side)[part])
+        variance = np.ascontiguousarray(field.dense_variance(side)[part])
         prediction = Prediction(cells, side, needed, motion, variance, prior, away, advantage)
         return LayerState(
             last_frame=evidence.frame_index,

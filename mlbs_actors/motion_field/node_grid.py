@@ -16,7 +16,6 @@ __all__ = [
     "grid_shape",
     "lump",
     "node_positions",
-    "nodes_of_cells",
     "point_misfit",
     "to_pixels",
 ]
@@ -81,48 +80,6 @@ def to_pixels(values: Array, spacing: int, height: int, width: int) -> Array:
 
 
 @compiled
-def nodes_of_cells(values: Array, spacing: int, side: int, height: int, width: int) -> tuple[Array, int]:
-    """Of which the means over the pixels of each cell of an (h, w) region are interpolated.
-
-    Parameters
-    ----------
-    values : (gh, gw, c) float32
-    spacing : int
-        Of the nodes, px.
-    side : int
-        Of a cell, px.
-    height, width : int
-        px.
-
-    Returns
-    -------
-    nodes : (rows, columns, c) float32
-    spacing : int
-        Cells.
-    """
-    if spacing % side == 0:
-        # As the values are linear between the nodes, that in the middle of a cell is nearly its mean.
-        return values, spacing // side
-    rows, columns = grid_shape((height, width), side)
-    pixels, components = to_pixels(values, spacing, height, width), values.shape[2]
-    means, summed = (
-        np.zeros((rows, columns, components), np.float32),
-        np.empty(width * components, np.float32),
-    )
-    share = np.float32(1.0 / (side * side))
-    for row in range(rows):
-        summed[:] = 0
-        for y in range(row * side, (row + 1) * side):  # past the border the last row and column go on
-            summed += (pixels[min(y, height - 1)]).reshape(-1)
-        for column in range(columns):
-            for x in range(column * side, (column + 1) * side):
-                near = min(x, width - 1) * components
-                for component in range(components):
-                    means[row, column, component] += share * summed[near + component]
-    return means, 1
-
-
-@compiled
 def _pixel_taps(length: int, nodes: int, spacing: int) -> tuple[Array, Array, Array]:
     """The two nodes along one axis that each pixel lies between, and the share of the second."""
     first, second = np.empty(length, np.int64), np.empty(length, np.int64)
@@ -168,18 +125,35 @@ def point_misfit(values: Array, field: Array, nodes: Array, shares: Array) -> Ar
 
 @compiled
 def lump(
-    nodes: Array, shares: Array, weights: Array, point_precision: float, measured: Array, precision: float,
-    rows: int, columns: int,
+    nodes: Array, shares: Array, precisions: Array, measured: Array, prior_precision: float,
+    shape: tuple[int, int],
 ) -> Array:  # fmt: skip
-    """Sums on the nodes by the points' shares, (3, gh, gw): of their precision by their weights, with the
-    prior's, and of their own times what they measured."""
-    total = np.zeros((3, rows * columns))
-    total[0] = precision
+    """Sum evidence on the nodes by the points' shares in them.
+
+    Parameters
+    ----------
+    nodes, shares : (n, 4)
+        Of :func:`bilinear_taps`.
+    precisions : (n,) float64
+        Of the points.
+    measured : (n, 2)
+        What they measured.
+    prior_precision : float
+        Of every node.
+    shape : (gh, gw)
+        Of the grid.
+
+    Returns
+    -------
+    (3, gh, gw) float64
+        Precision, and that times what was measured.
+    """
+    total = np.zeros((3, shape[0] * shape[1]))
+    total[0] = prior_precision
     for point in range(nodes.shape[0]):
-        evidence = weights[point] * point_precision
         for tap in range(4):
-            node, amount = nodes[point, tap], shares[point, tap] * evidence
+            node, amount = nodes[point, tap], shares[point, tap] * precisions[point]
             total[0, node] += amount
             total[1, node] += amount * measured[point, 0]
             total[2, node] += amount * measured[point, 1]
-    return total.reshape(3, rows, columns)
+    return total.reshape(3, shape[0], shape[1])
