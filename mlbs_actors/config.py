@@ -53,6 +53,9 @@ class GridConfig(_Section):
 class FlowConfig(_Section):
     """Dense optical flow (§3): dense inverse search (DIS) where the authors use LDOF."""
 
+    method: Literal["search", "opencv"] = Field(
+        "search", description="Our own dense inverse search, or OpenCV's, which takes about twice the time."
+    )
     finest_scale: int = Field(
         0, ge=0, le=3, description="DIS: last level of the pyramid, 0 = the cells themselves."
     )

@@ -36,7 +36,7 @@ from mlbs_actors.clustering.splitting import (
 )
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
-from mlbs_actors.flow.dense_flow import LEAST_CELLS, dense_flow, flow_gray
+from mlbs_actors.flow.estimate import LEAST_CELLS, FlowFunction, Picture, estimate_flow, picture_of
 from mlbs_actors.flow.focus import focus_blocks, focus_boxes
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerKind, LayerTracks, Segmentation
 from mlbs_actors.tracking.frame_buffer import HeldFrame, by_layer, first_frame, held_frame, relabelled
@@ -57,7 +57,7 @@ class CoordinatorState:
     epoch : int
         First frame of the present size.
     shape : (H, W) or None
-    gray : (h, w) uint8
+    picture : Picture
         The last frame as the flow sees it.
     focus : (rows, columns) bool
         Blocks around which the next flow needs its finest level; empty where it does everywhere.
@@ -78,7 +78,7 @@ class CoordinatorState:
     next_frame: int
     epoch: int
     shape: tuple[int, int] | None
-    gray: Array
+    picture: Picture
     focus: Array
     trajectories: TrajectoryState
     labels: Array
@@ -95,7 +95,7 @@ class CoordinatorState:
             next_frame=0,
             epoch=0,
             shape=None,
-            gray=np.zeros((0, 0), np.uint8),
+            picture=Picture(np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8)),
             focus=np.zeros((0, 0), bool),
             trajectories=empty_trajectories(config.trajectories),
             labels=np.zeros(0, np.int64),
@@ -115,10 +115,15 @@ class Coordinator:
     config : Config
     state : CoordinatorState, optional
         To go on from a snapshot; a new stream by default.
+    flow : FlowFunction, optional
+        The caller's own flow, in place of ``config.flow.method``.
     """
 
-    def __init__(self, config: Config, state: CoordinatorState | None = None) -> None:
+    def __init__(
+        self, config: Config, state: CoordinatorState | None = None, flow: FlowFunction | None = None
+    ) -> None:
         self.config = config
+        self.flow = flow
         self.state = state or CoordinatorState.beginning(config)
 
     def feedback_index(self, frame_index: int) -> int | None:
@@ -169,15 +174,15 @@ class Coordinator:
 
         with _timed(stage_ms, "flow"):
             side = cell_side(shape, config.grid.cell_px)
-            gray = flow_gray(frame, side)
-            flow = None
+            picture, flow = picture_of(frame, side, self.flow is not None), None
+            previous, gray = state.picture.gray, picture.gray
             if frame_index > state.epoch and min(gray.shape) >= LEAST_CELLS:
                 focus = focus_boxes(state.focus, gray.shape) if state.focus.size else None
-                flow = dense_flow(state.gray, gray, side, config.flow, config.trajectories, focus)
+                flow = estimate_flow(state.picture, picture, side, config, focus, self.flow)
 
         with _timed(stage_ms, "tracking"):
             known = state.labels == BACKGROUND if state.clustered else np.ones(len(state.labels), bool)
-            tracked = track(state.trajectories, known, flow, state.gray, gray, shape, config)
+            tracked = track(state.trajectories, known, flow, previous, gray, shape, config)
             trajectories, camera = tracked.trajectories, tracked.camera
             labels = np.full(len(trajectories), UNLABELLED, np.int64)
             labels[: len(tracked.survivors)] = state.labels[tracked.survivors]
@@ -185,8 +190,8 @@ class Coordinator:
             spreads = np.concatenate([[spread], state.spreads])[: config.trajectories.history_frames]
 
         if flow is not None and state.held and state.held[0].frame_index == state.epoch == frame_index - 1:
-            state.held = (first_frame(state.held[0], flow, state.gray, gray, camera),)
-        state.next_frame, state.shape, state.gray = frame_index + 1, shape, gray
+            state.held = (first_frame(state.held[0], flow, previous, gray, camera),)
+        state.next_frame, state.shape, state.picture = frame_index + 1, shape, picture
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
         if self._clustering_due(frame_index):
             self._cluster(frame, frame_index, feedback, stage_ms)

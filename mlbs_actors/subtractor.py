@@ -15,6 +15,7 @@ from mlbs_actors.config import Config
 from mlbs_actors.coordinator import Coordinator, CoordinatorState
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import ConfigError, MlbsError
+from mlbs_actors.flow.estimate import FlowFunction
 from mlbs_actors.inspection import FrameInspection, inspect_frame
 from mlbs_actors.layer.layer import Layer
 from mlbs_actors.layer.layer_state import LayerState
@@ -53,6 +54,11 @@ class MultilayerSubtractor:
         Called with a :class:`~mlbs_actors.inspection.FrameInspection` for every frame that is labelled, in
         order: trajectories, motion fields and posteriors. The results are the same with it.
 
+    flow : callable, optional
+        Your own dense flow, in place of the configured one: from two frames (H, W, 3) uint8 BGR, (H, W, 2)
+        float, where each pixel of the first one is in the second, less where it is in the first, px. It is
+        called twice a frame, once in each direction.
+
     Raises
     ------
     ConfigError
@@ -77,13 +83,16 @@ class MultilayerSubtractor:
     """
 
     def __init__(
-        self, config: Config | None = None, inspector: Callable[[FrameInspection], None] | None = None
+        self,
+        config: Config | None = None,
+        inspector: Callable[[FrameInspection], None] | None = None,
+        flow: FlowFunction | None = None,
     ) -> None:
         if config is not None and not isinstance(config, Config):
             raise ConfigError(f"Give a Config, not {config!r}; load_config reads one from a file.")
         self.config = config or Config()
         self._inspector = inspector
-        self._coordinator = Coordinator(self.config)
+        self._coordinator = Coordinator(self.config, flow=flow)
         self._segmenter = Segmenter(self.config)
         self._layers: dict[int, Layer] = {}
         self._waiting: dict[int, Array] = {}
@@ -101,12 +110,15 @@ class MultilayerSubtractor:
                 self._waiting,
                 self._published,
             )
-            return {"config": self.config, "inspector": self._inspector, "state": capture(state)}
+            return {
+                "arguments": (self.config, self._inspector, self._coordinator.flow),
+                "state": capture(state),
+            }
 
     def __setstate__(self, pickled: dict[str, Any]) -> None:
-        self.__init__(pickled["config"], pickled["inspector"])  # type: ignore[misc]
+        self.__init__(*pickled["arguments"])  # type: ignore[misc]
         state = pickled["state"].state(_SubtractorState)
-        self._coordinator = Coordinator(self.config, state.coordinator)
+        self._coordinator = Coordinator(self.config, state.coordinator, self._coordinator.flow)
         self._segmenter = Segmenter(self.config, state.segmenter)
         self._layers = {
             layer: Layer(self.config, layer, one.kind, one.state) for layer, one in state.layers.items()
@@ -129,7 +141,7 @@ class MultilayerSubtractor:
         Raises
         ------
         FrameError
-            If the frame has another type.
+            If the frame has another type, or a flow function returned something else than a flow.
         MlbsError
             If another thread, or the inspector, calls while a frame is worked on; that frame goes on.
         """

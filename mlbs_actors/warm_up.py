@@ -18,7 +18,7 @@ import numpy as np
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array, FrameEvidence, LayerKind, LayerTracks, Segmentation, received
 
-__all__ = ["warm_layer", "warm_stream"]
+__all__ = ["main", "warm_layer", "warm_stream"]
 
 #: Time between two signs of life, s.
 _PROGRESS_SECONDS = 5.0

@@ -126,7 +126,7 @@ def trusted_background(
     trusted[rows, columns] = _judged(
         trajectory_distance(own, near, coarse),
         trajectory_distance(objects, near, coarse),
-        np.ascontiguousarray(frame_evidence.unexplained[rows, columns]),
+        frame_evidence.unexplained[rows, columns].copy(),
         least,
         np.float32(weights.keep_off_px * scale),
         np.float32(weights.learn_px * scale),

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.clustering.label_index import UNLABELLED, label_places
-from mlbs_actors.flow.dense_flow import DenseFlow
+from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.kernels.interpolation import sample_flow, sample_map
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import BACKGROUND, UNEXPLAINED_STEP, Array

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.config import TrajectoriesConfig, length_scale
-from mlbs_actors.flow.dense_flow import DenseFlow
+from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.kernels.interpolation import sample_flow
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array

@@ -14,7 +14,7 @@ import numpy as np
 
 from mlbs_actors.cells import cell_side
 from mlbs_actors.config import Config, length_scale
-from mlbs_actors.flow.dense_flow import DenseFlow
+from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.kernels.interpolation import sample_map
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.camera import CameraEvidence, camera_evidence, camera_homography, homography_motion

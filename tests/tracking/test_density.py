@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from flow_fakes import dense_flow, flow_gray
 
 from mlbs_actors.config import Config
-from mlbs_actors.flow.dense_flow import dense_flow, flow_gray
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.density import MOST_IN_SQUARE, SQUARE, room_left, within_room
 from mlbs_actors.tracking.tracker import track
@@ -60,7 +60,7 @@ def test_trajectories_of_an_object_that_is_watched_for_long_do_not_pile_up() -> 
     ).trajectories
     for index in range(1, 180):  # forth, back and forth
         before, gray = (grays[59 - abs(59 - (at % 118))] for at in (index - 1, index))
-        flow = dense_flow(before, gray, side, config.flow, config.trajectories)
+        flow = dense_flow(before, gray, side, config)
         state = track(state, np.ones(len(state), bool), flow, before, gray, shape, config).trajectories
         old = state.positions[state.ages == config.trajectories.history_frames]
         assert (room_left(old, gray.shape, side) >= 0).all()

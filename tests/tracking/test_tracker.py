@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from flow_fakes import dense_flow, flow_gray
 
 from mlbs_actors.config import Config
-from mlbs_actors.flow.dense_flow import dense_flow, flow_gray
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking import tracker
 from mlbs_actors.tracking.tracker import Tracked, track
@@ -32,7 +32,7 @@ def first(frame: Array) -> Tracked:
 def followed(one: Array, other: Array) -> tuple[TrajectoryState, Tracked]:
     before = first(one).trajectories
     grays = flow_gray(one, SIDE), flow_gray(other, SIDE)
-    flow = dense_flow(*grays, SIDE, CONFIG.flow, CONFIG.trajectories)
+    flow = dense_flow(*grays, SIDE, CONFIG)
     return before, track(before, np.ones(len(before), bool), flow, *grays, SHAPE, CONFIG)
 
 
@@ -75,6 +75,6 @@ def test_a_crowd_does_not_make_the_camera_drive_where_one_homography_explains_th
     asked = []
     monkeypatch.setattr(tracker, "forward_motion", lambda *given: asked.append(given))
     grays = flow_gray(one, SIDE), flow_gray(other, SIDE)
-    flow = dense_flow(*grays, SIDE, CONFIG.flow, CONFIG.trajectories)
+    flow = dense_flow(*grays, SIDE, CONFIG)
     track(before, background, flow, *grays, SHAPE, CONFIG)
     assert len(asked) == (0 if told_by == "the ground" else 1)

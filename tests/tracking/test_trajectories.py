@@ -8,10 +8,11 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
+from flow_fakes import dense_flow
 from scipy.spatial.distance import pdist
 
-from mlbs_actors.config import FlowConfig, TrajectoriesConfig, length_scale
-from mlbs_actors.flow.dense_flow import DenseFlow, dense_flow
+from mlbs_actors.config import Config, TrajectoriesConfig, length_scale
+from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.density import MOST_IN_SQUARE, SQUARE
 from mlbs_actors.tracking.seeding import _Ground, _seeds, seed_trajectories
@@ -45,7 +46,7 @@ def shifted(canvas: Array, shift: tuple[float, float]) -> Array:
 
 
 def flow_between(first: Array, second: Array) -> DenseFlow:
-    return dense_flow(first, second, SIDE, FlowConfig(), CONFIG)
+    return dense_flow(first, second, SIDE, Config())
 
 
 def constant_flow(motion: tuple[float, float]) -> DenseFlow:

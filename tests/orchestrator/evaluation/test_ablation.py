@@ -69,7 +69,7 @@ def bent_field(stage: Stage) -> MotionField:
     random = np.random.default_rng(3)
     positions = random.uniform(0, 200, (300, 2)).astype(np.float32)
     motions = (0.02 * positions + random.normal(size=positions.shape)).astype(np.float32)
-    parameters = MotionParameters.configured(load_config(None, stage.off))
+    parameters = MotionParameters.configured(load_config(None, stage.off), (480, 640), 2)
     return motion_field(positions, motions, (200, 200), np.array([1.0, 2.0]), parameters)
 
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
+from flow_fakes import dense_flow, flow_gray
 
 from mlbs_actors.cells import mean_of_cells
-from mlbs_actors.config import FlowConfig, TrajectoriesConfig
-from mlbs_actors.flow.dense_flow import DenseFlow, dense_flow, flow_gray, reliable_at
+from mlbs_actors.config import Config
+from mlbs_actors.errors import FrameError
+from mlbs_actors.flow.consistency import DenseFlow, reliable_at
+from mlbs_actors.flow.estimate import estimate_flow, picture_of
 from mlbs_actors.messages import Array, Region
 
-CONFIG = FlowConfig()
-CHECKS = TrajectoriesConfig()
+CONFIG = Config()
+CHECKS = CONFIG.trajectories
 
 
 def texture(height: int, width: int, seed: int = 0) -> Array:
@@ -37,7 +42,7 @@ def test_a_pan_is_found_in_both_directions() -> None:
     canvas = texture(120, 160)
     first = np.ascontiguousarray(canvas[10:106, 10:138])
     second = np.ascontiguousarray(canvas[12:108, 7:135])  # things move by (+3, −2)
-    flow = dense_flow(first, second, 1, CONFIG, CHECKS)
+    flow = dense_flow(first, second, 1, CONFIG)
     inner = np.s_[12:-12, 12:-12]
     np.testing.assert_allclose(np.median(flow.forward[inner], axis=(0, 1)), [3, -2], atol=0.05)
     np.testing.assert_allclose(np.median(flow.backward[inner], axis=(0, 1)), [-3, 2], atol=0.05)
@@ -49,7 +54,7 @@ def test_flow_of_cells_is_stated_in_px() -> None:
     canvas = cv2.resize(texture(120, 160), (480, 360), interpolation=cv2.INTER_CUBIC)  # ×3
     first, second = canvas[30:318, 30:414], canvas[26:314, 36:420]  # things move by (−6, +4)
     cells = [mean_of_cells(one, 3) for one in (first, second)]
-    flow = dense_flow(cells[0], cells[1], 3, CONFIG, CHECKS)
+    flow = dense_flow(cells[0], cells[1], 3, CONFIG)
     assert flow.side == 3
     inner = np.s_[12:-12, 12:-12]
     np.testing.assert_allclose(np.median(flow.forward[inner], axis=(0, 1)), [-6, 4], atol=0.2)
@@ -58,9 +63,9 @@ def test_flow_of_cells_is_stated_in_px() -> None:
 def test_inside_a_box_of_the_focus_the_flow_is_nearly_the_finest_and_outside_it_is_the_next_coarser() -> None:
     first, second, _ = covered_scene()
     box = Region(24, 16, 72, 64)
-    finest = dense_flow(first, second, 1, CONFIG, CHECKS)
-    found = dense_flow(first, second, 1, CONFIG, CHECKS, [box])
-    coarser = dense_flow(first, second, 1, CONFIG, CHECKS, [])
+    finest = dense_flow(first, second, 1, CONFIG)
+    found = dense_flow(first, second, 1, CONFIG, [box])
+    coarser = dense_flow(first, second, 1, CONFIG, [])
     inner = np.s_[24:72, 32:88]  # away from the box's own border
     missed = np.hypot(*np.moveaxis(found.backward - finest.backward, 2, 0))[inner]
     missed_without = np.hypot(*np.moveaxis(coarser.backward - finest.backward, 2, 0))[inner]
@@ -77,7 +82,7 @@ def test_outside_the_boxes_the_forward_flow_is_the_backward_flow_turned_around()
     canvas = texture(120, 160)
     first = np.ascontiguousarray(canvas[10:106, 10:138])
     second = np.ascontiguousarray(canvas[12:108, 7:135])
-    flow = dense_flow(first, second, 1, CONFIG, CHECKS, [])
+    flow = dense_flow(first, second, 1, CONFIG, [])
     for y in range(12, 84, 7):
         for x in range(12, 116, 7):
             u, v = flow.forward[y, x]
@@ -89,15 +94,15 @@ def test_outside_the_boxes_the_forward_flow_is_the_backward_flow_turned_around()
 
 def test_equal_frames_give_equal_bytes() -> None:
     first, second, _ = covered_scene()
-    one = dense_flow(first, second, 1, CONFIG, CHECKS)
-    other = dense_flow(first.copy(), second.copy(), 1, CONFIG, CHECKS)
+    one = dense_flow(first, second, 1, CONFIG)
+    other = dense_flow(first.copy(), second.copy(), 1, CONFIG)
     assert one.forward.tobytes() == other.forward.tobytes()
     assert one.backward.tobytes() == other.backward.tobytes()
 
 
 def test_what_is_covered_or_uncovered_is_not_reliable() -> None:
     first, second, square = covered_scene()
-    flow = dense_flow(first, second, 1, CONFIG, CHECKS)
+    flow = dense_flow(first, second, 1, CONFIG)
     covered = np.zeros_like(square)
     covered[32:64, 72:80] = True  # background in the first frame, behind the square in the second
     uncovered = np.zeros_like(square)
@@ -147,7 +152,7 @@ def reference_checks(flow: DenseFlow) -> tuple[Array, Array]:
 @pytest.mark.parametrize("side", [1, 3])
 def test_the_checks_are_those_of_plain_loops(side: int) -> None:
     first, second, _ = covered_scene()
-    flow = dense_flow(first, second, side, CONFIG, CHECKS)
+    flow = dense_flow(first, second, side, CONFIG)
     reliable, clear = reference_checks(flow)
     assert clear.mean() > 0.9
     assert reliable[clear].any()
@@ -158,7 +163,7 @@ def test_the_checks_are_those_of_plain_loops(side: int) -> None:
 @pytest.mark.parametrize("side", [1, 3])
 def test_the_checks_at_some_places_are_those_of_the_whole_field(side: int) -> None:
     first, second, _ = covered_scene()
-    flow = dense_flow(first, second, side, CONFIG, CHECKS)
+    flow = dense_flow(first, second, side, CONFIG)
     y, x = (one.ravel() for one in np.indices(first.shape))
     found = reliable_at(flow.forward, flow.backward, flow.side, flow.thresholds, x, y)
     np.testing.assert_array_equal(found, flow.forward_reliable().ravel())
@@ -168,3 +173,57 @@ def test_the_checks_at_some_places_are_those_of_the_whole_field(side: int) -> No
 def test_a_grey_value_is_that_of_the_colour() -> None:
     frame = np.full((32, 48, 3), (10, 200, 90), np.uint8)
     assert set(np.unique(flow_gray(frame, 2))) == {round(0.114 * 10 + 0.587 * 200 + 0.299 * 90)}
+
+
+# Other ways to come by a flow
+
+
+def moving_square() -> tuple[Array, Array, Array]:
+    """Two frames in which a square moves by (8, 0) on a ground that stands, and where it is in the first."""
+    first, second, square = covered_scene()
+    return cv2.cvtColor(first, cv2.COLOR_GRAY2BGR), cv2.cvtColor(second, cv2.COLOR_GRAY2BGR), square
+
+
+def test_opencvs_search_finds_the_same_motion() -> None:
+    first, second, _ = moving_square()
+    config = Config.model_validate({"flow": {"method": "opencv"}})
+    flow = estimate_flow(picture_of(first, 1, False), picture_of(second, 1, False), 1, config)
+    np.testing.assert_allclose(np.median(flow.forward[38:58, 46:66], axis=(0, 1)), [8, 0], atol=0.3)
+    np.testing.assert_allclose(np.median(flow.forward[:20], axis=(0, 1)), [0, 0], atol=0.1)
+    assert flow.backward_reliable.mean() > 0.7
+
+
+@pytest.mark.parametrize("side", [1, 2, 3])
+def test_a_callers_flow_is_asked_for_both_directions_and_averaged_over_cells(side: int) -> None:
+    first, second, _ = moving_square()
+    asked = []
+
+    def flow(one: Array, other: Array) -> Array:
+        asked.append((one[0, 0, 0], other[0, 0, 0]))
+        motion = np.zeros((*one.shape[:2], 2))
+        motion[:, 64:] = (6.0, -2.0) if len(asked) == 1 else (-6.0, 2.0)
+        return motion
+
+    pictures = picture_of(first, side, True), picture_of(second, side, True)
+    found = estimate_flow(*pictures, side, CONFIG, None, flow)
+    assert asked == [(first[0, 0, 0], second[0, 0, 0]), (second[0, 0, 0], first[0, 0, 0])]
+    assert found.forward.shape == (-(-96 // side), -(-128 // side), 2)
+    np.testing.assert_allclose(found.forward[5, -5], [6, -2])
+    np.testing.assert_allclose(found.backward[5, -5], [-6, 2])
+    np.testing.assert_allclose(found.backward[5, 5], [0, 0])
+    assert found.backward_reliable[5, 5]
+
+
+@pytest.mark.parametrize(
+    ("returned", "complaint"),
+    [
+        (np.zeros((96, 128), np.float32), "must return the motion"),
+        (np.zeros((96, 128, 2), int), "must return the motion"),
+        (np.full((96, 128, 2), np.nan), "NaN"),
+        (None, "must return the motion"),
+    ],
+)
+def test_what_is_no_flow_is_refused_in_a_sentence(returned: Any, complaint: str) -> None:
+    pictures = [picture_of(one, 1, True) for one in moving_square()[:2]]
+    with pytest.raises(FrameError, match=complaint):
+        estimate_flow(pictures[0], pictures[1], 1, CONFIG, None, lambda *_: returned)

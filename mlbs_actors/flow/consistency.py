@@ -1,37 +1,19 @@
-"""Dense optical flow between successive frames, both ways, with its forward–backward check (§3).
+"""Dense flow of a frame in both directions, and where the two confirm each other (§3).
 
-Differs from the paper: the authors use LDOF (tens of seconds a frame); here it is dense inverse
-search (:mod:`mlbs_actors.flow.inverse_search`) on the frame's cells (:mod:`mlbs_actors.cells`), a few
-milliseconds a direction, and the same flow serves the tracks, the layers' motion likelihood and the camera
-model.
+The checks are those of Sundaram, Brox and Keutzer (ECCV 2010), which the paper's trajectories use.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from mlbs_actors.cells import mean_of_cells
-from mlbs_actors.config import FlowConfig, TrajectoriesConfig
-from mlbs_actors.flow.inverse_search import (
-    FlowLevel,
-    SearchEffort,
-    coarsest_level,
-    flow_levels,
-    improve_flow,
-    resized_flow,
-)
-from mlbs_actors.flow.patch_search import PATCH
+from mlbs_actors.config import TrajectoriesConfig
 from mlbs_actors.kernels.jit import compiled
-from mlbs_actors.messages import Array, Region
+from mlbs_actors.messages import Array
 
-__all__ = ["LEAST_CELLS", "DenseFlow", "dense_flow", "flow_gray", "reliable_at"]
-
-#: A frame with fewer cells on a side has no flow: two patches.
-LEAST_CELLS = 2 * PATCH
+__all__ = ["DenseFlow", "checked_flow", "reliable_at"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,60 +45,21 @@ class DenseFlow:
         return _reliable(self.forward, self.backward, self.side, self.thresholds)
 
 
-def flow_gray(frame: Array, side: int) -> Array:
-    """Return a (H, W, 3) uint8 BGR frame as the flow sees it: mean grey levels of its cells, (h, w) uint8."""
-    return mean_of_cells(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), side)
-
-
-def dense_flow(
-    previous: Array,
-    current: Array,
-    side: int,
-    config: FlowConfig,
-    checks: TrajectoriesConfig,
-    focus: Sequence[Region] | None = None,
-) -> DenseFlow:
-    """Estimate the flow between two frames, both ways, with the checks of Sundaram et al.
+def checked_flow(forward: Array, backward: Array, side: int, checks: TrajectoriesConfig) -> DenseFlow:
+    """Check the flow of either direction by the other one's.
 
     Parameters
     ----------
-    previous, current : (h, w) uint8
-        From :func:`flow_gray`, at least ``LEAST_CELLS`` high and wide.
+    forward, backward : (h, w, 2) float32
+        As of :class:`DenseFlow`.
     side : int
         Of a cell, px.
-    config : FlowConfig
     checks : TrajectoriesConfig
-        Thresholds of the forward–backward and motion-boundary checks.
-    focus : sequence of Region, optional
-        Disjoint boxes, in cells, where the finest level is computed. By default it is everywhere,
-        and with the settings of the first frames: what is not told apart there is not found for long.
 
     Returns
     -------
     DenseFlow
     """
-    whole = [Region(0, 0, current.shape[1], current.shape[0])]
-    if focus is None:
-        effort = SearchEffort(
-            config.first_search_iterations, config.first_refinement_iterations, config.first_patch_stride_px
-        )
-        focus = whole
-    else:
-        effort = SearchEffort(config.search_iterations, config.refinement_iterations, config.patch_stride_px)
-    coarsest = coarsest_level(current.shape)
-    finest = min(config.finest_scale, coarsest)
-    before, now = flow_levels(previous, coarsest), flow_levels(current, coarsest)
-    # Halves alone would not do: flow bleeds 10–20 px past an object's outline then.
-    backward = np.zeros((2, *now[coarsest].gray.shape), np.float32)
-    backward = _finer(now, before, backward, range(coarsest, finest, -1), whole, effort)
-    backward = _finer(now, before, backward, [finest], focus, effort)
-    if list(focus) == whole:
-        turned, first = -resized_flow(backward, now[coarsest].gray.shape), coarsest
-    else:
-        # Outside the boxes the scene moves as the camera does: there it is enough to turn the flow around.
-        turned, first = _inverted(backward), min(finest + 1, coarsest)
-    forward = _finer(before, now, turned, range(first, finest - 1, -1), focus, effort)
-    forward, backward = (_in_px(resized_flow(one, current.shape), side) for one in (forward, backward))
     thresholds = (
         checks.consistency_relative,
         checks.consistency_px2,
@@ -124,67 +67,6 @@ def dense_flow(
         checks.boundary_absolute,
     )
     return DenseFlow(forward, backward, _reliable(backward, forward, side, thresholds), side, thresholds)
-
-
-def _finer(
-    source: Sequence[FlowLevel],
-    target: Sequence[FlowLevel],
-    flow: Array,
-    levels: Iterable[int],
-    boxes: Sequence[Region],
-    effort: SearchEffort,
-) -> Array:
-    """Carry a flow (2, h, w), which may be overwritten, through levels; improve it in boxes of level 0."""
-    for level in levels:
-        shape = source[level].gray.shape
-        flow = resized_flow(flow, shape)
-        parts = [_on_level(box, level, shape) for box in boxes]
-        improve_flow(source[level], target[level], flow, parts, effort)
-    return flow
-
-
-def _on_level(box: Region, level: int, shape: tuple[int, int]) -> Region:
-    """The pixels of a level that a box of level 0 covers; at least a patch."""
-    places = []
-    for start, length, all_ in ((box.x, box.width, shape[1]), (box.y, box.height, shape[0])):
-        end = min(max(-(-(start + length) >> level), (start >> level) + PATCH), all_)
-        places.append((min(start >> level, end - PATCH), end))
-    (left, right), (top, bottom) = places
-    return Region(left, top, right - left, bottom - top)
-
-
-@compiled
-def _in_px(flow: Array, side: int) -> Array:
-    """Flow planes (2, h, w) in cells as (h, w, 2) in px."""
-    _, height, width = flow.shape
-    scaled = np.empty((height, width, 2), np.float32)
-    for y in range(height):
-        for x in range(width):
-            scaled[y, x, 0] = np.float32(side) * flow[0, y, x]
-            scaled[y, x, 1] = np.float32(side) * flow[1, y, x]
-    return scaled
-
-
-@compiled
-def _inverted(flow: Array) -> Array:
-    """The flow the other way, planes (2, h, w): u with u(x) = −flow(x + u(x)), to a pixel in two rounds."""
-    _, height, width = flow.shape
-    inverse, place = np.empty_like(flow), np.empty(width, np.int32)
-    right, bottom, zero = np.float32(width - 1), np.float32(height - 1), np.float32(0)
-    along, down = flow[0].reshape(-1), flow[1].reshape(-1)
-    for y in range(height):
-        u, v = inverse[0, y], inverse[1, y]
-        for x in range(width):
-            u[x], v[x] = -flow[0, y, x], -flow[1, y, x]
-        for _ in range(2):
-            for x in range(width):  # in vector registers
-                there_x = np.int32(min(max(np.rint(np.float32(np.int32(x)) + u[x]), zero), right))
-                there_y = np.int32(min(max(np.rint(np.float32(np.int32(y)) + v[x]), zero), bottom))
-                place[x] = np.int32(there_y * np.int32(width)) + there_x
-            for x in range(width):
-                there = np.uint64(np.uint32(place[x]))
-                u[x], v[x] = -along[there], -down[there]
-    return inverse
 
 
 @compiled

@@ -1,0 +1,119 @@
+"""The dense flow of a frame's cells: how it is estimated is chosen here, and nowhere else (§3).
+
+Differs from the paper: the authors use LDOF (tens of seconds a frame). Here ``flow.method`` names a search
+that takes some milliseconds, our own or OpenCV's, or the caller hands in a function. Whichever it is, the
+flow serves the trajectories, the layers' motion likelihood and the camera's motion alike.
+
+Another method is another branch of :func:`estimate_flow`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from mlbs_actors.cells import mean_of_cells
+from mlbs_actors.config import Config, FlowConfig
+from mlbs_actors.errors import FrameError
+from mlbs_actors.flow.bidirectional_search import search_both_ways
+from mlbs_actors.flow.consistency import DenseFlow, checked_flow
+from mlbs_actors.flow.patch_search import PATCH
+from mlbs_actors.messages import Array, Region
+
+__all__ = ["LEAST_CELLS", "FlowFunction", "Picture", "estimate_flow", "picture_of"]
+
+#: A frame with fewer cells on a side has no flow: two patches.
+LEAST_CELLS = 2 * PATCH
+
+#: From two frames (H, W, 3) uint8 BGR, (H, W, 2) float: where each pixel of the first one is in the second,
+#: less where it is in the first, px.
+FlowFunction = Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A frame as flow is estimated from it.
+
+    Attributes
+    ----------
+    gray : (h, w) uint8
+        Mean grey levels of its cells.
+    image : (H, W, 3) uint8
+        BGR; empty unless the caller's own function is asked.
+    """
+
+    gray: Array
+    image: Array
+
+
+def picture_of(frame: Array, side: int, whole: bool) -> Picture:
+    """Return a (H, W, 3) uint8 BGR frame with cells of ``side`` px as flow is estimated from it.
+
+    ``whole`` is whether a function of the caller's needs all of it.
+    """
+    gray = mean_of_cells(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), side)
+    return Picture(gray, frame if whole else np.zeros((0, 0, 3), np.uint8))
+
+
+def estimate_flow(
+    previous: Picture,
+    current: Picture,
+    side: int,
+    config: Config,
+    focus: Sequence[Region] | None = None,
+    function: FlowFunction | None = None,
+) -> DenseFlow:
+    """Estimate the flow between two frames, both ways, and check one by the other.
+
+    Parameters
+    ----------
+    previous, current : Picture
+    side : int
+        Of a cell, px.
+    config : Config
+    focus : sequence of Region, optional
+        Disjoint boxes, in cells, beyond which the flow need not be fine; everywhere by default.
+    function : FlowFunction, optional
+        The caller's own; it takes the place of ``flow.method``.
+
+    Returns
+    -------
+    DenseFlow
+
+    Raises
+    ------
+    FrameError
+        If the function returns something else than a flow.
+    """
+    if function is not None:
+        forward = _from_function(function, previous.image, current.image, side)
+        backward = _from_function(function, current.image, previous.image, side)
+    elif config.flow.method == "opencv":
+        forward = _from_opencv(previous.gray, current.gray, side, config.flow)
+        backward = _from_opencv(current.gray, previous.gray, side, config.flow)
+    else:
+        planes = search_both_ways(previous.gray, current.gray, config.flow, focus)
+        forward, backward = (cv2.merge(list(one * np.float32(side))) for one in planes)
+    return checked_flow(forward, backward, side, config.trajectories)
+
+
+def _from_opencv(first: Array, second: Array, side: int, config: FlowConfig) -> Array:
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    search.setFinestScale(config.finest_scale)
+    flow: Array = search.calc(first, second, None)  # type: ignore[call-overload]
+    return flow * np.float32(side)
+
+
+def _from_function(function: FlowFunction, first: Array, second: Array, side: int) -> Array:
+    flow = np.asarray(function(first, second))
+    if flow.shape != (*first.shape[:2], 2) or not np.issubdtype(flow.dtype, np.floating):
+        raise FrameError(
+            f"The flow function returned {flow.shape} {flow.dtype}; it must return the motion in px of each "
+            f"pixel of the first frame, {(*first.shape[:2], 2)} float32."
+        )
+    if not np.isfinite(flow).all():
+        raise FrameError("The flow function returned NaN or infinite motion; give 0 where none is known.")
+    return mean_of_cells(np.ascontiguousarray(flow, np.float32), side)
