@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["MAX_MISS_PX", "interpolate_map", "nearest_sources", "warp_map"]
@@ -122,7 +122,7 @@ def _find_sources(
             rests[2 * x], rests[2 * x + 1] = miss_x, miss_y
 
 
-@compiled
+@inlined
 def _is_inside(column: np.int32, row: np.int32, width: np.int32, height: np.int32) -> bool:
     return bool((column >= 0) & (column < width) & (row >= 0) & (row < height))
 

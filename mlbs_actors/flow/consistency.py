@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.config import TrajectoriesConfig
-from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.messages import Array
 
 __all__ = ["DenseFlow", "checked_flow", "reliable_at"]
@@ -139,13 +139,13 @@ def reliable_at(
     return reliable
 
 
-@compiled
+@inlined
 def _across(upper: np.float32, middle: np.float32, lower: np.float32) -> tuple[np.float32, np.float32]:
     """Scharr's smoothing and difference over three rows."""
     return np.float32(3) * (upper + lower) + np.float32(10) * middle, lower - upper
 
 
-@compiled
+@inlined
 def _slope(
     left: np.float32, right: np.float32, sheared_left: np.float32, sheared: np.float32,
     sheared_right: np.float32, per_px: np.float32,
@@ -156,7 +156,7 @@ def _slope(
     return along * along + down * down
 
 
-@compiled
+@inlined
 def _there(
     u: np.float32, v: np.float32, x: int, y: int, width: int, height: int, shrink: np.float32,
 ) -> tuple[bool, np.int32, np.float32, np.float32]:  # fmt: skip
@@ -171,7 +171,7 @@ def _there(
     return bool(inside), near, there_x - np.float32(column), there_y - np.float32(row)
 
 
-@compiled
+@inlined
 def _back(
     back: Array, near: np.int32, width: int, along: np.float32, across: np.float32
 ) -> tuple[np.float32, np.float32]:
@@ -188,7 +188,7 @@ def _back(
     return back_u, back_v
 
 
-@compiled
+@inlined
 def _confirmed(
     u: np.float32, v: np.float32, back_u: np.float32, back_v: np.float32, gradient: np.float32,
     limits: tuple[np.float32, ...],

@@ -21,6 +21,7 @@ from mlbs_actors.errors import FrameError
 from mlbs_actors.flow.bidirectional_search import search_both_ways
 from mlbs_actors.flow.consistency import DenseFlow, checked_flow
 from mlbs_actors.flow.patch_search import PATCH
+from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["LEAST_CELLS", "FlowFunction", "Picture", "estimate_flow", "picture_of"]
@@ -96,8 +97,19 @@ def estimate_flow(
         backward = _from_opencv(current.gray, previous.gray, side, config.flow)
     else:
         planes = search_both_ways(previous.gray, current.gray, config.flow, focus)
-        forward, backward = (cv2.merge(list(one * np.float32(side))) for one in planes)
+        forward, backward = (_interleaved(one, np.float32(side)) for one in planes)
     return checked_flow(forward, backward, side, config.trajectories)
+
+
+@compiled
+def _interleaved(planes: Array, factor: np.float32) -> Array:
+    """Planes (2, h, w) float32 times a factor as (h, w, 2)."""
+    _, height, width = planes.shape
+    flow = np.empty((height, width, 2), np.float32)
+    for y in range(height):
+        for x in range(width):
+            flow[y, x, 0], flow[y, x, 1] = factor * planes[0, y, x], factor * planes[1, y, x]
+    return flow
 
 
 def _from_opencv(first: Array, second: Array, side: int, config: FlowConfig) -> Array:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.kernels.simd import absolute, broadcast, load, maximum, multiply_add, store, sum_of_lanes
 from mlbs_actors.messages import Array
 
@@ -118,7 +118,7 @@ def _pass(
 # calls would move more arguments than a patch has rows.
 
 
-@compiled
+@inlined
 def _descended(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
     u: np.float32, v: np.float32, slopes: Array,
@@ -138,7 +138,7 @@ def _descended(
     return u, v, squares - mean * total
 
 
-@compiled
+@inlined
 def _source_place(
     shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
 ) -> tuple[np.uint64, np.float32, np.float32]:
@@ -153,7 +153,7 @@ def _source_place(
     return there, across, down
 
 
-@compiled
+@inlined
 def _place(width: int, y: int, x: int, row: int, column: int) -> np.uint64:
     """Place of a patch's pixel in a flat frame."""
     return (
@@ -161,7 +161,7 @@ def _place(width: int, y: int, x: int, row: int, column: int) -> np.uint64:
     )
 
 
-@compiled
+@inlined
 def _slopes(
     slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
@@ -182,7 +182,7 @@ def _slopes(
     return np.float32(xx), np.float32(xy), np.float32(yy), np.float32(sum_x), np.float32(sum_y)
 
 
-@compiled
+@inlined
 def _mismatch(
     gray: Array, around: Array, shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
 ) -> np.float32:
@@ -202,7 +202,7 @@ def _mismatch(
     return squared - mean * plain
 
 
-@compiled
+@inlined
 def _differences(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
     u: np.float32, v: np.float32,
@@ -223,7 +223,7 @@ def _differences(
     return sum_of_lanes(summed), sum_of_lanes(squares), sum_of_lanes(along), sum_of_lanes(below)
 
 
-@compiled
+@inlined
 def _row_difference(gray: Array, here: np.uint64, upper: Any, lower: Any, down: np.float32) -> Any:
     """What lies between two rows of the continued frame more than in a patch's row."""
     moved = multiply_add(broadcast(down, PATCH), lower - upper, upper)
@@ -272,7 +272,7 @@ def densify(
                 window[axis, y, x] /= window[2, y, x]
 
 
-@compiled
+@inlined
 def _between(values: Array, at: np.uint64, share: np.float32) -> Any:
     """As many values as a patch has columns, by a share of a pixel further to the right."""
     left = load(values, at, PATCH)

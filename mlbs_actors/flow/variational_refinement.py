@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.kernels.simd import LANES, broadcast, load, square_root, store
 from mlbs_actors.messages import Array
 
@@ -96,30 +96,30 @@ def refine_flow(
 # row's end are numbers like others, and no pixel reads them but with a weight of 0.
 
 
-@compiled
+@inlined
 def _half(width: int) -> int:
     """Room for every other pixel of a row, and what is done beside the last ones."""
     return width // (2 * LANES) * LANES + LANES + 2
 
 
-@compiled
+@inlined
 def _row(kind: int, y: int, width: int) -> np.uint64:
     """Where a row begins."""
     return np.uint64((kind * _ROWS + (y & (_ROWS - 1))) * 2 * _half(width))
 
 
-@compiled
+@inlined
 def _lanes(rows: Array, kind: int, y: int, width: int, x: int) -> Any:
     """Some pixels of a row from x on, counted from the one before its first."""
     return load(rows, _row(kind, y, width) + np.uint64(x), LANES)
 
 
-@compiled
+@inlined
 def _alike(value: np.float32) -> Any:
     return broadcast(value, LANES)
 
 
-@compiled
+@inlined
 def _continue(rows: Array, row: np.uint64, width: int) -> None:
     """Repeat a row's first and last pixel."""
     rows[row] = rows[row + np.uint64(1)]
@@ -210,13 +210,13 @@ def _derive(rows: Array, y: int, width: int, last: int, of: int, along_x: int, a
     _continue(rows, y_slope, width)
 
 
-@compiled
+@inlined
 def _made(part: int, width: int) -> np.uint64:
     """Where a part of a row's system is made."""
     return _row(_SPARE, _FIRST + part, width)
 
 
-@compiled
+@inlined
 def _kept(part: int, y: int, width: int, side: int) -> np.uint64:
     """Where it is kept of every other pixel, parted."""
     return _row(_KINDS, 0, width) + np.uint64((((y & (_ROWS - 1)) * 2 + side) * _PARTS + part) * _half(width))
@@ -282,7 +282,7 @@ def _fit(rows: Array, y: int, width: int, last: int) -> None:
         store(rows, _made(_B2, width) + at, pull - push)
 
 
-@compiled
+@inlined
 def _drawn(
     rows: Array,
     flow: int,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.kernels.simd import LANES, Lanes, broadcast, load, maximum, store
 from mlbs_actors.messages import Array
 
@@ -89,7 +89,7 @@ def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room:
             store(row, np.uint64(channel) * length + x, upper * top + level * middle + lower * bottom)
 
 
-@compiled
+@inlined
 def _weighed(flat: Array, at: np.uint64, before: Lanes, here: Lanes, after: Lanes) -> Lanes:
     """Sum of some lanes of an image, of the next ones and of those after these, by their shares."""
     one, two = np.uint64(1), np.uint64(2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.messages import Array
 
 __all__ = ["sample_flow", "sample_map"]
@@ -69,7 +69,7 @@ def sample_map(values: Array, points: Array, side: int) -> Array:
     return sampled
 
 
-@compiled
+@inlined
 def _beside(place: int, count: int) -> tuple[int, int]:
     """A place and the next one, as far as there are such."""
     return min(max(place, 0), count - 1), min(max(place + 1, 0), count - 1)

@@ -9,7 +9,7 @@ import numba
 
 from mlbs_actors.kernels.machine_code import machine_code_folder
 
-__all__ = ["compiled"]
+__all__ = ["compiled", "inlined"]
 
 _config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -21,10 +21,19 @@ def compiled(function: Function) -> Function:
     As in NumPy, a division by zero gives infinity or NaN; with the check that Python makes, no loop that
     divides would run in vector registers.
     """
+    return _kernel(function)
+
+
+def inlined(function: Function) -> Function:
+    """Decorate a few lines that become part of each kernel that calls them, so that its loop stays one."""
+    return _kernel(function, forceinline=True)
+
+
+def _kernel(function: Function, forceinline: bool = False) -> Function:
     # Only while the kernel is defined: a caller's own kernels keep their own place.
     before, _config.CACHE_DIR = _config.CACHE_DIR, str(machine_code_folder())
     try:
-        kernel: Function = numba.njit(function, cache=True, error_model="numpy")
+        kernel: Function = numba.njit(function, cache=True, error_model="numpy", forceinline=forceinline)
     finally:
         _config.CACHE_DIR = before
     return kernel

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.kernels.simd import LANES, Lanes, broadcast, broadcast_lane, load, minimum, shifted, store
 from mlbs_actors.layer.points_in_box import points_in_box
 from mlbs_actors.messages import Array, Region
@@ -97,7 +97,7 @@ def to_occupied(occupied: Array, side: int) -> Array:
     return told
 
 
-@compiled
+@inlined
 def _stepped_from(cells: Array, place: np.uint64, near: np.uint64, stride: int) -> Lanes:
     """Some cells of a row after steps to them from the next row and the one behind it."""
     one, two, further = np.uint64(1), np.uint64(2), np.uint64(np.int64(near) + stride)
@@ -112,7 +112,7 @@ def _stepped_from(cells: Array, place: np.uint64, near: np.uint64, stride: int) 
     return stepped
 
 
-@compiled
+@inlined
 def _stepped_right(row: Lanes, before: Lanes) -> Lanes:
     """Some cells after steps along their row, from those left of them too: of 1, of up to 3, 7 and 15."""
     infinite = broadcast(np.float32(np.inf), LANES)
@@ -124,7 +124,7 @@ def _stepped_right(row: Lanes, before: Lanes) -> Lanes:
     return stepped
 
 
-@compiled
+@inlined
 def _stepped_left(row: Lanes, after: Lanes) -> Lanes:
     """:func:`_stepped_right` from the row's other end."""
     infinite = broadcast(np.float32(np.inf), LANES)

@@ -42,6 +42,7 @@ import numpy as np
 
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import SolverError
+from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 from mlbs_actors.motion_field.node_grid import bilinear_taps, grid_shape, lump, point_misfit, to_pixels
 from mlbs_actors.motion_field.screened_poisson import factorised, inverse_diagonal, solved
@@ -218,8 +219,9 @@ def motion_field(
     return field
 
 
+@compiled
 def _robust_weights(misfit: Array, robust_px: float) -> Array:
-    squared = (misfit**2).sum(axis=1)
-    scale = max(robust_px, 3.0 * 1.4826 * float(np.sqrt(np.median(squared))))
+    squared = misfit[:, 0] ** 2 + misfit[:, 1] ** 2
+    scale = max(robust_px, 3.0 * 1.4826 * np.sqrt(np.median(squared)))
     weights: Array = (scale**2 / (scale**2 + squared)) ** 2
     return weights

@@ -13,7 +13,7 @@ inversion.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
@@ -34,9 +34,7 @@ def factorised(screening: Array, edge: float) -> Array:
     (w + 1, n) float64
         In LAPACK's lower banded form: element (k, j) is C's element (j + k, j).
     """
-    factor: Array = cholesky_banded(
-        _banded(_along_shorter_side(screening), edge), overwrite_ab=True, lower=True, check_finite=False
-    )
+    factor: Array = dpbtrf(_banded(_along_shorter_side(screening), edge), lower=1, overwrite_ab=1)[0]
     return factor
 
 
@@ -57,7 +55,7 @@ def solved(factor: Array, right: Array) -> Array:
     """
     count, rows, columns = right.shape
     numbered = right if rows >= columns else right.transpose(0, 2, 1)
-    solution = cho_solve_banded((factor, True), numbered.reshape(count, -1).T, check_finite=False).T
+    solution = dpbtrs(factor, numbered.reshape(count, -1).T, lower=1)[0].T
     if rows >= columns:
         return np.ascontiguousarray(solution).reshape(right.shape)
     return np.ascontiguousarray(solution.reshape(count, columns, rows).transpose(0, 2, 1))
@@ -99,7 +97,7 @@ def _along_shorter_side(values: Array) -> Array:
 def _banded(screening: Array, edge: float) -> Array:
     """A in LAPACK's lower banded form, of a grid whose rows are its shorter side."""
     rows, width = screening.shape
-    band = np.zeros((width + 1, rows * width))
+    band = np.zeros((rows * width, width + 1)).T  # in Fortran's order, as LAPACK takes it
     for v in range(rows):
         for u in range(width):
             node = v * width + u

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.messages import Array
 
 __all__ = ["MOST_IN_SQUARE", "SQUARE", "cell_of", "room_left", "within_room"]
@@ -22,7 +22,7 @@ __all__ = ["MOST_IN_SQUARE", "SQUARE", "cell_of", "room_left", "within_room"]
 SQUARE, MOST_IN_SQUARE = 8, 7
 
 
-@compiled
+@inlined
 def cell_of(positions: Array, point: int, shape: tuple[int, int], side: int) -> tuple[int, int]:
     """Row and column of the cell where a point is, or the nearest."""
     x = min(max(int(positions[point, 0] / side), 0), shape[1] - 1)
