@@ -173,7 +173,7 @@ def _cells(positions: Array) -> tuple[float, Array, Array, Array, Array]:
     for i in range(count):
         column[i], row[i] = int((positions[i, 0] - left) / cell), int((positions[i, 1] - top) / cell)
     columns = column.max() + 1
-    start = np.zeros(columns * (row.max() + 1) + 1, np.int32)
+    start: Array = np.zeros(columns * (row.max() + 1) + 1, np.int32)
     for i in range(count):
         start[row[i] * columns + column[i] + 1] += 1
     start = np.cumsum(start)

@@ -211,5 +211,6 @@ def _measure(
             likelihood = statistics.likelihood[one]
             for cell in range(start // side, (u - 1) // side + 1):
                 pixels = min(u, (cell + 1) * side) - max(start, cell * side)
-                likelihood += pixels * LIKELIHOOD[max(np.int64(costs[cell]) - np.int64(floor[cell]), 0)]
+                above = np.int64(costs[cell]) - np.int64(floor[cell])
+                likelihood += pixels * LIKELIHOOD[max(above, np.int64(0))]
             statistics.likelihood[one] = likelihood

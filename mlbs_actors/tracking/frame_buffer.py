@@ -77,7 +77,7 @@ def held_frame(
         labels,
         trajectories.evidence,
         camera,
-        np.zeros((*size, 2), np.float32) if flow is None else _rounded(flow.backward),
+        np.zeros((*size, 2), np.float32) if flow is None else flow.backward,
         np.zeros(size, bool) if flow is None else flow.backward_reliable,
         _quantised(against_camera.unexplained),
         stage_ms,
@@ -108,7 +108,7 @@ def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array,
         motions=-sample_flow(flow.forward, held.positions, flow.side),
         evidence=np.clip(advantage, *EVIDENCE_BOUNDS),
         camera=camera,
-        flow=_rounded(-flow.forward),
+        flow=-flow.forward,
         flow_reliable=flow.forward_reliable(),
         unexplained=_quantised(evidence.unexplained),
     )
@@ -171,9 +171,3 @@ def by_layer(
 
 def _quantised(unexplained: Array) -> Array:
     return np.asarray(cv2.convertScaleAbs(unexplained, alpha=1.0 / UNEXPLAINED_STEP))
-
-
-def _rounded(flow: Array) -> Array:
-    """Flow in single precision that has the digits of half precision: more would be noise."""
-    rounded: Array = flow.astype(np.float16).astype(np.float32)
-    return rounded

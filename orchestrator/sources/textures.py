@@ -58,7 +58,7 @@ def patchwork(
     shading = 12 * grain(rng, shape, DETAIL_WAVELENGTH * unit)
     shading += 8 * grain(rng, shape, GRAIN_WAVELENGTH)
     texture += shading[:, :, None]
-    return np.clip(texture + 0.5, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(texture + 0.5, 0, 255), np.uint8)
 
 
 def blob(rng: np.random.Generator, size: tuple[float, float], unit: float, wobble: float = 0.12) -> Array:

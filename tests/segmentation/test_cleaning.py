@@ -250,7 +250,8 @@ def test_a_box_of_random_patches_is_cleaned_as_by_flood_fill(seed: int) -> None:
     rng = np.random.default_rng(seed)
     height, width = (int(side) for side in rng.integers(8, 30, 2))
     patches = [
-        cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), rng.choice([0.6, 1.5])) for _ in range(4)
+        cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), float(rng.choice([0.6, 1.5])))
+        for _ in range(4)
     ]
     x, y = (int(corner) for corner in rng.integers(0, 3, 2))
     box = Region(x, y, width - x - int(rng.integers(3)), height - y - int(rng.integers(3)))
