@@ -114,33 +114,24 @@ def fused_costs(
     FusedCosts
     """
     shape = (box.height, box.width)
-    (trust, ratio_of), strength = appearance_tables(half_confidence), np.float32(weight / COST_STEP)
+    tables, strength = appearance_tables(half_confidence), np.float32(weight / COST_STEP)
+    sent = [(one.cost, one.log_ratio.view(np.uint8), one.samples) for one in posteriors]
     corners = [(box.y - one.region.y // one.cell, box.x - one.region.x // one.cell) for one in posteriors]
-    ratios = [one.log_ratio.view(np.uint8) for one in posteriors]
-    places = np.empty((len(posteriors), 4), np.int64)
+    places = np.array(
+        [
+            _common_place(corner, one.samples.shape, shape)
+            for corner, one in zip(corners, posteriors, strict=True)
+        ]
+    )
     known, matched = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    for place, corner, ratio, one in zip(places, corners, ratios, posteriors, strict=True):
-        _add_known(known, matched, place, *corner, ratio, one.samples, trust, ratio_of)
+    for place, corner, (_, ratio, samples) in zip(places, corners, sent, strict=True):
+        _add_known(known, matched, place, corner, ratio, samples, tables)
     fallback = _fallback(known, matched)
-    fallback_bits = fallback.view(np.uint8)
     cost = np.empty((len(posteriors), *shape), np.uint8)
     total = np.zeros(shape, np.float32)
-    for own, place, corner, ratio, one in zip(cost, places, corners, ratios, posteriors, strict=True):
-        _fuse(
-            own,
-            total,
-            place,
-            *corner,
-            one.outside_cost,
-            one.cost,
-            ratio,
-            one.samples,
-            fallback_bits,
-            trust,
-            ratio_of,
-            strength,
-            LIKELIHOOD,
-        )
+    for own, place, corner, layer, one in zip(cost, places, corners, sent, posteriors, strict=True):
+        own[:] = one.outside_cost
+        _fuse(own, total, place, corner, layer, fallback.view(np.uint8), (*tables, LIKELIHOOD), strength)
     return FusedCosts(cost, _normaliser(total), fallback, places)
 
 
@@ -154,16 +145,23 @@ def appearance_tables(half_confidence: float) -> tuple[Array, Array]:
     return trust, np.exp(ratio)
 
 
+def _common_place(corner: tuple[int, int], own: tuple[int, ...], box: tuple[int, int]) -> list[int]:
+    """Rows and columns that a layer's region and a box have in common; the box's corner lies so many cells
+    down and right of the region's."""
+    place = []
+    for offset, own_length, length in zip(corner, own, box, strict=True):
+        first = max(-offset, 0)
+        place += [first, max(min(own_length - offset, length), first)]
+    return place
+
+
 @compiled
 def _add_known(
-    known: Array, matched: Array, place: Array, down: int, right: int, log_ratio: Array, samples: Array,
-    trust: Array, ratio_of: Array,
+    known: Array, matched: Array, place: Array, corner: tuple[int, int], log_ratio: Array, samples: Array,
+    tables: tuple[Array, Array],
 ) -> None:  # fmt: skip
-    """Say what a layer's region has in common with the box, whose corner lies so many cells down and right of
-    its own, and add κ and κ r there; log r comes by its bits as an unsigned byte."""
-    place[0], place[2] = max(-down, 0), max(-right, 0)
-    place[1] = max(min(samples.shape[0] - down, known.shape[0]), place[0])
-    place[3] = max(min(samples.shape[1] - right, known.shape[1]), place[2])
+    """Add κ and κ r of a layer in its place of the box; log r comes by its bits as an unsigned byte."""
+    (down, right), (trust, ratio_of) = corner, tables
     for y in range(place[0], place[1]):
         counts, ratios, knowing, matching = samples[y + down], log_ratio[y + down], known[y], matched[y]
         for x in range(place[2], place[3]):
@@ -217,12 +215,11 @@ def add_appearance(
 
 @compiled
 def _fuse(
-    fused: Array, total: Array, place: Array, down: int, right: int, outside_cost: int, cost: Array,
-    log_ratio: Array, samples: Array, fallback: Array, trust: Array, ratio_of: Array, strength: np.float32,
-    likelihood: Array,
+    fused: Array, total: Array, place: Array, corner: tuple[int, int], sent: tuple[Array, Array, Array],
+    fallback: Array, tables: tuple[Array, Array, Array], strength: np.float32,
 ) -> None:  # fmt: skip
     """Put one layer's whole cost into its place, and add its likelihood to the sum of all."""
-    fused[:] = outside_cost
+    (down, right), (cost, log_ratio, samples), (trust, ratio_of, likelihood) = corner, sent, tables
     rows, columns = slice(place[0], place[1]), slice(place[2], place[3])
     own_rows = slice(place[0] + down, place[1] + down)
     own_columns = slice(place[2] + right, place[3] + right)

@@ -86,17 +86,11 @@ def _symmetric(first: Array, second: Array, values: Array, size: int) -> tuple[A
 
 @compiled
 def _distances(
-    first: Array,
-    second: Array,
-    positions: Array,
-    residuals: Array,
-    ages: Array,
-    units: Array,
-    squared_radius: np.float32,
-    relative: float,
-    forgetting: float,
-) -> tuple[Array, Array]:
-    """D_M and −D_M − |Δp|²/radius² of every edge."""
+    edges: tuple[Array, Array], trajectories: tuple[Array, Array, Array], units: Array,
+    squared_radius: np.float32, relative: float, forgetting: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """D_M and −D_M − |Δp|²/radius² of every edge, from positions, residuals and ages."""
+    (first, second), (positions, residuals, ages) = edges, trajectories
     count, memory = residuals.shape[:2]
     # Two-frame displacements, their lengths, and how far back they are forgotten.
     x, y = np.zeros((count, memory), np.float32), np.zeros((count, memory), np.float32)
@@ -163,11 +157,8 @@ def trajectory_graph(
     first, second = neighbour_pairs(state.positions, min(config.neighbours, n - 1), radius)
     units = config.motion_factor * np.asarray(spreads, np.float64)
     motion, exponents = _distances(
-        first,
-        second,
-        state.positions,
-        state.residuals,
-        state.ages,
+        (first, second),
+        (state.positions, state.residuals, state.ages),
         units,
         np.float32(radius * radius),
         config.object_relative,

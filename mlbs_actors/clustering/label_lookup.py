@@ -8,7 +8,7 @@ from mlbs_actors.clustering.label_index import UNLABELLED, label_places
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import BACKGROUND, Array
 
-__all__ = ["layers_of", "note_sightings", "sightings"]
+__all__ = ["layers_of", "sightings"]
 
 
 @compiled
@@ -40,23 +40,3 @@ def sightings(known: Array, labels: Array, positions: Array, motions: Array) -> 
     for row in range(known.size):
         means[row] /= np.float32(max(counts[row], 1))
     return rows, counts, means
-
-
-@compiled
-def note_sightings(
-    enough: Array, means: Array, signatures: Array, frame_index: int, seen: Array, tracked: Array,
-    centroids: Array, velocities: Array, known_signatures: Array,
-) -> None:  # fmt: skip
-    """Take what this frame shows of the rows with enough trajectories, (k,) bool, into a registry's arrays.
-
-    Of the colours' histograms (k, bins) a tenth counts, and the first one wholly.
-    """
-    for row in range(enough.size):
-        if enough[row]:
-            seen[row] = tracked[row] = frame_index
-            for axis in range(2):
-                centroids[row, axis], velocities[row, axis] = means[row, axis], -means[row, 2 + axis]
-            known, fresh = known_signatures[row], signatures[row]
-            share = np.float32(0.1 if known.any() else 1)
-            for place in range(known.size):
-                known[place] = np.float32(0.9) * known[place] + share * fresh[place]

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
-from mlbs_actors.clustering.label_lookup import layers_of, note_sightings, sightings
+from mlbs_actors.clustering.label_lookup import layers_of, sightings
 from mlbs_actors.clustering.reidentification import SIGNATURE_BINS, Sighting, best_sleeper, colour_signatures
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import BACKGROUND, Array
@@ -282,10 +282,12 @@ class LayerRegistry:
         state = self.state
         rows, counts, means = sightings(state.labels, labels, positions, motions)
         enough: Array = counts >= self.config.min_tracks
-        note_sightings(
-            enough, means, colour_signatures(rows, colours, len(state.labels)), frame_index,
-            state.seen, state.tracked, state.centroids, state.velocities, state.signatures,
-        )  # fmt: skip
+        state.seen[enough] = state.tracked[enough] = frame_index
+        state.centroids[enough], state.velocities[enough] = means[enough, :2], -means[enough, 2:]
+        fresh, known = colour_signatures(rows, colours, len(state.labels))[enough], state.signatures[enough]
+        # A tenth of a new histogram counts, and the first one wholly.
+        share = np.where(known.any(axis=1), np.float32(0.1), np.float32(1))[:, None]
+        state.signatures[enough] = np.float32(0.9) * known + share * fresh
         coasting: Array = ~enough & (state.labels > 0) & (state.seen == frame_index - 1)
         coasting &= frame_index - state.tracked <= self.config.coast_frames
         if coasting.any():

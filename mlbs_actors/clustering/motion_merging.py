@@ -8,6 +8,8 @@ motion distance, at a low quantile over their common border, is within the noise
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from mlbs_actors.clustering.affinity import TrajectoryGraph
@@ -62,42 +64,66 @@ def merge_by_motion(
         if label != BACKGROUND and ages.get(label, 0) < config.young_frames and speed < least_speed:
             labels[labels == label] = BACKGROUND
     known, classes = label_classes(labels, labels == UNLABELLED)
-    _merge(
-        graph.first, graph.second, graph.motion_distance, labels, known, classes,
-        np.array([ages.get(label, 0) for label in known.tolist()], np.int64), config.young_frames,
-        config.merge_quantile, config.merge_distance, config.object_merge_distance, config.merge_border,
-        config.same_motion_distance, config.same_motion_border,
-    )  # fmt: skip
+    rules = _Rules(
+        young_frames=config.young_frames,
+        quantile=config.merge_quantile,
+        most_distance=config.merge_distance,
+        most_object_distance=config.object_merge_distance,
+        least_border=config.merge_border,
+        most_same_distance=config.same_motion_distance,
+        least_same_border=config.same_motion_border,
+    )
+    known_ages = np.array([ages.get(label, 0) for label in known.tolist()], np.int64)
+    edges = graph.first, graph.second, graph.motion_distance
+    _merge(edges, labels, known, classes, known_ages, rules)
     return labels
+
+
+class _Rules(NamedTuple):
+    """When labels are alike, in the words of `LayersConfig`."""
+
+    young_frames: int
+    quantile: float
+    most_distance: float
+    most_object_distance: float
+    least_border: float
+    most_same_distance: float
+    least_same_border: float
 
 
 @compiled
 def _merge(
-    first: Array, second: Array, distance: Array, labels: Array, known: Array, classes: Array, ages: Array,
-    young_frames: int, quantile: float, most_distance: float, most_object_distance: float,
-    least_border: float, most_same_distance: float, least_same_border: float,
-) -> None:  # fmt: skip
+    edges: tuple[Array, Array, Array], labels: Array, known: Array, classes: Array, ages: Array, rules: _Rules
+) -> None:
     """Merge labels and their classes, pair by pair, of those that are alike the nearest first."""
+    first, second, distance = edges
     sizes = np.zeros(known.size, np.int64)
     for i in range(classes.size):
         if classes[i] >= 0:
             sizes[classes[i]] += 1
     while True:
-        borders, distances, edges = border_motion(first, second, distance, classes, known.size, quantile)
+        borders, distances, touching = border_motion(
+            first, second, distance, classes, known.size, rules.quantile
+        )
         nearest, best_younger, best_older = np.float32(np.inf), -1, -1
         for border in range(len(borders)):
             older, younger = borders[border]
             if ages[younger] > ages[older]:
                 older, younger = younger, older
-            young, apart, root = ages[younger] < young_frames, distances[border], np.sqrt(sizes[younger])
+            young, apart, root = (
+                ages[younger] < rules.young_frames,
+                distances[border],
+                np.sqrt(sizes[younger]),
+            )
             if known[older] == BACKGROUND:
-                alike = young and apart < most_distance
+                alike = young and apart < rules.most_distance
             else:
-                alike = young and apart < most_object_distance and edges[border] >= least_border * root
+                alike = young and apart < rules.most_object_distance
+                alike &= touching[border] >= rules.least_border * root
                 alike |= (
-                    apart < most_same_distance
-                    and edges[border] >= least_same_border * root
-                    and edges[border] >= LEAST_BORDER
+                    apart < rules.most_same_distance
+                    and touching[border] >= rules.least_same_border * root
+                    and touching[border] >= LEAST_BORDER
                 )
             if alike and (apart, younger, older) < (nearest, best_younger, best_older):
                 nearest, best_younger, best_older = apart, younger, older

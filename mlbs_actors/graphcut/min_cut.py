@@ -88,7 +88,9 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
                     room[back] -= amount
                     room[edge] += amount
                     if lost:
-                        tail = _adopt(lost, depth, ends, room, level, parent, orphans, queue, waiting, tail)
+                        tail = _adopt(
+                            lost, depth, (ends, room), (level, parent), orphans, (queue, waiting), tail
+                        )
                 if room[back] > 0 and level[pixel] == depth:
                     level[other], parent[other] = depth + 1, k ^ 4
                     if not waiting[other]:
@@ -129,11 +131,12 @@ def _send(
 
 @compiled
 def _adopt(
-    lost: int, depth: int, ends: Array, room: Array, level: Array, parent: Array, orphans: Array,
-    queue: Array, waiting: Array, tail: int,
+    lost: int, depth: int, edges: tuple[Array, Array], tree: tuple[Array, Array], orphans: Array,
+    growing: tuple[Array, Array], tail: int,
 ) -> int:  # fmt: skip
     """Give each orphan, the last first, the parent that is nearest to the sink. If it lies deeper then, its
     children are orphans too; if it would lie deeper than the tree, it leaves it."""
+    (ends, room), (level, parent), (queue, waiting) = edges, tree, growing
     while lost > 0:
         lost -= 1
         orphan = np.uint64(orphans[lost])

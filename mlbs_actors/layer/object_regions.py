@@ -189,7 +189,7 @@ def contested(
     pixels = np.array([_known_pixels(published.get(one.layer)) for one in objects], np.float64)
     shape, scale = evidence.shape, length_scale(*evidence.shape)
     box, inside = _contested(
-        pixels, evidence.positions, evidence.motions, counts, margins_px, scale, cell, *shape
+        pixels, evidence.positions, evidence.motions, counts, margins_px, scale, cell, shape
     )
     return Region(*box), inside
 
@@ -197,9 +197,10 @@ def contested(
 @compiled
 def _contested(
     pixels: Array, positions: Array, motions: Array, counts: Array, margins_px: tuple[float, float],
-    scale: float, cell: int, height: int, width: int,
+    scale: float, cell: int, shape: tuple[int, int],
 ) -> tuple[tuple[int, int, int, int], Array]:  # fmt: skip
     """Find the box and its cells; the objects' trajectories are the last of all."""
+    height, width = shape
     regions = np.empty((len(pixels), 4), np.int64)
     left, top, right, bottom = width, height, 0, 0
     start = len(positions) - counts.sum()

@@ -63,7 +63,7 @@ def contact_shadow(
     for piece, x, y, width, height in pieces.tolist():
         feet, least = Region(x, y + height // 2, width, height - height // 2), CONTACT_WIDTH * height
         body, above, foot, (left, top, right, bottom) = _foot(
-            labels, *runs, piece, feet.x, feet.y, feet.width, feet.height, unlit, side, rise * height, least
+            labels, runs, piece, feet.box, unlit, side, rise * height, least
         )
         if right <= left:
             continue
@@ -119,12 +119,13 @@ def _unlit_pieces(
 
 @compiled
 def _foot(
-    labels: Array, rows: Array, starts: Array, ends: Array, component: Array, piece: int, left: int, top: int,
-    width: int, height: int, unlit: Array, side: int, highest: float, least: float,
+    labels: Array, runs: tuple[Array, Array, Array, Array], piece: int, box: tuple[int, int, int, int],
+    unlit: Array, side: int, highest: float, least: float,
 ) -> tuple[Array, Array, Array, tuple[int, int, int, int]]:  # fmt: skip
     """In a box around the lower half of a piece: the piece; how many px it is down to the first that is no
     object's, over H if the frame ends first; what of the piece has no light and is at most so high above the
     ground; and the box (left, top, right, bottom) of what of that is at least so wide, empty if none is."""
+    (rows, starts, ends, component), (left, top, width, height) = runs, box
     body = np.zeros((height, width), np.bool_)
     for run in range(rows.size):
         if component[run] == piece and rows[run] >= top:

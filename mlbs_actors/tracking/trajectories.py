@@ -107,21 +107,23 @@ def advance_trajectories(
     (m,) intp
         Where those that live on stood in the arrays of frame t−1, ascending.
     """
-    survivors, ids, positions, motions, rows, ages, evidence = _advanced(
-        state.ids, state.positions, state.rows, state.ages, state.evidence, state.residuals.shape[1],
-        flow.forward, flow.backward, flow.side, flow.thresholds, shape,
+    survivors, positions, motions = _carried(
+        state.positions, flow.forward, flow.backward, flow.side, flow.thresholds, shape
+    )
+    ages = np.minimum(state.ages[survivors] + 1, state.residuals.shape[1]).astype(np.int32)
+    advanced = TrajectoryState(
+        state.ids[survivors], positions, motions, state.residuals, state.rows[survivors], ages,
+        state.evidence[survivors], state.next_id,
     )  # fmt: skip
-    advanced = TrajectoryState(ids, positions, motions, state.residuals, rows, ages, evidence, state.next_id)
     return advanced, survivors
 
 
 @compiled
-def _advanced(
-    ids: Array, positions: Array, rows: Array, ages: Array, evidence: Array, most_age: int,
-    forward: Array, backward: Array, side: int, checks: tuple[float, ...],
+def _carried(
+    positions: Array, forward: Array, backward: Array, side: int, checks: tuple[float, ...],
     shape: tuple[int, int],
-) -> tuple[Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
-    """Which points live on, and their ids, places, backward motions, rows, ages and evidence."""
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Which points live on, and their places and backward motions."""
     count, step = len(positions), np.float32(side)
     motion = sample_flow(forward, positions, side)
     cell_x, cell_y = np.empty(count, np.int64), np.empty(count, np.int64)
@@ -136,26 +138,15 @@ def _advanced(
             survivors[alive] = i
             alive += 1
     survivors = survivors[:alive]
-    older = np.minimum(ages[survivors] + 1, most_age).astype(np.int32)
-    return (
-        survivors, ids[survivors], moved[survivors], -motion[survivors], rows[survivors], older,
-        evidence[survivors],
-    )  # fmt: skip
+    return survivors, moved[survivors], -motion[survivors]
 
 
 def selected(state: TrajectoryState, positions: Array) -> TrajectoryState:
     """The trajectories at some positions of the arrays, ascending (n,) intp; the others are lost."""
-    ids, places, motions, rows, ages, evidence = _at(
-        positions, state.ids, state.positions, state.motions, state.rows, state.ages, state.evidence
-    )
-    return TrajectoryState(ids, places, motions, state.residuals, rows, ages, evidence, state.next_id)
-
-
-@compiled
-def _at(
-    chosen: Array, ids: Array, positions: Array, motions: Array, rows: Array, ages: Array, evidence: Array
-) -> tuple[Array, Array, Array, Array, Array, Array]:
-    return ids[chosen], positions[chosen], motions[chosen], rows[chosen], ages[chosen], evidence[chosen]
+    return TrajectoryState(
+        state.ids[positions], state.positions[positions], state.motions[positions], state.residuals,
+        state.rows[positions], state.ages[positions], state.evidence[positions], state.next_id,
+    )  # fmt: skip
 
 
 @compiled
