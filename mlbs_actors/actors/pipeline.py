@@ -119,14 +119,14 @@ class Node:
             kind = ReaderActor if spec.replayable else LiveReaderActor
             reader = spawn(kind, spec.open_reader, node=self._node)
         run = next(self._runs)
+        coordinator, segmenter = self._take_standby()
+        sink = self._sinks[run % len(self._sinks)]
         return StreamActors(
             spec,
             self._parts,
-            self._take_standby(),
+            coordinator,
+            StreamLinks(reader=reader, segmenter=segmenter, pool=self._pool, sink=sink),
             run=run,
-            reader=reader,
-            pool=self._pool,
-            sink=self._sinks[run % len(self._sinks)],
             turns=self._turns,
             under_way=self.prepare,
             bell=Bell() if self._beside_driver else None,
@@ -217,13 +217,12 @@ class StreamActors:
     ----------
     spec : StreamSpec
     parts : PartFactory
-    standby : list of Handle
-        Coordinator and segmenter, each still to become one.
+    coordinator : Handle
+        Still to become one.
+    links : StreamLinks
+        The other processes; the segmenter is still to become one.
     run : int
         The stream's number.
-    reader : Handle
-    pool, sink : Handle
-        The node's.
     turns : Turns
         Of the node.
     under_way : callable
@@ -241,36 +240,28 @@ class StreamActors:
         self,
         spec: StreamSpec,
         parts: PartFactory,
-        standby: list[Handle],
+        coordinator: Handle,
+        links: StreamLinks,
         *,
         run: int,
-        reader: Handle,
-        pool: Handle,
-        sink: Handle,
         turns: Turns,
         under_way: Callable[[], object],
         bell: Bell | None,
     ) -> None:
         self._name = spec.name
         self._live = not spec.replayable
-        self._pool = pool
-        self._sink = sink
-        self._others = standby
-        self._coordinator, segmenter = standby
-        self._reader = reader
+        self._coordinator = coordinator
+        self._links = links
         self._roles = {
-            identity(self._coordinator): COORDINATOR,
-            identity(segmenter): SEGMENTER,
-            identity(pool): POOL,
+            identity(coordinator): COORDINATOR,
+            identity(links.segmenter): SEGMENTER,
+            identity(links.pool): POOL,
         }
         # The number reaches the coordinator by reference: it does not begin before the pool has let the
         # stream in.
-        self._run: Reference = pool.begin.remote(run)
-        segmenter_begun: Reference = segmenter.become.remote(parts, spec.config)
-        links = StreamLinks(reader=reader, segmenter=segmenter, pool=pool, sink=sink)
-        begun: Reference = self._coordinator.become.remote(
-            spec, parts, links, self._run, segmenter=segmenter_begun
-        )
+        self._run: Reference = links.pool.begin.remote(run)
+        segmenter_begun: Reference = links.segmenter.become.remote(parts, spec.config)
+        begun: Reference = coordinator.become.remote(spec, parts, links, self._run, segmenter=segmenter_begun)
         self._begun: Future[None] = begun.future()
         self._turns = turns
         self._under_way = under_way
@@ -320,15 +311,16 @@ class StreamActors:
         if drain:
             with suppress(MlbsError):
                 self._final = self._explained(self._coordinator.finish.remote()).result()
-        end(self._others, _STOP_SECONDS)
-        if self._live and returns and _answers(self._reader):
-            self.living_reader = self._reader
+        end([self._coordinator, self._links.segmenter], _STOP_SECONDS)
+        reader = self._links.reader
+        if self._live and returns and _answers(reader):
+            self.living_reader = reader
         else:
             # It releases its device or file if it can; a stuck one is ended all the same.
             with suppress(RayError, GetTimeoutError):
-                ray.get(self._reader.close.remote(), timeout=1.0)
-            end([self._reader], _STOP_SECONDS)
-        for last in (self._pool.end.remote(self._run), self._sink.close.remote(self._run)):
+                ray.get(reader.close.remote(), timeout=1.0)
+            end([reader], _STOP_SECONDS)
+        for last in (self._links.pool.end.remote(self._run), self._links.sink.close.remote(self._run)):
             with suppress(RayError, GetTimeoutError):
                 ray.get(last, timeout=_STOP_SECONDS)
         if self._bell is not None:
