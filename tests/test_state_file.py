@@ -59,6 +59,10 @@ def state(**changed: Any) -> State:
     return replace(plain, **changed)
 
 
+def without_arrays(one: State) -> dict[str, Any]:
+    return {name: value for name, value in vars(one).items() if not isinstance(value, np.ndarray)}
+
+
 def written(folder: Path, value: object) -> Path:
     capture(value).write(folder / "state")
     return folder / "state"
@@ -67,8 +71,7 @@ def written(folder: Path, value: object) -> Path:
 def test_values_come_back_as_they_were(tmp_path: Path) -> None:
     back = read_state(written(tmp_path, state()), State)
     np.testing.assert_array_equal(back.picture, state().picture)
-    nothing = np.zeros(0)
-    assert replace(back, picture=nothing) == replace(state(), picture=nothing)
+    assert without_arrays(back) == without_arrays(state())
     assert list(back.last) == [7, 0]
     assert [path.name for path in tmp_path.iterdir()] == ["state"]
 
@@ -117,8 +120,7 @@ def test_a_captured_state_is_gone_on_with_by_another_process_like_one_that_was_r
                 other.flags.fnc,
                 other.flags.writeable,
             )
-        nothing = np.zeros(0)
-        assert replace(given, picture=nothing, maybe=None) == replace(read, picture=nothing, maybe=None)
+        assert without_arrays(given) == without_arrays(read)
 
 
 def test_a_captured_state_does_not_follow_its_part(tmp_path: Path) -> None:

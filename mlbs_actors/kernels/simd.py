@@ -6,8 +6,8 @@ With these types a kernel tells itself what is done side by side, and what is in
 Each operation is that of IEEE 754 in every lane: the result is that of a loop over single numbers. Only what
 :func:`multiply_add` gives can depend on the processor, by its last bit.
 
-In kernels, lanes of the same kind and count can be added, subtracted and multiplied, and those of float32
-divided. What is no such call does not compile: an array that is not flat and contiguous, say.
+In kernels, lanes of the same count can be added, subtracted, multiplied and divided. What is no such call
+does not compile: an array that is not flat and contiguous, say.
 """
 
 from __future__ import annotations
@@ -25,21 +25,16 @@ __all__ = [
     "Lanes",
     "absolute",
     "broadcast",
-    "broadcast_lane",
     "exp2_of_whole",
-    "gathered",
     "load",
-    "load_int32",
     "maximum",
     "minimum",
     "multiply_add",
     "rounded",
-    "shifted",
     "square_root",
     "store",
     "sum_of_lanes",
     "truncated",
-    "where_equal",
 ]
 
 #: Numbers of lanes that there are: half a register of the widest kind, and one.
@@ -52,28 +47,18 @@ LANES = 16
 _in_kernels: Any = intrinsic(prefer_literal=True)
 
 _FLOAT, _INT = ir.FloatType(), ir.IntType(32)
-_ITEMS: dict[Any, Any] = {types.float32: _FLOAT, types.int32: _INT}
-#: What lanes are loaded from, and the instruction that makes their kind of it.
-_WIDENED: dict[Any, str | None] = {
-    (types.float32, types.float32): None,
-    (types.uint8, types.float32): "uitofp",
-    (types.int16, types.float32): "sitofp",
-    (types.uint8, types.int32): "zext",
-    (types.int16, types.int32): "sext",
-    (types.int32, types.int32): None,
-}
-#: Integers that can be gathered, and the instruction that makes int32 of them.
-_GATHERED: dict[Any, str | None] = {types.int16: "sext", types.int32: None, types.int64: "trunc"}
+#: What lanes are loaded from, and the instruction that makes float32 of it.
+_WIDENED: dict[Any, str | None] = {types.float32: None, types.uint8: "uitofp", types.int16: "sitofp"}
 #: Makes the instructions, from Numba's context, LLVM's builder, the signature and the values.
 _Build = Callable[[Any, Any, Any, Any], Any]
 
 
 class Lanes(types.Type):
-    """Numba's type of some float32 or int32 side by side."""
+    """Numba's type of some float32 side by side."""
 
-    def __init__(self, count: int, kind: types.Type) -> None:
-        super().__init__(name=f"Lanes({count}, {kind})")
-        self.count, self.kind = count, kind
+    def __init__(self, count: int) -> None:
+        super().__init__(name=f"Lanes({count})")
+        self.count = count
 
 
 @register_model(Lanes)
@@ -83,17 +68,16 @@ class _LanesModel(models.PrimitiveModel):
 
 
 def _register(lanes: Lanes) -> ir.VectorType:
-    return ir.VectorType(_ITEMS[lanes.kind], lanes.count)
+    return ir.VectorType(_FLOAT, lanes.count)
 
 
-def _use(operation: Callable[..., Any], of_floats: str, of_ints: str | None = None) -> None:
+def _use(operation: Callable[..., Any], instruction: str) -> None:
     """Let kernels use an operator on lanes."""
-    instructions: dict[Any, str | None] = {types.float32: of_floats, types.int32: of_ints}
 
     @_in_kernels
     def each(typing: Any, one: Any, other: Any) -> Any:
         def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-            return getattr(builder, str(instructions[one.kind]))(*values)
+            return getattr(builder, instruction)(*values)
 
         return one(one, other), build
 
@@ -102,52 +86,21 @@ def _use(operation: Callable[..., Any], of_floats: str, of_ints: str | None = No
 
     @overload(operation, inline="always")
     def known(one: Any, other: Any) -> Any:
-        return of_lanes if isinstance(one, Lanes) and one == other and instructions[one.kind] else None
+        return of_lanes if isinstance(one, Lanes) and one == other else None
 
 
-_use(operator.add, "fadd", "add")
-_use(operator.sub, "fsub", "sub")
-_use(operator.mul, "fmul", "mul")
+_use(operator.add, "fadd")
+_use(operator.sub, "fsub")
+_use(operator.mul, "fmul")
 _use(operator.truediv, "fdiv")
 
 
 @_in_kernels
 def load(typing: Any, array: Any, at: Any, count: Any) -> Any:
     """Some numbers of an array of float32, int16 or uint8 from a place (uint64) on; there must be as many."""
-    return _loaded(array, count, types.float32)
-
-
-@_in_kernels
-def load_int32(typing: Any, array: Any, at: Any, count: Any) -> Any:
-    """The same of an array of uint8, int16 or int32, as int32."""
-    return _loaded(array, count, types.int32)
-
-
-@_in_kernels
-def gathered(typing: Any, array: Any, places: Any) -> Any:
-    """What an array of integers, which fit into int32, has at some places (int32, none of them negative)."""
-    if not (_is_flat(array) and array.dtype in _GATHERED and places.kind is types.int32):
+    if not (_is_flat(array) and _is_count(count) and array.dtype in _WIDENED):
         return None
-    narrowed = _GATHERED[array.dtype]
-
-    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        data = context.make_array(array)(context, builder, values[0]).data
-        numbers = ir.Constant(_register(places), ir.Undefined)
-        for lane in range(places.count):
-            place = builder.extract_element(values[1], ir.Constant(_INT, lane))
-            number = builder.load(builder.gep(data, [builder.zext(place, ir.IntType(64))]))
-            if narrowed is not None:
-                number = getattr(builder, narrowed)(number, _INT)
-            numbers = builder.insert_element(numbers, number, ir.Constant(_INT, lane))
-        return numbers
-
-    return places(array, places), build
-
-
-def _loaded(array: Any, count: Any, kind: types.Type) -> Any:
-    if not (_is_flat(array) and _is_count(count) and (array.dtype, kind) in _WIDENED):
-        return None
-    lanes, widened = Lanes(count.literal_value, kind), _WIDENED[array.dtype, kind]
+    lanes, widened = Lanes(count.literal_value), _WIDENED[array.dtype]
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
         vector = ir.VectorType(context.get_data_type(array.dtype), lanes.count)
@@ -160,8 +113,11 @@ def _loaded(array: Any, count: Any, kind: types.Type) -> Any:
 
 @_in_kernels
 def store(typing: Any, array: Any, at: Any, lanes: Any) -> Any:
-    """Write lanes into an array of their kind from a place (uint64) on; there must be room for all."""
-    if not (_is_flat(array) and array.mutable and isinstance(lanes, Lanes) and array.dtype is lanes.kind):
+    """Write lanes into an array of float32 from a place (uint64) on; there must be room for all."""
+    if (
+        not (_is_flat(array) and array.mutable and isinstance(lanes, Lanes))
+        or array.dtype is not types.float32
+    ):
         return None
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
@@ -187,10 +143,10 @@ def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any, vector: i
 
 @_in_kernels
 def broadcast(typing: Any, value: Any, count: Any) -> Any:
-    """The same float32 or int32 in all lanes."""
-    if not (value in _ITEMS and _is_count(count)):
+    """The same float32 in all lanes."""
+    if not (value is types.float32 and _is_count(count)):
         return None
-    lanes = Lanes(count.literal_value, value)
+    lanes = Lanes(count.literal_value)
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
         nothing = ir.Constant(_register(lanes), ir.Undefined)
@@ -201,40 +157,18 @@ def broadcast(typing: Any, value: Any, count: Any) -> Any:
 
 
 @_in_kernels
-def broadcast_lane(typing: Any, value: Any, lane: Any) -> Any:
-    """One lane's number in all of them."""
-
-    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        return _taken(builder, values[0], values[0], [lane.literal_value] * value.count)
-
-    return value(value, lane), build
-
-
-@_in_kernels
-def shifted(typing: Any, one: Any, other: Any, lanes: Any) -> Any:
-    """The first lanes of two side by side after so many."""
-
-    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        first = lanes.literal_value
-        return _taken(builder, values[0], values[1], range(first, first + one.count))
-
-    return one(one, other, lanes), build
-
-
-@_in_kernels
 def sum_of_lanes(typing: Any, value: Any) -> Any:
-    """Sum of all lanes; of float32 that of every fourth one after the other, then of these four by pairs."""
-    whole = value.kind is types.int32
+    """Sum of all lanes: that of every fourth one after the other, then of these four by pairs."""
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        numbers, add = values[0], builder.add if whole else builder.fadd
+        numbers, add = values[0], builder.fadd
         sums = _taken(builder, numbers, numbers, range(4))
         for first in range(4, value.count, 4):
             sums = add(sums, _taken(builder, numbers, numbers, range(first, first + 4)))
         one, two, three, four = (builder.extract_element(sums, ir.Constant(_INT, i)) for i in range(4))
         return add(add(one, two), add(three, four))
 
-    return value.kind(value), build
+    return types.float32(value), build
 
 
 def _taken(builder: Any, one: Any, other: Any, places: Sequence[int]) -> Any:
@@ -287,18 +221,6 @@ def minimum(typing: Any, one: Any, other: Any) -> Any:
         return builder.select(builder.fcmp_ordered("<", *values), *values)
 
     return one(one, other), build
-
-
-@_in_kernels
-def where_equal(typing: Any, one: Any, other: Any, then: Any, otherwise: Any) -> Any:
-    """Of two values the first where two lanes of int32 are the same, else the second."""
-    if not (one == other and then == otherwise and one.kind is types.int32 and one.count == then.count):
-        return None
-
-    def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
-        return builder.select(builder.icmp_signed("==", values[0], values[1]), values[2], values[3])
-
-    return then(one, other, then, otherwise), build
 
 
 @_in_kernels

@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.kernels.jit import compiled, inlined
-from mlbs_actors.kernels.simd import LANES, Lanes, broadcast, broadcast_lane, load, minimum, shifted, store
 from mlbs_actors.layer.points_in_box import points_in_box
 from mlbs_actors.messages import Array, Region
 
@@ -20,9 +19,6 @@ __all__ = ["closed_distance", "occupied_cells", "occupy", "to_occupied", "trajec
 _STRAIGHT, _DIAGONAL, _KNIGHT = np.float32(1), np.float32(1.4), np.float32(2.1969)
 #: Infinite cells around all others, so that no step asks for the border.
 _BORDER = 2
-#: From the cell before those of a register to each of them, and from the one after them.
-_STEPS = np.arange(1, LANES + 1).astype(np.float32)
-_STEPS_BACK = _STEPS[::-1].copy()
 
 
 def trajectory_distance(positions: Array, cells: Region, side: int) -> Array:
@@ -68,72 +64,28 @@ def occupy(occupied: Array, positions: Array, side: int, left: int, top: int) ->
 def to_occupied(occupied: Array, side: int) -> Array:
     """Distance of cells of this side to the nearest of some: (h, w) float32, px; infinite without any."""
     height, width = occupied.shape
-    room = -(-width // LANES) * LANES
-    stride, told = room + 2 * _BORDER, np.empty(occupied.shape, np.float32)
-    cells = np.full((height + 2 * _BORDER) * stride, np.float32(np.inf))
-    # Cells past the right border, up to a whole register, are told too: no way is shorter by way of them.
-    own, results, infinite = occupied.reshape(-1), told.reshape(-1), broadcast(np.float32(np.inf), LANES)
+    cells = np.full((height + 2 * _BORDER, width + 2 * _BORDER), np.float32(np.inf))
     for y in range(height):
-        first = (y + _BORDER) * stride + _BORDER
         for x in range(width):
-            free = np.float32(0) if own[np.uint64(y * width + x)] else np.float32(np.inf)
-            cells[np.uint64(first + x)] = free
+            if occupied[y, x]:
+                cells[y + _BORDER, x + _BORDER] = 0
     for y in range(_BORDER, height + _BORDER):
-        before = infinite
-        for x in range(_BORDER, room + _BORDER, LANES):
-            place = np.uint64(y * stride + x)
-            before = _stepped_right(_stepped_from(cells, place, place - np.uint64(stride), -stride), before)
-            store(cells, place, before)
+        for x in range(_BORDER, width + _BORDER):
+            cells[y, x] = _stepped(cells, y, x, -1)
     for y in range(height + _BORDER - 1, _BORDER - 1, -1):
-        after = infinite
-        for x in range(room + _BORDER - LANES, 0, -LANES):
-            place = np.uint64(y * stride + x)
-            after = _stepped_left(_stepped_from(cells, place, place + np.uint64(stride), stride), after)
-            store(cells, place, after)
-    for y in range(height):
-        first = (y + _BORDER) * stride + _BORDER
-        for x in range(width):
-            results[np.uint64(y * width + x)] = cells[np.uint64(first + x)] * np.float32(side)
-    return told
+        for x in range(width + _BORDER - 1, _BORDER - 1, -1):
+            cells[y, x] = _stepped(cells, y, x, 1)
+    return cells[_BORDER : height + _BORDER, _BORDER : width + _BORDER] * np.float32(side)
 
 
 @inlined
-def _stepped_from(cells: Array, place: np.uint64, near: np.uint64, stride: int) -> Lanes:
-    """Some cells of a row after steps to them from the next row and the one behind it."""
-    one, two, further = np.uint64(1), np.uint64(2), np.uint64(np.int64(near) + stride)
-    by_knight = minimum(
-        minimum(load(cells, further - one, LANES), load(cells, further + one, LANES)),
-        minimum(load(cells, near - two, LANES), load(cells, near + two, LANES)),
-    )
-    by_corner = minimum(load(cells, near - one, LANES), load(cells, near + one, LANES))
-    beside = minimum(by_knight + broadcast(_KNIGHT, LANES), by_corner + broadcast(_DIAGONAL, LANES))
-    straight = load(cells, near, LANES) + broadcast(_STRAIGHT, LANES)
-    stepped: Lanes = minimum(load(cells, place, LANES), minimum(beside, straight))
-    return stepped
-
-
-@inlined
-def _stepped_right(row: Lanes, before: Lanes) -> Lanes:
-    """Some cells after steps along their row, from those left of them too: of 1, of up to 3, 7 and 15."""
-    infinite = broadcast(np.float32(np.inf), LANES)
-    row = minimum(row, shifted(infinite, row, 15) + broadcast(np.float32(1), LANES))
-    row = minimum(row, shifted(infinite, row, 14) + broadcast(np.float32(2), LANES))
-    row = minimum(row, shifted(infinite, row, 12) + broadcast(np.float32(4), LANES))
-    row = minimum(row, shifted(infinite, row, 8) + broadcast(np.float32(8), LANES))
-    stepped: Lanes = minimum(row, broadcast_lane(before, 15) + load(_STEPS, np.uint64(0), LANES))
-    return stepped
-
-
-@inlined
-def _stepped_left(row: Lanes, after: Lanes) -> Lanes:
-    """:func:`_stepped_right` from the row's other end."""
-    infinite = broadcast(np.float32(np.inf), LANES)
-    row = minimum(row, shifted(row, infinite, 1) + broadcast(np.float32(1), LANES))
-    row = minimum(row, shifted(row, infinite, 2) + broadcast(np.float32(2), LANES))
-    row = minimum(row, shifted(row, infinite, 4) + broadcast(np.float32(4), LANES))
-    row = minimum(row, shifted(row, infinite, 8) + broadcast(np.float32(8), LANES))
-    stepped: Lanes = minimum(row, broadcast_lane(after, 0) + load(_STEPS_BACK, np.uint64(0), LANES))
-    return stepped
+def _stepped(cells: Array, y: int, x: int, towards: int) -> np.float32:
+    """A cell after steps to it from those before or after it, in the order of rows and columns."""
+    near, further = cells[y + towards], cells[y + 2 * towards]
+    straight = min(near[x], cells[y, x + towards]) + _STRAIGHT
+    diagonal = min(near[x - 1], near[x + 1]) + _DIAGONAL
+    knight = min(min(near[x - 2], near[x + 2]), min(further[x - 1], further[x + 1])) + _KNIGHT
+    return min(cells[y, x], min(straight, min(diagonal, knight)))
 
 
 @compiled

@@ -54,6 +54,8 @@ class VideoReader:
         self._container, self._stream, self._log_errors = open_video(address, _TIMEOUT_S)
         rate = self._stream.average_rate
         self._frame_time = 1.0 / float(rate) if rate else 0.0
+        counts_shown_frames = not self._container.format.name.startswith(_COUNTS_HIDDEN_FRAMES)
+        self._declared = self._stream.frames if counts_shown_frames else 0
         self._length = self._stated_length()
         self._frames = self._decode()
 
@@ -63,10 +65,8 @@ class VideoReader:
         found: list[str] = []
         if self._broken_off is not None:
             found.append(f"reading broke off after {count_of(self._count, 'frame')} ({self._broken_off})")
-        declared = self._stream.frames
-        counts_shown_frames = not self._container.format.name.startswith(_COUNTS_HIDDEN_FRAMES)
-        if self._ended and counts_shown_frames and self._count < declared:
-            found.append(f"it holds {self._count} of the {declared} frames that its header states")
+        if self._ended and self._count < self._declared:
+            found.append(f"it holds {self._count} of the {self._declared} frames that its header states")
         if self._log_errors or self._corrupt_frames or self._lost_packets:
             found.append(
                 f"the decoder reported {self._log_errors} errors, {self._corrupt_frames} damaged frames "

@@ -29,7 +29,7 @@ LAYERS = LayersConfig()
 
 def blocks(*sizes: int) -> sp.csr_array:
     """Cliques that nothing joins, one after the other."""
-    return sp.csr_array(sp.block_diag([np.ones((size, size)) - np.eye(size) for size in sizes]))
+    return sp.csr_array(sp.block_diag([sp.csr_array(np.ones((size, size)) - np.eye(size)) for size in sizes]))
 
 
 def trajectories(motions: Array, residuals: Array, ages: Array | None = None) -> TrajectoryState:

@@ -204,7 +204,9 @@ def test_a_stream_starts_in_processes_that_were_warm_before(
     warm = parts.processes()
     pictures = crowd(12, 1)
     second = node.start(spec("second", FakeReader([*pictures], tmp_path / "second")))
-    own = {ray.get(handle.__ray_call__.remote(_pid)) for handle in second._others}
+    own = {
+        ray.get(handle.__ray_call__.remote(_pid)) for handle in (second._coordinator, second._links.segmenter)
+    }
     assert len(own) == 2
     assert own <= warm
     run_to_end(second)

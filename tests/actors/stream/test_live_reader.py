@@ -106,7 +106,7 @@ def asked(reader: LiveReaderActor, *, fresh: bool) -> SourceFrame | SourceSilenc
         return said
     frame: SourceFrame = SharedMemory().taken(said)
     assert np.array_equal(np.asarray(frame.image), IMAGE)
-    return replace(frame, image=IMAGE)  # so that frames can be compared
+    return replace(frame, image=None)  # so that frames can be compared
 
 
 def test_a_second_start_is_given_the_same_rows_again_and_then_new_ones() -> None:
@@ -117,7 +117,7 @@ def test_a_second_start_is_given_the_same_rows_again_and_then_new_ones() -> None
     reader.go_on(SourcePosition(2, 0.1, 0.0))
     again = [asked(reader, fresh=True) for _ in range(4)]
     assert again[:3] == first[2:]
-    assert again[3] == row(5, IMAGE)
+    assert again[3] == replace(row(5, IMAGE), image=None)
     assert asked(reader, fresh=True) == SourceSilence("stalled")
 
 
@@ -149,7 +149,7 @@ def test_a_new_reader_goes_on_with_a_gap_and_consecutive_rows_and_times() -> Non
 def test_a_new_reader_of_a_stream_that_has_not_begun_begins_without_a_gap() -> None:
     reader = reader_of(Answers(row(0, IMAGE)))
     reader.go_on(SourcePosition())
-    assert asked(reader, fresh=True) == row(0, IMAGE)
+    assert asked(reader, fresh=True) == replace(row(0, IMAGE), image=None)
 
 
 def test_what_the_ring_does_not_hold_any_more_is_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
