@@ -242,10 +242,10 @@ def test_the_main_script_says_how_to_use_own_videos_and_becomes_the_program_that
 ) -> None:
     script = _with_stubs(tmp_path / "root")
     python = tmp_path / "root/.venv/bin/python"
-    python.write_text("#!/bin/sh\nkill -INT $$\nexit 3\n")
+    python.write_text("#!/bin/sh\nkill -TERM $$\nexit 3\n")
     started = subprocess.Popen([script, *flags], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     _, stderr = started.communicate(timeout=20)
-    assert started.returncode == -signal.SIGINT
+    assert started.returncode == -signal.SIGTERM
     assert ("For your own videos" in stderr) == (not flags)
 
 
