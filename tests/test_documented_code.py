@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -51,6 +52,8 @@ def test_the_code_of_a_page_runs_block_by_block(
     text = (ROOT / page).read_text(encoding="utf-8")
     names: dict[str, object] = {"__name__": "__main__"}
     for block in re.finditer(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
+        if "import supervision" in block[1] and find_spec("supervision") is None:
+            continue  # with Python 3.10 it would replace OpenCV
         lines_before = text.count("\n", 0, block.start(1))
         # So that a traceback names the line of the page.
         exec(compile("\n" * lines_before + block[1], ROOT / page, "exec"), names)
