@@ -16,7 +16,7 @@ from typing import Any
 import ray
 from ray.exceptions import GetTimeoutError, RayError
 
-from mlbs_actors.actors.ipc.wakeup import Bell
+from mlbs_actors.actors.ipc.wakeup import WakeupEvent
 from mlbs_actors.actors.node.failures import COORDINATOR, POOL, SEGMENTER, explain
 from mlbs_actors.actors.node.pool import PoolActor, PoolCensus, PoolPolicy
 from mlbs_actors.actors.node.processes import Handle, Reference, end, identity, spawn, spawn_standby
@@ -129,7 +129,7 @@ class Node:
             run=run,
             turns=self._turns,
             under_way=self.prepare,
-            bell=Bell() if self._beside_driver else None,
+            wakeup=WakeupEvent() if self._beside_driver else None,
         )
 
     def prepare(self) -> bool:
@@ -227,7 +227,7 @@ class StreamActors:
         Of the node.
     under_way : callable
         Called again and again once the stream has some frames behind it.
-    bell : Bell, optional
+    wakeup : WakeupEvent, optional
         For the coordinator between its turns; only on the driver's own node.
 
     Attributes
@@ -246,7 +246,7 @@ class StreamActors:
         run: int,
         turns: Turns,
         under_way: Callable[[], object],
-        bell: Bell | None,
+        wakeup: WakeupEvent | None,
     ) -> None:
         self._name = spec.name
         self._live = not spec.replayable
@@ -265,8 +265,8 @@ class StreamActors:
         self._begun: Future[None] = begun.future()
         self._turns = turns
         self._under_way = under_way
-        self._bell = bell
-        self._dozing = False
+        self._wakeup = wakeup
+        self._is_waiting = False
         self._bursts = 0
         self._kept_waiting = False
         self.living_reader: Handle | None = None
@@ -283,7 +283,10 @@ class StreamActors:
         """
         # A camera's stream waits for its pictures, one that starts for its processes, another for its file.
         at_once = self._live or self._bursts == 0 or self._kept_waiting
-        progress = self._ask_for_burst() if at_once else self._turns.take(self._ask_for_burst, self._doze)
+        if at_once:
+            progress = self._ask_for_burst()
+        else:
+            progress = self._turns.take(self._ask_for_burst, self._wait_inside_a_call)
         self._bursts += 1
         if self._bursts > 1:  # while the stream works: starting processes takes some time here
             self._under_way()
@@ -323,21 +326,21 @@ class StreamActors:
         for last in (self._links.pool.end.remote(self._run), self._links.sink.close.remote(self._run)):
             with suppress(RayError, GetTimeoutError):
                 ray.get(last, timeout=_STOP_SECONDS)
-        if self._bell is not None:
-            self._bell.close()
+        if self._wakeup is not None:
+            self._wakeup.close()
         return self._final
 
-    def _doze(self) -> None:
+    def _wait_inside_a_call(self) -> None:
         """Have the coordinator wait for its next call inside one."""
-        if self._bell is not None:
-            self._coordinator.doze.remote(self._bell.rope)
-            self._dozing = True
+        if self._wakeup is not None:
+            self._coordinator.wait_inside_a_call.remote(self._wakeup.handle)
+            self._is_waiting = True
 
     def _wake(self) -> None:
-        if self._dozing:
-            assert self._bell is not None
-            self._bell.ring()
-            self._dozing = False
+        if self._is_waiting:
+            assert self._wakeup is not None
+            self._wakeup.wake()
+            self._is_waiting = False
 
     def _ask_for_burst(self) -> Future[StreamProgress]:
         self._wake()

@@ -1,8 +1,8 @@
-"""A bell that the driver rings for an actor of its own node that waits for its next call.
+"""An event by which the driver wakes an actor of its own node that waits for its next call.
 
 Ray's main loop looks a hundred times a second for signals, except inside a call: 3 ms of CPU time a second,
-and what each look pushes out of the caches. So an actor that is to be called in a while waits inside a call
-for the bell.
+and what each look pushes out of the caches. So an actor that is to be called in a while waits for this event
+inside a call.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["Bell", "BellRope", "await_bell"]
+__all__ = ["WakeupEvent", "WakeupHandle", "wait_until_woken"]
 
 
 @dataclass(frozen=True, slots=True)
-class BellRope:
-    """Where a bell is heard.
+class WakeupHandle:
+    """Where another process finds a :class:`WakeupEvent`.
 
     Attributes
     ----------
     owner : int
-        Process id of who rings it.
+        Process id of its owner.
     descriptor : int
-        The owner's file descriptor of what is to be read from.
+        The owner's file descriptor of the pipe to read from.
     inode : int
-        Of that: with another one it is no longer this bell.
+        Of that pipe: with another one the descriptor means something else by now.
     """
 
     owner: int
@@ -34,34 +34,34 @@ class BellRope:
     inode: int
 
 
-class Bell:
-    """What is rung; heard in another process, once for each time, also by who listens later.
+class WakeupEvent:
+    """Wakes one waiting process each time it is set, also one that begins to wait later.
 
     Attributes
     ----------
-    rope : BellRope
-        To be told to who listens.
+    handle : WakeupHandle
+        For the process that is to wait.
     """
 
     def __init__(self) -> None:
-        heard, rung = os.pipe()
-        self._heard, self._rung = os.fdopen(heard, "rb", 0), os.fdopen(rung, "wb", 0)
-        self.rope = BellRope(os.getpid(), heard, os.fstat(heard).st_ino)
+        reading, writing = os.pipe()
+        self._reading, self._writing = os.fdopen(reading, "rb", 0), os.fdopen(writing, "wb", 0)
+        self.handle = WakeupHandle(os.getpid(), reading, os.fstat(reading).st_ino)
 
-    def ring(self) -> None:
-        """End one :func:`await_bell`; nothing once it is closed."""
+    def wake(self) -> None:
+        """End one :func:`wait_until_woken`; does nothing once closed."""
         with suppress(ValueError):
-            self._rung.write(b"!")
+            self._writing.write(b"!")
 
     def close(self) -> None:
-        """Ring for all who still listen, and for good."""
-        self._rung.close()
-        self._heard.close()
+        """Wake all that still wait, and all that ever will."""
+        self._writing.close()
+        self._reading.close()
 
 
-def await_bell(rope: BellRope) -> None:
-    """Wait until the bell is rung, or is gone with its owner."""
-    end = Path(f"/proc/{rope.owner}/fd/{rope.descriptor}")
-    with suppress(OSError), end.open("rb", buffering=0) as heard:
-        if os.fstat(heard.fileno()).st_ino == rope.inode:
-            heard.read(1)
+def wait_until_woken(handle: WakeupHandle) -> None:
+    """Wait until the event is set, or is gone with its owner."""
+    end = Path(f"/proc/{handle.owner}/fd/{handle.descriptor}")
+    with suppress(OSError), end.open("rb", buffering=0) as pipe:
+        if os.fstat(pipe.fileno()).st_ino == handle.inode:
+            pipe.read(1)

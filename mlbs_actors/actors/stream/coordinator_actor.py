@@ -22,7 +22,7 @@ from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.ipc.channels import ChannelClosedError
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, SlotPool
-from mlbs_actors.actors.ipc.wakeup import BellRope, await_bell
+from mlbs_actors.actors.ipc.wakeup import WakeupHandle, wait_until_woken
 from mlbs_actors.actors.node.failures import (
     POOL,
     SEGMENTER,
@@ -36,7 +36,7 @@ from mlbs_actors.actors.node.idle_threads import look_round_seldom
 from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, identity
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.account import StreamAccount
-from mlbs_actors.actors.stream.layers_at_work import Housed
+from mlbs_actors.actors.stream.layers_at_work import AssignedProcess
 from mlbs_actors.actors.stream.live_layers import LiveLayers
 from mlbs_actors.actors.stream.live_reader import LiveReadAhead
 from mlbs_actors.actors.stream.protocol import (
@@ -152,9 +152,9 @@ class CoordinatorActor:
         """
         return self._guarded(frames)
 
-    def doze(self, rope: BellRope) -> None:
-        """Wait for the bell: between its bursts the process takes no time so."""
-        await_bell(rope)
+    def wait_inside_a_call(self, handle: WakeupHandle) -> None:
+        """Wait until woken: inside a call the process takes no CPU time between its bursts."""
+        wait_until_woken(handle)
 
     def finish(self) -> StreamProgress:
         """Read no more, label and commit what was read, close the record; raises as :meth:`advance`."""
@@ -347,8 +347,9 @@ class CoordinatorActor:
         assert frame is not None  # what has no picture is a gap
         if evidence.retired:
             self._labelling.retire(evidence.retired)
-        housed = tuple(
-            Housed(layer, offer, self._slots.take("state")) for layer, offer in self._layers.follow(evidence)
+        assigned = tuple(
+            AssignedProcess(layer, offer, self._slots.take("state"))
+            for layer, offer in self._layers.follow(evidence)
         )
         told, labelled = self._slots.take("evidence"), self._slots.take("segmentation")
         posteriors = tuple(self._slots.take("posterior") for _ in evidence.tracks)
@@ -356,7 +357,7 @@ class CoordinatorActor:
         wanted = wants is not None and wants(delivered.index)
         background = self._slots.take("appearance") if wanted else None
         shared = self._memory.share(evidence, told)
-        self._labelling.start(FrameWork(shared, frame, labelled, posteriors, housed, background))
+        self._labelling.start(FrameWork(shared, frame, labelled, posteriors, assigned, background))
         self._record.expect(frame)
         self._write_gaps()
 

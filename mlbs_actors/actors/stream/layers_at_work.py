@@ -30,7 +30,7 @@ from mlbs_actors.messages import (
 from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.state_file import read_state
 
-__all__ = ["Housed", "LayersAtWork", "SharedFrame"]
+__all__ = ["AssignedProcess", "LayersAtWork", "SharedFrame"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class SharedFrame:
 
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
-class Housed:
+class AssignedProcess:
     """A layer that has a process of its own from now on.
 
     Attributes
@@ -98,7 +98,7 @@ class LayersAtWork:
             part = self._begin(own).part
             part.state = read_state(folder / layer_file(own.layer), type(part.state))
 
-    def follow(self, evidence: FrameEvidence, housed: Sequence[Housed]) -> None:
+    def follow(self, evidence: FrameEvidence, assigned: Sequence[AssignedProcess]) -> None:
         """Begin the layers that are new with a frame, then have some move to their processes.
 
         Raises
@@ -109,7 +109,7 @@ class LayersAtWork:
         for own in evidence.tracks:
             if own.layer not in self._here and own.layer not in self._elsewhere:
                 self._begin(SavedLayer(own.layer, own.kind, -1))
-        for one in housed:
+        for one in assigned:
             channel = self._elsewhere[one.layer] = take(one.offer)
             channel.send(self._here.pop(one.layer).hand_over(one.state))
 

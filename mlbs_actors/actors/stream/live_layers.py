@@ -98,14 +98,14 @@ class LiveLayers:
                 self._release(layer)
         for own in evidence.tracks:
             self._living.setdefault(own.layer, _Living(own.kind, -1)).last_frame = evidence.frame_index
-        return tuple(self._housed(evidence))
+        return tuple(self._assigned(evidence))
 
     def release_all(self) -> None:
         """Give all processes back, each once it serves no more."""
         for layer in list(self._living):
             self._release(layer)
 
-    def _housed(self, evidence: FrameEvidence) -> Iterator[tuple[int, ChannelOffer]]:
+    def _assigned(self, evidence: FrameEvidence) -> Iterator[tuple[int, ChannelOffer]]:
         # Of those that do this frame: by their answer it is known that they have read the state they got.
         waiting = deque(own.layer for own in evidence.tracks if self._living[own.layer].process is None)
         awaited = 0 if self._begun else min(len(waiting), _FIRST_LAYERS)

@@ -18,7 +18,7 @@ from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, Slo
 from mlbs_actors.actors.node.idle_threads import look_round_seldom
 from mlbs_actors.actors.node.processes import Handle, Reference
 from mlbs_actors.actors.parts import PartFactory
-from mlbs_actors.actors.stream.layers_at_work import Housed, LayersAtWork, SharedFrame
+from mlbs_actors.actors.stream.layers_at_work import AssignedProcess, LayersAtWork, SharedFrame
 from mlbs_actors.actors.stream.order import FrameOrder
 from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.actors.stream.saved_states import (
@@ -58,7 +58,7 @@ class FrameWork:
         For the label map.
     posteriors : tuple of Slot
         For the answers of the evidence's layers, in ascending id.
-    housed : tuple of Housed
+    assigned : tuple of AssignedProcess
         Layers of the evidence that have got a process.
     background : Slot, optional
         For what the background remembers after this frame; None if nobody wants it.
@@ -68,13 +68,13 @@ class FrameWork:
     frame: Shared[SourceFrame]
     answer: Slot
     posteriors: tuple[Slot, ...]
-    housed: tuple[Housed, ...]
+    assigned: tuple[AssignedProcess, ...]
     background: Slot | None
 
     @property
     def inner_slots(self) -> tuple[Slot, ...]:
         """Those that only the segmenter and the layers read."""
-        return (self.evidence.slot, *self.posteriors, *(one.state for one in self.housed))
+        return (self.evidence.slot, *self.posteriors, *(one.state for one in self.assigned))
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +175,7 @@ class SegmenterActor:
     def _labelled(self, work: FrameWork) -> LabelledFrame:
         evidence, frame = self._memory.taken(work.evidence), self._memory.taken(work.frame)
         assert frame.image is not None  # a quarantined frame has no evidence
-        self._layers.follow(evidence, work.housed)
+        self._layers.follow(evidence, work.assigned)
         previous = self._published[-1] if self._published else None
         shared = SharedFrame(evidence, frame.image, previous, work.evidence, work.frame, self._previous)
         answers = {own.layer: slot for own, slot in zip(evidence.tracks, work.posteriors, strict=True)}

@@ -1,4 +1,4 @@
-"""A bell that another process waits for: it rings once for each time, and for good when its owner is gone."""
+"""An event that wakes a process: once each time it is set, and for good when its owner is gone."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from pathlib import Path
 
 import pytest
 
-from mlbs_actors.actors.ipc.wakeup import Bell, await_bell
+from mlbs_actors.actors.ipc.wakeup import WakeupEvent, wait_until_woken
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
 
 LISTENER = """
 import sys
 
-from mlbs_actors.actors.ipc.wakeup import BellRope, await_bell
+from mlbs_actors.actors.ipc.wakeup import WakeupHandle, wait_until_woken
 
 for turn in range(int(sys.argv[4])):
-    await_bell(BellRope(*map(int, sys.argv[1:4])))
+    wait_until_woken(WakeupHandle(*map(int, sys.argv[1:4])))
     print(turn, flush=True)
 """
 
@@ -29,33 +29,33 @@ OWNER = """
 import sys
 from dataclasses import astuple
 
-from mlbs_actors.actors.ipc.wakeup import Bell
+from mlbs_actors.actors.ipc.wakeup import WakeupEvent
 
-bell = Bell()
-print(*astuple(bell.rope), flush=True)
+wakeup = WakeupEvent()
+print(*astuple(wakeup.handle), flush=True)
 sys.stdin.read()
 """
 
 
-def listener(*rope: int, turns: int) -> subprocess.Popen[str]:
-    arguments = [str(number) for number in (*rope, turns)]
+def listener(*handle: int, turns: int) -> subprocess.Popen[str]:
+    arguments = [str(number) for number in (*handle, turns)]
     return subprocess.Popen([sys.executable, "-c", LISTENER, *arguments], stdout=subprocess.PIPE, text=True)
 
 
 def test_each_ring_ends_one_wait_also_of_who_listens_later() -> None:
-    bell = Bell()
-    bell.ring()
-    with listener(*astuple(bell.rope), turns=3) as listening:
+    wakeup = WakeupEvent()
+    wakeup.wake()
+    with listener(*astuple(wakeup.handle), turns=3) as listening:
         assert listening.stdout is not None
         assert listening.stdout.readline() == "0\n"
         with pytest.raises(subprocess.TimeoutExpired):
             listening.wait(0.3)
-        bell.ring()
+        wakeup.wake()
         assert listening.stdout.readline() == "1\n"
-        bell.ring()
+        wakeup.wake()
         assert listening.wait(10) == 0
-    bell.close()
-    bell.ring()
+    wakeup.close()
+    wakeup.wake()
 
 
 def test_who_waits_goes_on_when_the_owner_is_gone() -> None:
@@ -63,8 +63,8 @@ def test_who_waits_goes_on_when_the_owner_is_gone() -> None:
         [sys.executable, "-c", OWNER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as owner:
         assert owner.stdout is not None
-        rope = [int(number) for number in owner.stdout.readline().split()]
-        with listener(*rope, turns=1) as listening:
+        handle = [int(number) for number in owner.stdout.readline().split()]
+        with listener(*handle, turns=1) as listening:
             time.sleep(0.3)
             assert listening.poll() is None
             owner.kill()
@@ -72,8 +72,8 @@ def test_who_waits_goes_on_when_the_owner_is_gone() -> None:
 
 
 def test_who_is_told_of_a_bell_that_is_none_any_more_does_not_wait(tmp_path: Path) -> None:
-    bell = Bell()
-    await_bell(replace(bell.rope, inode=bell.rope.inode + 1))
-    await_bell(replace(bell.rope, descriptor=os.sysconf("SC_OPEN_MAX") - 1))
-    bell.close()
-    await_bell(bell.rope)
+    wakeup = WakeupEvent()
+    wait_until_woken(replace(wakeup.handle, inode=wakeup.handle.inode + 1))
+    wait_until_woken(replace(wakeup.handle, descriptor=os.sysconf("SC_OPEN_MAX") - 1))
+    wakeup.close()
+    wait_until_woken(wakeup.handle)

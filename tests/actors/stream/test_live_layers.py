@@ -62,7 +62,7 @@ def test_a_layer_that_sleeps_gets_its_process_when_it_wakes(ray_session: RaySess
     layers = LiveLayers(pool, 1, CONFIG)
     layers.restore([SavedLayer(0, "background", 3), SavedLayer(1, "object", 3), SavedLayer(2, "object", 3)])
     # Nobody would know when it has read the state that was sent there: it answers no frame.
-    housed = [[layer for layer, _ in layers.follow(evidence(t, (0, 2)))] for t in range(4, 9)]
-    assert sorted(layer for some in housed for layer in some) == [0, 2]
+    assigned = [[layer for layer, _ in layers.follow(evidence(t, (0, 2)))] for t in range(4, 9)]
+    assert sorted(layer for some in assigned for layer in some) == [0, 2]
     assert [layer for layer, _ in layers.follow(evidence(9, (0, 1, 2)))] == [1]
     assert pool.asked == 3
