@@ -70,9 +70,8 @@ def mean_of_cells(values: Array, side: int) -> Array:
     """
     height, width = values.shape[:2]
     if side == 1 or values.size == 0:
-        return (
-            values.copy()
-        )  # for Numba a frame that can only be read is another type, with kernels of its own
+        # A copy: for Numba an array that can only be read is another type, with kernels of its own.
+        return values.copy()
     rows, columns = -(-height // side), -(-width // side)
     missing = (rows * side - height, columns * side - width)
     if any(missing):

@@ -46,7 +46,10 @@ class GridConfig(_Section):
     """The cells of a frame: the one grid of flow, trajectories' evidence, posteriors and colours."""
 
     cell_px: float = Field(
-        2.0, gt=0, description="Side of the square of pixels that share flow, posterior and samples, px."
+        2.0,
+        gt=0,
+        le=24,
+        description="Side of the square of pixels that share flow, posterior and samples, px.",
     )
 
 
@@ -57,11 +60,18 @@ class FlowConfig(_Section):
         "search", description="Our own dense inverse search, or OpenCV's, which takes about twice the time."
     )
     finest_scale: int = Field(
-        0, ge=0, le=3, description="DIS: last level of the pyramid, 0 = the cells themselves."
+        0,
+        ge=0,
+        le=3,
+        description="Own search, and OpenCV's: last level of the pyramid, 0 = the cells themselves.",
     )
-    search_iterations: int = Field(6, ge=1, description="DIS: gradient descent iterations of a patch.")
-    refinement_iterations: int = Field(1, ge=0, description="DIS: iterations of variational refinement.")
-    patch_stride_px: int = Field(5, ge=1, le=8, description="DIS: distance of patches (which are 8 px wide).")
+    search_iterations: int = Field(6, ge=1, description="Own search: gradient descent iterations of a patch.")
+    refinement_iterations: int = Field(
+        1, ge=0, description="Own search: iterations of variational refinement."
+    )
+    patch_stride_px: int = Field(
+        5, ge=1, le=8, description="Own search: distance of patches (which are 8 px wide)."
+    )
     first_search_iterations: int = Field(
         16, ge=1, description="The same in the frames that are held until the first clustering."
     )
@@ -184,11 +194,11 @@ class LayersConfig(_Section):
 
 
 class MotionConfig(_Section):
-    """Motion field of a layer: Gaussian belief propagation (§5)."""
+    """Motion field of a layer (§5, the paper's Gaussian belief propagation)."""
 
-    grid_px: float = Field(18.0, gt=0, description="Spacing of the field's grid, px; rounded to whole cells.")
+    grid_px: float = Field(18.0, ge=4, description="Spacing of the field's grid, px; rounded to whole cells.")
     variance_grid_px: float = Field(
-        32.0, gt=0, description="Spacing of the grid on which marginal variances hold, px; so too."
+        32.0, ge=8, description="Spacing of the grid on which marginal variances hold, px; so too."
     )
     smoothness_std_px: float = Field(0.5, gt=0, description="σ_m: difference of neighbouring nodes, px.")
     point_std_px: float = Field(0.5, gt=0, description="σ_p: a trajectory's error, px.")

@@ -48,7 +48,7 @@ class FrameError(MlbsError):
 
 
 class SolverError(MlbsError):
-    """A motion field was asked for with evidence that is not finite."""
+    """A motion field cannot be solved: its evidence is not finite, or its terms are too far apart."""
 
 
 class LayerError(MlbsError):

@@ -56,8 +56,8 @@ class MultilayerSubtractor:
 
     flow : callable, optional
         Your own dense flow, in place of the configured one: from two frames (H, W, 3) uint8 BGR, (H, W, 2)
-        float, where each pixel of the first one is in the second, less where it is in the first, px. It is
-        called twice a frame, once in each direction.
+        float, how far each pixel of the first one moves to its place in the second, px. It is called
+        twice a frame, once in each direction.
 
     Raises
     ------

@@ -29,7 +29,7 @@ def main() -> int:
     started = perf_counter()
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=context) as pool:
-        pending = {pool.submit(_warm_layer_and_cut), pool.submit(warm_stream)}
+        pending = {pool.submit(_warm_layer_and_cut), pool.submit(_label_small_scene)}
         while pending:
             done, pending = wait(pending, _PROGRESS_SECONDS, return_when=FIRST_EXCEPTION)
             for one in done:
@@ -94,20 +94,24 @@ def warm_stream() -> None:
 
     Else the kernels that only objects need are loaded at a stream's first birth: a quarter of a second.
     """
-    from mlbs_actors.subtractor import MultilayerSubtractor
-
-    subtractor = MultilayerSubtractor()
-    for frame in _small_scene():
-        subtractor.apply(frame)
+    _label_small_scene()
     _cut_images()
     _find_contact_shadow()
-    _focus_on_crowd()
 
 
 def _warm_layer_and_cut() -> None:
     warm_layer()
     _cut_images()
     _find_contact_shadow()
+
+
+def _label_small_scene() -> None:
+    from mlbs_actors.subtractor import MultilayerSubtractor
+
+    subtractor = MultilayerSubtractor()
+    for frame in _small_scene():
+        subtractor.apply(frame)
+    _focus_on_crowd()
 
 
 def _small_scene(frames: int = 7) -> Iterator[Array]:

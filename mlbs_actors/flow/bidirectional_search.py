@@ -55,6 +55,8 @@ def search_both_ways(
         effort = SearchEffort(config.search_iterations, config.refinement_iterations, config.patch_stride_px)
     coarsest = coarsest_level(current.shape)
     finest = min(config.finest_scale, coarsest)
+    if finest == coarsest:  # no coarser level says how the scene moves outside the boxes
+        focus = whole
     before, now = flow_levels(previous, coarsest), flow_levels(current, coarsest)
     # Halves alone would not do: flow bleeds 10–20 px past an object's outline then.
     backward = np.zeros((2, *now[coarsest].gray.shape), np.float32)

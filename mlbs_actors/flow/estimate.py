@@ -56,7 +56,7 @@ def picture_of(frame: Array, side: int, whole: bool) -> Picture:
     ``whole`` is whether a function of the caller's needs all of it.
     """
     gray = mean_of_cells(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), side)
-    return Picture(gray, frame if whole else np.zeros((0, 0, 3), np.uint8))
+    return Picture(gray, frame.copy() if whole else np.zeros((0, 0, 3), np.uint8))
 
 
 def estimate_flow(

@@ -47,9 +47,10 @@ MAX_SWEEPS = 10
 def minimise(whole: LabelCostEnergy, level: int = 0) -> Array:
     """Find a labelling that no α-expansion and no removal of a label improves.
 
-    With two labels it is a global optimum. Else no expansion of the whole image lowers it, although only
-    undecided pixels are cut (``persistency`` says why), and of those only the parts around which something
-    has changed. An image of more than ``MOST_CUT_WHOLE[0]`` pixels is labelled coarse to fine, near to that.
+    Of up to ``MOST_CUT_WHOLE[0]`` pixels with two labels it is a global optimum; with more labels no
+    expansion of the whole image lowers it, although only undecided pixels are cut (``persistency`` says why),
+    and of those only the parts around which something has changed. A larger image is labelled coarse to fine,
+    near to that.
 
     Parameters
     ----------
@@ -68,7 +69,7 @@ def minimise(whole: LabelCostEnergy, level: int = 0) -> Array:
         labels, rest, start = band_around_outlines(whole, minimise(halved(whole), level + 1))
         sweeps = 1  # the outlines are nearly there: a second one would move hardly a pixel
     else:
-        labels, rest = prune(energy_of_pixels(whole))
+        labels, rest = prune(whole if whole.side == 1 and len(whole.extras) == 0 else energy_of_pixels(whole))
         start, sweeps = np.zeros(rest.pixels.size, np.intp), MAX_SWEEPS
     labels.reshape(-1)[rest.pixels] = _search(rest, start, sweeps)
     return labels

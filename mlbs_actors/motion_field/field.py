@@ -214,7 +214,7 @@ def motion_field(
     taps = bilinear_taps(points, *variance_grid, parameters.variance_spacing_px)
     spread_prior = 1.0 / (parameters.prior_std_px**2 * variance.size)
     evidence = lump(*taps, precision * weights, measured, spread_prior, variance_grid)
-    finer = np.log(parameters.variance_spacing_px / parameters.spacing_px) / (2.0 * np.pi)
+    finer = max(np.log(parameters.variance_spacing_px / parameters.spacing_px) / (2.0 * np.pi), 0.0)
     variance[:] = inverse_diagonal(factorised(evidence[0], edge), variance_grid) + finer / edge
     return field
 

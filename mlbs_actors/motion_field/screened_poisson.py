@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
+from mlbs_actors.errors import SolverError
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
@@ -33,8 +34,18 @@ def factorised(screening: Array, edge: float) -> Array:
     -------
     (w + 1, n) float64
         In LAPACK's lower banded form: element (k, j) is C's element (j + k, j).
+
+    Raises
+    ------
+    SolverError
+        If A is not positive definite in double precision.
     """
-    factor: Array = dpbtrf(_banded(_along_shorter_side(screening), edge), lower=1, overwrite_ab=1)[0]
+    factor: Array
+    factor, failed = dpbtrf(_banded(_along_shorter_side(screening), edge), lower=1, overwrite_ab=1)
+    if failed:
+        raise SolverError(
+            "A motion field could not be solved; bring the standard deviations of its terms closer together."
+        )
     return factor
 
 

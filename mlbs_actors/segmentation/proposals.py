@@ -1,9 +1,9 @@
 """What of its region a layer could win: only there the energy of the labels is minimised (§7).
 
 An object's region leaves room for where it may have moved to, and for parts of it that no trajectory has told
-of yet: of five of its cells four are the background's, by far. A layer claims the box around the cells where
-it costs less than the background or has a trajectory: inside it contrast can give an object what it does not
-lead in, beyond it that has not made label maps better. What nobody claims is the background's.
+of yet: of five of its cells four are the background's, by far. A layer's proposal is the box around the cells
+where it costs less than the background or has a trajectory: inside it contrast can give an object what it
+does not lead in, beyond it that has not made label maps better. What no proposal holds is the background's.
 
 Differs from the paper, which labels the whole frame with all layers at once.
 """
@@ -27,7 +27,7 @@ def proposal_boxes(
     corner: tuple[int, int],
     side: int,
 ) -> Array:
-    """Find the box of cells that each layer claims.
+    """Find the box of cells that each layer may win.
 
     Parameters
     ----------
@@ -49,8 +49,8 @@ def proposal_boxes(
         First row, row past the last, first column, column past the last: of the background its place, of any
         other layer inside its place, and without a cell if it leads nowhere.
     """
-    claims = np.zeros_like(places)
-    claims[0] = places[0]
+    found = np.zeros_like(places)
+    found[0] = places[0]
     leads = np.empty(cost.shape[2], np.bool_)
     for layer in range(1, len(places)):
         top, bottom, left, right = places[layer]
@@ -72,6 +72,6 @@ def proposal_boxes(
                 leads[x] = True
                 first, end = min(first, y), max(end, y + 1)
         if first < end:
-            columns, claim = np.flatnonzero(leads), claims[layer]
-            claim[0], claim[1], claim[2], claim[3] = first, end, columns[0], columns[-1] + 1
-    return claims
+            columns, box = np.flatnonzero(leads), found[layer]
+            box[0], box[1], box[2], box[3] = first, end, columns[0], columns[-1] + 1
+    return found
