@@ -5,8 +5,14 @@ evidence for every layer.
 
 Differs from the paper: the first frames, whose motion nobody can know yet, are held and labelled
 backwards along their trajectories once the first clustering is done, so that every frame gets its label
-map; with ``lookahead`` every frame waits for later ones in the same way. Frames of another size begin a new
-*epoch*: what was held comes out, and all starts anew but the count of frames and of layer ids.
+map; with ``lookahead`` every frame waits for later ones in the same way. Frames of another size, and the
+first picture after a cut, begin a new *epoch*: what was held comes out, and all starts anew but the count of
+frames and of layer ids.
+
+Nor does the paper know frames that show nothing of the scene (:mod:`mlbs_actors.footage`). They are passed
+over: they carry the labels of the last picture, and the next picture is compared with that one. A frame in
+which the last picture is not found again waits for the next frame. If the last picture goes on there, the
+frame between was damaged; if the frame itself does, a new scene has begun with it.
 """
 
 from __future__ import annotations
@@ -36,14 +42,88 @@ from mlbs_actors.clustering.splitting import (
 )
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
+from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.flow.estimate import LEAST_CELLS, FlowFunction, Picture, estimate_flow, picture_of
 from mlbs_actors.flow.focus import focus_blocks, focus_boxes
-from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerKind, LayerTracks, Segmentation
-from mlbs_actors.tracking.frame_buffer import HeldFrame, by_layer, first_frame, held_frame, relabelled
-from mlbs_actors.tracking.tracker import track
+from mlbs_actors.footage.continuation import continuation
+from mlbs_actors.footage.continuity import LEAST_FOUND, found_again, is_torn, rows_astray
+from mlbs_actors.footage.light import colour_samples, unchanged
+from mlbs_actors.footage.pictures import is_blank, repeats
+from mlbs_actors.messages import (
+    BACKGROUND,
+    NO_PICTURE,
+    Array,
+    FrameEvidence,
+    FrameStatus,
+    LayerKind,
+    LayerTracks,
+    Segmentation,
+)
+from mlbs_actors.tracking.frame_buffer import (
+    HeldFrame,
+    by_layer,
+    first_frame,
+    held_frame,
+    no_picture,
+    relabelled,
+)
+from mlbs_actors.tracking.tracker import Tracked, track
 from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectories
 
 __all__ = ["Coordinator", "CoordinatorState"]
+
+
+#: Frames that are lit alike, but differently from the last picture, before that is taken for the new light: a
+#: flash is shorter.
+LASTING_LIGHT = 3
+
+
+@dataclass(frozen=True, slots=True)
+class UnsettledFrame:
+    """A frame in which the last picture does not go on: the next one says what it is.
+
+    Attributes
+    ----------
+    frame_index : int
+    frame : (H, W, 3) uint8
+    picture : Picture
+    status : FrameStatus
+        What it is if the next one goes on from the last picture.
+    lost : bool
+        Whether the flow does not find the last picture again.
+    """
+
+    frame_index: int
+    frame: Array
+    picture: Picture
+    status: FrameStatus
+    lost: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Match:
+    """A picture compared with the last one.
+
+    Attributes
+    ----------
+    status : FrameStatus
+        ``"ok"`` if it goes on from there.
+    flow : DenseFlow or None
+        None in the first picture of an epoch, and if the last picture is not found again.
+    tracked : Tracked or None
+        None if the flow does not find the last picture again.
+    light : (3, 256) or (0, 256) uint8
+    gray : (h, w) uint8
+        The last picture, as the flow sees it, in the new light.
+    astray : (rows,) float32
+    """
+
+    status: FrameStatus
+    flow: DenseFlow | None
+    tracked: Tracked | None
+    light: Array
+    gray: Array
+    astray: Array
 
 
 @dataclass(slots=True)
@@ -55,10 +135,22 @@ class CoordinatorState:
     next_frame : int
         Index of the frame that :meth:`Coordinator.step` takes next.
     epoch : int
-        First frame of the present size.
+        First picture of the present scene and size.
+    cut : bool
+        Whether it is another scene than the one before.
     shape : (H, W) or None
+    pictures : int
+        Pictures of the epoch so far: frames that were not passed over.
     picture : Picture
-        The last frame as the flow sees it.
+        The last picture as the flow sees it.
+    colours : (rows, columns, 3) uint8
+        Its :func:`~mlbs_actors.footage.light.colour_samples`.
+    astray : (rows,) float32
+        Its :func:`~mlbs_actors.footage.continuity.rows_astray`.
+    unsettled : UnsettledFrame, optional
+        The newest frame, if the last picture does not go on in it.
+    lit : int
+        Frames in a row, up to the newest, that are lit differently from the last picture.
     focus : (rows, columns) bool
         Blocks around which the next flow needs its finest level; empty where it does everywhere.
     trajectories : TrajectoryState
@@ -77,8 +169,14 @@ class CoordinatorState:
 
     next_frame: int
     epoch: int
+    cut: bool
     shape: tuple[int, int] | None
+    pictures: int
     picture: Picture
+    colours: Array
+    astray: Array
+    unsettled: UnsettledFrame | None
+    lit: int
     focus: Array
     trajectories: TrajectoryState
     labels: Array
@@ -94,8 +192,14 @@ class CoordinatorState:
         return CoordinatorState(
             next_frame=0,
             epoch=0,
+            cut=False,
             shape=None,
+            pictures=0,
             picture=Picture(np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8)),
+            colours=np.zeros((0, 0, 3), np.uint8),
+            astray=np.zeros(0, np.float32),
+            unsettled=None,
+            lit=0,
             focus=np.zeros((0, 0), bool),
             trajectories=empty_trajectories(config.trajectories),
             labels=np.zeros(0, np.int64),
@@ -134,7 +238,11 @@ class Coordinator:
         return newest - 2 if self._emitted(newest - 2) else None
 
     def _emitted(self, frame_index: int) -> bool:
-        first_held = self.state.held[0].frame_index if self.state.held else self.state.next_frame
+        state, first_held = self.state, self.state.next_frame
+        if state.held:
+            first_held = state.held[0].frame_index
+        elif state.unsettled is not None:
+            first_held = state.unsettled.frame_index
         return frame_index < first_held
 
     def step(
@@ -166,57 +274,181 @@ class Coordinator:
         shape = (int(frame.shape[0]), int(frame.shape[1]))
         if self.state.shape not in (None, shape):
             # They have waited for this frame, which says that there is no other like them.
+            self._settle()
             ended = [replace(one, latency_frames=one.latency_frames + 1) for one in self.flush()]
             self._begin_epoch(frame_index)
             return ended + self.step(frame_index, frame, None)
-        state, config = self.state, self.config
         stage_ms: dict[str, float] = {}
-
         with _timed(stage_ms, "flow"):
-            side = cell_side(shape, config.grid.cell_px)
-            picture, flow = picture_of(frame, side, self.flow is not None), None
-            previous, gray = state.picture.gray, picture.gray
-            if frame_index > state.epoch and min(gray.shape) >= LEAST_CELLS:
-                focus = focus_boxes(state.focus, gray.shape) if state.focus.size else None
-                flow = estimate_flow(state.picture, picture, side, config, focus, self.flow)
+            side = cell_side(shape, self.config.grid.cell_px)
+            picture = picture_of(frame, side, self.flow is not None)
+        self.state.shape = shape
+        self.state.next_frame = frame_index + 1
+        if is_blank(picture.gray):
+            return self._pass_over(frame_index, "blank", feedback)
+        if self.state.unsettled is None and repeats(picture.gray, self.state.picture.gray):
+            return self._pass_over(frame_index, "repeated", feedback)
+        match = self._matched(frame, picture, stage_ms)
+        unsettled, shown = self.state.unsettled, []
+        if match.status == "ok":
+            self._settle()
+        elif unsettled is not None and self._goes_on(unsettled, picture):
+            shown = self._begin_scene(unsettled)
+            match = self._matched(frame, picture, stage_ms)
+        if match.status != "ok":
+            lost = match.status == "damaged" and match.flow is None
+            waits = UnsettledFrame(frame_index, frame, picture, match.status, lost)
+            return shown + self._wait_for_next(waits, feedback)
+        self._take(frame_index, frame, picture, match, feedback, stage_ms)
+        return shown + (
+            self._emit(frame_index - self.config.layers.lookahead) if self.state.clustered else []
+        )
 
+    def _matched(self, frame: Array, picture: Picture, stage_ms: dict[str, float]) -> _Match:
+        """Find the last picture again in a new one, and follow the trajectories there."""
+        state, config = self.state, self.config
+        assert state.shape is not None
+        side = cell_side(state.shape, config.grid.cell_px)
+        flow, light, gray = None, unchanged(), state.picture.gray
+        status: FrameStatus = "ok"
+        astray = np.zeros(0, np.float32)
+        if state.pictures and min(picture.gray.shape) >= LEAST_CELLS:
+            boxes = focus_boxes(state.focus, picture.gray.shape) if state.focus.size else None
+
+            def search(before: Picture, closely: bool) -> DenseFlow:
+                return estimate_flow(before, picture, side, config, None if closely else boxes, self.flow)
+
+            with _timed(stage_ms, "flow"):
+                goes_on = continuation(state.picture, state.colours, picture, frame, search)
+            flow, light, gray = goes_on.flow, goes_on.light, goes_on.gray
+            if not goes_on.found:
+                return _Match("damaged", None, None, light, gray, astray)
+            if goes_on.glaring and state.lit + 1 < LASTING_LIGHT:
+                return _Match("flash", flow, None, light, gray, astray)
         with _timed(stage_ms, "tracking"):
             known = state.labels == BACKGROUND if state.clustered else np.ones(len(state.labels), bool)
-            tracked = track(state.trajectories, known, flow, previous, gray, shape, config)
+            tracked = track(state.trajectories, known, flow, gray, picture.gray, state.shape, config)
+            if flow is not None:
+                astray = rows_astray(flow, tracked.camera, length_scale(*state.shape))
+                if state.unsettled is None and is_torn(astray, state.astray):
+                    status = "damaged"
+        return _Match(status, flow, tracked, light, gray, astray)
+
+    def _goes_on(self, unsettled: UnsettledFrame, picture: Picture) -> bool:
+        """Whether a frame in which the last picture was not found goes on in the next one: a new scene."""
+        if not unsettled.lost:
+            return False
+        assert self.state.shape is not None
+        side = cell_side(self.state.shape, self.config.grid.cell_px)
+        flow = estimate_flow(unsettled.picture, picture, side, self.config, None, self.flow)
+        return found_again(flow, unsettled.picture.gray, picture.gray) >= LEAST_FOUND
+
+    def _take(
+        self,
+        frame_index: int,
+        frame: Array,
+        picture: Picture,
+        match: _Match,
+        feedback: Callable[[], Segmentation] | None,
+        stage_ms: dict[str, float],
+    ) -> None:
+        """Go on to a picture."""
+        state, config, flow, tracked = self.state, self.config, match.flow, match.tracked
+        assert tracked is not None
+        assert state.shape is not None
+        side = cell_side(state.shape, config.grid.cell_px)
+        with _timed(stage_ms, "tracking"):
             trajectories, camera = tracked.trajectories, tracked.camera
             labels = np.full(len(trajectories), UNLABELLED, np.int64)
             labels[: len(tracked.survivors)] = state.labels[tracked.survivors]
-            spread = displacement_spread(trajectories, config.affinity, length_scale(*shape))
+            spread = displacement_spread(trajectories, config.affinity, length_scale(*state.shape))
             spreads = np.concatenate([[spread], state.spreads])[: config.trajectories.history_frames]
 
-        if flow is not None and state.held and state.held[0].frame_index == state.epoch == frame_index - 1:
-            state.held = (first_frame(state.held[0], flow, previous, gray, camera),)
-        state.next_frame, state.shape, state.picture = frame_index + 1, shape, picture
+        if flow is not None and state.pictures == 1 and state.held:
+            first = next(place for place, one in enumerate(state.held) if one.status not in NO_PICTURE)
+            known = first_frame(state.held[first], flow, match.gray, picture.gray, camera)
+            state.held = (*state.held[:first], known, *state.held[first + 1 :])
+        status: FrameStatus = "ok"
+        if state.pictures == 0:
+            status = "cut" if state.cut else "ok"
+            state.epoch = frame_index
+        state.pictures, state.lit = state.pictures + 1, 0
+        state.picture, state.colours, state.astray = picture, colour_samples(frame, side), match.astray
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
         if self._clustering_due(frame_index):
             self._cluster(frame, frame_index, feedback, stage_ms)
         elif state.clustered:
             published = _published(feedback)
             with _timed(stage_ms, "clustering"):
-                registry = LayerRegistry(config.layers, shape, state.registry)
+                registry = LayerRegistry(config.layers, state.shape, state.registry)
                 self._observe(registry, labels, frame, frame_index, published)
         if state.clustered:
             state.focus = focus_blocks(
                 tracked.against_camera.advantage, trajectories.positions, trajectories.motions,
                 state.labels > BACKGROUND, side,
             )  # fmt: skip
-        state.held = (
-            *state.held,
-            held_frame(
-                frame_index, trajectories, state.labels, camera, flow, tracked.against_camera, stage_ms
-            ),
-        )
-        return self._emit(frame_index - config.layers.lookahead) if state.clustered else []
+        held = held_frame(
+            frame_index, trajectories, state.labels, camera, flow, tracked.against_camera, stage_ms, status,
+            match.light,
+        )  # fmt: skip
+        state.held = (*state.held, held)
+
+    def _pass_over(
+        self, frame_index: int, status: FrameStatus, feedback: Callable[[], Segmentation] | None
+    ) -> list[FrameEvidence]:
+        """Have a frame that shows nothing new carry the labels of the last picture."""
+        self._settle()
+        _published(feedback)  # the layers must keep pace
+        state, config = self.state, self.config.layers
+        state.held = (*state.held, no_picture(frame_index, status))
+        if not state.clustered and len(state.held) >= config.init_frames:
+            # The scene stands still, or has not begun: it does when something is seen.
+            shown = self.flush()
+            picture, colours, cut = state.picture, state.colours, state.cut
+            self._begin_epoch(frame_index + 1)
+            self.state.shape, self.state.picture, self.state.colours = state.shape, picture, colours
+            self.state.cut = cut and not state.pictures
+            return shown
+        if not state.pictures:
+            return self._emit(frame_index)
+        return self._emit(frame_index - config.lookahead) if state.clustered else []
+
+    def _settle(self) -> None:
+        """Pass over the frame that waits: the scene goes on without it."""
+        state = self.state
+        if state.unsettled is not None:
+            state.held = (*state.held, no_picture(state.unsettled.frame_index, state.unsettled.status))
+            state.unsettled = None
+
+    def _wait_for_next(
+        self, unsettled: UnsettledFrame, feedback: Callable[[], Segmentation] | None
+    ) -> list[FrameEvidence]:
+        """Decide on a frame when the next one is seen."""
+        state = self.state
+        self._settle()
+        _published(feedback)
+        state.lit = state.lit + 1 if unsettled.status == "flash" else 0
+        state.unsettled = unsettled
+        last = unsettled.frame_index - 1 - self.config.layers.lookahead
+        return self._emit(last) if state.clustered else []
+
+    def _begin_scene(self, first: UnsettledFrame) -> list[FrameEvidence]:
+        """End the epoch, and begin another one with the frame that waits."""
+        next_frame, shape = self.state.next_frame, self.state.shape
+        self.state.unsettled = None
+        ended = self.flush()
+        self._begin_epoch(first.frame_index)
+        self.state.shape, self.state.next_frame, self.state.cut = shape, next_frame, True
+        stage_ms: dict[str, float] = {}
+        match = self._matched(first.frame, first.picture, stage_ms)
+        self._take(first.frame_index, first.frame, first.picture, match, None, stage_ms)
+        return ended
 
     def flush(self) -> list[FrameEvidence]:
         """Emit what is still held: the stream has ended."""
+        self._settle()
         state = self.state
-        if state.held and not state.clustered:
+        if state.pictures and not state.clustered:
             # Fewer frames than the first clustering wants: it is done with what there is.
             colourless = np.zeros((*(state.shape or (0, 0)), 3), np.uint8)
             self._cluster(colourless, state.next_frame - 1, None, {})
@@ -252,7 +484,7 @@ class Coordinator:
         """Often at first, while objects are told apart; later trajectories keep labels for some frames."""
         layers, age = self.config.layers, frame_index - self.state.epoch
         if not self.state.clustered:
-            return age + 1 >= layers.init_frames
+            return self.state.pictures >= layers.init_frames
         return age < 2 * layers.init_frames or age % layers.clustering_period == 0
 
     def _graph(self) -> TrajectoryGraph:
@@ -340,6 +572,8 @@ class Coordinator:
     def _evidence(self, held: HeldFrame) -> FrameEvidence:
         state = self.state
         assert state.shape is not None
+        if held.status in NO_PICTURE:
+            return self._empty_evidence(held)
         registry = LayerRegistry(self.config.layers, state.shape, state.registry)
         owner = registry.layers_of(held.labels)
         live = sorted({BACKGROUND, *distinct_labels(owner), *registry.live_layers(held.frame_index)})
@@ -375,6 +609,29 @@ class Coordinator:
             latency_frames=state.next_frame - 1 - held.frame_index,
             stage_ms=held.stage_ms,
             epoch=state.epoch,
+            status=held.status,
+            light=held.light,
+        )
+
+    def _empty_evidence(self, held: HeldFrame) -> FrameEvidence:
+        state = self.state
+        assert state.shape is not None
+        return FrameEvidence(
+            frame_index=held.frame_index,
+            shape=state.shape,
+            camera=held.camera,
+            flow=held.flow,
+            flow_reliable=held.flow_reliable,
+            unexplained=held.unexplained,
+            tracks=(),
+            positions=held.positions,
+            motions=held.motions,
+            retired=(),
+            latency_frames=state.next_frame - 1 - held.frame_index,
+            stage_ms=held.stage_ms,
+            # Before the first picture of an epoch there are no labels to carry.
+            epoch=state.epoch if state.pictures else held.frame_index,
+            status=held.status,
         )
 
 

@@ -28,8 +28,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BACKGROUND",
+    "NO_PICTURE",
     "Array",
     "FrameEvidence",
+    "FrameStatus",
     "LayerAppearance",
     "LayerEvidence",
     "LayerKind",
@@ -44,6 +46,15 @@ __all__ = [
 # Not npt.NDArray: since NumPy 2.5 that is an alias which hides its class, and states are checked by class.
 Array = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 LayerKind = Literal["background", "object", "other"]
+
+#: What a frame with a label map shows: the scene, or the first picture of another one (``"cut"``). The
+#: others are no picture of it: they are of one brightness, repeat the last picture, are lit up for a moment,
+#: or do not fit between the pictures before and after. They carry the labels of the last picture, and nothing
+#: is learnt from them.
+FrameStatus = Literal["ok", "cut", "blank", "repeated", "flash", "damaged"]
+
+#: Those from which nothing is learnt.
+NO_PICTURE: frozenset[FrameStatus] = frozenset(("blank", "repeated", "flash", "damaged"))
 
 #: Id of the background layer.
 BACKGROUND = 0
@@ -147,7 +158,12 @@ class FrameEvidence:
     stage_ms : mapping of str to float
         Wall time of the coordinator's stages, ms.
     epoch : int
-        First frame of this size: nothing that came before it counts.
+        First picture of this scene and size: nothing that came before it counts.
+    status : FrameStatus
+        Without a picture the frame has neither flow nor tracks.
+    light : (3, 256) uint8
+        What each value of blue, green and red has become since the last picture; (0, 256) if the light is
+        the same (:mod:`mlbs_actors.footage.light`).
     """
 
     frame_index: int
@@ -163,6 +179,8 @@ class FrameEvidence:
     latency_frames: int
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     epoch: int = 0
+    status: FrameStatus = "ok"
+    light: Array = field(default_factory=lambda: np.zeros((0, 256), np.uint8))
 
     @property
     def layers(self) -> tuple[LayerEvidence, ...]:
@@ -316,6 +334,9 @@ class Segmentation:
         How many frames after its own decoding the frame was labelled.
     stage_ms : mapping of str to float
         Wall time by stage, ms.
+    status : FrameStatus
+    picture_index : int, optional
+        Frame that the labels were found in, if that is not this one.
     """
 
     frame_index: int
@@ -326,6 +347,13 @@ class Segmentation:
     camera_motion: tuple[float, float]
     latency_frames: int
     stage_ms: Mapping[str, float] = field(default_factory=dict)
+    status: FrameStatus = "ok"
+    picture_index: int | None = None
+
+    @property
+    def evaluated_frame(self) -> int:
+        """Frame that the labels were found in."""
+        return self.frame_index if self.picture_index is None else self.picture_index
 
     def to_supervision(self) -> Detections:
         """Return the objects as detections of the package supervision, for its annotators and tools.

@@ -32,6 +32,7 @@ keeps its id, not its samples: only its place is known, not the path of its pixe
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter
 from typing import NamedTuple
 
@@ -44,6 +45,7 @@ from mlbs_actors.appearance.warp import warp_map
 from mlbs_actors.cells import cell_side, cells_won, in_cells, mean_of_cells, spread_over_cells
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
+from mlbs_actors.footage.light import relit
 from mlbs_actors.layer.layer_state import LayerState
 from mlbs_actors.layer.learning import object_support, trusted_background
 from mlbs_actors.layer.object_regions import contested, median_of_motions, object_region
@@ -150,6 +152,7 @@ class Layer:
             previous = None
         started = perf_counter()
         last_posterior = self._learn(previous)
+        self.state = _relit(self.state, evidence.light)
         learnt = perf_counter()
         places = self._places(own, evidence, previous)
         self.field = self._motion_field(own, evidence, places.home)
@@ -184,7 +187,7 @@ class Layer:
             part in it.
         """
         state = self.state
-        if previous is None or previous.frame_index != state.last_frame:
+        if previous is None or previous.evaluated_frame != state.last_frame:
             return np.zeros((0, 0), np.float32)
         won, learnt = cells_won(previous.labels, self.layer, state.home, state.cell, state.trusted)
         update(state.model, state.image, learnt)
@@ -303,6 +306,15 @@ class Layer:
             velocity=state.velocity,
             stage_ms=stage_ms,
         )
+
+
+def _relit(state: LayerState, light: Array) -> LayerState:
+    """Give what a layer remembers the light of the new frame."""
+    if not light.size:
+        return state
+    samples = np.moveaxis(relit(np.moveaxis(state.model.samples, 2, 3), light), 3, 2)
+    model = replace(state.model, samples=np.ascontiguousarray(samples))
+    return replace(state, model=model, image=relit(state.image, light))
 
 
 def _median_motion(own: LayerEvidence, otherwise: Array) -> Array:

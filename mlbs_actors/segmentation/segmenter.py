@@ -13,16 +13,17 @@ together and by themselves (:mod:`mlbs_actors.segmentation.region_groups`); in t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
 from mlbs_actors.appearance.fusion import fused_costs
-from mlbs_actors.cells import in_cells, mean_of_cells
+from mlbs_actors.cells import cell_side, in_cells, mean_of_cells
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
 from mlbs_actors.messages import (
+    NO_PICTURE,
     Array,
     FrameEvidence,
     LayerPosterior,
@@ -46,12 +47,25 @@ class SegmenterState:
     ----------
     next_frame : int
         Index of the frame that :meth:`Segmenter.step` takes next.
-    labels : (H, W) uint16
-        Last published label map; empty before the first of an epoch.
+    picture_index : int
+        Frame of the last picture; −1 before the first one.
+    labels, normaliser, fallback, layers
+        Of its :class:`~mlbs_actors.messages.Segmentation`; empty before the first picture of an epoch.
     """
 
     next_frame: int
+    picture_index: int
     labels: Array
+    normaliser: Array
+    fallback: Array
+    layers: tuple[LayerSummary, ...]
+
+    @staticmethod
+    def beginning() -> SegmenterState:
+        """Before the first frame."""
+        return SegmenterState(
+            0, -1, np.zeros((0, 0), np.uint16), np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.int8), ()
+        )
 
 
 class Segmenter:
@@ -66,7 +80,7 @@ class Segmenter:
 
     def __init__(self, config: Config, state: SegmenterState | None = None) -> None:
         self.config = config
-        self.state = state or SegmenterState(0, np.zeros((0, 0), np.uint16))
+        self.state = state or SegmenterState.beginning()
 
     def step(self, evidence: FrameEvidence, frame: Array, posteriors: list[LayerPosterior]) -> Segmentation:
         """Label one frame.
@@ -87,6 +101,8 @@ class Segmenter:
         FrameError
             If the frame is not the next one, or the posteriors are not those of its live layers.
         """
+        if evidence.status in NO_PICTURE:
+            return self._carried(evidence)
         ids = [one.layer for one in evidence.tracks]
         given = [(one.layer, one.frame_index) for one in posteriors]
         expected = [(layer, self.state.next_frame) for layer in ids]
@@ -116,19 +132,58 @@ class Segmenter:
         for group in group_regions(regions, (grid.height, grid.width)):
             members = [posteriors[0], *(posteriors[1 + position] for position in group.members)]
             summaries += self._label_group(group.box, members, evidence, scene, result, stage_ms)
-        self.state = SegmenterState(evidence.frame_index + 1, result.labels)
+        layers = tuple(sorted(summaries, key=lambda one: one.layer))
         for shared in (result.labels, result.normaliser, result.fallback):  # the layers read them back
             shared.setflags(write=False)
         camera = posteriors[0].velocity
-        return Segmentation(
+        segmentation = Segmentation(
             frame_index=evidence.frame_index,
             labels=result.labels,
             normaliser=result.normaliser,
             fallback=result.fallback,
-            layers=tuple(sorted(summaries, key=lambda one: one.layer)),
+            layers=layers,
             camera_motion=(float(camera[0]), float(camera[1])),
             latency_frames=evidence.latency_frames,
             stage_ms={**evidence.stage_ms, **_slowest(posteriors), **stage_ms},
+            status=evidence.status,
+        )
+        self.state = SegmenterState(
+            evidence.frame_index + 1,
+            evidence.frame_index,
+            result.labels,
+            result.normaliser,
+            result.fallback,
+            layers,
+        )
+        return segmentation
+
+    def _carried(self, evidence: FrameEvidence) -> Segmentation:
+        """The labels of the last picture, for a frame that is none."""
+        state = self.state
+        if evidence.frame_index != state.next_frame:
+            raise FrameError(
+                f"The segmenter is due for frame {state.next_frame}; it was given frame "
+                f"{evidence.frame_index}; restart the stream from its last snapshot."
+            )
+        if evidence.frame_index == evidence.epoch or state.labels.shape != evidence.shape:
+            side = cell_side(evidence.shape, self.config.grid.cell_px)
+            grid = in_cells(Region(0, 0, evidence.shape[1], evidence.shape[0]), side)
+            nothing = _Maps.of_background(evidence.shape, (grid.height, grid.width))
+            state = SegmenterState(
+                state.next_frame, -1, nothing.labels, nothing.normaliser, nothing.fallback, ()
+            )
+        self.state = replace(state, next_frame=evidence.frame_index + 1)
+        return Segmentation(
+            frame_index=evidence.frame_index,
+            labels=state.labels,
+            normaliser=state.normaliser,
+            fallback=state.fallback,
+            layers=state.layers,
+            camera_motion=(0.0, 0.0),
+            latency_frames=evidence.latency_frames,
+            stage_ms=evidence.stage_ms,
+            status=evidence.status,
+            picture_index=state.picture_index,
         )
 
     def _label_group(

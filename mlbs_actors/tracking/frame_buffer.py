@@ -14,13 +14,14 @@ import numpy as np
 
 from mlbs_actors.clustering.label_index import UNLABELLED, label_places
 from mlbs_actors.flow.consistency import DenseFlow
+from mlbs_actors.footage.light import unchanged
 from mlbs_actors.kernels.interpolation import sample_flow, sample_map
 from mlbs_actors.kernels.jit import compiled
-from mlbs_actors.messages import BACKGROUND, UNEXPLAINED_STEP, Array
+from mlbs_actors.messages import BACKGROUND, UNEXPLAINED_STEP, Array, FrameStatus
 from mlbs_actors.tracking.camera import CameraEvidence, camera_evidence
 from mlbs_actors.tracking.trajectories import EVIDENCE_BOUNDS, TrajectoryState
 
-__all__ = ["HeldFrame", "by_layer", "first_frame", "held_frame", "relabelled"]
+__all__ = ["HeldFrame", "by_layer", "first_frame", "held_frame", "no_picture", "relabelled"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,10 @@ class HeldFrame:
     unexplained : (h, w) uint8
         As in :class:`~mlbs_actors.messages.FrameEvidence`.
     stage_ms : mapping of str to float
+    status : FrameStatus
+        Without a picture there is nothing else.
+    light : (3, 256) or (0, 256) uint8
+        As in :class:`~mlbs_actors.messages.FrameEvidence`.
     """
 
     frame_index: int
@@ -56,6 +61,8 @@ class HeldFrame:
     flow_reliable: Array
     unexplained: Array
     stage_ms: Mapping[str, float]
+    status: FrameStatus
+    light: Array
 
 
 def held_frame(
@@ -66,6 +73,8 @@ def held_frame(
     flow: DenseFlow | None,
     against_camera: CameraEvidence,
     stage_ms: Mapping[str, float],
+    status: FrameStatus,
+    light: Array,
 ) -> HeldFrame:
     """What is kept of the newest frame; ``flow`` is None in the first of an epoch."""
     size = against_camera.unexplained.shape
@@ -81,6 +90,28 @@ def held_frame(
         np.zeros(size, bool) if flow is None else flow.backward_reliable,
         _quantised(against_camera.unexplained),
         stage_ms,
+        status,
+        light,
+    )
+
+
+def no_picture(frame_index: int, status: FrameStatus) -> HeldFrame:
+    """What is kept of a frame that shows nothing new."""
+    nowhere = np.zeros((0, 2), np.float32)
+    return HeldFrame(
+        frame_index,
+        np.zeros(0, np.int64),
+        nowhere,
+        nowhere,
+        np.zeros(0, np.int64),
+        np.zeros(0, np.float32),
+        np.eye(3),
+        np.zeros((0, 0, 2), np.float32),
+        np.zeros((0, 0), bool),
+        np.zeros((0, 0), np.uint8),
+        {},
+        status,
+        unchanged(),
     )
 
 

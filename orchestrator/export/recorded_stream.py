@@ -133,7 +133,7 @@ def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
             )
             objects.setdefault(row["frame"], []).append(one)
         for row in pq.read_table(part_path(folder, "frames", commit.first)).to_pylist():
-            if row["status"] == "ok":
+            if row["name"] is not None:
                 yield RecordedFrame(
                     index=row["frame"],
                     pts=row["pts"],

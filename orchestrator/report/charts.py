@@ -58,18 +58,24 @@ def css_colour(layer: int) -> str:
 
 
 def timeline_chart(history: StreamHistory, lives: Sequence[LayerLife]) -> Markup:
-    """Draw a row a layer: a bar while it is seen, a line while not, how it ends; lost frames at the top."""
+    """Draw a row a layer: a bar while it is seen, a line while not, how it ends.
+
+    At the top are lost frames, and those that are no ordinary picture.
+    """
     axis = _axis(history)
     rows: list[Markup] = []
     top = 0
-    if history.lost:
-        rows.append(_TEXT.format(_LEFT - 8, _ROW - 5, "end", "lost"))
-        for status, frames in history.lost:
-            bar = Markup('<rect x="{}" y="3" width="{}" height="{}" class="lost"><title>{}</title></rect>')
+    for title, kind, statuses in (("lost", "lost", history.lost), ("footage", "unusual", history.unusual)):
+        if not statuses:
+            continue
+        rows.append(_TEXT.format(_LEFT - 8, top + _ROW - 5, "end", title))
+        bar = Markup('<rect x="{}" y="{}" width="{}" height="{}" class="{}"><title>{}</title></rect>')
+        for status, frames in statuses:
             for first, last in frame_ranges(frames):
                 width = max(axis.x(last + 1) - axis.x(first), 1.5)
-                rows.append(bar.format(axis.x(first), width, _ROW - 6, f"{status}: frames {first} to {last}"))
-        top = _ROW
+                said = f"{status}: frames {first} to {last}"
+                rows.append(bar.format(axis.x(first), top + 3, width, _ROW - 6, kind, said))
+        top += _ROW
     bar = Markup(
         '<rect x="{}" y="{}" width="{}" height="{}" rx="2" fill="{}" class="bar"><title>{}</title></rect>'
     )

@@ -77,6 +77,8 @@ class StreamHistory:
     objects : (n,) int32
         Objects in each of them.
     latency_frames : (n,) int32
+    unusual : tuple of (str, tuple of int)
+        By status, the frames with a label map that are no ordinary picture.
     lost : tuple of (str, tuple of int)
         By status, the frames without a label map.
     gaps : tuple of (float, float)
@@ -90,6 +92,7 @@ class StreamHistory:
     pts: Array
     objects: Array
     latency_frames: Array
+    unusual: tuple[tuple[str, tuple[int, ...]], ...]
     lost: tuple[tuple[str, tuple[int, ...]], ...]
     gaps: tuple[tuple[float, float], ...]
     lives: tuple[LayerLife, ...]
@@ -114,8 +117,8 @@ def read_history(folder: Path) -> StreamHistory | None:
     if not table.num_rows:
         return None
     frames, status = table["frame"].to_numpy(), np.asarray(table["status"].to_pylist())
-    ok = status == "ok"
-    lost = tuple((name, tuple(frames[status == name].tolist())) for name in np.unique(status[~ok]).tolist())
+    ok = table["name"].is_valid().to_numpy()
+    unusual, lost = (_by_status(frames[those], status[those]) for those in (ok & (status != "ok"), ~ok))
     pts = table["pts"].to_numpy()
     gaps = zip(
         pts[status == "gap"].tolist(), np.append(pts[1:], pts[-1])[status == "gap"].tolist(), strict=True
@@ -127,11 +130,16 @@ def read_history(folder: Path) -> StreamHistory | None:
         pts=pts[ok],
         objects=_numbers(table, "layers")[ok].astype(np.int32),
         latency_frames=_numbers(table, "latency_frames")[ok].astype(np.int32),
+        unusual=unusual,
         lost=lost,
         gaps=tuple(gaps),
         lives=_lives(layers, frames[ok], shapes),
         stages=_stages(table.filter(pa.array(ok))),
     )
+
+
+def _by_status(frames: Array, status: Array) -> tuple[tuple[str, tuple[int, ...]], ...]:
+    return tuple((name, tuple(frames[status == name].tolist())) for name in np.unique(status).tolist())
 
 
 def frame_ranges(frames: tuple[int, ...]) -> list[tuple[int, int]]:

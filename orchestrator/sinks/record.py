@@ -136,7 +136,9 @@ class StreamRecord:
             if "background" in self._save and background is not None and frame.image is not None:
                 plate = background_plate(background, frame.image, segmentation.labels)
                 self._put(frame, f"background/{frame.name}.png", encode_picture(plate))
-            self._add(FrameRow(frame.index, frame.pts, "ok", ResultRow.of(segmentation), frame.name))
+            self._add(
+                FrameRow(frame.index, frame.pts, segmentation.status, ResultRow.of(segmentation), frame.name)
+            )
         except OSError as error:
             raise self._unwritable(error) from None
         if self._overlay is not None and frame.image is not None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pyarrow as pa
@@ -18,7 +17,7 @@ import pyarrow.parquet as pq
 from pycocotools import mask as coco_mask
 
 from mlbs_actors.actors.stream.protocol import GapStatus
-from mlbs_actors.messages import Array, LayerSummary, Region, Segmentation
+from mlbs_actors.messages import Array, FrameStatus, LayerSummary, Region, Segmentation
 
 __all__ = [
     "FrameRow",
@@ -85,15 +84,15 @@ class FrameRow:
         Source index.
     pts : float
         Seconds since the source's first frame.
-    status : {"ok", "dropped", "gap", "quarantined"}
+    status : FrameStatus or GapStatus
     result : ResultRow, optional
     name : str, optional
-        File name of the mask, without extension. Both are None unless ``status`` is ``"ok"``.
+        File name of the mask, without extension. Both are None without a label map.
     """
 
     frame: int
     pts: float
-    status: Literal["ok"] | GapStatus
+    status: FrameStatus | GapStatus
     result: ResultRow | None = None
     name: str | None = None
 

@@ -354,7 +354,7 @@ class CoordinatorActor:
         told, labelled = self._slots.take("evidence"), self._slots.take("segmentation")
         posteriors = tuple(self._slots.take("posterior") for _ in evidence.tracks)
         wants = self._spec.wants_background
-        wanted = wants is not None and wants(delivered.index)
+        wanted = bool(evidence.tracks) and wants is not None and wants(delivered.index)
         background = self._slots.take("appearance") if wanted else None
         shared = self._memory.share(evidence, told)
         self._labelling.start(FrameWork(shared, frame, labelled, posteriors, assigned, background))

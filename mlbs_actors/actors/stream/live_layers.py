@@ -93,6 +93,8 @@ class LiveLayers:
         RayError
             If the pool could not start a process, or is gone.
         """
+        if not evidence.tracks:  # a frame that is passed over
+            return ()
         for layer in evidence.retired:
             if layer in self._living:
                 self._release(layer)

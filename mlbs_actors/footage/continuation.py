@@ -1,0 +1,106 @@
+"""How the last picture goes on in a new one: the flow between them, and the new light.
+
+Where most of the picture looks alike and the light is nearly the same, that is one search for the flow. Where
+not, a second one looks everywhere, and a third one from the last picture in the new light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+
+from mlbs_actors.flow.consistency import DenseFlow
+from mlbs_actors.flow.estimate import Picture
+from mlbs_actors.footage.continuity import LEAST_FOUND, SURELY_ALIKE, correlated, found_again
+from mlbs_actors.footage.light import light_change, matched_colours, relit, saturates, strength
+from mlbs_actors.messages import Array
+
+__all__ = ["Continuation", "continuation"]
+
+#: Up to this, grey levels, the light changes little by little; by more it jumps.
+SMALL_CHANGE = 12.0
+
+
+@dataclass(frozen=True, slots=True)
+class Continuation:
+    """How a picture goes on in the next one.
+
+    Attributes
+    ----------
+    flow : DenseFlow
+    found : bool
+        Whether it does at all.
+    light : (3, 256) or (0, 256) uint8
+        :func:`~mlbs_actors.footage.light.light_change`.
+    gray : (h, w) uint8
+        The last picture's grey levels in the new light.
+    glaring : bool
+        Whether the light has jumped so far that much is cut off: it may be a flash.
+    """
+
+    flow: DenseFlow
+    found: bool
+    light: Array
+    gray: Array
+    glaring: bool
+
+
+def continuation(
+    before: Picture,
+    colours: Array,
+    picture: Picture,
+    frame: Array,
+    search: Callable[[Picture, bool], DenseFlow],
+) -> Continuation:
+    """Find the last picture again in a new one.
+
+    Parameters
+    ----------
+    before, picture : Picture
+        The last one and the new one.
+    colours : (rows, columns, 3) uint8
+        :func:`~mlbs_actors.footage.light.colour_samples` of the last one.
+    frame : (H, W, 3) uint8
+        The new one.
+    search : callable
+        Returns the flow to the new picture from another one; whether to look closely everywhere.
+
+    Returns
+    -------
+    Continuation
+    """
+    flow = search(before, False)
+    light, gray_light, glaring = _light(colours, frame, flow)
+    found = LEAST_FOUND
+    if correlated(flow, before.gray, picture.gray) < SURELY_ALIKE or strength(gray_light) > SMALL_CHANGE:
+        flow = search(before, True)
+        found = found_again(flow, before.gray, picture.gray)
+        if found < LEAST_FOUND:
+            gray_light = light_change(before.gray.reshape(-1, 1), picture.gray.reshape(-1, 1))
+        lit = _relit_gray(before.gray, gray_light)
+        anew = search(Picture(lit, before.image), True)
+        found_anew = found_again(anew, lit, picture.gray)
+        if found_anew > found:
+            flow, found = anew, found_anew
+        light, gray_light, glaring = _light(colours, frame, flow)
+    gray = _relit_gray(before.gray, gray_light)
+    return Continuation(flow, found >= LEAST_FOUND, light, gray, glaring)
+
+
+def _light(colours: Array, frame: Array, flow: DenseFlow) -> tuple[Array, Array, bool]:
+    """How the colours and the grey levels have changed, and whether much of them is cut off."""
+    old, new = matched_colours(colours, frame, flow)
+    light, gray_light = light_change(old, new), light_change(_gray(old), _gray(new))
+    return light, gray_light, strength(light) > SMALL_CHANGE and saturates(old, light)
+
+
+def _gray(colours: Array) -> Array:
+    if not len(colours):
+        return colours[:, :1]
+    return cv2.cvtColor(colours[None], cv2.COLOR_BGR2GRAY)[0][:, None]
+
+
+def _relit_gray(gray: Array, change: Array) -> Array:
+    return relit(gray[..., None], change)[..., 0]

@@ -1,0 +1,157 @@
+"""Frames that are no picture, changes of light, and cuts, on small scenes with exact truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from mlbs_actors import MultilayerSubtractor
+from mlbs_actors.footage.light import light_change, relit
+from mlbs_actors.footage.pictures import is_blank, repeats
+from mlbs_actors.messages import Array, Segmentation
+from orchestrator.sources.synthetic import SyntheticScene, scene
+
+FRAMES = 40
+AT = 20
+
+
+@pytest.fixture(scope="module")
+def demo() -> SyntheticScene:
+    return scene("demo", frames=FRAMES, width=320, height=240)
+
+
+@pytest.fixture(scope="module")
+def pictures(demo: SyntheticScene) -> list[Array]:
+    return [demo.frame(index) for index in range(FRAMES)]
+
+
+def labelled(frames: Sequence[Array]) -> list[Segmentation]:
+    subtractor = MultilayerSubtractor()
+    results = [result for frame in frames for result in subtractor.apply(frame)] + subtractor.flush()
+    assert [result.frame_index for result in results] == list(range(len(frames)))
+    return results
+
+
+def two_label_f(results: Sequence[Segmentation], demo: SyntheticScene, indices: Sequence[int]) -> float:
+    scores = []
+    for index in indices:
+        found, true = results[index].labels > 0, demo.labels(index) > 0
+        scores.append(2 * (found & true).sum() / max(found.sum() + true.sum(), 1))
+    return float(np.mean(scores))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(pictures: list[Array]) -> list[Segmentation]:
+    return labelled(pictures)
+
+
+def test_every_frame_of_an_undisturbed_scene_is_a_picture(undisturbed: list[Segmentation]) -> None:
+    assert {result.status for result in undisturbed} == {"ok"}
+
+
+def torn(pictures: list[Array]) -> Array:
+    picture = pictures[AT].copy()
+    half = len(picture) // 2
+    picture[half:] = np.roll(picture[half:], picture.shape[1] // 4, axis=1)
+    return picture
+
+
+@pytest.mark.parametrize(
+    ("status", "disturb"),
+    [
+        ("blank", lambda pictures: np.zeros_like(pictures[AT])),
+        ("blank", lambda pictures: np.full_like(pictures[AT], 255)),
+        ("repeated", lambda pictures: pictures[AT - 1]),
+        ("damaged", torn),
+        ("damaged", lambda pictures: np.random.default_rng(0).integers(0, 255, pictures[AT].shape, np.uint8)),
+        ("flash", lambda pictures: np.clip(pictures[AT].astype(int) + 120, 0, 255).astype(np.uint8)),
+    ],
+    ids=["black", "white", "doubled", "torn", "noise", "flash"],
+)
+def test_a_frame_that_is_no_picture_carries_the_labels_and_changes_nothing_after(
+    demo: SyntheticScene, pictures: list[Array], undisturbed: list[Segmentation], status: str, disturb: object
+) -> None:
+    frames = list(pictures)
+    frames[AT] = disturb(pictures)  # type: ignore[operator]
+    results = labelled(frames)
+    assert results[AT].status == status
+    assert {result.status for result in results if result.frame_index != AT} == {"ok"}
+    np.testing.assert_array_equal(results[AT].labels, results[AT - 1].labels)
+    after = range(AT + 5, FRAMES)
+    assert two_label_f(results, demo, after) > two_label_f(undisturbed, demo, after) - 0.02
+    assert [one.layer for one in results[-1].layers] == [one.layer for one in undisturbed[-1].layers]
+
+
+@pytest.mark.parametrize("gain", [(1.9, 1.9, 1.9), (0.5, 0.5, 0.5), (0.8, 1.0, 1.2)])
+def test_a_lasting_change_of_light_costs_little_and_no_id(
+    demo: SyntheticScene, pictures: list[Array], undisturbed: list[Segmentation], gain: tuple[float, ...]
+) -> None:
+    lit = [np.clip(picture * np.array(gain), 0, 255).astype(np.uint8) for picture in pictures[AT:]]
+    results = labelled([*pictures[:AT], *lit])
+    after = range(AT + 5, FRAMES)
+    assert two_label_f(results, demo, after) > two_label_f(undisturbed, demo, after) - 0.05
+    assert [one.layer for one in results[-1].layers] == [one.layer for one in undisturbed[-1].layers]
+
+
+def test_a_cut_begins_a_scene_whose_objects_have_new_ids(demo: SyntheticScene, pictures: list[Array]) -> None:
+    other = scene("street", frames=FRAMES, width=320, height=240)
+    results = labelled([*pictures, *(other.frame(index) for index in range(FRAMES))])
+    alone = labelled([other.frame(index) for index in range(FRAMES)])
+    assert [result.frame_index for result in results if result.status != "ok"] == [FRAMES]
+    assert results[FRAMES].status == "cut"
+    before = {one.layer for result in results[:FRAMES] for one in result.layers}
+    after = {one.layer for result in results[FRAMES:] for one in result.layers}
+    assert before
+    assert after
+    assert not before & after
+    for cut, result in zip(results[FRAMES:], alone, strict=True):
+        np.testing.assert_array_equal(cut.labels > 0, result.labels > 0)
+
+
+def test_a_scene_begins_after_the_blank_frames_before_it(pictures: list[Array]) -> None:
+    blank = [np.zeros_like(pictures[0])] * 12
+    results, alone = labelled([*blank, *pictures]), labelled(pictures)
+    assert [result.status for result in results[:13]] == ["blank"] * 12 + ["ok"]
+    for late, result in zip(results[12:], alone, strict=True):
+        np.testing.assert_array_equal(late.labels, result.labels)
+
+
+def test_only_blank_frames_give_empty_label_maps() -> None:
+    for result in labelled([np.zeros((96, 128, 3), np.uint8)] * 8):
+        assert result.status == "blank"
+        assert not result.labels.any()
+
+
+def test_a_picture_is_blank_only_if_nearly_all_of_it_is_alike() -> None:
+    gray = np.full((60, 80), 128, np.uint8)
+    assert is_blank(gray)
+    gray[:3] = 255
+    assert not is_blank(gray)
+
+
+def test_noise_of_a_codec_is_a_repetition_and_a_moving_thing_is_none() -> None:
+    gray = np.random.default_rng(0).integers(0, 255, (60, 80)).astype(np.uint8)
+    assert repeats(gray, gray)
+    moved = gray.copy()
+    moved[10:20, 10:20] = gray[10:20, 11:21]
+    assert not repeats(moved, gray)
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(1.2, 0.0), (0.6, 10.0), (1.0, -20.0)])
+def test_the_change_of_light_is_that_of_matched_colours(gain: float, offset: float) -> None:
+    rng = np.random.default_rng(1)
+    before = rng.integers(40, 160, (2000, 3)).astype(np.uint8)
+    after = np.clip(gain * before + offset + rng.normal(0, 2, before.shape), 0, 255).astype(np.uint8)
+    after[:60] = rng.integers(0, 255, (60, 3))  # of something that moves
+    levels = np.stack([np.arange(50, 150, dtype=np.uint8)] * 3, axis=1)
+    expected = np.clip(gain * levels + offset, 0, 255)
+    assert np.abs(relit(levels, light_change(before, after)) - expected).max() < 5.0
+
+
+def test_noise_and_moving_things_are_no_change_of_light() -> None:
+    rng = np.random.default_rng(2)
+    before = rng.integers(20, 230, (2000, 3)).astype(np.uint8)
+    after = np.clip(before + rng.normal(0, 3, before.shape), 0, 255).astype(np.uint8)
+    assert light_change(before, after).size == 0
