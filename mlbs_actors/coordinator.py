@@ -75,7 +75,7 @@ __all__ = ["Coordinator", "CoordinatorState"]
 
 #: Frames that are lit alike, but differently from the last picture, before that is taken for the new light: a
 #: flash is shorter.
-LASTING_LIGHT = 3
+LASTING_LIGHT = 2
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,6 +37,7 @@ __all__ = [
     "learn_colours",
     "median_colours",
     "moved_stacks",
+    "relight",
     "update",
     "warp_model",
 ]
@@ -229,6 +230,37 @@ def learn_colours(
             stack[2, slot] = np.uint8(np.int32(red + half))
             newest[y, x] = np.uint8(slot)
             count[y, x] = np.uint8(min(known + 1, capacity))
+
+
+def relight(model: AppearanceModel, light: Array) -> None:
+    """Give the samples, in place, the light of a new frame.
+
+    What had been cut off at 0 or 255, and no longer would be, is forgotten: nobody knows what it was.
+
+    Parameters
+    ----------
+    model : AppearanceModel
+    light : (3, 256) uint8
+        What each value of blue, green and red has become (:mod:`mlbs_actors.footage.light`).
+    """
+    _relight(model.samples, model.count, model.newest, light)
+
+
+@compiled
+def _relight(samples: Array, count: Array, newest: Array, light: Array) -> None:
+    for y in range(count.shape[0]):
+        for x in range(count.shape[1]):
+            known, last, cut_off = int(count[y, x]), int(newest[y, x]), False
+            for channel in range(3):
+                if known > 0:
+                    value = samples[y, x, channel, last]
+                    cut_off |= (value == 0 or value == 255) and abs(
+                        int(light[channel, value]) - int(value)
+                    ) > 2
+                for number in range(known):
+                    samples[y, x, channel, number] = light[channel, samples[y, x, channel, number]]
+            if cut_off:
+                count[y, x] = 0
 
 
 def median_colours(model: AppearanceModel) -> Array:

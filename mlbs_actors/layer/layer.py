@@ -40,7 +40,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.appearance.colour_density import AppearanceParameters, mean_confidence, warp_and_evaluate
-from mlbs_actors.appearance.colour_model import median_colours, update
+from mlbs_actors.appearance.colour_model import median_colours, relight, update
 from mlbs_actors.appearance.warp import warp_map
 from mlbs_actors.cells import cell_side, cells_won, in_cells, mean_of_cells, spread_over_cells
 from mlbs_actors.config import Config
@@ -312,9 +312,8 @@ def _relit(state: LayerState, light: Array) -> LayerState:
     """Give what a layer remembers the light of the new frame."""
     if not light.size:
         return state
-    samples = np.moveaxis(relit(np.moveaxis(state.model.samples, 2, 3), light), 3, 2)
-    model = replace(state.model, samples=np.ascontiguousarray(samples))
-    return replace(state, model=model, image=relit(state.image, light))
+    relight(state.model, light)
+    return replace(state, image=relit(state.image, light))
 
 
 def _median_motion(own: LayerEvidence, otherwise: Array) -> Array:
