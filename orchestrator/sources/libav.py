@@ -68,7 +68,8 @@ def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer
             container = av.open(
                 f"file:{location}" if kind is SourceKind.PATH else location,
                 format="v4l2" if kind is SourceKind.CAMERA else None,
-                options=_OPTIONS[kind],
+                # Not as options: PyAV frees more of those than it has where streams turn up late (MPEG-TS).
+                container_options=_OPTIONS[kind],
                 timeout=timeout_s,
             )
     except (av.error.FFmpegError, OSError, ValueError) as error:
