@@ -117,20 +117,20 @@ def _count_won(
             for x in range(width):
                 own[np.uint64(x)] += np.uint8(line[np.uint64(x)] == layer)
         own[width:] = own[width - 1]
-        row, told, trust = share[y], learnt[y], trusted[y]
+        row, trusted_cells, trust = share[y], learnt[y], trusted[y]
         if side == 2:  # the usual one: a loop of known steps runs in vector registers
             for x in range(columns):
                 first = np.uint64(2 * x)
                 count = np.int32(own[first]) + np.int32(own[first + np.uint64(1)])
                 row[x] = np.uint8((np.int32(255) * count + np.int32(2)) >> np.int32(2))
-                told[x] = (count == 4) & trust[x]
+                trusted_cells[x] = (count == 4) & trust[x]
             continue
         for x in range(columns):
             count = np.int32(0)
             for u in range(x * side, (x + 1) * side):
                 count += np.int32(own[u])
             row[x] = np.uint8(np.int32(np.rint(scale * np.float32(count))))
-            told[x] = (count == side * side) & trust[x]
+            trusted_cells[x] = (count == side * side) & trust[x]
     return share, learnt
 
 

@@ -38,7 +38,7 @@ __all__ = [
     "LayerTracks",
     "Region",
     "Segmentation",
-    "received",
+    "readonly",
 ]
 
 # Not npt.NDArray: since NumPy 2.5 that is an alias which hides its class, and states are checked by class.
@@ -364,7 +364,7 @@ class Segmentation:
 Message = TypeVar("Message", FrameEvidence, LayerPosterior, Segmentation)
 
 
-def received(message: Message) -> Message:
+def readonly(message: Message) -> Message:
     """A message as its receiver has it: to its arrays nothing can be written.
 
     It is so between processes. Within one process, too, the same kernels do for all receivers then: they are

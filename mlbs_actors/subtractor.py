@@ -19,7 +19,7 @@ from mlbs_actors.flow.estimate import FlowFunction
 from mlbs_actors.inspection import FrameInspection, inspect_frame
 from mlbs_actors.layer.layer import Layer
 from mlbs_actors.layer.layer_state import LayerState
-from mlbs_actors.messages import Array, FrameEvidence, LayerKind, Segmentation, received
+from mlbs_actors.messages import Array, FrameEvidence, LayerKind, Segmentation, readonly
 from mlbs_actors.segmentation.segmenter import Segmenter, SegmenterState
 from mlbs_actors.state_file import capture
 
@@ -174,7 +174,7 @@ class MultilayerSubtractor:
             self._lock.release()
 
     def _label(self, made: FrameEvidence) -> Segmentation:
-        evidence = received(made)
+        evidence = readonly(made)
         index = evidence.frame_index
         frame = self._waiting.pop(index)
         for retired in evidence.retired:
@@ -184,7 +184,7 @@ class MultilayerSubtractor:
             if one.layer not in self._layers:
                 self._layers[one.layer] = Layer(self.config, one.layer, one.kind)
             layer = self._layers[one.layer]
-            posteriors.append(received(layer.step(evidence, frame, self._published.get(index - 1))))
+            posteriors.append(readonly(layer.step(evidence, frame, self._published.get(index - 1))))
         segmentation = self._segmenter.step(evidence, frame, posteriors)
         self._published = {known: result for known, result in self._published.items() if known > index - 3}
         self._published[index] = segmentation

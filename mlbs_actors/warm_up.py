@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.config import Config
-from mlbs_actors.messages import Array, FrameEvidence, LayerKind, LayerTracks, Segmentation, received
+from mlbs_actors.messages import Array, FrameEvidence, LayerKind, LayerTracks, Segmentation, readonly
 
 __all__ = ["main", "warm_layer", "warm_stream"]
 
@@ -76,7 +76,7 @@ def warm_layer() -> None:
                 retired=(),
                 latency_frames=0,
             )
-            part.step(received(evidence), frame, previous)
+            part.step(readonly(evidence), frame, previous)
             segmentation = Segmentation(
                 frame_index=t,
                 labels=np.full((height, width), layer, np.uint16),
@@ -86,7 +86,7 @@ def warm_layer() -> None:
                 camera_motion=(0.0, 0.0),
                 latency_frames=0,
             )
-            previous = received(segmentation)
+            previous = readonly(segmentation)
 
 
 def warm_stream() -> None:

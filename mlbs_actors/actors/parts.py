@@ -35,7 +35,7 @@ __all__ = [
 
 
 #: How long a process waits for another one that compiles the same, s; on a slow machine that takes minutes.
-TURN_SECONDS = 300.0
+COMPILE_SECONDS = 300.0
 
 
 class CoordinatorPart(Protocol):
@@ -134,7 +134,7 @@ class EngineParts:
         """
         from mlbs_actors.warm_up import warm_layer
 
-        with _turn("layer"):
+        with _one_at_a_time("layer"):
             warm_layer()
 
     def warm_stream(self) -> None:
@@ -144,12 +144,12 @@ class EngineParts:
         """
         from mlbs_actors.warm_up import warm_stream
 
-        with _turn("stream"):
+        with _one_at_a_time("stream"):
             warm_stream()
 
 
 @contextmanager
-def _turn(warmed: str) -> Iterator[None]:
+def _one_at_a_time(warmed: str) -> Iterator[None]:
     """Wait for this user's other processes of this installation that do the same; without order nothing is
     lost but time.
 
@@ -160,7 +160,7 @@ def _turn(warmed: str) -> Iterator[None]:
     name = f"mlbs-actors-kernels-{os.getuid()}-{installation:08x}-{warmed}{rank}.lock"
     lock = FileLock(Path(tempfile.gettempdir()) / name)
     with suppress(OSError, Timeout):
-        lock.acquire(timeout=TURN_SECONDS)
+        lock.acquire(timeout=COMPILE_SECONDS)
     try:
         yield
     finally:

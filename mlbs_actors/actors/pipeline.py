@@ -17,10 +17,10 @@ import ray
 from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.ipc.wakeup import WakeupEvent
+from mlbs_actors.actors.node.burst_limiter import BurstLimiter
 from mlbs_actors.actors.node.failures import COORDINATOR, POOL, SEGMENTER, explain
 from mlbs_actors.actors.node.pool import PoolActor, PoolCensus, PoolPolicy
 from mlbs_actors.actors.node.processes import Handle, Reference, end, identity, spawn, spawn_standby
-from mlbs_actors.actors.node.turns import Turns
 from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.stream.coordinator_actor import CoordinatorActor, StreamLinks
 from mlbs_actors.actors.stream.live_reader import LiveReaderActor
@@ -37,10 +37,10 @@ __all__ = ["Node", "StreamActors", "sinks_of"]
 _CORES_A_SINK = 4
 
 #: Cores that a stream of a file keeps busy by itself: so many streams work on a burst at once.
-_CORES_A_TURN = 2
+_CORES_A_BURST = 2
 
 #: A burst that takes longer keeps no other stream waiting, s: twice as long as one takes new frames.
-_TURN_SECONDS = 3.0
+_BURST_SECONDS = 3.0
 
 #: Frames of a burst at most: of a camera, or of a stream that has just begun, and of a file. Files take turns
 #: of a burst: with 8 frames eight of them spent 6 % more on what the others had pushed out of the caches.
@@ -105,7 +105,7 @@ class Node:
         self._policy = policy or PoolPolicy()
         self._pool = self._new_pool()
         self._sinks = [spawn(SinkActor, node=self._node) for _ in range(sinks_of(_cores(self._node)))]
-        self._turns = Turns(max(1, _cores(self._node) // _CORES_A_TURN), _TURN_SECONDS)
+        self._burst_limiter = BurstLimiter(max(1, _cores(self._node) // _CORES_A_BURST), _BURST_SECONDS)
         self._runs = count(1)
         self._standby: list[_Standby] = []
         self._preparing = Lock()
@@ -127,7 +127,7 @@ class Node:
             coordinator,
             StreamLinks(reader=reader, segmenter=segmenter, pool=self._pool, sink=sink),
             run=run,
-            turns=self._turns,
+            burst_limiter=self._burst_limiter,
             under_way=self.prepare,
             wakeup=WakeupEvent() if self._beside_driver else None,
         )
@@ -223,7 +223,7 @@ class StreamActors:
         The other processes; the segmenter is still to become one.
     run : int
         The stream's number.
-    turns : Turns
+    burst_limiter : BurstLimiter
         Of the node.
     under_way : callable
         Called again and again once the stream has some frames behind it.
@@ -244,7 +244,7 @@ class StreamActors:
         links: StreamLinks,
         *,
         run: int,
-        turns: Turns,
+        burst_limiter: BurstLimiter,
         under_way: Callable[[], object],
         wakeup: WakeupEvent | None,
     ) -> None:
@@ -263,7 +263,7 @@ class StreamActors:
         segmenter_begun: Reference = links.segmenter.become.remote(parts, spec.config)
         begun: Reference = coordinator.become.remote(spec, parts, links, self._run, segmenter=segmenter_begun)
         self._begun: Future[None] = begun.future()
-        self._turns = turns
+        self._burst_limiter = burst_limiter
         self._under_way = under_way
         self._wakeup = wakeup
         self._is_waiting = False
@@ -286,7 +286,7 @@ class StreamActors:
         if at_once:
             progress = self._ask_for_burst()
         else:
-            progress = self._turns.take(self._ask_for_burst, self._wait_inside_a_call)
+            progress = self._burst_limiter.submit(self._ask_for_burst, self._wait_inside_a_call)
         self._bursts += 1
         if self._bursts > 1:  # while the stream works: starting processes takes some time here
             self._under_way()

@@ -260,7 +260,7 @@ def _log_densities(
     stacks, stack = samples.reshape(-1), np.empty(3 * whole, np.uint8)
     planes, colours = padded_planes(image), row_room(width)
     least, asked = np.zeros(colours.shape[1], np.float32), np.empty(width, np.int64)
-    density, places, told = np.empty(result.size, np.float32), np.empty(result.size, np.int64), 0
+    density, places, evaluated = np.empty(result.size, np.float32), np.empty(result.size, np.int64), 0
     for y in range(height):
         found = 0
         for x in range(width):
@@ -284,11 +284,11 @@ def _log_densities(
                 for channel in range(3):
                     stack[channel * whole : channel * whole + slots] = samples[y, cell, channel]
                 kernels = _sum_of_kernels(stack, np.uint64(0), whole, blue, green, red, scale, number)
-            density[told], places[told] = norm[bandwidth] * kernels / np.float32(number), place
-            told += 1
-    logs, results = np.empty(told, np.float32), result.reshape(-1)
-    row_log(density[:told], logs)
-    for pixel in range(told):
+            density[evaluated], places[evaluated] = norm[bandwidth] * kernels / np.float32(number), place
+            evaluated += 1
+    logs, results = np.empty(evaluated, np.float32), result.reshape(-1)
+    row_log(density[:evaluated], logs)
+    for pixel in range(evaluated):
         results[np.uint64(places[pixel])] = logs[pixel]
     return result
 

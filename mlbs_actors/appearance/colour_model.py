@@ -135,26 +135,26 @@ def moved_stacks(
     new_samples = np.empty((shape[0], shape[1], 3, samples.shape[3]), np.uint8)
     new_count, new_newest = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
     new_spread = np.empty(shape, np.uint8)
-    told = (source.reshape(-1), count.reshape(-1), newest.reshape(-1), spread.reshape(-1))
+    sources = (source.reshape(-1), count.reshape(-1), newest.reshape(-1), spread.reshape(-1))
     room = (new_count.reshape(-1), new_newest.reshape(-1), new_spread.reshape(-1))
     old, new = samples.reshape(-1), new_samples.reshape(-1)
     if size % 8 == 0:  # in words: fewer to copy
-        _take_over(told, old.view(np.uint64), size // 8, room, new.view(np.uint64))
+        _take_over(sources, old.view(np.uint64), size // 8, room, new.view(np.uint64))
     else:
-        _take_over(told, old, size, room, new)
+        _take_over(sources, old, size, room, new)
     return new_samples, new_count, new_newest, new_spread, new_residual
 
 
 @compiled
 def _take_over(
-    told: tuple[Array, Array, Array, Array],
+    sources: tuple[Array, Array, Array, Array],
     old: Array,
     words: int,
     room: tuple[Array, Array, Array],
     new: Array,
 ) -> None:
     """Move stacks of so many words, and counts, newest and spreads, from the places in the first array."""
-    source, count, newest, spread = told
+    source, count, newest, spread = sources
     new_count, new_newest, new_spread = room
     for pixel in range(source.size):
         place = source[pixel]
@@ -198,10 +198,10 @@ def learn_colours(
     half, third, rate = np.float32(0.5), np.float32(1 / (3 * SPREAD_STEP)), np.float32(_SPREAD_RATE)
     planes, colours, won = padded_planes(image), row_room(width), np.empty(width, np.int64)
     for y in range(mask.shape[0]):
-        found, told = 0, mask[y]
+        found, learning = 0, mask[y]
         for x in range(width):
             won[found] = x  # kept if it counts: a branch would be mispredicted
-            found += int(told[np.uint64(x)])
+            found += int(learning[np.uint64(x)])
         if found == 0:
             continue
         for x in won[:found]:

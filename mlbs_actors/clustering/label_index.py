@@ -82,12 +82,12 @@ def label_places(labels: Array, known: Array) -> Array:
 def _known_labels(labels: Array, left_out: Array) -> Array:
     """The labels that there are, ascending."""
     known, count = np.empty(labels.size, np.int64), 0
-    noted = np.arange(1, REMEMBERED + 1)  # none with its slot's lowest bits
+    cached = np.arange(1, REMEMBERED + 1)  # none with its slot's lowest bits
     for i in range(labels.size):
         slot = labels[i] & (REMEMBERED - 1)
-        if left_out[i] or noted[slot] == labels[i]:
+        if left_out[i] or cached[slot] == labels[i]:
             continue
-        noted[slot] = labels[i]
+        cached[slot] = labels[i]
         place = np.searchsorted(known[:count], labels[i])
         if place == count or known[place] != labels[i]:
             for later in range(count, place, -1):

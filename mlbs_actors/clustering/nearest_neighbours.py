@@ -199,21 +199,21 @@ def _sorted_pairs(nearest_of: Array) -> tuple[Array, Array]:
     for i in range(count):
         higher_start[i + 1] += higher_start[i]
         lower_start[i + 1] += lower_start[i]
-    told = higher_start[-1]
-    place, lower = higher_start[:-1].copy(), np.empty(told, np.int32)
+    total = higher_start[-1]
+    place, lower = higher_start[:-1].copy(), np.empty(total, np.int32)
     for i in range(count):
         for j in nearest_of[i]:
             if j < 0:
                 break
             lower[place[max(i, j)]] = min(i, j)
             place[max(i, j)] += 1
-    place, higher = lower_start[:-1].copy(), np.empty(told, np.int32)
+    place, higher = lower_start[:-1].copy(), np.empty(total, np.int32)
     for i in range(count):
         for k in range(higher_start[i], higher_start[i + 1]):
             higher[place[lower[k]]] = i
             place[lower[k]] += 1
     # A pair that both tell of comes twice, one after the other.
-    first, second = np.empty(told, np.int32), np.empty(told, np.int32)
+    first, second = np.empty(total, np.int32), np.empty(total, np.int32)
     found = 0
     for i in range(count):
         last = -1

@@ -161,14 +161,14 @@ def _cut_costs(blocks: Array) -> Array:
     """Cost of a cut above each row: the blocks of the rectangles on both sides, and the seam."""
     rows, columns = blocks.shape
     costs = np.zeros(rows)
-    for turn in range(2):
+    for direction in range(2):
         left, right, height = columns, 0, 0
         for place in range(rows - 1):
-            row = place if turn == 0 else rows - 1 - place
+            row = place if direction == 0 else rows - 1 - place
             for x in range(columns):
                 if blocks[row, x]:
                     left, right, height = min(left, x), max(right, x + 1), place + 1
-            costs[row + 1 - turn] += height * (right - left)
+            costs[row + 1 - direction] += height * (right - left)
     costs[0] = np.inf
     for row in range(1, rows):
         for x in range(columns):

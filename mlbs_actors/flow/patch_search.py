@@ -53,10 +53,10 @@ def search_patches(
             slopes[row, column] = _slopes(slope_x, slope_y, shape, y, x)
             for axis in range(2):
                 motions[row, column, axis] = flow[axis, y + PATCH // 2, x + PATCH // 2]
-    for turn in (1, -1):
+    for step in (1, -1):
         _pass(
-            gray, around, slope_x, slope_y, shape, motions[::turn, ::turn], slopes[::turn, ::turn],
-            across[::turn], down[::turn], iterations,
+            gray, around, slope_x, slope_y, shape, motions[::step, ::step], slopes[::step, ::step],
+            across[::step], down[::step], iterations,
         )  # fmt: skip
     return motions
 

@@ -89,31 +89,31 @@ def is_settled(state: ExpansionState) -> bool:
 
 def expand(rest: UndecidedEnergy, state: ExpansionState, alphas: Array) -> None:
     """Expand labels (k,) int64 in turn; one is left out if nothing has changed since its last expansion."""
-    turn = 0
+    due_place = 0
     while True:
-        turn, nodes, price, paid = _expand_in_turn(rest, state, alphas, turn)
-        if turn == alphas.size:
+        due_place, nodes, price, paid = _expand_cyclically(rest, state, alphas, due_place)
+        if due_place == alphas.size:
             return
-        alpha = int(alphas[turn])
+        alpha = int(alphas[due_place])
         moves, change = paid_expansion(rest, state.labels, alpha, nodes, price, paid)
         _take(rest, state, alpha, nodes, price, moves, np.int64(change))
-        turn += 1
+        due_place += 1
 
 
 @compiled
-def _expand_in_turn(
-    rest: UndecidedEnergy, state: ExpansionState, alphas: Array, turn: int
+def _expand_cyclically(
+    rest: UndecidedEnergy, state: ExpansionState, alphas: Array, due_place: int
 ) -> tuple[int, Array, Array, Array]:
     """Expand labels until one is due that could free several others of their costs.
 
     Returns
     -------
-    turn : int
+    due_place : int
         Position of that one; the number of labels if there is none.
     nodes, price, paid
         As :func:`~mlbs_actors.graphcut.expansion.paid_expansion` takes them.
     """
-    for due in range(turn, alphas.size):
+    for due in range(due_place, alphas.size):
         alpha = alphas[due]
         before = state.expanded_at[alpha]
         if before == state.step[0]:

@@ -203,10 +203,10 @@ def movable(
     candidates, costs = rest.unaries.pixel[own], rest.unaries.cost[own]
     neighbour, weight = rest.neighbour, rest.weight
     # What is saved if none of a label's pixels stays; 0 as soon as one does.
-    offered = np.zeros(used.size, np.int64)
+    in_rest = np.zeros(used.size, np.int64)
     for p in candidates:
-        offered[labels[p]] += 1
-    refund = np.where(offered == used, rest.label_costs, 0)
+        in_rest[labels[p]] += 1
+    refund = np.where(in_rest == used, rest.label_costs, 0)
     # The labels if all move that still may.
     moved = labels.copy()
     price, pixels = np.empty(candidates.size, np.int64), np.empty(candidates.size, np.intp)

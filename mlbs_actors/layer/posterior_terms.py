@@ -149,12 +149,12 @@ def _cost_tables(config: Config, kind: LayerKind) -> tuple[Array, Array, Array]:
 def _tables(
     unexplained_noise: float, motion: float, motion_floor: float, prior: float, prior_floor: float
 ) -> tuple[Array, Array, Array]:
-    heard = np.clip(2.0 * UNEXPLAINED_STEP / unexplained_noise * np.arange(256) - 1.0, 0.0, 1.0)
+    reliance = np.clip(2.0 * UNEXPLAINED_STEP / unexplained_noise * np.arange(256) - 1.0, 0.0, 1.0)
     distances = np.arange(32 * _DISTANCE_STEPS + 1) / _DISTANCE_STEPS
     disagreement = -np.log(motion_floor + (1.0 - motion_floor) * np.exp(-0.5 * distances))
     surprise = -np.log(np.maximum(np.arange(_PRIOR_STEPS + 1) / _PRIOR_STEPS, prior_floor))
     return (
-        heard.astype(np.float32) * np.float32(motion),
+        reliance.astype(np.float32) * np.float32(motion),
         disagreement.astype(np.float32),
         (prior * surprise).astype(np.float32),
     )
@@ -168,7 +168,7 @@ def _summed_terms(
 ) -> Array:  # fmt: skip
     """Sum the terms of :func:`posterior_cost`; the maps in ``seen`` are the whole frame's."""
     (motion, variance), (flow, reliable, unexplained), (left, top) = field, seen, corner
-    (prior_value, share), (away, advantage), (heard, disagreement, surprise) = prior, cues, tables
+    (prior_value, share), (away, advantage), (reliance, disagreement, surprise) = prior, cues, tables
     cost = np.full(needed.shape, weights.uncontested)
     one, half, step = np.float32(1), np.float32(0.5), np.float32(COST_STEP)
     height, width = needed.shape
@@ -184,7 +184,7 @@ def _summed_terms(
                 miss_y = flows[x, 1] - weights.side * motion[y, x, 1]
                 distance = (miss_x * miss_x + miss_y * miss_y) / (variance[y, x] + weights.flow_variance)
                 place = min(distance * np.float32(_DISTANCE_STEPS), np.float32(disagreement.size - 1))
-                nats += heard[errors[x]] * disagreement[int(place + half)]
+                nats += reliance[errors[x]] * disagreement[int(place + half)]
             believed = min(prior_value[y, x] + (one - share[y, x]) * weights.neutral_prior, one)
             nats += surprise[int(believed * np.float32(_PRIOR_STEPS) + half)]
             quanta = min(max(np.rint(nats / step), np.float32(0)), np.float32(255))

@@ -89,8 +89,8 @@ def track(
     trajectories, survivors = before, np.arange(len(before))
     if flow is not None:
         trajectories, survivors = advance_trajectories(before, flow, shape)
-    telling = (trajectories.ages > 0) & background[survivors]
-    voters = evenly_spread(trajectories.positions, telling, 2 * spacing)
+    informative = (trajectories.ages > 0) & background[survivors]
+    voters = evenly_spread(trajectories.positions, informative, 2 * spacing)
     places, motions = trajectories.positions[voters], trajectories.motions[voters]
     camera = camera_homography(places, motions, scale)
     planar = explains(camera, places, motions, shape)

@@ -47,7 +47,7 @@ class ListWatch:
         What the run began with.
     has_record : callable
         Tells of a name whether the run holds results of it.
-    tell : callable
+    report : callable
         Takes each sentence for the user.
     clock : callable
         Monotonic time, s.
@@ -58,11 +58,11 @@ class ListWatch:
         path: Path,
         streams: Sequence[ListedStream],
         has_record: Callable[[str], bool],
-        tell: Callable[[str], None],
+        report: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._path = path
-        self._tell = tell
+        self._report = report
         self._clock = clock
         self._has_record = has_record
         self._present = {stream.name: stream.source for stream in streams}
@@ -86,11 +86,11 @@ class ListWatch:
         try:
             streams, faults = parse_stream_list(self._path)
         except ConfigError as error:
-            self._tell(f"{error} Nothing is changed.")
+            self._report(f"{error} Nothing is changed.")
             return None
         usable = [stream for stream in streams if self._is_usable(stream, faults)]
         for number, fault in sorted(faults.items()):
-            self._tell(f"{self._path}, line {number}: {fault}. The line is ignored until it is mended.")
+            self._report(f"{self._path}, line {number}: {fault}. The line is ignored until it is mended.")
         listed = {stream.name for stream in streams}
         removed = () if faults else tuple(name for name in self._present if name not in listed)
         added = tuple(stream for stream in usable if stream.name not in self._present)

@@ -91,7 +91,7 @@ def run(
     with ExitStack() as hold, ExitStack() as session:  # the folder is held until its last file is written
         if arguments.resume:
             begun = folder.refuse_other(job.description)
-            hold.enter_context(folder.held())
+            hold.enter_context(folder.locked())
             changed = {key: job.description[key] for key in ("sources", "hashes")}
             if changed != {key: begun.get(key) for key in changed}:
                 try:
@@ -114,8 +114,8 @@ def run(
             if arguments.address is None:
                 _say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
         if not arguments.resume:
-            folder.claim(job.description)
-            hold.enter_context(folder.held())
+            folder.create(job.description)
+            hold.enter_context(folder.locked())
         if at_work:
             states, exit_status = _drive(job, ended, limit, status, onlookers, folder, arguments)
         else:

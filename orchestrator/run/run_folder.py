@@ -137,7 +137,7 @@ class RunFolder:
             return {}
 
     @contextmanager
-    def held(self) -> Iterator[None]:
+    def locked(self) -> Iterator[None]:
         """Keep other runs out while the ``with`` block runs; a killed one keeps nobody out.
 
         Raises
@@ -160,7 +160,7 @@ class RunFolder:
         finally:
             lock.release()
 
-    def claim(self, description: dict[str, Any]) -> None:
+    def create(self, description: dict[str, Any]) -> None:
         """Make the folder this run's, by writing ``run.json`` whole; of two runs one gets it.
 
         Raises
@@ -243,9 +243,9 @@ class StatusFile:
 
 def _changes(before: Any, now: Any) -> str:
     """In words, how a part of a run's description was and is."""
-    told = list(_differences(before, now))
-    more = len(told) - _MOST_CHANGES
-    return "; ".join(told[:_MOST_CHANGES]) + (f"; and {more} more" if more > 0 else "")
+    changes = list(_differences(before, now))
+    more = len(changes) - _MOST_CHANGES
+    return "; ".join(changes[:_MOST_CHANGES]) + (f"; and {more} more" if more > 0 else "")
 
 
 def _differences(before: Any, now: Any, name: str = "") -> Iterator[str]:

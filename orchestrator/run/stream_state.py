@@ -117,7 +117,7 @@ class StreamState:
 def after_progress(state: StreamState, progress: StreamProgress, frames_per_second: float) -> StreamState:
     """State after a burst of frames, the stream going on."""
     silence = progress.silence or SourceSilence(None)
-    error = silence.note or progress.problem
+    error = silence.reason or progress.problem
     return replace(
         state,
         state=silence.state or ("running" if progress.read else "starting"),

@@ -25,7 +25,7 @@ COMMIT_LOG = "commits.jsonl"
 _GENERATION, _LOCK = ".generation", ".lock"
 
 #: How long another process may take for its commit, s.
-_TURN_SECONDS = 10.0
+_LOCK_SECONDS = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class CommitLog:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._lock = FileLock(folder / _LOCK, timeout=_TURN_SECONDS)
+        self._lock = FileLock(folder / _LOCK, timeout=_LOCK_SECONDS)
         with self._locked():
             known = (folder / _GENERATION).exists()
             self.generation = self._newest() + 1 if known else 0
@@ -107,7 +107,7 @@ class CommitLog:
                 replace_file(folder / COMMIT_LOG, content)
 
     @contextmanager
-    def turn(self) -> Iterator[None]:
+    def exclusive(self) -> Iterator[None]:
         """Have the stream's folder for oneself while the ``with`` block publishes files and commits them.
 
         Raises

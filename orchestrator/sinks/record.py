@@ -100,7 +100,7 @@ class StreamRecord:
             for part in _FOLDERS & save:
                 (folder / part).mkdir(exist_ok=True)
             self._log = CommitLog(folder)
-            with self._log.turn():
+            with self._log.exclusive():
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
             self._cutouts = _by_frame(folder / "cutouts")
@@ -228,7 +228,7 @@ class StreamRecord:
         last = rows[-1].frame
         if "parquet" in self._save:
             files += self._write_tables(rows, rows[0].frame)
-        with self._log.turn():
+        with self._log.exclusive():
             for path in self._withdrawn:
                 path.unlink(missing_ok=True)
             publish(files)

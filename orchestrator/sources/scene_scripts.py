@@ -46,7 +46,7 @@ def _demo(stage: Stage) -> None:
     stage.background()
     stage.thing(1, (100 * _to_and_fro(time, 120), 62 + 3 * np.sin(time / 9)), (34, 19))
     stage.thing(2, (-105 * _to_and_fro(time, 100), 34 + 2 * np.sin(time / 7)), (27, 17))
-    stage.thing(3, (80 * np.cos(time / 15), -62 + 22 * np.sin(time / 11)), (15, 13), turn=time / 18)
+    stage.thing(3, (80 * np.cos(time / 15), -62 + 22 * np.sin(time / 11)), (15, 13), rotation=time / 18)
 
 
 def _street(stage: Stage) -> None:

@@ -115,7 +115,7 @@ class Stage:
         size: tuple[float, float],
         *,
         in_world: bool = False,
-        turn: Array | float = 0.0,
+        rotation: Array | float = 0.0,
     ) -> None:
         """A moving object with its own outline and texture.
 
@@ -128,7 +128,7 @@ class Stage:
             Half axes, units.
         in_world : bool
             False: the path is in the view.
-        turn : (frames,) or constant
+        rotation : (frames,) or constant
             Its rotation, rad.
         """
         centre = self._path(path)
@@ -136,7 +136,7 @@ class Stage:
         if not in_world:
             centre = centre + nearness * np.stack([self.x, self.y], axis=1)
         colour = _object_colour(self.rng)
-        self._bounded(label, blob(self.rng, size, self.unit), colour, centre, nearness, turn)
+        self._bounded(label, blob(self.rng, size, self.unit), colour, centre, nearness, rotation)
 
     def walker(self, label: int, path: tuple[Array | float, Array | float], tall: float) -> None:
         """A figure that walks along a path of its hip (units, in the view): swinging legs and arms."""
@@ -214,27 +214,27 @@ class Stage:
         colour: tuple[float, ...],
         centre: Array,
         nearness: float,
-        turn: Array | float = 0.0,
+        rotation: Array | float = 0.0,
     ) -> None:
         height, width = opacity.shape
         texture = patchwork(self.texture_rng(), (height, width), colour, self.unit * 0.6, contrast=30.0)
-        self._piece(label, (texture, opacity), centre, nearness, turn)
+        self._piece(label, (texture, opacity), centre, nearness, rotation)
 
     def _piece(
-        self, label: int, piece: Piece, centre: Array, nearness: float, turn: Array | float = 0.0
+        self, label: int, piece: Piece, centre: Array, nearness: float, rotation: Array | float = 0.0
     ) -> None:
         texture, opacity = piece
         height, width = opacity.shape
-        maps = self._maps((height, width), centre, turn, nearness, 0.0)
+        maps = self._maps((height, width), centre, rotation, nearness, 0.0)
         self.placed.append((nearness, Surface(label, texture, opacity, None, maps)))
 
     def _maps(
-        self, shape: tuple[int, int], centre: Array, turn: Array | float, nearness: float, slope: float
+        self, shape: tuple[int, int], centre: Array, rotation: Array | float, nearness: float, slope: float
     ) -> Array:
         """Texture px → image px: place in the world, shift by the camera with parallax, roll and zoom."""
         to_units = np.diag([1 / self.unit, 1 / self.unit, 1.0])
         to_units[:2, 2] = -(shape[1] - 1) / 2 / self.unit, -(shape[0] - 1) / 2 / self.unit
-        place = _similarity(np.broadcast_to(turn, (self.frames,)), np.ones(self.frames), centre)
+        place = _similarity(np.broadcast_to(rotation, (self.frames,)), np.ones(self.frames), centre)
         parallax = np.tile(np.eye(3), (self.frames, 1, 1))
         for axis, camera in enumerate((self.x, self.y)):
             parallax[:, axis, 1] -= slope * camera

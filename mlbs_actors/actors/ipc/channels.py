@@ -21,7 +21,7 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any
 
-__all__ = ["Channel", "ChannelClosedError", "ChannelOffer", "OfferedChannel", "take"]
+__all__ = ["Channel", "ChannelAddress", "ChannelClosedError", "ChannelListener", "connect"]
 
 
 class ChannelClosedError(Exception):
@@ -29,7 +29,7 @@ class ChannelClosedError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class ChannelOffer:
+class ChannelAddress:
     """Where the other end of a channel is to be had.
 
     Attributes
@@ -92,21 +92,23 @@ class Channel:
         self.close()
 
 
-class OfferedChannel:
+class ChannelListener:
     """A new channel whose other end one other process is to take.
 
     Attributes
     ----------
-    offer : ChannelOffer
+    address : ChannelAddress
         To be told to that process.
     """
 
     def __init__(self) -> None:
         self._incoming, self._other_outgoing = Pipe(duplex=False)
         self._other_incoming, self._outgoing = Pipe(duplex=False)
-        self.offer = ChannelOffer(os.getpid(), self._other_outgoing.fileno(), self._other_incoming.fileno())
+        self.address = ChannelAddress(
+            os.getpid(), self._other_outgoing.fileno(), self._other_incoming.fileno()
+        )
 
-    def taken(self) -> Channel:
+    def accept(self) -> Channel:
         """Wait, as long as it takes, until the other end has been taken; return this one."""
         channel = Channel(self._incoming, self._outgoing)
         channel.receive()
@@ -124,18 +126,18 @@ class OfferedChannel:
             What is to be sent back for a message, as it is made. If it finds a channel of its own closed,
             that is the end, too.
         """
-        with suppress(ChannelClosedError), self.taken() as channel:
+        with suppress(ChannelClosedError), self.accept() as channel:
             while True:
                 for answer in answers(channel.receive()):
                     channel.send(answer)
 
 
-def take(offer: ChannelOffer) -> Channel:
+def connect(address: ChannelAddress) -> Channel:
     """Take the other end of an offered channel, once; raises ChannelClosedError if its process is gone."""
     ends = []
     try:
-        for descriptor, flags in ((offer.incoming, os.O_RDONLY), (offer.outgoing, os.O_WRONLY)):
-            opened = os.open(f"/proc/{offer.owner}/fd/{descriptor}", flags | os.O_CLOEXEC)
+        for descriptor, flags in ((address.incoming, os.O_RDONLY), (address.outgoing, os.O_WRONLY)):
+            opened = os.open(f"/proc/{address.owner}/fd/{descriptor}", flags | os.O_CLOEXEC)
             ends.append(Connection(opened, readable=not flags, writable=bool(flags)))
     except OSError:
         for end in ends:

@@ -46,9 +46,9 @@ SlotKind = Literal["frame", "evidence", "posterior", "segmentation", "appearance
 _ALIGNMENT = 64
 #: Least memory of a slot, bytes; it grows by doubling.
 _LEAST_BYTES = 1 << 16
-#: A turn that no message has.
-_NO_TURN = 0
-#: At the begin of a slot: the turn in which it was written, and how many arrays it holds.
+#: A generation that no message has.
+_NO_GENERATION = 0
+#: At the begin of a slot: the generation in which it was written, and how many arrays it holds.
 _HEADER = struct.Struct("<2q")
 #: Then for each array: where it is, the character of its type, how many dimensions it has, and its shape.
 _PLACE = struct.Struct("<6q")
@@ -68,14 +68,14 @@ class Slot:
         Process id of its owner.
     descriptor : int
         The owner's file descriptor of the memory.
-    turn : int
+    generation : int
         How often its owner had lent a slot by then, this time included: no other message has that number.
     """
 
     kind: SlotKind
     owner: int
     descriptor: int
-    turn: int
+    generation: int
 
 
 @pickled_by_values
@@ -102,20 +102,20 @@ class SlotPool:
 
     def __init__(self) -> None:
         self._free: dict[SlotKind, list[Slot]] = {}
-        self._turns = count(1)
+        self._generations = count(1)
 
-    def take(self, kind: SlotKind) -> Slot:
+    def acquire(self, kind: SlotKind) -> Slot:
         """Lend a slot."""
-        free, turn = self._free.setdefault(kind, []), next(self._turns)
+        free, generation = self._free.setdefault(kind, []), next(self._generations)
         if free:
             last = free.pop()
-            return Slot(kind, last.owner, last.descriptor, turn)
-        return Slot(kind, os.getpid(), os.memfd_create(f"{_NAME}{kind}"), turn)
+            return Slot(kind, last.owner, last.descriptor, generation)
+        return Slot(kind, os.getpid(), os.memfd_create(f"{_NAME}{kind}"), generation)
 
-    def give_back(self, slots: Sequence[Slot]) -> None:
+    def release(self, slots: Sequence[Slot]) -> None:
         """Take slots of a frame back whose messages nobody reads any more.
 
-        If slots are lent again in the order in which these were, each is for the same again, and where it is
+        If slots are reused in the order in which these were, each is for the same again, and where it is
         written it is known already.
         """
         for slot in reversed(slots):
@@ -155,11 +155,11 @@ class SharedMemory:
         pickler = pickle.Pickler(description, protocol=5, buffer_callback=buffers.append)
         pickler.dispatch_table = self._reductions
         pickler.dump(message)
-        arrays = [_held(buffer) for buffer in buffers]
+        arrays = [_storable(buffer) for buffer in buffers]
         size = self.put([np.frombuffer(description.getbuffer(), np.uint8), *arrays], slot)
         return Shared(slot, size)
 
-    def taken(self, shared: Shared[Message]) -> Message:
+    def load(self, shared: Shared[Message]) -> Message:
         """Read a message; its arrays are read-only views, valid until the slot's owner takes it back.
 
         Raises
@@ -175,31 +175,29 @@ class SharedMemory:
 
     def put(self, arrays: Sequence[Array], slot: Slot) -> int:
         """Copy arrays of up to three dimensions into a slot; return the bytes they take, for :meth:`read`."""
-        assert all(map(_can_be_held, arrays))
+        assert all(map(_is_storable, arrays))
         places, end = [], _HEADER.size + len(arrays) * _PLACE.size
         for array in arrays:
             begin = -(-end // _ALIGNMENT) * _ALIGNMENT
             places.append(begin)
             end = begin + array.nbytes
         memory = self._mapped(slot, end, grow=True)[0]
-        _HEADER.pack_into(memory, 0, _NO_TURN, 0)  # from now on who still reads the old message fails
+        _HEADER.pack_into(memory, 0, _NO_GENERATION, 0)  # from now on who still reads the old message fails
         row = _HEADER.size
         for array, begin in zip(arrays, places, strict=True):
             shape = (*array.shape, 0, 0, 0)[:_MOST_DIMENSIONS]
             _PLACE.pack_into(memory, row, begin, ord(array.dtype.char), array.ndim, *shape)
             np.ndarray(array.shape, array.dtype, memory, begin)[...] = array
             row += _PLACE.size
-        _HEADER.pack_into(memory, 0, slot.turn, len(arrays))
+        _HEADER.pack_into(memory, 0, slot.generation, len(arrays))
         return end
 
     def read(self, slot: Slot, size: int) -> list[Array]:
-        """Read what was :meth:`put`; views as :meth:`taken` returns them, and it raises the same."""
+        """Read what was :meth:`put`; views as :meth:`load` returns them, and it raises the same."""
         whole, memory = self._mapped(slot, size, grow=False)
-        turn, arrays = _HEADER.unpack_from(whole)
-        if turn != slot.turn:
-            raise LayerError(
-                "A message was read after its memory had been lent again; start the stream again."
-            )
+        generation, arrays = _HEADER.unpack_from(whole)
+        if generation != slot.generation:
+            raise LayerError("A message was read after its memory had been reused; start the stream again.")
         places = _PLACE.iter_unpack(memory[_HEADER.size : _HEADER.size + arrays * _PLACE.size])
         return [
             np.ndarray(shape[:dimensions], _TYPES[kind], memory, begin)
@@ -231,17 +229,17 @@ class SharedMemory:
 
 def _reduced_array(array: Array) -> Any:
     """How an array is pickled: what a slot can hold is that itself when it is read."""
-    if _can_be_held(array):
+    if _is_storable(array):
         return np.asarray, (pickle.PickleBuffer(np.asarray(array, order="C").data),)
     return array.__reduce_ex__(5)
 
 
-def _held(buffer: pickle.PickleBuffer) -> Array:
+def _storable(buffer: pickle.PickleBuffer) -> Array:
     """A pickled buffer as a slot holds it: of arrays that it cannot hold the bytes."""
     array = np.asarray(buffer)
-    return array if _can_be_held(array) else np.asarray(buffer.raw())
+    return array if _is_storable(array) else np.asarray(buffer.raw())
 
 
-def _can_be_held(array: Array) -> bool:
+def _is_storable(array: Array) -> bool:
     native = array.dtype.isnative and ord(array.dtype.char) in _TYPES
     return native and array.ndim <= _MOST_DIMENSIONS

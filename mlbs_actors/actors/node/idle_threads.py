@@ -16,13 +16,13 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["SLACK_SECONDS", "look_round_seldom"]
+__all__ = ["SLACK_SECONDS", "relax_thread_timers"]
 
 #: By how much the timers of these threads may come late, s.
 SLACK_SECONDS = 5.0
 
 
-def look_round_seldom() -> None:
+def relax_thread_timers() -> None:
     """Let the timers of all threads of this process but the calling one come late.
 
     Call it before threads of one's own are started: those keep the time as their starter does.

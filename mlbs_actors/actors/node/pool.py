@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import ray
 from ray.exceptions import RayError
 
-from mlbs_actors.actors.ipc.channels import ChannelOffer
+from mlbs_actors.actors.ipc.channels import ChannelAddress
 from mlbs_actors.actors.node.failures import last_line
 from mlbs_actors.actors.node.processes import LOST_PROCESS, Handle, identity, spawn
 from mlbs_actors.actors.parts import PartFactory
@@ -111,7 +111,7 @@ class PoolActor:
         self._refill()
         return run
 
-    async def acquire(self, run: int, config: Config, *, awaited: bool) -> tuple[Handle, ChannelOffer]:
+    async def acquire(self, run: int, config: Config, *, awaited: bool) -> tuple[Handle, ChannelAddress]:
         """Lend stream ``run`` a process for a layer as soon as one is ready.
 
         Parameters
@@ -127,7 +127,7 @@ class PoolActor:
         -------
         Handle
             A :class:`~mlbs_actors.actors.stream.layer_actor.LayerActor`, assigned.
-        ChannelOffer
+        ChannelAddress
             Where the layer and its steps are to come from.
 
         Raises
@@ -148,9 +148,9 @@ class PoolActor:
             self._busy[run][identity(process.handle)] = process.handle
             try:
                 await asyncio.wait_for(asyncio.shield(process.ready), self._policy.start_seconds)
-                offer = None
+                address = None
                 if run in self._busy:  # else it may be another stream's by now
-                    offer = await process.handle.assign.remote(run, config)
+                    address = await process.handle.assign.remote(run, config)
             except asyncio.TimeoutError:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
                 ray.kill(process.handle)
@@ -165,8 +165,8 @@ class PoolActor:
             else:
                 # Not before: where every start fails, refilling for each try would try for ever.
                 asyncio.get_running_loop().call_later(self._policy.refill_seconds, self._top_up)
-                if run in self._busy and offer is not None:
-                    return process.handle, offer
+                if run in self._busy and address is not None:
+                    return process.handle, address
         raise LayerError("A layer was to be born in a stream that has ended; start the stream again.")
 
     async def release(self, run: int, process: str, released: None) -> None:

@@ -10,7 +10,7 @@ import ray
 from ray.exceptions import GetTimeoutError, OutOfMemoryError, RayActorError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.priority import stepping_back
 from mlbs_actors.actors.node.process_memory import settle_memory
 
@@ -85,7 +85,7 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node
     """
 
     def wait(self: object) -> None:
-        look_round_seldom()
+        relax_thread_timers()
         with stepping_back(awaited=awaited):
             warm()
         settle_memory()

@@ -32,7 +32,7 @@ from mlbs_actors.actors.node.failures import (
     reader_lost,
     source_failure,
 )
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, identity
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.account import StreamAccount
@@ -115,7 +115,7 @@ class CoordinatorActor:
 
     def __init__(self, spec: StreamSpec, parts: PartFactory, links: StreamLinks, run: int) -> None:
         limit_process()
-        look_round_seldom()
+        relax_thread_timers()
         self._spec = spec
         self._links = links
         self._coordinator = parts.coordinator(spec.config)
@@ -241,10 +241,10 @@ class CoordinatorActor:
         state = read_state(folder / CONDUCTOR_FILE, ConductorState)
         self._coordinator.state = read_state(folder / COORDINATOR_FILE, type(self._coordinator.state))
         self._layers.restore(state.layers)
-        slots = [self._slots.take("segmentation") for _ in range(2)]  # not given back
+        slots = [self._slots.acquire("segmentation") for _ in range(2)]  # not given back
         self._segmentations |= self._labelling.restore(folder, state.layers, slots)
         for frame in state.waiting:
-            shared = None if frame.image is None else self._memory.share(frame, self._slots.take("frame"))
+            shared = None if frame.image is None else self._memory.share(frame, self._slots.acquire("frame"))
             self._waiting.append((shared, frame))
         self._account.restore(state.counts, state.position)
         self._saved = state.position.rows
@@ -282,7 +282,7 @@ class CoordinatorActor:
         self._writer.write({CONDUCTOR_FILE: own, COORDINATOR_FILE: self._coordinator.state}, folder)
         shared = (CONDUCTOR_FILE, COORDINATOR_FILE, SEGMENTER_FILE, PUBLISHED_FILE)
         parts = (*shared, *(layer_file(one.layer) for one in layers))
-        self._record.offer(Snapshot(folder, self._record.rows, self._record.label_maps, parts))
+        self._record.submit_snapshot(Snapshot(folder, self._record.rows, self._record.label_maps, parts))
         self._saved = self._account.position.rows
 
     def _save_where_it_stands(self) -> None:
@@ -337,7 +337,7 @@ class CoordinatorActor:
             self._write_next_labelled()
         # None before it is asked for any more.
         self._segmentations = {t: one for t, one in self._segmentations.items() if t >= frame_index}
-        segmentation = self._memory.taken(self._segmentations[frame_index])
+        segmentation = self._memory.load(self._segmentations[frame_index])
         self._account.label(segmentation)
         return segmentation
 
@@ -348,16 +348,16 @@ class CoordinatorActor:
         if evidence.retired:
             self._labelling.retire(evidence.retired)
         assigned = tuple(
-            AssignedProcess(layer, offer, self._slots.take("state"))
-            for layer, offer in self._layers.follow(evidence)
+            AssignedProcess(layer, address, self._slots.acquire("state"))
+            for layer, address in self._layers.follow(evidence)
         )
-        told, labelled = self._slots.take("evidence"), self._slots.take("segmentation")
-        posteriors = tuple(self._slots.take("posterior") for _ in evidence.tracks)
+        evidence_slot, answer = self._slots.acquire("evidence"), self._slots.acquire("segmentation")
+        posteriors = tuple(self._slots.acquire("posterior") for _ in evidence.tracks)
         wants = self._spec.wants_background
         wanted = wants is not None and wants(delivered.index)
-        background = self._slots.take("appearance") if wanted else None
-        shared = self._memory.share(evidence, told)
-        self._labelling.start(FrameWork(shared, frame, labelled, posteriors, assigned, background))
+        background = self._slots.acquire("appearance") if wanted else None
+        shared = self._memory.share(evidence, evidence_slot)
+        self._labelling.start(FrameWork(shared, frame, answer, posteriors, assigned, background))
         self._record.expect(frame)
         self._write_gaps()
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from mlbs_actors.actors.ipc.channels import ChannelOffer, OfferedChannel
+from mlbs_actors.actors.ipc.channels import ChannelAddress, ChannelListener
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.priority import stepping_back
 from mlbs_actors.actors.node.process_memory import settle_memory
 from mlbs_actors.actors.parts import LayerPart, PartFactory
@@ -117,7 +117,7 @@ class LayerActor:
 
     def __init__(self, parts: PartFactory, awaited: bool) -> None:
         limit_process()
-        look_round_seldom()
+        relax_thread_timers()
         with stepping_back(awaited=awaited):
             parts.warm_layer()
         settle_memory()
@@ -126,19 +126,19 @@ class LayerActor:
         self._work: LayerWork | None = None
         self._writer = StateWriter()
 
-    def assign(self, run: int, config: Config) -> ChannelOffer:
+    def assign(self, run: int, config: Config) -> ChannelAddress:
         """Be a layer of a stream, whichever its segmenter says.
 
         Returns
         -------
-        ChannelOffer
+        ChannelAddress
             Of the channel through which the layer and its steps are to come.
         """
         self._run = run
         self._config = config
         self._memory = SharedMemory()
-        self._channel = OfferedChannel()
-        return self._channel.offer
+        self._channel = ChannelListener()
+        return self._channel.address
 
     def serve(self, run: int) -> None:
         """Do the steps that come, and save the state where that is asked for, until no more can come."""
@@ -150,21 +150,21 @@ class LayerActor:
         """Become a layer, which goes on where the segmenter has left it."""
         own = start.own
         part = self._parts.layer(self._config, own.layer, own.kind)
-        part.state = self._memory.taken(start.state).state(type(part.state))
+        part.state = self._memory.load(start.state).state(type(part.state))
         self._work = LayerWork(own, part, self._memory)
 
     def step(self, step: LayerStep) -> Shared[LayerPosterior]:
         """See :meth:`LayerWork.step`."""
         assert self._work is not None  # begun
-        evidence, frame = self._memory.taken(step.evidence), self._memory.taken(step.frame)
-        previous = None if step.previous is None else self._memory.taken(step.previous)
+        evidence, frame = self._memory.load(step.evidence), self._memory.load(step.frame)
+        previous = None if step.previous is None else self._memory.load(step.previous)
         assert frame.image is not None  # a quarantined frame has no evidence
         return self._memory.share(self._work.step(evidence, frame.image, previous), step.answer)
 
-    def save(self, note: SaveState) -> None:
+    def save(self, message: SaveState) -> None:
         """Write the state, beside the work on the next frames."""
         assert self._work is not None  # begun
-        self._writer.write(self._work.saved(), note.folder)
+        self._writer.write(self._work.saved(), message.folder)
 
     def release(self, run: int) -> None:
         """Forget the layer, and with it its memory."""

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mlbs_actors.actors.ipc.channels import Channel, ChannelOffer, take
+from mlbs_actors.actors.ipc.channels import Channel, ChannelAddress, connect
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layer_actor import LayerStep, LayerWork
@@ -25,7 +25,7 @@ from mlbs_actors.messages import (
     LayerAppearance,
     LayerPosterior,
     Segmentation,
-    received,
+    readonly,
 )
 from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.state_file import read_state
@@ -63,14 +63,14 @@ class AssignedProcess:
     Attributes
     ----------
     layer : int
-    offer : ChannelOffer
+    address : ChannelAddress
         Of the process.
     state : Slot
         For the layer's state on its way there.
     """
 
     layer: int
-    offer: ChannelOffer
+    address: ChannelAddress
     state: Slot
 
 
@@ -110,7 +110,7 @@ class LayersAtWork:
             if own.layer not in self._here and own.layer not in self._elsewhere:
                 self._begin(SavedLayer(own.layer, own.kind, -1))
         for one in assigned:
-            channel = self._elsewhere[one.layer] = take(one.offer)
+            channel = self._elsewhere[one.layer] = connect(one.address)
             channel.send(self._here.pop(one.layer).hand_over(one.state))
 
     def step(
@@ -137,13 +137,13 @@ class LayersAtWork:
                 wanted = appearance if layer == BACKGROUND else None
                 self._elsewhere[layer].send(LayerStep(*where, answer, wanted))
         posteriors = {
-            layer: received(self._here[layer].step(frame.evidence, frame.image, frame.previous))
+            layer: readonly(self._here[layer].step(frame.evidence, frame.image, frame.previous))
             for layer in answers
             if layer in self._here
         }
         for layer in answers:
             if layer in self._elsewhere:
-                posteriors[layer] = self._memory.taken(self._elsewhere[layer].receive())
+                posteriors[layer] = self._memory.load(self._elsewhere[layer].receive())
         return [posteriors[layer] for layer in answers]
 
     def appearance(self, layer: int, slot: Slot) -> Shared[LayerAppearance]:
@@ -160,10 +160,10 @@ class LayersAtWork:
             if layer in self._elsewhere:
                 self._elsewhere.pop(layer).close()
 
-    def save(self, note: SaveState) -> dict[str, object]:
+    def save(self, message: SaveState) -> dict[str, object]:
         """Have the processes write their layers' states; return those of the others by their files."""
         for channel in self._elsewhere.values():
-            channel.send(note)
+            channel.send(message)
         return {name: state for work in self._here.values() for name, state in work.saved().items()}
 
     def close(self) -> None:

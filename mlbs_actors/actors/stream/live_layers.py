@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import ray
 
-from mlbs_actors.actors.ipc.channels import ChannelOffer
+from mlbs_actors.actors.ipc.channels import ChannelAddress
 from mlbs_actors.actors.node.processes import Handle, Reference, identity
 from mlbs_actors.actors.stream.saved_states import SavedLayer
 from mlbs_actors.config import Config
@@ -80,12 +80,12 @@ class LiveLayers:
         self._living = {own.layer: _Living(own.kind, own.last_frame) for own in layers}
         self._begun = True
 
-    def follow(self, evidence: FrameEvidence) -> tuple[tuple[int, ChannelOffer], ...]:
+    def follow(self, evidence: FrameEvidence) -> tuple[tuple[int, ChannelAddress], ...]:
         """Give the retired layers' processes back, and take those that there are for layers without one.
 
         Returns
         -------
-        tuple of (int, ChannelOffer)
+        tuple of (int, ChannelAddress)
             The layers that have a process from this frame on, and the channels of these.
 
         Raises
@@ -105,7 +105,7 @@ class LiveLayers:
         for layer in list(self._living):
             self._release(layer)
 
-    def _assigned(self, evidence: FrameEvidence) -> Iterator[tuple[int, ChannelOffer]]:
+    def _assigned(self, evidence: FrameEvidence) -> Iterator[tuple[int, ChannelAddress]]:
         # Of those that do this frame: by their answer it is known that they have read the state they got.
         waiting = deque(own.layer for own in evidence.tracks if self._living[own.layer].process is None)
         awaited = 0 if self._begun else min(len(waiting), _FIRST_LAYERS)
@@ -113,12 +113,12 @@ class LiveLayers:
         while len(self._asked) < min(len(waiting), max(awaited, 1)):
             self._asked.append(self._pool.acquire.remote(self._run, self._config, awaited=awaited > 0))
         while self._asked and (awaited or _is_there(self._asked[0])):
-            process, offer = ray.get(self._asked.popleft())
+            process, address = ray.get(self._asked.popleft())
             if waiting:
                 layer = waiting.popleft()
                 self._living[layer].process = process
                 self._living[layer].served = process.serve.remote(self._run)
-                yield layer, offer
+                yield layer, address
             else:  # who it was asked for has retired, or sleeps
                 self._give_back(process)
             awaited = max(awaited - 1, 0)

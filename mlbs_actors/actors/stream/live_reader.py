@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import ray
 from ray.exceptions import GetTimeoutError
 
-from mlbs_actors.actors.ipc.channels import ChannelOffer, OfferedChannel
+from mlbs_actors.actors.ipc.channels import ChannelAddress, ChannelListener
 from mlbs_actors.actors.ipc.shared_memory import SharedMemory, Slot, SlotPool
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import Handle
 from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourcePosition, SourceSilence
 from mlbs_actors.actors.stream.reader import LEAST_ASKED, Answer, ReadAhead, ReadNext, answer
@@ -99,7 +99,7 @@ class LiveReaderActor:
 
     def __init__(self, open_reader: Callable[[], FrameReader]) -> None:
         limit_process()
-        look_round_seldom()
+        relax_thread_timers()
         self._open_reader = open_reader
         self._reader: FrameReader | None = None
         self._ring = FrameRing()
@@ -108,32 +108,32 @@ class LiveReaderActor:
         self._position = SourcePosition()
         self._lag: float | None = None  # of the source's times behind those of the stream, s
 
-    def go_on(self, position: SourcePosition) -> ChannelOffer:
+    def go_on(self, position: SourcePosition) -> ChannelAddress:
         """Give what comes after ``position`` to a new start of the stream, through the channel returned."""
-        self._channel, self._memory, self._row = OfferedChannel(), SharedMemory(), position.rows
+        self._channel, self._memory, self._row = ChannelListener(), SharedMemory(), position.rows
         if not self._ring.first <= position.rows <= self._ring.next:
             self._position = position
             self._ring.begin_at(position.rows)
             self._ring.append(SourceFrame(position.rows, None, position.pts, _name(position.rows), "gap"))
-        return self._channel.offer
+        return self._channel.address
 
     def serve(self) -> None:
         """Do what that start asks for, until no more can come; raises SourceError."""
         self._channel.serve(self._answers)
 
-    def read(self, note: ReadNext) -> Answer:
+    def read(self, message: ReadNext) -> Answer:
         """Return the next row, or that there is none at present; raises SourceError.
 
         A picture is a copy of what the ring keeps. If nothing fresh is asked for, None once all is given that
         was given before.
         """
         if self._row == self._ring.next:
-            said = self._ask_source() if note.fresh else None
+            said = self._ask_source() if message.fresh else None
             if not isinstance(said, SourceFrame):
                 return said
             self._ring.append(self._placed(said))
         self._row += 1
-        return answer(self._ring[self._row - 1], note.slot, self._memory)
+        return answer(self._ring[self._row - 1], message.slot, self._memory)
 
     def forget(self, rows: int) -> None:
         """Forget what is before a snapshot after so many rows."""
@@ -148,11 +148,11 @@ class LiveReaderActor:
         if self._reader is not None:
             self._reader.close()
 
-    def _answers(self, note: ReadNext | Forget) -> Iterator[Answer]:
-        if isinstance(note, Forget):
-            self.forget(note.rows)
+    def _answers(self, message: ReadNext | Forget) -> Iterator[Answer]:
+        if isinstance(message, Forget):
+            self.forget(message.rows)
         else:
-            yield self.read(note)
+            yield self.read(message)
 
     def _ask_source(self) -> SourceFrame | SourceSilence | None:
         try:

@@ -98,12 +98,12 @@ class SourceSilence:
     ----------
     state : {"stalled", "reconnecting"}, optional
         None if that is nothing unusual.
-    note : str, optional
+    reason : str, optional
         A sentence for the user, without credentials.
     """
 
     state: Literal["stalled", "reconnecting"] | None
-    note: str | None = None
+    reason: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

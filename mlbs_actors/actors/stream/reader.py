@@ -11,9 +11,15 @@ from typing import NoReturn, TypeAlias
 import ray
 from ray.exceptions import GetTimeoutError
 
-from mlbs_actors.actors.ipc.channels import Channel, ChannelClosedError, ChannelOffer, OfferedChannel, take
+from mlbs_actors.actors.ipc.channels import (
+    Channel,
+    ChannelAddress,
+    ChannelClosedError,
+    ChannelListener,
+    connect,
+)
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, Reference
 from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.determinism import limit_process
@@ -58,27 +64,27 @@ class ReaderActor:
 
     def __init__(self, open_reader: Callable[[], FrameReader]) -> None:
         limit_process()
-        look_round_seldom()
+        relax_thread_timers()
         self._open_reader = open_reader
         self._reader: FrameReader | None = None
         self._memory = SharedMemory()
-        self._channel = OfferedChannel()
+        self._channel = ChannelListener()
 
-    def offer(self) -> ChannelOffer:
+    def address(self) -> ChannelAddress:
         """Return the channel through which the stream asks for its frames."""
-        return self._channel.offer
+        return self._channel.address
 
     def serve(self) -> None:
         """Do what is asked for, until no more can come; raises SourceError."""
         self._channel.serve(self._answers)
 
-    def read(self, note: ReadNext) -> Answer:
+    def read(self, message: ReadNext) -> Answer:
         """Return the next frame or that there is none at present, None at the end; raises SourceError."""
-        return answer(self._next(), note.slot, self._memory)
+        return answer(self._next(), message.slot, self._memory)
 
-    def skip(self, note: Skip) -> None:
+    def skip(self, message: Skip) -> None:
         """Read frames and throw them away, and what comes between them; raises SourceError."""
-        for _ in range(note.frames):
+        for _ in range(message.frames):
             while isinstance(self._next(), SourceSilence):
                 continue
 
@@ -91,12 +97,12 @@ class ReaderActor:
         if self._reader is not None:
             self._reader.close()
 
-    def _answers(self, note: ReadNext | Skip) -> Iterator[Answer]:
-        if isinstance(note, Skip):
-            self.skip(note)
+    def _answers(self, message: ReadNext | Skip) -> Iterator[Answer]:
+        if isinstance(message, Skip):
+            self.skip(message)
             yield None
         else:
-            yield self.read(note)
+            yield self.read(message)
 
     def _next(self) -> SourceFrame | SourceSilence | None:
         if self._reader is None:
@@ -136,7 +142,7 @@ class ReadAhead:
 
     def begin(self) -> None:
         """Have the reader serve, before the first :meth:`next`; raises as that does."""
-        self._serve(ray.get(self._reader.offer.remote()))
+        self._serve(ray.get(self._reader.address.remote()))
 
     def skip(self, frames: int) -> None:
         """Pass over frames, before the first :meth:`next`; raises as that does."""
@@ -159,8 +165,8 @@ class ReadAhead:
         slot = self._asked.popleft()
         said = self._receive()
         if isinstance(said, Shared):
-            return said, self._memory.taken(said)
-        self._slots.give_back([slot])
+            return said, self._memory.load(said)
+        self._slots.release([slot])
         if said is None:
             self.stop()
             return None
@@ -194,9 +200,9 @@ class ReadAhead:
     def forget(self, rows: int) -> None:
         """Note that nobody will go back to before so many rows."""
 
-    def _serve(self, offer: ChannelOffer) -> None:
+    def _serve(self, address: ChannelAddress) -> None:
         with suppress(ChannelClosedError):
-            self._channel = take(offer)
+            self._channel = connect(address)
         # Not before: a reader that outlives its stream must not wait for who never takes the channel.
         self._served: Reference = self._reader.serve.remote()
         if self._channel is None:
@@ -215,7 +221,7 @@ class ReadAhead:
         if len(self._asked) >= LEAST_ASKED:
             return
         while len(self._asked) < self._most_asked and self._left != 0:
-            slot = self._slots.take("frame")
+            slot = self._slots.acquire("frame")
             self._send(self._request(slot))
             self._asked.append(slot)
             if self._left is not None:
@@ -224,11 +230,11 @@ class ReadAhead:
     def _request(self, slot: Slot) -> ReadNext:
         return ReadNext(slot)
 
-    def _send(self, note: object) -> None:
+    def _send(self, message: object) -> None:
         assert self._channel is not None  # begun
         # Of a reader that is gone there may still be answers, and then the cause.
         with suppress(ChannelClosedError):
-            self._channel.send(note)
+            self._channel.send(message)
 
     def _receive(self) -> Answer:
         assert self._channel is not None  # begun

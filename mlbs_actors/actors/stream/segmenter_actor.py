@@ -13,9 +13,9 @@ from pathlib import Path
 
 import ray
 
-from mlbs_actors.actors.ipc.channels import Channel, ChannelOffer, OfferedChannel, take
+from mlbs_actors.actors.ipc.channels import Channel, ChannelAddress, ChannelListener, connect
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import Handle, Reference
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layers_at_work import AssignedProcess, LayersAtWork, SharedFrame
@@ -38,7 +38,7 @@ from mlbs_actors.messages import (
     LayerAppearance,
     LayerPosterior,
     Segmentation,
-    received,
+    readonly,
 )
 from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.state_file import read_state
@@ -106,20 +106,20 @@ class SegmenterActor:
 
     def __init__(self, parts: PartFactory, config: Config) -> None:
         limit_process()
-        look_round_seldom()
+        relax_thread_timers()
         self._segmenter = parts.segmenter(config)
         self._memory = SharedMemory()
         self._order = FrameOrder()
-        self._channel = OfferedChannel()
+        self._channel = ChannelListener()
         self._layers = LayersAtWork(parts, config, self._memory)
         # Those that others may still ask for: the layers the last one, the coordinator that before it.
         self._published: deque[Segmentation] = deque(maxlen=2)
         self._previous: Shared[Segmentation] | None = None
         self._writer = StateWriter()
 
-    def offer(self) -> ChannelOffer:
+    def address(self) -> ChannelAddress:
         """Return the channel through which the stream's work is to come."""
-        return self._channel.offer
+        return self._channel.address
 
     def restore(
         self, folder: Path, layers: Sequence[SavedLayer], slots: Sequence[Slot]
@@ -142,7 +142,7 @@ class SegmenterActor:
         self._layers.restore(layers, folder)
         self._segmenter.state = read_state(folder / SEGMENTER_FILE, type(self._segmenter.state))
         published = read_state(folder / PUBLISHED_FILE, PublishedState).segmentations
-        self._published.extend(map(received, published))
+        self._published.extend(map(readonly, published))
         self._order = FrameOrder(published[-1].frame_index if published else -1)
         shared = {
             one.frame_index: self._memory.share(one, slot)
@@ -164,16 +164,16 @@ class SegmenterActor:
         with self._order.step(evidence.frame_index, after=evidence.frame_index - 1):
             return self._segmenter.step(evidence, image, posteriors)
 
-    def _answers(self, note: FrameWork | Retirement | SaveState) -> Iterator[object]:
-        if isinstance(note, FrameWork):
-            yield self._labelled(note)
-        elif isinstance(note, Retirement):
-            self._layers.retire(note.layers)
+    def _answers(self, message: FrameWork | Retirement | SaveState) -> Iterator[object]:
+        if isinstance(message, FrameWork):
+            yield self._labelled(message)
+        elif isinstance(message, Retirement):
+            self._layers.retire(message.layers)
         else:
-            self.save(note)
+            self.save(message)
 
     def _labelled(self, work: FrameWork) -> LabelledFrame:
-        evidence, frame = self._memory.taken(work.evidence), self._memory.taken(work.frame)
+        evidence, frame = self._memory.load(work.evidence), self._memory.load(work.frame)
         assert frame.image is not None  # a quarantined frame has no evidence
         self._layers.follow(evidence, work.assigned)
         previous = self._published[-1] if self._published else None
@@ -182,15 +182,15 @@ class SegmenterActor:
         posteriors = self._layers.step(shared, answers, work.background)
         background = None if work.background is None else self._layers.appearance(BACKGROUND, work.background)
         segmentation = self.step(evidence, frame.image, posteriors)
-        self._published.append(received(segmentation))
+        self._published.append(readonly(segmentation))
         self._previous = self._memory.share(segmentation, work.answer)
         return LabelledFrame(evidence.frame_index, self._previous, background)
 
-    def save(self, note: SaveState) -> None:
+    def save(self, message: SaveState) -> None:
         """Have the layers write their states, and write the own one, beside the work on the next frames."""
         published = PublishedState(tuple(self._published))
         own = {SEGMENTER_FILE: self._segmenter.state, PUBLISHED_FILE: published}
-        self._writer.write(own | self._layers.save(note), note.folder)
+        self._writer.write(own | self._layers.save(message), message.folder)
 
 
 class Labelling:
@@ -217,7 +217,7 @@ class Labelling:
         self._segmenter = segmenter
         self._slots = slots
         self._in_use: deque[tuple[Slot, ...]] = deque()  # of the frames under way, and of the one before
-        self._offer: Reference = segmenter.offer.remote()
+        self._address: Reference = segmenter.address.remote()
         self._channel: Channel | None = None
         self.under_way = 0
 
@@ -232,9 +232,9 @@ class Labelling:
 
     def begin(self) -> None:
         """Have the segmenter serve; raises RayError. All other methods raise ChannelClosedError."""
-        offer = ray.get(self._offer)
+        address = ray.get(self._address)
         self.served = self._segmenter.serve.remote()
-        self._channel = take(offer)
+        self._channel = connect(address)
 
     def start(self, work: FrameWork) -> None:
         """Have the next frame labelled."""
@@ -259,7 +259,7 @@ class Labelling:
         labelled: LabelledFrame = self._opened.receive()
         self.under_way -= 1
         if len(self._in_use) > self.under_way + 1:
-            self._slots.give_back(self._in_use.popleft())
+            self._slots.release(self._in_use.popleft())
         return labelled
 
     def close(self) -> None:

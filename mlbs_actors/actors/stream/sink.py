@@ -11,7 +11,7 @@ import ray
 from ray.exceptions import RayError
 
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.process_memory import settle_memory
 from mlbs_actors.actors.node.processes import Handle, Reference
 from mlbs_actors.actors.stream.order import FrameOrder
@@ -83,7 +83,7 @@ class SinkActor:
 
     def __init__(self) -> None:
         limit_process()
-        look_round_seldom()
+        relax_thread_timers()
         self._records: dict[int, tuple[StreamSink, FrameOrder, SharedMemory]] = {}
 
     def open(self, run: int, open_sink: Callable[[], StreamSink]) -> Opening:
@@ -103,8 +103,8 @@ class SinkActor:
                 with order.step(row.index, after=row.index - 1):
                     committed = sink.gap(row.index, row.pts, row.status)
                 continue
-            segmentation, frame = memory.taken(row.segmentation), memory.taken(row.frame)
-            background = None if row.background is None else memory.taken(row.background)
+            segmentation, frame = memory.load(row.segmentation), memory.load(row.frame)
+            background = None if row.background is None else memory.load(row.background)
             with order.step(frame.index, after=frame.index - 1):
                 committed = sink.write(segmentation, frame, background)
         return committed
@@ -162,9 +162,9 @@ class Record:
         self._batch: list[LabelRow | GapRow] = []
         self._pending: deque[tuple[Reference, list[LabelRow | GapRow]]] = deque()
         self._in_use: deque[tuple[Slot, ...]] = deque()  # of the label maps that were taken last
-        self._offered: deque[Snapshot] = deque(maxlen=_PENDING_SNAPSHOTS)
+        self._submitted: deque[Snapshot] = deque(maxlen=_PENDING_SNAPSHOTS)
         self._asked: tuple[Snapshot, Reference] | None = None
-        self._turn = 0
+        self._next_asked = 0
         self.committed = self.rows = self.label_maps = self.kept = 0
 
     def opening(self) -> Opening:
@@ -193,16 +193,16 @@ class Record:
         self._hand_over(LabelRow(segmentation, frame, background))
         self._hand_over_gaps()
 
-    def offer(self, snapshot: Snapshot) -> None:
+    def submit_snapshot(self, snapshot: Snapshot) -> None:
         """Have a snapshot kept once its files are there."""
-        self._offered.append(snapshot)
+        self._submitted.append(snapshot)
 
     def await_snapshot(self, seconds: float) -> None:
         """Wait until the newest snapshot is kept, but not longer than that; raises what a row raised."""
         deadline = time.monotonic() + seconds
         self.send()
         self.collect()
-        while self._offered and time.monotonic() < deadline:
+        while self._submitted and time.monotonic() < deadline:
             time.sleep(_LOOK_SECONDS)
             self.collect()
 
@@ -226,13 +226,13 @@ class Record:
             self._asked = None
             if ray.get(kept):
                 self.kept = snapshot.rows
-                if snapshot in self._offered:
-                    while self._offered.popleft() != snapshot:
+                if snapshot in self._submitted:
+                    while self._submitted.popleft() != snapshot:
                         continue
-        if self._offered and self._asked is None:
+        if self._submitted and self._asked is None:
             # In turn: the files of one may never come.
-            self._turn = (self._turn + 1) % len(self._offered)
-            snapshot = self._offered[self._turn]
+            self._next_asked = (self._next_asked + 1) % len(self._submitted)
+            snapshot = self._submitted[self._next_asked]
             self._asked = snapshot, self._sink.keep.remote(self._run, snapshot)
 
     def close(self, *, whole: bool) -> None:
@@ -278,4 +278,4 @@ class Record:
         self.committed = ray.get(answer)
         self._in_use.extend(row.slots for row in batch if isinstance(row, LabelRow))
         while len(self._in_use) > _READ_ROWS:
-            self._slots.give_back(self._in_use.popleft())
+            self._slots.release(self._in_use.popleft())

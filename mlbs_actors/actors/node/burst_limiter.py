@@ -17,12 +17,12 @@ from functools import partial
 from threading import Lock, Timer
 from typing import Any, TypeVar
 
-__all__ = ["Turns"]
+__all__ = ["BurstLimiter"]
 
 Answer = TypeVar("Answer")
 
 
-class Turns:
+class BurstLimiter:
     """Lets a number of calls be under way, and those that last; the others wait, in their order.
 
     Parameters
@@ -39,7 +39,7 @@ class Turns:
         self._waiting: deque[Callable[[], None]] = deque()
         self._lock = Lock()
 
-    def take(
+    def submit(
         self, begin: Callable[[], Future[Answer]], while_waiting: Callable[[], None] | None = None
     ) -> Future[Answer]:
         """Have ``begin`` called as soon as it is its turn; return what its future will have.
@@ -50,23 +50,23 @@ class Turns:
         answer: Future[Answer] = Future()
 
         def start() -> None:
-            turn = _Turn(self._pass_on, self._patience)
+            running = _Running(self._pass_on, self._patience)
             try:
                 begun = begin()
             except Exception as error:
                 answer.set_exception(error)
-                turn.end()
+                running.end()
             else:
-                begun.add_done_callback(partial(end, turn))
+                begun.add_done_callback(partial(end, running))
 
-        def end(turn: _Turn, begun: Future[Any]) -> None:
+        def end(running: _Running, begun: Future[Any]) -> None:
             # First the answer: it must not be lost where the next call cannot begin.
             error = begun.exception()
             if error is None:
                 answer.set_result(begun.result())
             else:
                 answer.set_exception(error)
-            turn.end()
+            running.end()
 
         with self._lock:
             if self._free == 0:
@@ -87,7 +87,7 @@ class Turns:
         following()
 
 
-class _Turn:
+class _Running:
     """A turn that has begun. It is passed on once: at its end, or when it has lasted too long."""
 
     def __init__(self, pass_on: Callable[[], None], patience: float) -> None:
