@@ -102,7 +102,7 @@ def _continued(gray: Array) -> Array:
 
 
 def resized_flow(flow: Array, shape: tuple[int, int]) -> Array:
-    """Resize flow planes (2, h, w) to another grid, in px of that; return them as they are if it is theirs."""
+    """Resize flow planes (2, h, w) to another grid, in px of that; the same array if the grid is the same."""
     _, height, width = flow.shape
     if shape == (height, width):
         return flow
