@@ -1,8 +1,8 @@
-"""The layers of a stream as its segmenter has them: each in a process of its own, or in the segmenter's.
+"""The layers of a stream as its segmenter runs them: in the segmenter's process, or each in its own.
 
-A layer begins in the segmenter's process and moves to its own when it has one. To wait for that at a birth
-could hold up the stream by seconds: a process takes a second or two of CPU time until it is ready, and in a
-crowd dozens are born within seconds. What a layer answers does not depend on where it works.
+A layer begins in the segmenter's process and moves to its own when it has one. Waiting for that at a birth
+could hold up the stream by seconds: a process needs a second or two of CPU time until it is ready, and in a
+crowd dozens are born within seconds. A layer's results do not depend on where it runs.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = ["AssignedProcess", "LayersAtWork", "SharedFrame"]
 
 @dataclass(frozen=True, slots=True)
 class SharedFrame:
-    """A frame as its segmenter has it, and where its layers find it.
+    """A frame in the segmenter's process, and the references for its layers.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class SharedFrame:
     previous : Segmentation or None
         Published result of the frame before.
     where_evidence, where_frame, where_previous : Shared
-        The same; ``where_previous`` None if there is none.
+        References to these; ``where_previous`` None if there is none.
     """
 
     evidence: FrameEvidence
@@ -58,7 +58,7 @@ class SharedFrame:
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class AssignedProcess:
-    """A layer that has a process of its own from now on.
+    """A process newly assigned to a layer.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class AssignedProcess:
     address : ChannelAddress
         Of the process.
     state : Slot
-        For the layer's state on its way there.
+        For moving the layer's state there.
     """
 
     layer: int
@@ -99,7 +99,7 @@ class LayersAtWork:
             part.state = read_state(folder / layer_file(own.layer), type(part.state))
 
     def follow(self, evidence: FrameEvidence, assigned: Sequence[AssignedProcess]) -> None:
-        """Begin the layers that are new with a frame, then have some move to their processes.
+        """Create the layers that are new with a frame, then move some to their processes.
 
         Raises
         ------
@@ -116,7 +116,7 @@ class LayersAtWork:
     def step(
         self, frame: SharedFrame, answers: Mapping[int, Slot], appearance: Slot | None
     ) -> list[LayerPosterior]:
-        """Have layers do a frame beside each other, those of this process one after the other meanwhile.
+        """Have the layers process a frame in parallel; those of this process run one after the other.
 
         Parameters
         ----------
@@ -147,27 +147,27 @@ class LayersAtWork:
         return [posteriors[layer] for layer in answers]
 
     def appearance(self, layer: int, slot: Slot) -> Shared[LayerAppearance]:
-        """Return what a layer remembers whose last step wanted that."""
+        """Return the remembered colours of a layer whose last step requested them."""
         if layer in self._here:
             return self._here[layer].appearance(slot)
         appearance: Shared[LayerAppearance] = self._elsewhere[layer].receive()
         return appearance
 
     def retire(self, layers: Sequence[int]) -> None:
-        """Forget layers; their processes serve no more."""
+        """Drop layers; their processes stop serving."""
         for layer in layers:
             self._here.pop(layer, None)
             if layer in self._elsewhere:
                 self._elsewhere.pop(layer).close()
 
     def save(self, message: SaveState) -> dict[str, object]:
-        """Have the processes write their layers' states; return those of the others by their files."""
+        """Have the other processes write their layers' states; return the local ones by file."""
         for channel in self._elsewhere.values():
             channel.send(message)
         return {name: state for work in self._here.values() for name, state in work.saved().items()}
 
     def close(self) -> None:
-        """Let the processes serve no more."""
+        """Stop the other processes from serving."""
         for channel in self._elsewhere.values():
             channel.close()
 
