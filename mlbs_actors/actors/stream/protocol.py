@@ -218,8 +218,7 @@ class StreamSink(Protocol):
         """Register a snapshot to go back to; False if its files are not complete yet."""
 
     def provisional(self) -> None:
-        """Mark the label maps from here on as provisional: an interrupted stream lacked later frames for
-        them.
+        """Mark the label maps from here on as provisional: an interrupted stream lacked later frames.
 
         They are kept to be looked at; a stream that resumes replaces them.
         """
