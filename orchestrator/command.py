@@ -1,4 +1,4 @@
-"""The command as a whole: what it is given is checked, then run; an error ends in a sentence and a status."""
+"""The command as a whole: arguments are checked, then run; an error becomes a message and an exit status."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line: what may be asked for, and how it is refused."""
+"""The command line: options, and how wrong ones are refused."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["SAVABLE", "SAVED", "Arguments", "parse"]
 #: The parts of a record that ``--save`` can name.
 SAVABLE = ("masks", "parquet", "overlay", "background", "cutouts")
 
-#: What is written of them where it is not given.
+#: The default of ``--save``.
 SAVED = SAVABLE[:3]
 
 #: Least ``--max-side``, px: in smaller pictures there is hardly a trajectory.
@@ -64,7 +64,7 @@ exit status:
 
 @dataclass(frozen=True, slots=True)
 class Arguments:
-    """What the user asked for.
+    """The options of the command.
 
     Attributes
     ----------
@@ -79,18 +79,18 @@ class Arguments:
     address : str, optional
         Ray cluster to join; None for one of this run's own.
     resume : bool
-        Go on with the run in ``output``.
+        Continue the run in ``output``.
     save : frozenset of str
         Parts of :data:`SAVABLE`.
     monitor : MonitorAddress, optional
         Where to serve the live page.
     ray_metrics : int, optional
-        Port of this machine where Ray gives the figures of the streams to a Prometheus; 0 for those of the
+        Port of this machine where Ray exports the figures of the streams to Prometheus; 0 for the port of the
         cluster at ``address``.
     max_frames : int, optional
         Frames to read of each stream.
     max_side : int, optional
-        Longest side of the pictures that are worked on, px.
+        Longest side of the pictures that are processed, px.
     watch : bool
         Whether the list is read again when it changes.
     """
@@ -109,7 +109,7 @@ class Arguments:
     watch: bool
 
     def command(self, output: str) -> list[str]:
-        """The words that ask for the same from any folder, with another folder for the results."""
+        """Return the arguments that start the same run from any folder, with another output folder."""
         words = [
             sys.executable,
             "-m",
@@ -141,7 +141,7 @@ def parse(argv: Sequence[str]) -> Arguments:
     Raises
     ------
     ConfigError
-        If something is asked for that does not exist, or not yet.
+        If an option or value is not supported.
     SystemExit
         From argparse: 0 after ``--help``, 2 if the arguments do not fit the usage.
     """

@@ -14,7 +14,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopAtOnce(BaseException):
-    """Raised in the main thread by the second signal. No ``except Exception`` may hold it up.
+    """Raised in the main thread by the second signal. No ``except Exception`` may catch it.
 
     Attributes
     ----------
@@ -28,14 +28,14 @@ class StopAtOnce(BaseException):
 
 
 class Interruption:
-    """Notes the first signal while its ``with`` block runs; must be entered after ``ray.init``.
+    """Records the first signal while its ``with`` block runs; must be entered after ``ray.init``.
 
     Ray replaces the handler of SIGTERM when it starts. The handlers found on entry are restored on exit.
 
     Attributes
     ----------
     signal_number : int, optional
-        The signal that came first, None as long as none came.
+        The signal that came first, if any.
     """
 
     def __init__(self) -> None:
@@ -64,8 +64,8 @@ class Interruption:
         self._heard.set()
 
     def _tell(self) -> None:
-        # In a thread of its own: a signal may come in the middle of a print, and what does not go through
-        # one is drawn over by a live table.
+        # In a thread of its own: a signal may come in the middle of a print, and a live table overwrites
+        # everything that is not printed through its console.
         self._heard.wait()
         if self.signal_number is not None:
             print(

@@ -152,7 +152,8 @@ class EngineParts:
 def _one_at_a_time(warmed: str) -> Iterator[None]:
     """Wait for this user's other processes of this installation that compile the same kernels.
 
-    If the lock fails, only time is lost. Low-priority processes have a lock of their own, so that others never wait for them.
+    If the lock fails, only time is lost. Low-priority processes have a lock of their own, so that others never
+    wait for them.
     """
     rank = "-idle" if os.sched_getscheduler(0) == os.SCHED_IDLE else ""
     installation = zlib.crc32(str(Path(__file__).resolve()).encode())

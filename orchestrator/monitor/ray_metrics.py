@@ -1,4 +1,4 @@
-"""The figures of the streams told to Ray's own metrics, which its exporter gives to a Prometheus."""
+"""The metrics of the streams reported through Ray, whose exporter serves them to Prometheus."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from orchestrator.run.stream_state import StreamState
 
 __all__ = ["RayMetrics"]
 
-#: Ray takes no 0, but a counter must be there before it counts, or nobody sees it begin. A sum loses this.
+#: Replaces 0, which Ray drops: a counter must exist before it counts. It does not affect sums.
 _NOTHING = sys.float_info.min
 
 
@@ -31,12 +31,12 @@ class RayMetrics:
         self._told: dict[str, StreamState] = {}
 
     def update(self, states: Sequence[StreamState]) -> None:
-        """Tell what has changed."""
+        """Report changes."""
         for state in states:
             if self._told.get(state.name) != state:
                 self._tell(state)
         for name in self._told.keys() - {state.name for state in states}:
-            # Ray goes on exporting whatever it was told of a stream that is no more.
+            # Ray would keep exporting the last values of a stream that no longer exists.
             self._tell(StreamState(name))
             self._state.set(0, {"stream": name, "state": self._told.pop(name).state})
 
