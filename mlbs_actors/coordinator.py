@@ -1,7 +1,7 @@
 """The coordinator of one stream: follows trajectories, clusters them, and decides which layers live (§3, §4).
 
-:meth:`Coordinator.step` takes a frame through flow → trajectories → camera → affinities → labels →
-evidence for every layer.
+:meth:`Coordinator.step` takes a frame through flow → trajectories → camera → affinities → labels → evidence
+for every layer.
 
 Differs from the paper: the first frames, whose motion cannot be known yet, are held and labelled
 backwards along their trajectories once the first clustering is done, so that every frame gets its label

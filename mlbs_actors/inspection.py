@@ -39,9 +39,9 @@ class LayerInspection:
     region : Region
         Where it was evaluated.
     posterior : (region.height, region.width) float32
-        How likely a pixel was this layer's before the graph cut, in [0, 1]; constant in a cell.
-        Over the layers that were evaluated at a pixel they sum to 1, up to the quantisation of the costs;
-        outside all objects' regions the background's is 1.
+        How likely a pixel was this layer's before the graph cut, in [0, 1]; constant in a cell. Over the
+        layers that were evaluated at a pixel they sum to 1, up to the quantisation of the costs; outside all
+        objects' regions the background's is 1.
     """
 
     layer: int

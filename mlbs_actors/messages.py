@@ -7,9 +7,9 @@ The way of a frame::
                    │ segmentations up to t−2           │ segmentation of t−1      ▼
                    └───────────────────────────────────┴──── Segmentation ◄─ Segmenter.step
 
-Conventions: images are (H, W, 3) uint8 BGR; a pixel is (x right, y down); frame indices count from 0;
-a *motion* is backward: the displacement of a point of frame t to where it was in frame t−1, in px.
-A layer's id is never reused; id 0 is the background.
+Conventions: images are (H, W, 3) uint8 BGR; a pixel is (x right, y down); frame indices count from 0; a
+*motion* is backward: the displacement of a point of frame t to where it was in frame t−1, in px. A layer's id
+is never reused; id 0 is the background.
 """
 
 from __future__ import annotations
@@ -127,8 +127,7 @@ class FrameEvidence:
         Homography that takes homogeneous pixels of frame t to where they were in frame t−1 if they
         belong to the background.
     flow : (h, w, 2) float32
-        Dense backward flow t → t−1 of the frame's cells (:mod:`mlbs_actors.cells`), px.
-        Zeros for frame 0.
+        Dense backward flow t → t−1 of the frame's cells (:mod:`mlbs_actors.cells`), px. Zeros for frame 0.
     flow_reliable : (h, w) bool
         Where forward and backward flow agree.
     unexplained : (h, w) uint8
@@ -139,9 +138,9 @@ class FrameEvidence:
     positions, motions : (n, 2) float32
         Those of all layers' trajectories (:class:`LayerEvidence`), layer after layer.
     retired : tuple of int
-        Layers whose models end before this frame: those that were live in the last frame and are not
-        in this one (asleep or ended), and at the start of an epoch all, the background's too. Their processes
-        are free; a layer that wakes starts with a new model under its old id.
+        Layers whose models end before this frame: those that were live in the last frame and are not in this
+        one (asleep or ended), and at the start of an epoch all, the background's too. Their processes are
+        free; a layer that wakes starts with a new model under its old id.
     latency_frames : int
         How many frames later than its own decoding this frame's evidence was complete.
     stage_ms : mapping of str to float

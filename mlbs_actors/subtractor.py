@@ -56,8 +56,8 @@ class MultilayerSubtractor:
 
     flow : callable, optional
         Your own dense flow, in place of the configured one: maps two frames (H, W, 3) uint8 BGR to (H, W, 2)
-        float, the displacement of each pixel from the first to the second, px. It is called
-        twice a frame, once in each direction.
+        float, the displacement of each pixel from the first to the second, px. It is called twice a frame,
+        once in each direction.
 
     Raises
     ------

@@ -48,7 +48,7 @@ def run_command(argv: Sequence[str]) -> int:
     except StopAtOnce as stop:
         print(
             "Stopped at once; what was committed before is kept. "
-            "To go on, give the same command with --resume.",
+            "To continue, give the same command with --resume.",
             file=sys.stderr,
         )
         return 128 + stop.signal_number

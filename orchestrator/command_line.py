@@ -264,8 +264,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="go on with the run in DIR that was killed or interrupted; all else must be as it was, "
-        "without --watch; cameras go on after a row gap",
+        help="continue the run in DIR that was killed or interrupted; all other options must be the same, "
+        "without --watch; cameras continue after a row gap",
     )
     parser.add_argument(
         "--save",
@@ -278,8 +278,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs="?",
         const="",
         metavar="[HOST:]PORT",
-        help="serve a live page on this machine, and figures for a Prometheus at /metrics there; at another "
-        "HOST whoever looks must know the token in the "
+        help="serve a live page on this machine, and figures for Prometheus at /metrics there; at another "
+        "HOST viewers need the token in the "
         f"environment variable {TOKEN_VARIABLE} (default PORT: any that is free)",
     )
     parser.add_argument(
@@ -287,8 +287,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs="?",
         const="",
         metavar="PORT",
-        help="let Ray give the figures of every stream to a Prometheus at this PORT of this machine; with "
-        "--address, without PORT, at those of the cluster; needs pip install 'mlbs-actors[ray-metrics]'",
+        help="export the figures of every stream through Ray to Prometheus, at PORT of this machine; with "
+        "--address, without PORT, with those of the cluster; needs pip install 'mlbs-actors[ray-metrics]'",
     )
     parser.add_argument(
         "--max-frames", type=_positive, metavar="N", help="stop each stream after its first N frames"
@@ -297,13 +297,13 @@ def _parser() -> argparse.ArgumentParser:
         "--max-side",
         type=_side,
         metavar="N",
-        help="shrink pictures whose longer side has more than N px for the work; all results come in full "
-        "size, with outlines as coarse as the smaller picture (default: work on them as they are)",
+        help="process pictures shrunk to N px on the longer side; all results have full "
+        "size, with outlines as coarse as the smaller picture (default: process them as they are)",
     )
     parser.add_argument(
         "--watch",
         action="store_true",
         help="read the list again whenever it changes: new names start, removed ones are finished, bad lines "
-        "are told and ignored until they are mended; the run goes on until a signal",
+        "are reported and ignored until they are corrected; the run continues until a signal",
     )
     return parser

@@ -40,12 +40,12 @@ class Interruption:
 
     def __init__(self) -> None:
         self.signal_number: int | None = None
-        self._heard = threading.Event()
-        self._teller = threading.Thread(target=self._tell, daemon=True)
+        self._received = threading.Event()
+        self._announcer = threading.Thread(target=self._announce, daemon=True)
         self._found: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Interruption:
-        self._teller.start()
+        self._announcer.start()
         self._found = {number: signal.signal(number, self._receive) for number in _SIGNALS}
         return self
 
@@ -54,19 +54,19 @@ class Interruption:
     ) -> None:
         for number, handler in self._found.items():
             signal.signal(number, handler)
-        self._heard.set()
-        self._teller.join()
+        self._received.set()
+        self._announcer.join()
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
         if self.signal_number is not None:
             raise StopAtOnce(self.signal_number)
         self.signal_number = number
-        self._heard.set()
+        self._received.set()
 
-    def _tell(self) -> None:
+    def _announce(self) -> None:
         # In a thread of its own: a signal may come in the middle of a print, and a live table overwrites
         # everything that is not printed through its console.
-        self._heard.wait()
+        self._received.wait()
         if self.signal_number is not None:
             print(
                 "Finishing what was read; a second signal ends the run at once.", file=sys.stderr, flush=True

@@ -109,8 +109,8 @@ def _remove(scratch: Path) -> None:
 def _new_scratch() -> tuple[Path, int]:
     """Make a folder that belongs to this process while the returned descriptor is open.
 
-    Another run that begins at the same moment may find the folder not locked yet and remove it
-    at any point between these lines; then it is made again.
+    Another run that begins at the same moment may find the folder not locked yet and remove it at any point
+    between these lines; then it is made again.
     """
     while True:
         scratch = Path(tempfile.mkdtemp(prefix=_SCRATCH_PREFIX, dir=_SCRATCH_PARENT))

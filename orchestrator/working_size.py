@@ -1,8 +1,8 @@
 """Process smaller pictures, record in full size (``--max-side``).
 
 The reader passes a shrunk picture to the engine; before anything is written, the label map is enlarged to the
-size of the source by nearest neighbour, and the values of the tables are measured on
-that. Outlines are as coarse as the smaller picture.
+size of the source by nearest neighbour, and the values of the tables are measured on that. Outlines are as
+coarse as the smaller picture.
 """
 
 from __future__ import annotations

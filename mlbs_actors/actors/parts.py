@@ -129,8 +129,8 @@ class EngineParts:
     def warm_layer(self) -> None:
         """See :func:`mlbs_actors.warm_up.warm_layer`.
 
-        Processes of one machine do it one at a time: the first ever compiles and leaves its kernels on
-        disk; all others would compile the same.
+        Processes of one machine do it one at a time: the first ever compiles and leaves its kernels on disk;
+        all others would compile the same.
         """
         from mlbs_actors.warm_up import warm_layer
 
@@ -152,8 +152,8 @@ class EngineParts:
 def _one_at_a_time(warmed: str) -> Iterator[None]:
     """Wait for this user's other processes of this installation that compile the same kernels.
 
-    If the lock fails, only time is lost. Low-priority processes have a lock of their own, so that others never
-    wait for them.
+    If the lock fails, only time is lost. Low-priority processes have a lock of their own, so that others
+    never wait for them.
     """
     rank = "-idle" if os.sched_getscheduler(0) == os.SCHED_IDLE else ""
     installation = zlib.crc32(str(Path(__file__).resolve()).encode())

@@ -1,7 +1,7 @@
 """Streams on a node, as the driver sees them: started, asked for one burst after the other, stopped.
 
-No frames or results pass through here. The driver creates a stream's reader, segmenter and
-coordinator; the node's pool creates its layers.
+No frames or results pass through here. The driver creates a stream's reader, segmenter and coordinator; the
+node's pool creates its layers.
 """
 
 from __future__ import annotations

@@ -85,8 +85,8 @@ class FusedCosts:
     fallback : (h, w) int8
         log f, units of ``RATIO_STEP``.
     places : (K, 4) int64
-        Intersection of every layer's region with the box: first row, row past the last, first column,
-        column past the last.
+        Intersection of every layer's region with the box: first row, row past the last, first column, column
+        past the last.
     """
 
     cost: Array

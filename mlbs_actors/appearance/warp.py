@@ -13,11 +13,11 @@ keeps r(i) = j + r(j) − q. So what rounding loses in one frame is recovered in
 within about half a pixel of its point for ever (and within ``MAX_MISS_PX`` always), while rounding alone
 drifts by up to half a pixel a frame and bilinear resampling blurs a little more every frame.
 
-Differs from the paper: the paper's a_t(i) = a_{t−1}(φ(i, μ_i)) does not say how φ's fraction is treated.
-A pixel whose source lies outside the old region has no stack, and a neutral prior; a map's pixels outside
-the old region count as neutral in the interpolation, so that the warped map has no edge there.
-The prior is resampled every frame and so blurs by a fraction of a pixel; it is recomputed from the posterior
-of every frame, which restores its edges.
+Differs from the paper: the paper's a_t(i) = a_{t−1}(φ(i, μ_i)) does not say how φ's fraction is treated. A
+pixel whose source lies outside the old region has no stack, and a neutral prior; a map's pixels outside the
+old region count as neutral in the interpolation, so that the warped map has no edge there. The prior is
+resampled every frame and so blurs by a fraction of a pixel; it is recomputed from the posterior of every
+frame, which restores its edges.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A small graph that stands for a large one: nodes that clearly belong together are joined, pair by pair.
 
 Each round joins every node with the neighbour that it shares most of its affinity with, if both are tied to
-each other about as closely as to their closest neighbours. Joined nodes sum their edges, so a cut of
-the small graph has the same cost in the large one. Multilevel graph partitioning (Dhillon, Guan, Kulis, PAMI
+each other about as closely as to their closest neighbours. Joined nodes sum their edges, so a cut of the
+small graph has the same cost in the large one. Multilevel graph partitioning (Dhillon, Guan, Kulis, PAMI
 2007) is similar, but also joins across weak edges where nothing better is left; here that would hide the
 borders that are searched for.
 """

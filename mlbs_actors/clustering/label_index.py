@@ -36,11 +36,11 @@ def label_classes(labels: Array, left_out: Array) -> tuple[Array, Array]:
         Which to ignore.
 
     Returns
+    -------
     known : (k,) int64
         The distinct labels, ascending.
     classes : (n,) int64
         Index of each one's label in ``known``, −1 for those left out.
-        Where each one's label stands among them, −1 for those left out.
     """
     known = _known_labels(labels, left_out)
     classes = label_places(labels, known)

@@ -7,9 +7,9 @@ Two walks behind one option:
 * ``soft`` (the authors' program): every trajectory is decided again, Z = r (I − (1 − r) P)⁻¹ Y, r the
   restart probability, so that a wrong label heals when its neighbourhood disagrees.
 
-Differs from the paper: its (I − P_uu) is singular on a component without any labelled node; such nodes
-stay unlabelled (−1) here, and the caller decides whether they are a new object. The soft walk drops shares
-of a class that are too small to affect a decision.
+Differs from the paper: its (I − P_uu) is singular on a component without any labelled node; such nodes stay
+unlabelled (−1) here, and the caller decides whether they are a new object. The soft walk drops shares of a
+class that are too small to affect a decision.
 """
 
 from __future__ import annotations

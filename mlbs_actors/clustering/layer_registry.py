@@ -1,15 +1,14 @@
 """The life of layers: births, dormancy, return, retirement, and the cap (§4).
 
-Two things are kept apart here: a *label* is what a cluster of trajectories carries in the
-coordinator (0 the background, > 0 a layer, −1 none, < −1 a candidate on probation); a *layer id* is never
-reused and is what the label map shows. They differ for the objects past the cap, which share one
-layer "other".
+Two things are kept apart here: a *label* is what a cluster of trajectories carries in the coordinator (0 the
+background, > 0 a layer, −1 none, < −1 a candidate on probation); a *layer id* is never reused and is what the
+label map shows. They differ for the objects past the cap, which share one layer "other".
 
 Differs from the paper: it creates a layer whenever the N-cut splits a cluster and drops it with its last
 trajectory; here a split must last a few frames first. A part split off an object (a limb, a head, the body
 that rests while the head turns) stays with it for longer before it becomes an object of its own. A layer that
-loses its trajectories sleeps for a while and is woken when a new cluster of like colours appears where it
-is expected, and the number of layers is bounded.
+loses its trajectories sleeps for a while and is woken when a new cluster of like colours appears where it is
+expected, and the number of layers is bounded.
 """
 
 from __future__ import annotations
@@ -270,8 +269,8 @@ class LayerRegistry:
             The frame's colours there.
         frame_index : int
         published : collection of int
-            Layers that own pixels in the newest label map available. A layer with too few
-            trajectories stays awake on them for ``coast_frames``.
+            Layers that own pixels in the newest label map available. A layer with too few trajectories stays
+            awake on them for ``coast_frames``.
 
         Returns
         -------

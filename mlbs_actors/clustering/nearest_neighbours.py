@@ -1,7 +1,7 @@
 """The nearest trajectories of each, found in square cells.
 
-The result is that of a k-d tree (the tests compare), in a fifth of the time for a few thousand points, and
-of equally far points the first are taken. The distance that encloses the wanted number of points is found by
+The result is that of a k-d tree (the tests compare), in a fifth of the time for a few thousand points, and of
+equally far points the first are taken. The distance that encloses the wanted number of points is found by
 bisection, as counting is vectorised and sorting is not.
 """
 

@@ -220,8 +220,8 @@ def recursive_cut(
     clusters : (n,) int64
         Cluster of every node, 0 … C−1 by falling size; −1 for nodes in parts smaller than ``min_side``.
     firm : (C,) bool
-        Clusters in which certainly no cut has an N-cut value below ``FIRM`` times the threshold; not
-        tested for the larger side of a cut.
+        Clusters in which certainly no cut has an N-cut value below ``FIRM`` times the threshold; not tested
+        for the larger side of a cut.
     """
     pointers, neighbours, weights = affinity.indptr, affinity.indices, affinity.data
     labels = np.full(affinity.shape[0], -1, np.int64)

@@ -1,7 +1,7 @@
 """The motion of small patches of one level, by search and inverse-compositional descent.
 
-Patches on a grid start from the current flow or from that of a neighbour, whichever explains the
-image better, and descend from there. Each pixel then takes the mean motion of the patches over it, those that
+Patches on a grid start from the current flow or from that of a neighbour, whichever explains the image
+better, and descend from there. Each pixel then takes the mean motion of the patches over it, those that
 explain it well counting most (:mod:`mlbs_actors.flow.inverse_search` says where this comes from).
 """
 

@@ -52,8 +52,8 @@ class LabelCostEnergy(NamedTuple):
     side : int
         Side of the square cells whose pixels share their unary costs.
     extras : (n, 4) int64
-        Label, row, column, and an addition to that label's unary cost at that pixel alone; the label must
-        be allowed there.
+        Label, row, column, and an addition to that label's unary cost at that pixel alone; the label must be
+        allowed there.
     """
 
     unary: Array

@@ -1,7 +1,7 @@
 """The state of α-expansion: the labelling, and when each label was last expanded (§7).
 
-Differs from the paper: an expansion is repeated only where a pixel or a neighbour has changed since;
-the last one was the best there.
+Differs from the paper: an expansion is repeated only where a pixel or a neighbour has changed since; the last
+one was the best there.
 """
 
 from __future__ import annotations

@@ -47,10 +47,10 @@ MAX_SWEEPS = 10
 def minimise(whole: LabelCostEnergy, level: int = 0) -> Array:
     """Find a labelling that no α-expansion and no removal of a label improves.
 
-    Up to ``MOST_CUT_WHOLE[0]`` pixels with two labels it is a global optimum; with more labels no
-    expansion of the whole image lowers it, although only undecided pixels are cut (``persistency`` says why),
-    and of those only the components around which something has changed. A larger image is labelled coarse to
-    fine, close to that.
+    Up to ``MOST_CUT_WHOLE[0]`` pixels with two labels it is a global optimum; with more labels no expansion
+    of the whole image lowers it, although only undecided pixels are cut (``persistency`` says why), and of
+    those only the components around which something has changed. A larger image is labelled coarse to fine,
+    close to that.
 
     Parameters
     ----------

@@ -2,11 +2,11 @@
 Werneck, ESA 2011).
 
 A tree of unsaturated edges grows from the sink, level by level. Where it meets a pixel with excess from the
-source, that flows along the path, and nodes cut off by a saturated edge look for a new parent. The
-tree stays a breadth-first tree: a pixel never comes nearer to the sink again, and its parent lies one level
-nearer than it. So paths are short, and an orphan needs only a neighbour of that level, without the check of
-Boykov and Kolmogorov that the path from there leads to the sink. At the end the tree is the sink's side, and
-the smallest such set.
+source, that flows along the path, and nodes cut off by a saturated edge look for a new parent. The tree stays
+a breadth-first tree: a pixel never comes nearer to the sink again, and its parent lies one level nearer than
+it. So paths are short, and an orphan needs only a neighbour of that level, without the check of Boykov and
+Kolmogorov that the path from there leads to the sink. At the end the tree is the sink's side, and the
+smallest such set.
 
 Differs from the authors' program: no second tree grows from the source, as most pixels have a terminal edge
 of their own. And no edge is stored: pixels have eight neighbours, and the edge to the k-th is the reverse of

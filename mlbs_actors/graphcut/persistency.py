@@ -1,9 +1,9 @@
 """Partial optimality: decides most pixels of a label-cost energy before any graph is built.
 
 For E(L) = Σ_p U_p(l_p) + Σ_pq w_pq [l_p ≠ l_q] + Σ_k h_k δ_k(L), let pixel p's best label b beat every other
-label by ``gap``. Whatever its neighbours' labels, giving p the label b changes the pair terms by at most
-W_p = Σ_q w_pq, so with *margin* = gap − W_p > 0 the label b is better, except that b may not be in use and
-cost h_b. Hence:
+label by ``gap``. Whatever its neighbours' labels, giving p the label b changes the pair terms by at most W_p
+= Σ_q w_pq, so with *margin* = gap − W_p > 0 the label b is better, except that b may not be in use and cost
+h_b. Hence:
 
 * a label b is **certain** when the margins of the pixels that prefer b add up to more than h_b: a labelling
   without b would gain by giving all of them b at once, so every optimum uses b;
@@ -53,6 +53,7 @@ def prune(whole: LabelCostEnergy) -> tuple[Array, UndecidedEnergy]:
     labels : (H, W) int16
         Label position of the decided pixels, ``UNDECIDED`` elsewhere.
     rest : UndecidedEnergy
+        The energy of the others.
     """
     labels, certain = _decide(whole)
     return labels, undecided_energy(whole, labels, certain)
@@ -174,8 +175,8 @@ def movable(
     """Find the pixels that a best expansion of ``alpha`` may take, and the labels that it leaves in use.
 
     A pixel is left out when taking it costs more than its neighbours that can be at alpha, and the release of
-    its own label, can ever make up for: every move is better without it. Its neighbours then have one
-    less to count on and its label stays in use, so the test is repeated.
+    its own label, can ever make up for: every move is better without it. Its neighbours then have one less to
+    count on and its label stays in use, so the test is repeated.
 
     Parameters
     ----------

@@ -52,8 +52,8 @@ def row_room(width: int) -> Array:
 def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room: Array) -> None:
     """Interpolate colours in a part of an image's row, each less than 1 px off its pixel, inside the image.
 
-    All nine neighbours are weighted, most of them by 0: branch-free, and in the order of the row, this
-    takes a tenth of the time of reading the four that count.
+    All nine neighbours are weighted, most of them by 0: branch-free, and in the order of the row, this takes
+    a tenth of the time of reading the four that count.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Where a layer may learn the colours that it won, and how far an object extends from its trajectories (§6).
 
-A pixel that is labelled wrongly once, and learnt, would be attributed to the layer ever after; so only
-cells whose label is certain are learnt. Not in the paper.
+A pixel that is labelled wrongly once, and learnt, would be attributed to the layer ever after; so only cells
+whose label is certain are learnt. Not in the paper.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def object_support(
 ) -> tuple[Array, Array]:
     """Find where an object may learn, and how far its cells are from its trajectories.
 
-    Wrong labels near an outline must not be learnt: an object learns close to its own
-    trajectories, where the camera's motion fails to explain the image.
+    Wrong labels near an outline must not be learnt: an object learns close to its own trajectories, where the
+    camera's motion fails to explain the image.
 
     Parameters
     ----------

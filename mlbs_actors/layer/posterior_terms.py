@@ -66,8 +66,8 @@ class Prediction:
     prior : two (h, w) float32
         The last posterior as :func:`~mlbs_actors.appearance.warp.warp_map` returns it.
     away, advantage : (h, w) float32
-        For an object: how far from its trajectories each cell is, in [0, 1], and by how much its
-        motion explains the image better than the camera's, × noise. 0 for the background.
+        For an object: how far from its trajectories each cell is, in [0, 1], and by how much its motion
+        explains the image better than the camera's, × noise. 0 for the background.
     """
 
     cells: Region

@@ -6,8 +6,7 @@ of the Gaussian Markov random field of :mod:`mlbs_actors.motion_field.field`.
 
 With the nodes numbered along the grid's shorter side, all its elements, and those of its Cholesky factor, lie
 within that side's length w of the diagonal: LAPACK factorises it in O(long side · w³). The marginal
-variances, which loopy message passing would not give exactly, are the diagonal of A⁻¹, by selected
-inversion.
+variances, which loopy message passing would not give exactly, are the diagonal of A⁻¹, by selected inversion.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 Components are found by their runs (:mod:`mlbs_actors.segmentation.label_runs`).
 
-Differs from the authors' program, which publishes the raw map and learns from the cleaned one: here they
-are the same map. A component smaller than the limit goes to the neighbour with the longest common border;
-the largest component of a label is never a speck, so a small distant object survives.
+Differs from the authors' program, which publishes the raw map and learns from the cleaned one: here they are
+the same map. A component smaller than the limit goes to the neighbour with the longest common border; the
+largest component of a label is never a speck, so a small distant object survives.
 """
 
 from __future__ import annotations

@@ -69,8 +69,8 @@ class Proposals(NamedTuple):
     boxes : (K, 4) int64
         Of :func:`~mlbs_actors.segmentation.proposals.proposal_boxes`.
     tracks : (K, 2) int64
-        Which trajectories are each layer's: the first one, and the one past the last.
         First trajectory of each layer, and the one past its last.
+    ids : (K,) uint16
         Of the layers, the background first.
     corner : (x, y)
         Position of ``cost`` in the frame, cells.

@@ -1,9 +1,9 @@
 """Proposals: bounding boxes within which a layer can win pixels; the cut is restricted to them (§7).
 
 An object's region leaves room for its motion, and for parts of it that have no trajectory yet: four of five
-of its cells clearly belong to the background. A layer's proposal is the box around the cells
-where it costs less than the background or has a trajectory: inside it contrast can give an object cells where
-it does not cost least; larger boxes have not made label maps better. Outside all proposals is background.
+of its cells clearly belong to the background. A layer's proposal is the box around the cells where it costs
+less than the background or has a trajectory: inside it contrast can give an object cells where it does not
+cost least; larger boxes have not made label maps better. Outside all proposals is background.
 
 Differs from the paper, which labels the whole frame with all layers at once.
 """

@@ -2,8 +2,8 @@
 
 A layer other than the background owns nothing outside its region, so two objects can be neighbours only where
 their regions touch. Boxes around the regions, grown by the reach of a pixel pair and merged while any two
-overlap, hence split the energy into independent sums: each label cost belongs to one group and the
-background is free. Outside all boxes every pixel is background.
+overlap, hence split the energy into independent sums: each label cost belongs to one group and the background
+is free. Outside all boxes every pixel is background.
 
 Differs from the paper, which labels the whole frame with all layers at once.
 """
@@ -27,8 +27,8 @@ class RegionGroup:
 
     Attributes
     ----------
+    box : Region
         Around all of them with a margin of one pixel, clipped to the frame.
-        Around all of them and one pixel more on each side, as far as the frame goes.
     members : tuple of int
         Their positions in the given sequence, ascending.
     """

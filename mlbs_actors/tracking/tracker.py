@@ -69,8 +69,8 @@ def track(
     ----------
     before : TrajectoryState
         At the frame before.
+    background : (n,) bool
         Which of them determine the camera's motion.
-        Which of them tell the camera's motion.
     flow : DenseFlow or None
         Between the two frames; None in the first one.
     previous, gray : (h, w) uint8

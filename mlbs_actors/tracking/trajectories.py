@@ -1,7 +1,7 @@
 """Point trajectories on dense flow: advance and check (§3; Sundaram, Brox, Keutzer, ECCV 2010).
 
-Differs from the paper: a trajectory keeps a bounded number of motions; and a point is lost, too, where
-the image around it has changed, however well forward and backward flow agree
+Differs from the paper: a trajectory keeps a bounded number of motions; and a point is lost, too, where the
+image around it has changed, however well forward and backward flow agree
 (``TrajectoriesConfig.most_mismatch``).
 """
 
@@ -46,11 +46,11 @@ class TrajectoryState:
     motions : (n, 2) float32
         Backward motion t → t−1, px.
     residuals : (m, T, 2) float32
-        Backward motions less the camera's own motion, newest first, px. Zero past a
-        trajectory's age. Within a frame, until :func:`with_residuals`, those of the frame before.
+        Backward motions less the camera's own motion, newest first, px. Zero past a trajectory's age. Within
+        a frame, until :func:`with_residuals`, those of the frame before.
     rows : (n,) intp
-        Row of ``residuals`` that is each trajectory's: that array is by far the largest and is moved
-        once a frame. After :func:`with_residuals` 0 … n−1; −1 for one that has none yet.
+        Row of ``residuals`` that is each trajectory's: that array is by far the largest and is moved once a
+        frame. After :func:`with_residuals` 0 … n−1; −1 for one that has none yet.
     ages : (n,) int32
         How many of those motions are known, 0 … T.
     evidence : (n,) float32

@@ -1,7 +1,7 @@
 """All figures of one sequence, collected frame by frame: means by range of frames, and layers off the truth.
 
-Differs from the paper: it adds ``object_f`` and ``extra_layers``, which separate lost objects
-from layers that the truth does not have, and scores the frames of the start separately.
+Differs from the paper: it adds ``object_f`` and ``extra_layers``, which separate lost objects from layers
+that the truth does not have, and scores the frames of the start separately.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ METRICS = (
     Metric(
         "mlbs_stream_gaps_total",
         "counter",
-        "Times in which a camera sent nothing, was away, or nobody read it.",
+        "Times in which a camera sent nothing, was away, or was not read.",
         lambda s: s.gaps,
     ),
     Metric(

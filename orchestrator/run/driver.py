@@ -1,9 +1,9 @@
 """Drives all streams of a run: admits them, requests bursts of frames from each, ends them.
 
 The rules are pure functions (:mod:`orchestrator.run.stream_state`, :mod:`orchestrator.run.admission`); here
-is the loop that waits for the next event. Frames do not pass through it. One stream's failure ends
-that stream alone. A stream that lost a process, or hangs, is stopped and started again; it finds its last
-snapshot by itself.
+is the loop that waits for the next event. Frames do not pass through it. One stream's failure ends that
+stream alone. A stream that lost a process, or hangs, is stopped and started again; it finds its last snapshot
+by itself.
 """
 
 from __future__ import annotations

@@ -37,8 +37,8 @@ class ListWatch:
     """Finds the changes of a list of streams.
 
     A line that cannot be used is reported and changes nothing, nor does any name end while there is such a
-    line: it may be a misspelled one. A name stands for one source throughout the run, because its
-    folder has that source's results.
+    line: it may be a misspelled one. A name stands for one source throughout the run, because its folder has
+    that source's results.
 
     Parameters
     ----------

@@ -284,7 +284,7 @@ def _drive(
 def _not_to_be_resumed(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[str, StreamState]:
     """Select streams that are not resumed: those that ended, and cameras without a snapshot."""
     words = (
-        "This camera's stream has no snapshot to go on from; what was committed is kept. "
+        "This camera's stream has no snapshot to continue from; what was committed is kept. "
         "Start it anew in another folder."
     )
     states, left = folder.states(), {}
@@ -329,7 +329,7 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
     if any(state.interrupted for state in states):
         but = ", without --watch" if arguments.watch else ""
         given = f"--resume --output {shlex.quote(str(folder.path))}"
-        lines.append(f"To go on with what was interrupted, give the same command with {given}{but}.")
+        lines.append(f"To continue what was interrupted, give the same command with {given}{but}.")
     return "\n".join(lines)
 
 

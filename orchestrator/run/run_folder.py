@@ -74,7 +74,7 @@ class RunFolder:
         if os.path.lexists(self.path / "run.json"):
             raise ConfigError(
                 f"The output folder {self.path} holds a run already; "
-                "choose another one with --output, or go on with that run with --resume."
+                "choose another one with --output, or continue that run with --resume."
             )
         existing = next((name for name in names if os.path.lexists(self.path / name)), None)
         if existing is not None:

@@ -74,8 +74,8 @@ def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
     Raises
     ------
     ConfigError
-        If the file cannot be read, is too long, holds no stream, or has bad lines: then the message
-        names every one of them, and those whose source is missing.
+        If the file cannot be read, is too long, holds no stream, or has bad lines: then the message names
+        every one of them, and those whose source is missing.
     """
     streams, faults = parse_stream_list(path)
     if faults:
@@ -92,8 +92,8 @@ def parse_stream_list(path: Path) -> tuple[tuple[ListedStream, ...], dict[int, s
 
     Returns
     -------
+    streams : tuple of ListedStream
         Of the good lines.
-        Those of the good lines.
     faults : dict of int to str
         Number of each bad line → what is wrong with it, without credentials.
 

@@ -17,10 +17,10 @@ NEAR_PX = 8
 def background_plate(appearance: LayerAppearance, image: Array, labels: Array) -> Array:
     """Compose the plate of a frame.
 
-    A pixel's colour is the first of these that is known: the frame's own, if it is labelled background and
-    no object is near; the median of the background's remembered colours there; the frame's own,
-    if it is labelled background; the colour of the nearest pixel of these kinds. Only pixels filled in the
-    last way are transparent.
+    A pixel's colour is the first of these that is known: the frame's own, if it is labelled background and no
+    object is near; the median of the background's remembered colours there; the frame's own, if it is
+    labelled background; the colour of the nearest pixel of these kinds. Only pixels filled in the last way
+    are transparent.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """``commits.jsonl``: which frames of a stream are safely on the disk, and which process may add to it.
 
-Opening the log increments its *generation*. A surviving process of a killed run finds, before
-it commits, that there is a newer one, and is refused: checking and committing are done under one lock,
-which the system releases when a process dies.
+Opening the log increments its *generation*. A surviving process of a killed run finds, before it commits,
+that there is a newer one, and is refused: checking and committing are done under one lock, which the system
+releases when a process dies.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A colour for every layer id: light, and far from those of the other ids.
 
-The label maps keep the palette of the data sets, whose first colours are dark. Here an id's colour is
-the same in every picture of every run, and light enough to be seen on dark video; drawings on
-light video get a dark rim.
+The label maps keep the palette of the data sets, whose first colours are dark. Here an id's colour is the
+same in every picture of every run, and light enough to be seen on dark video; drawings on light video get a
+dark rim.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """The record of one stream, which survives a kill.
 
 Frames are collected in groups: the first :data:`FIRST_COMMIT` frames, so that there is soon something to see,
-then up to every multiple of :data:`GROUP_FRAMES`. A group is committed in this order: its files are
-written under temporary names, synced together, renamed, and then one line in ``commits.jsonl`` makes them
-count. The ends of groups depend on the frame's index alone, so the parts do not depend on the speed
-of the stream.
+then up to every multiple of :data:`GROUP_FRAMES`. A group is committed in this order: its files are written
+under temporary names, synced together, renamed, and then one line in ``commits.jsonl`` makes them count. The
+ends of groups depend on the frame's index alone, so the parts do not depend on the speed of the stream.
 
 An existing record is continued: rows that it already has are skipped when they come again.
 
@@ -109,8 +108,8 @@ class StreamRecord:
         before = self._snapshots.newest
         if not replayable and self._log.rows != (0 if before is None else before.rows):
             raise SinkError(
-                f"The stream in {folder} cannot go on: its last snapshot is missing or damaged, and a camera "
-                "shows nothing twice. What was committed is kept; begin anew in another folder."
+                f"The stream in {folder} cannot continue: its last snapshot is missing or damaged, and a "
+                "camera cannot be read twice. What was committed is kept; begin anew in another folder."
             )
         self.opening = Opening(self._snapshots.place, before)
         self._label_maps = 0 if before is None else before.label_maps

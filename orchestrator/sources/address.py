@@ -41,8 +41,8 @@ class SourceAddress:
     ----------
     kind : SourceKind
     location : str
-        Absolute path, or the whole URI. May contain a password, so it is not part of
-        ``repr``; show ``str(address)``, which hides it.
+        Absolute path, or the whole URI. May contain a password, so it is not part of ``repr``; show
+        ``str(address)``, which hides it.
     default_name : str
         Last part of the path, without extension, wildcards and credentials; may be invalid as a name.
     """

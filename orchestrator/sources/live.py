@@ -1,8 +1,8 @@
 """Network and local cameras: read at their own pace, reconnected when they go away.
 
-A thread receives the camera's pictures, and :meth:`LiveReader.read` returns them at the
-pipeline's pace. A silent or absent camera does not end its stream: ``read`` then reports that, at least
-once in :data:`_ANSWER_SECONDS`. Only a camera that never sent a picture is given up.
+A thread receives the camera's pictures, and :meth:`LiveReader.read` returns them at the pipeline's pace. A
+silent or absent camera does not end its stream: ``read`` then reports that, at least once in
+:data:`_ANSWER_SECONDS`. Only a camera that never sent a picture is given up.
 """
 
 from __future__ import annotations
@@ -127,13 +127,13 @@ class LiveReader:
         # The following is shared by the threads and only accessed with the condition held.
         self._buffer = LiveBuffer()
         self._time = LiveTime()
-        self._heard = clock()  # time of the camera's last sign of life
+        self._last_sign = clock()  # time of the camera's last sign of life
         self._delivered = False
         self._absence: str | None = "it was not connected yet"  # why there is no connection
         self._failures = 0
         self._failure: str | None = None
-        self._line = 0  # number of the thread that serves the camera
-        self._start_line()
+        self._newest = 0  # number of the thread that serves the camera
+        self._start_thread()
 
     @classmethod
     def of(cls, address: SourceAddress) -> LiveReader:
@@ -163,43 +163,43 @@ class LiveReader:
         """Release the camera; its thread ends when its call returns."""
         with self._changed:
             self._closed.set()
-            self._line += 1
+            self._newest += 1
             self._changed.notify_all()
 
     def _has_news(self) -> bool:
         return bool(self._buffer) or self._failure is not None or self._closed.is_set()
 
     def _silence(self) -> SourceSilence:
-        silent = self._clock() - self._heard
+        silent = self._clock() - self._last_sign
         if self._absence is None and silent > _HUNG_SECONDS:
             self._failures += 1
             self._absence = f"it was silent for {silent:.0f} s"
-            self._start_line()
+            self._start_thread()
         if self._absence is not None and self._failures:
             return SourceSilence("reconnecting", f"The camera {self._name} is away: {self._absence}.")
         if self._absence is None and silent > STALL_SECONDS:
             return SourceSilence("stalled", f"The camera {self._name} has been silent for {silent:.0f} s.")
         return SourceSilence(None)
 
-    def _start_line(self) -> None:
+    def _start_thread(self) -> None:
         """Start a new thread for the camera; a hanging one is ignored from now on."""
-        self._line += 1
-        threading.Thread(target=self._hold_line, args=(self._line,), daemon=True).start()
+        self._newest += 1
+        threading.Thread(target=self._keep_connected, args=(self._newest,), daemon=True).start()
 
-    def _hold_line(self, line: int) -> None:
+    def _keep_connected(self, number: int) -> None:
         """Connect and receive, repeatedly, until another thread takes over or the reader is closed."""
-        while self._speaks(line):
+        while self._is_current(number):
             connected = self._clock()
             try:
                 connection = self._connect()
-                lost = self._listen(line, connection)
+                lost = self._receive(number, connection)
             except SourceError as error:
                 lost = str(error).removeprefix(f"Cannot open {self._name}: ")
             except Exception as error:
                 # Only its type: its text may contain the address, and with it a password.
                 lost = f"it failed with {type(error).__name__}"
             with self._changed:
-                if line != self._line:
+                if number != self._newest:
                     return
                 lasted = self._delivered and self._clock() - connected >= _GOOD_SECONDS
                 self._failures = 1 if lasted else self._failures + 1
@@ -214,34 +214,34 @@ class LiveReader:
                 pause = retry_seconds(self._failures)
             self._sleep(pause)
 
-    def _listen(self, line: int, connection: Connection) -> str:
+    def _receive(self, number: int, connection: Connection) -> str:
         """Receive from one connection; return or raise why it ended."""
         with self._changed:
-            if line == self._line:
-                self._absence, self._heard = None, self._clock()
+            if number == self._newest:
+                self._absence, self._last_sign = None, self._clock()
                 self._time.reconnected()
         returned = self._delivered
         try:
             for picture in connection.pictures():
-                if not self._take(line, picture, returned):
+                if not self._take(number, picture, returned):
                     break
                 returned = False
         finally:
             connection.close()
         return "it ended the connection"
 
-    def _take(self, line: int, picture: Picture, returned: bool) -> bool:
+    def _take(self, number: int, picture: Picture, returned: bool) -> bool:
         with self._changed:
-            if line != self._line:
+            if number != self._newest:
                 return False
             now = self._clock()
-            if returned or (self._delivered and now - self._heard > STALL_SECONDS):
+            if returned or (self._delivered and now - self._last_sign > STALL_SECONDS):
                 self._buffer.gap(self._time.last)
             self._buffer.put(picture, self._time.of(picture.time, now))
-            self._heard, self._delivered = now, True
+            self._last_sign, self._delivered = now, True
             self._changed.notify_all()
             return True
 
-    def _speaks(self, line: int) -> bool:
+    def _is_current(self, number: int) -> bool:
         with self._changed:
-            return line == self._line
+            return number == self._newest

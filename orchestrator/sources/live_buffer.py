@@ -1,7 +1,7 @@
 """Pictures of a camera that have not been read yet: the newest ones, and a row for every other one.
 
-Pure: the time is an argument. Nothing is lost silently: a picture that was displaced
-is a row ``dropped``, a time without pictures a row ``gap``.
+Pure: the time is an argument. Nothing is lost silently: a picture that was displaced is a row ``dropped``, a
+time without pictures a row ``gap``.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class Picture:
 def retry_seconds(failures: int) -> float:
     """Return the time to wait before the next attempt to connect, s.
 
-    It doubles with every failure up to a bound, and is randomised, so that many cameras behind one
-    switch are not all tried at once.
+    It doubles with every failure up to a bound, and is randomised, so that many cameras behind one switch are
+    not all tried at once.
     """
     longest = min(_FIRST_RETRY_SECONDS * 2.0 ** min(failures - 1, 16), _LONGEST_RETRY_SECONDS)
     return random.uniform(0.5, 1.0) * longest

@@ -95,8 +95,8 @@ def image_folders_of(location: str) -> dict[str, Path]:
     Returns
     -------
     dict of str to Path
-        Match of the last wildcard for a folder → the folder, or the glob of its images; empty if the
-        location is no glob, or one of images in a single folder.
+        Match of the last wildcard for a folder → the folder, or the glob of its images; empty if the location
+        is no glob, or one of images in a single folder.
 
     Raises
     ------

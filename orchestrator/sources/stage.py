@@ -231,7 +231,7 @@ class Stage:
     def _maps(
         self, shape: tuple[int, int], centre: Array, rotation: Array | float, nearness: float, slope: float
     ) -> Array:
-        """Map texture px to image px: place in the world, shift by the camera with parallax, roll and zoom."""
+        """Map texture px to image px: place in the world, shift by the camera with parallax, roll, zoom."""
         to_units = np.diag([1 / self.unit, 1 / self.unit, 1.0])
         to_units[:2, 2] = -(shape[1] - 1) / 2 / self.unit, -(shape[0] - 1) / 2 / self.unit
         place = _similarity(np.broadcast_to(rotation, (self.frames,)), np.ones(self.frames), centre)

@@ -7,8 +7,8 @@ its exact backward motion. The camera translates in parallel to the image (so a 
 the image, with parallax), rolls and zooms. A slight blur and sensor noise are added last.
 
 Lengths are in canvas units, 320 to the width of the picture, so a scene looks alike at every size. A frame
-depends on the scene's name, seed, size, length and the frame's index only, never on earlier calls.
-(The pictures are sampled at 1/32 px, as OpenCV's warps do; labels and motion are exact for the maps.)
+depends on the scene's name, seed, size, length and the frame's index only, never on earlier calls. (The
+pictures are sampled at 1/32 px, as OpenCV's warps do; labels and motion are exact for the maps.)
 """
 
 from __future__ import annotations
@@ -180,8 +180,8 @@ class SyntheticScene:
         Returns
         -------
         (H, W, 2) float32
-            Displacement (x, y) to the picture before, px; zeros for picture 0. It is that of the surface
-            seen at the pixel, even if it was hidden or outside the picture before.
+            Displacement (x, y) to the picture before, px; zeros for picture 0. It is that of the surface seen
+            at the pixel, even if it was hidden or outside the picture before.
 
         Raises
         ------

@@ -15,7 +15,7 @@ PATCH_TONES = 5
 
 
 def grain(rng: np.random.Generator, shape: tuple[int, int], wavelength: float) -> Array:
-    """Make Gaussian noise without waves much shorter than ``wavelength`` (px); tiling, mean 0, deviation 1."""
+    """Make Gaussian noise without waves much shorter than ``wavelength`` px; tiling, mean 0, deviation 1."""
     spectrum = fft.rfft2(rng.standard_normal(shape, dtype=np.float32))
     frequency = np.hypot(fft.fftfreq(shape[0])[:, None], fft.rfftfreq(shape[1])[None, :])
     spectrum *= np.exp(-((frequency * wavelength) ** 2)).astype(np.float32)

@@ -4,9 +4,9 @@ A call through Ray takes a millisecond of CPU time, in three processes; a messag
 fiftieth of that. Ray starts and ends the processes and reports their failures; the messages of every frame
 use these pipes, and arrays use shared memory (:mod:`mlbs_actors.actors.ipc.shared_memory`).
 
-One process listens, another one connects. Like that memory, the pipes have no name: they are opened
-through their owner's ``/proc`` entry, which the system grants to the same user only, and they vanish with
-their processes. When a process ends, the other end of its channel is notified at once.
+One process listens, another one connects. Like that memory, the pipes have no name: they are opened through
+their owner's ``/proc`` entry, which the system grants to the same user only, and they vanish with their
+processes. When a process ends, the other end of its channel is notified at once.
 """
 
 from __future__ import annotations

@@ -35,8 +35,8 @@ class LiveLayers:
     """The processes of the live layers by id, over births and retirements.
 
     A layer is born without a process, and lives in the segmenter's
-    (:mod:`mlbs_actors.actors.stream.segmenter_actor`) until the pool has one for it. So births never
-    wait, and where many are born at once their processes are started one after the other, beside the frames.
+    (:mod:`mlbs_actors.actors.stream.segmenter_actor`) until the pool has one for it. So births never wait,
+    and where many are born at once their processes are started one after the other, beside the frames.
 
     Parameters
     ----------

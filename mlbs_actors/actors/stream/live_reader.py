@@ -1,9 +1,9 @@
 """The reader of a live source, a camera, in a process that outlives the others of its stream.
 
-It keeps the frames since the stream's last snapshot in a ring. So a stream that lost its coordinator,
-a layer or any other process goes back and gets the same frames again; meanwhile the reader continues and
-drops frames that there is no time for. If this very process is lost, the coordinator saves a snapshot of the
-present state, and a new reader continues from there.
+It keeps the frames since the stream's last snapshot in a ring. So a stream that lost its coordinator, a layer
+or any other process goes back and gets the same frames again; meanwhile the reader continues and drops frames
+that there is no time for. If this very process is lost, the coordinator saves a snapshot of the present
+state, and a new reader continues from there.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ class Forget:
 class LiveReaderActor:
     """Reads a live source for successive starts of its stream.
 
-    Rows are numbered here, across starts: the source's own numbers and times restart
-    with every process. Rows that an earlier start had and that are not kept become a row ``gap``.
+    Rows are numbered here, across starts: the source's own numbers and times restart with every process. Rows
+    that an earlier start had and that are not kept become a row ``gap``.
     """
 
     def __init__(self, open_reader: Callable[[], FrameReader]) -> None:

@@ -180,8 +180,8 @@ class FrameReader(Protocol):
         Raises
         ------
         SourceError
-            If the source cannot be read at all. Damage after the first frame is no error: the
-            reader returns None and reports it in :attr:`problem`.
+            If the source cannot be read at all. Damage after the first frame is no error: the reader returns
+            None and reports it in :attr:`problem`.
         """
 
     def close(self) -> None:
@@ -207,8 +207,8 @@ class StreamSink(Protocol):
 
         The arrays are valid until the second label map after this one: copy what must stay longer.
         ``background`` has the background's remembered colours at that frame, if requested by
-        :attr:`StreamSpec.wants_background`.
-        A label map is committed once it would survive a kill, which may be some frames later.
+        :attr:`StreamSpec.wants_background`. A label map is committed once it would survive a kill, which may
+        be some frames later.
         """
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
@@ -262,8 +262,8 @@ class StreamSpec:
     snapshot_rows : int
         Least number of rows of the record between snapshots; of a live source label maps.
     snapshot_seconds : float
-        Least time between snapshots of a replayable source, s: quick streams would spend a
-        tenth of their time on snapshots. A live reader keeps its frames for a limited number of rows only.
+        Least time between snapshots of a replayable source, s: quick streams would spend a tenth of their
+        time on snapshots. A live reader keeps its frames for a limited number of rows only.
     path : Path, optional
         The file or folder that ``open_reader`` reads; None if it can be read from every machine.
     """
@@ -302,8 +302,8 @@ class StreamProgress:
     done : bool
         The source has ended, every result is committed and the sink is closed.
     problem : str, optional
-        Why the stream is incomplete although it continued or ended: :attr:`FrameReader.problem`, or the
-        death of the reader process after its first frame.
+        Why the stream is incomplete although it continued or ended: :attr:`FrameReader.problem`, or the death
+        of the reader process after its first frame.
     stage_ms : mapping of str to float
         Mean wall time by stage over the last burst, ms.
     silence : SourceSilence, optional
@@ -334,12 +334,12 @@ class RunningStream(Protocol):
     def advance(self) -> Future[StreamProgress]:
         """Ask for one bounded burst of frames; do not call again before the future is done.
 
-        The future carries an MlbsError with one sentence if the stream failed: the source could not
-        be opened (SourceError), the record could not be written (SinkError), or a process was lost
-        (ActorLostError); started again, it resumes from its record. Damage of the source after its
-        first frame ends the stream instead: what was read is committed and the last progress is ``done``
-        with its ``problem``. So does, at the last try, the death of a replayable source's reader; before the
-        first frame that is a SourceError.
+        The future carries an MlbsError with one sentence if the stream failed: the source could not be opened
+        (SourceError), the record could not be written (SinkError), or a process was lost (ActorLostError);
+        started again, it resumes from its record. Damage of the source after its first frame ends the stream
+        instead: what was read is committed and the last progress is ``done`` with its ``problem``. So does,
+        at the last try, the death of a replayable source's reader; before the first frame that is a
+        SourceError.
         """
 
     def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
@@ -350,8 +350,8 @@ class RunningStream(Protocol):
         sink keeps what is committed, and None is returned. Blocks until the stream's own actors
         are gone. Never raises for a stream that has already failed.
 
-        With ``returns`` the reader of a live source, if it answers, lives on for the next start
-        (see :meth:`StreamHost.start`), or until this object is dropped.
+        With ``returns`` the reader of a live source, if it answers, lives on for the next start (see
+        :meth:`StreamHost.start`), or until this object is dropped.
         """
 
 
