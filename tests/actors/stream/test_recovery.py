@@ -242,7 +242,7 @@ def test_streams_that_ended_and_cameras_without_a_snapshot_are_left_as_they_are(
     assert left["done"] == StreamState("done", "done", read=9, committed=9, line=1)
     camera = left["camera"]
     assert (camera.state, camera.read, camera.committed, camera.dropped) == ("partial", 40, 28, 3)
-    assert "has no snapshot to go on from" in (camera.error or "")
+    assert "has no snapshot to continue from" in (camera.error or "")
     assert left["full"].state == "done"
 
 
