@@ -144,7 +144,7 @@ class LayersConfig(_Section):
         33, ge=2, description="Most layers of a stream with the background; smaller objects share 'other'."
     )
     clustering_period: int = Field(
-        3, ge=1, description="Trajectories are clustered anew every so many frames (at first in each)."
+        3, ge=1, description="Frames from one clustering to the next (1 at the start)."
     )
     young_frames: int = Field(6, ge=0, description="Age below which a label can be merged by motion.")
     least_moving: float = Field(
@@ -198,7 +198,7 @@ class MotionConfig(_Section):
 
     grid_px: float = Field(18.0, ge=4, description="Spacing of the field's grid, px; rounded to whole cells.")
     variance_grid_px: float = Field(
-        32.0, ge=8, description="Spacing of the grid on which marginal variances hold, px; so too."
+        32.0, ge=8, description="Spacing of the grid of the marginal variances, px; rounded to whole cells."
     )
     smoothness_std_px: float = Field(0.5, gt=0, description="σ_m: difference of neighbouring nodes, px.")
     point_std_px: float = Field(0.5, gt=0, description="σ_p: a trajectory's error, px.")
@@ -271,7 +271,7 @@ class PosteriorConfig(_Section):
     keep_off_px: float = Field(
         40.0,
         ge=0,
-        description="So near to an object the background learns only beside its own trajectories, px.",
+        description="Within this of an object the background learns only beside its own trajectories, px.",
     )
     learn_px: float = Field(6.0, ge=0, description="An object learns only this near to its trajectories, px.")
     offset: float = Field(4.0, ge=0, description="Added to every cost so that it is not negative, nats.")

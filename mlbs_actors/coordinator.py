@@ -1,12 +1,12 @@
 """The coordinator of one stream: follows trajectories, clusters them, and decides which layers live (§3, §4).
 
-:meth:`Coordinator.step` is the way of a frame: flow → trajectories → camera → affinities → labels →
-evidence for every layer.
+:meth:`Coordinator.step` takes a frame through flow → trajectories → camera → affinities → labels → evidence
+for every layer.
 
-Differs from the paper: the first frames, whose motion nobody can know yet, are held and labelled
+Differs from the paper: the first frames, whose motion cannot be known yet, are held and labelled
 backwards along their trajectories once the first clustering is done, so that every frame gets its label
-map; with ``lookahead`` every frame waits for later ones in the same way. Frames of another size begin a new
-*epoch*: what was held comes out, and all starts anew but the count of frames and of layer ids.
+map; with ``lookahead`` every frame waits for later ones in the same way. A frame of another size begins a new
+*epoch*: held frames are emitted, and everything is reset but the frame count and the next layer id.
 """
 
 from __future__ import annotations
@@ -48,19 +48,19 @@ __all__ = ["Coordinator", "CoordinatorState"]
 
 @dataclass(slots=True)
 class CoordinatorState:
-    """Everything that steers the coordinator's next frame.
+    """Everything that determines the coordinator's next frame.
 
     Attributes
     ----------
     next_frame : int
-        Index of the frame that :meth:`Coordinator.step` takes next.
+        Index of the next frame.
     epoch : int
         First frame of the present size.
     shape : (H, W) or None
     picture : Picture
         The last frame as the flow sees it.
     focus : (rows, columns) bool
-        Blocks around which the next flow needs its finest level; empty where it does everywhere.
+        Blocks around which the next flow needs its finest level; empty for everywhere.
     trajectories : TrajectoryState
     labels : (n,) int64
         Label of each live trajectory after the last frame.
@@ -90,7 +90,7 @@ class CoordinatorState:
 
     @staticmethod
     def beginning(config: Config) -> CoordinatorState:
-        """Before the first frame."""
+        """Return the state before the first frame."""
         return CoordinatorState(
             next_frame=0,
             epoch=0,
@@ -114,7 +114,7 @@ class Coordinator:
     ----------
     config : Config
     state : CoordinatorState, optional
-        To go on from a snapshot; a new stream by default.
+        To continue from a snapshot; a new stream by default.
     flow : FlowFunction, optional
         The caller's own flow, in place of ``config.flow.method``.
     """
@@ -127,7 +127,7 @@ class Coordinator:
         self.state = state or CoordinatorState.beginning(config)
 
     def feedback_index(self, frame_index: int) -> int | None:
-        """Frame whose segmentation :meth:`step` reads: two before the newest it will emit, or None."""
+        """Return the frame whose segmentation :meth:`step` reads, two before the newest to emit, if any."""
         newest, epoch = frame_index - self.config.layers.lookahead, self.state.epoch
         if frame_index + 1 <= epoch + self.config.layers.init_frames or newest - 2 < epoch:
             return None
@@ -149,13 +149,13 @@ class Coordinator:
         frame : (H, W, 3) uint8
             BGR; one of another size than the last begins an epoch.
         feedback : callable or None
-            Returns the Segmentation of :meth:`feedback_index`. It is asked for last: who makes it may be at
-            work while the frame is tracked and its trajectories are clustered.
+            Returns the Segmentation of :meth:`feedback_index`. It is called last, so that another process can
+            compute the label map while this one tracks and clusters.
 
         Returns
         -------
         list of FrameEvidence
-            In frame order: none while frames are held, several when the hold ends.
+            In frame order: none while frames are held, several when they are released.
 
         Raises
         ------
@@ -165,7 +165,7 @@ class Coordinator:
         self._check(frame_index, frame)
         shape = (int(frame.shape[0]), int(frame.shape[1]))
         if self.state.shape not in (None, shape):
-            # They have waited for this frame, which says that there is no other like them.
+            # The held frames waited for this one, and it is of another size.
             ended = [replace(one, latency_frames=one.latency_frames + 1) for one in self.flush()]
             self._begin_epoch(frame_index)
             return ended + self.step(frame_index, frame, None)
@@ -214,10 +214,10 @@ class Coordinator:
         return self._emit(frame_index - config.layers.lookahead) if state.clustered else []
 
     def flush(self) -> list[FrameEvidence]:
-        """Emit what is still held: the stream has ended."""
+        """Emit what is still held at the end of the stream."""
         state = self.state
         if state.held and not state.clustered:
-            # Fewer frames than the first clustering wants: it is done with what there is.
+            # Fewer frames than the first clustering needs: cluster those there are.
             colourless = np.zeros((*(state.shape or (0, 0)), 3), np.uint8)
             self._cluster(colourless, state.next_frame - 1, None, {})
         return self._emit(state.next_frame - 1)
@@ -245,11 +245,11 @@ class Coordinator:
             next_frame=frame_index,
             epoch=frame_index,
             registry=replace(RegistryState.empty(), next_layer=before.registry.next_layer),
-            evaluated=before.evaluated,  # whose processes are to be given back
+            evaluated=before.evaluated,  # whose processes are to be released
         )
 
     def _clustering_due(self, frame_index: int) -> bool:
-        """Often at first, while objects are told apart; later trajectories keep labels for some frames."""
+        """Cluster in every frame at first, while objects separate; later labels are kept for some frames."""
         layers, age = self.config.layers, frame_index - self.state.epoch
         if not self.state.clustered:
             return age + 1 >= layers.init_frames
@@ -300,7 +300,7 @@ class Coordinator:
             labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)
             gone = set(speeds) - distinct_labels(labels)
             registry.forget({label: int(labels[split == label][0]) for label in gone})
-            # What the first clustering finds has been there since the first frame.
+            # Objects of the first clustering date from the first frame.
             labels = registry.admit(labels, frame_index if state.clustered else state.epoch, origins)
         published = _published(feedback)
         with _timed(stage_ms, "clustering"):
@@ -331,7 +331,7 @@ class Coordinator:
         state.registry = registry.state
 
     def _emit(self, last: int) -> list[FrameEvidence]:
-        """Evidence of the held frames up to ``last``."""
+        """Return the evidence of the held frames up to ``last``."""
         state = self.state
         ready = [held for held in state.held if held.frame_index <= last]
         state.held = tuple(held for held in state.held if held.frame_index > last)
@@ -345,9 +345,9 @@ class Coordinator:
         live = sorted({BACKGROUND, *distinct_labels(owner), *registry.live_layers(held.frame_index)})
         retired = set(state.evaluated) - set(live)
         if held.frame_index == state.epoch:
-            # The models of another size; the background's is one of them.
+            # All models are of another size, the background's too.
             retired, state.evaluated = set(state.evaluated), {}
-        # Where the camera's motion explains the image as well, a trajectory says nothing for an object: flow
+        # Where the camera's motion explains the image as well, a trajectory is no evidence of an object: flow
         # bleeds from an object over the smooth road beside it.
         least = np.float32(self.config.layers.least_evidence)
         positions, motions, starts = by_layer(
@@ -379,7 +379,7 @@ class Coordinator:
 
 
 def _published(feedback: Callable[[], Segmentation] | None) -> list[int]:
-    """Layers that own pixels of the label map that is to be read."""
+    """Return the layers that own pixels of the label map that may be read."""
     return [] if feedback is None else [one.layer for one in feedback().layers]
 
 

@@ -1,9 +1,8 @@
-"""Where dense flow is worth its finest level: near objects, and where the camera fails to explain the image.
+"""Where dense flow needs its finest level: near objects, and where the camera fails to explain the image.
 
 The finest level is most of the flow's cost, and it is there for outlines: flow that bleeds past an outline
-makes wrong trajectories. Where the last frame held nothing but background that moves as the camera does,
-the level above it says the same. What is new shows in the next frame, because the camera does not explain
-it.
+makes wrong trajectories. Where the last frame had only background that moves as the camera does, the next
+coarser level gives the same flow. What is new shows in the next frame, which the camera does not explain.
 
 Not in the paper, whose flow takes its full cost everywhere.
 """
@@ -21,16 +20,15 @@ __all__ = ["focus_blocks", "focus_boxes"]
 
 #: Side of a block, cells.
 BLOCK = 8
-#: A block is looked at closely if the flow explained the image better than the camera by this in it, × noise.
+#: A block needs the finest level if the flow explained the image better than the camera by this, × noise.
 ADVANTAGE = 0.5
-#: Fewer such blocks together are chance.
+#: Fewer adjacent blocks than this are taken for noise.
 LEAST_BLOCKS = 3
-#: So many blocks around what is looked at closely: how far it may move in a frame, and what the flow sees
-#: beside it.
+#: Margin around such blocks, in blocks: how far they may move in a frame, and the context of the flow.
 GROWN = 2
 #: Column of OpenCV's statistics of a component.
 _AREA = int(cv2.CC_STAT_AREA)
-#: What a seam between two boxes costs for each pair of blocks that it parts, in blocks.
+#: Cost of a seam between two boxes for each pair of blocks that it separates, in blocks.
 SEAM = 4.0
 #: Above this share of the frame, boxes are not worth their seams.
 MOST = 0.7
@@ -66,7 +64,7 @@ def focus_blocks(advantage: Array, positions: Array, motions: Array, objects: Ar
 def _blocks(
     piece: Array, stats: Array, positions: Array, motions: Array, objects: Array, block_px: np.float32
 ) -> Array:
-    """Blocks of pieces (1 …; 0 is none) that are no chance, and those where objects will be, as uint8."""
+    """Label connected blocks (1 …; 0 is none) that are not noise; mark where objects will be, as uint8."""
     blocks = np.empty(piece.shape, np.uint8)
     for y in range(piece.shape[0]):
         for x in range(piece.shape[1]):
@@ -82,8 +80,8 @@ def _blocks(
 def focus_boxes(blocks: Array, shape: tuple[int, int]) -> list[Region]:
     """Return disjoint boxes around the blocks, in cells; the whole frame if they would be most of it.
 
-    Flow is better in one box around neighbours than in several with seams. Only where such boxes would be
-    most of the frame, as in a crowd, they are parted.
+    Flow is better in one box around neighbours than in several with seams, so boxes are split only where they
+    would be most of the frame, as in a crowd.
 
     Parameters
     ----------
@@ -104,7 +102,7 @@ def focus_boxes(blocks: Array, shape: tuple[int, int]) -> list[Region]:
 
 
 def _in_cells(rectangles: Array, shape: tuple[int, int]) -> list[Region]:
-    """Rectangles of blocks (n, 4), left, top, width and height, as far as they lie in the frame."""
+    """Clip rectangles of blocks (n, 4), left, top, width and height, to the frame; return them in cells."""
     height, width = shape
     return [
         Region(x * BLOCK, y * BLOCK, min(w * BLOCK, width - x * BLOCK), min(h * BLOCK, height - y * BLOCK))
@@ -118,9 +116,9 @@ def _most(boxes: list[Region], shape: tuple[int, int]) -> bool:
 
 @compiled
 def _parts(blocks: Array) -> Array:
-    """Disjoint rectangles around all blocks, (n, 4) int64: left, top, width and height.
+    """Cover all blocks by disjoint rectangles, (n, 4) int64: left, top, width and height.
 
-    One around all of them is cut in two as long as two around what is on either side cost less.
+    A rectangle around all of them is cut in two as long as the two rectangles cost less.
     """
     waiting, parts = [(0, blocks.shape[0], 0, blocks.shape[1])], []
     while waiting:
@@ -146,7 +144,7 @@ def _parts(blocks: Array) -> Array:
 
 @compiled
 def _tightened(blocks: Array, part: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
-    """The smallest rectangle around the blocks of a part; without height if there are none."""
+    """Return the smallest rectangle around the blocks of a part; of height 0 if there are none."""
     top, bottom, left, right = part[1], part[0], part[3], part[2]
     for y in range(part[0], part[1]):
         for x in range(part[2], part[3]):
@@ -158,17 +156,17 @@ def _tightened(blocks: Array, part: tuple[int, int, int, int]) -> tuple[int, int
 
 @compiled
 def _cut_costs(blocks: Array) -> Array:
-    """Cost of a cut above each row: the blocks of the rectangles on both sides, and the seam."""
+    """Return the cost of a cut above each row: the blocks of the rectangles on both sides, and the seam."""
     rows, columns = blocks.shape
     costs = np.zeros(rows)
-    for turn in range(2):
+    for direction in range(2):
         left, right, height = columns, 0, 0
         for place in range(rows - 1):
-            row = place if turn == 0 else rows - 1 - place
+            row = place if direction == 0 else rows - 1 - place
             for x in range(columns):
                 if blocks[row, x]:
                     left, right, height = min(left, x), max(right, x + 1), place + 1
-            costs[row + 1 - turn] += height * (right - left)
+            costs[row + 1 - direction] += height * (right - left)
     costs[0] = np.inf
     for row in range(1, rows):
         for x in range(columns):

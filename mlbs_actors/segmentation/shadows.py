@@ -1,9 +1,9 @@
-"""Cast shadows: they move with an object and are none of it.
+"""Cast shadows: they move with an object but are not part of it.
 
-Not in the paper. A shadow is ground with less light: its colour is the ground's, darker by a like factor in
-all channels. The ground's colour is taken from what lies around the objects in the same frame, so that it
-needs no memory: near a moving object the ground has often never been seen without its shadow. Where no light
-reaches nothing is left of it: there the place decides (:mod:`mlbs_actors.segmentation.contact_shadow`).
+Not in the paper. A shadow is ground with less light: its colour is the ground's, darkened by a similar factor
+in all channels. The ground's colour is estimated around the objects in the same frame, without memory: near a
+moving object the ground has often never been seen without its shadow. Where no light reaches the ground, its
+colour is lost and position decides (:mod:`mlbs_actors.segmentation.contact_shadow`).
 """
 
 from __future__ import annotations
@@ -27,37 +27,38 @@ __all__ = [
     "shadow_likelihood",
 ]
 
-#: The ground's colour is found on the frame shrunk by this.
+#: The ground's colour is estimated on the frame shrunk by this factor.
 SHRINK = 4
 #: Pixels this near to an object's trajectory may be the object itself, px of a 640×480 frame.
 NEAR_PX = 16.0
-#: How far the blur of the picture looks, px.
+#: Reach of the blur of the picture, px.
 BLUR_REACH = 4
 #: Side of the square around a shrunk pixel in which last frame's map must show no object either.
 GROWN = 3
-#: Standard deviation over which ground is looked for, twice shrunk px; where there is none, twice that, so
-#: often.
+#: Standard deviation over which ground is searched for, twice shrunk px; where there is none it is doubled,
+#: this many times.
 REACH, DOUBLINGS = 1.5, 4
-#: Least share of ground within a reach, of four pixels.
+#: Least share of ground within a reach, in pixels out of four.
 LEAST_GROUND = 4 * 0.05
-#: Log darkening at which a shadow begins, over which that is certain, and the same for the darkest.
+#: Log darkening at which a shadow begins, the range over which that becomes certain, and both for the
+#: darkest.
 LIGHTEST, LIGHTEST_RAMP, DARKEST, DARKEST_RAMP = -0.10, 0.15, -2.2, 0.3
-#: Log darkening may differ by this between the channels, and by so many grey levels more in the dark.
+#: Largest difference of log darkening between channels, and what is added to it in the dark, grey levels.
 CHANNEL_SPREAD, CHANNEL_NOISE = 0.25, 6.0
-#: Variance of the ground's log colour above which nothing is said.
+#: Variance of the ground's log colour above which it is unknown.
 GROUND_VARIANCE = 0.04
-#: What stands for it where there is no ground within any reach.
+#: Its value where there is no ground within any reach.
 NO_GROUND = 1e3
 
 
 @dataclass(frozen=True, slots=True)
 class Darkening:
-    """How each pixel's colour differs from that of the ground near it, in one box of a picture.
+    """Difference of each pixel's colour from that of the ground near it, in one box of a picture.
 
     Attributes
     ----------
     mean : (h, w) float32
-        Logarithm of colour over ground's colour, mean of the channels.
+        Logarithm of the colour's ratio to the ground's, mean of the channels.
     spread : (h, w) float32
         Its range over the channels.
     brightness : (h, w) float32
@@ -73,7 +74,7 @@ class Darkening:
 
 
 def ground_colour(picture: Array, evidence: FrameEvidence, previous: Array, scale: float) -> Array | None:
-    """The colour of the ground near each pixel, from what is no object's.
+    """Estimate the colour of the ground near each pixel from pixels of no object.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darken
 
 
 def shadow_likelihood(dark: Darkening) -> Array:
-    """How much each pixel looks like the ground near it with less light.
+    """Rate how much each pixel looks like the ground near it with less light.
 
     Parameters
     ----------
@@ -145,8 +146,8 @@ def shadow_likelihood(dark: Darkening) -> Array:
 
 @functools.lru_cache(maxsize=16)
 def _blur_weights(blur: float) -> Array:
-    """Weights of a Gaussian of this standard deviation, at most 1 px, as OpenCV smooths 8-bit pictures with
-    it: (2 · 4 + 1,) int32, parts of 256."""
+    """Return the weights of a Gaussian of this standard deviation, at most 1 px, as OpenCV smooths 8-bit
+    pictures: (2 · 4 + 1,) int32, parts of 256."""
     flat = np.zeros((1, 4 * BLUR_REACH + 1), np.uint8)
     flat[0, 2 * BLUR_REACH] = 255
     smooth = cv2.GaussianBlur(np.repeat(flat, 4 * BLUR_REACH + 1, axis=0), (0, 0), blur)
@@ -157,13 +158,13 @@ def _blur_weights(blur: float) -> Array:
 
 @compiled
 def _smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) -> Array:
-    """A box of a picture (h, w, 3) uint8, smoothed; past the picture's border it is mirrored at that."""
+    """Smooth a box of a picture (h, w, 3) uint8; the picture is mirrored at its border."""
     left, top, width, height = box
     middle = weights.size // 2
     reach = middle
     while reach > 0 and weights[middle - reach] == 0:
         reach -= 1
-    # Of a row of pixels those inside the picture first: that runs in vector registers.
+    # The pixels of a row inside the picture first: that loop is vectorised.
     first, last = max(reach - left, 0), min(picture.shape[1] + reach - left, width + 2 * reach)
     column, row = np.empty(3 * (width + 2 * reach), np.int32), np.empty(3 * width, np.int32)
     smooth = np.empty((height, width, 3), np.uint8)
@@ -193,7 +194,7 @@ def _smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) ->
 
 @compiled
 def _mirrored(at: int, length: int) -> int:
-    """A place of a row, mirrored at the row's first and last pixel."""
+    """Mirror an index at the first and last pixel of a row."""
     while length > 1 and not 0 <= at < length:
         at = -at if at < 0 else 2 * length - 2 - at
     return at if length > 1 else 0
@@ -214,7 +215,7 @@ def _shadow_likelihood(mean: Array, spread: Array, brightness: Array, variance: 
 
 
 def _spread_into_objects(colour: Array, free: Array) -> Array:
-    """Mean log colour and its variance, (h / 2, w / 2, 4) float32, of the free pixels within a reach."""
+    """Return mean log colour and its variance, (h / 2, w / 2, 4) float32, of the free pixels in reach."""
     weighted = [_moments(colour, free, _LOG)]
     for _ in range(DOUBLINGS):
         weighted.append(cv2.pyrDown(weighted[-1]))
@@ -229,7 +230,7 @@ def _spread_into_objects(colour: Array, free: Array) -> Array:
 
 @compiled
 def _moments(colour: Array, free: Array, log_of: Array) -> Array:
-    """Sums of log colour, its square and 1 over the free pixels of 2×2: (⌈h/2⌉, ⌈w/2⌉, 7) float32."""
+    """Sum log colour, its square and 1 over the free pixels of 2×2: (⌈h/2⌉, ⌈w/2⌉, 7) float32."""
     height, width = free.shape
     moments = np.zeros(((height + 1) // 2, (width + 1) // 2, 7), np.float32)
     for y in range(height):
@@ -246,7 +247,7 @@ def _moments(colour: Array, free: Array, log_of: Array) -> Array:
 
 @compiled
 def _take_where_found(moments: Array, ground: Array) -> None:
-    """Put mean log colour and variance into ``ground`` where there is enough of it within the reach."""
+    """Write mean log colour and variance into ``ground`` where there is enough of it within the reach."""
     height, width, _ = ground.shape
     for y in range(height):
         for x in range(width):
@@ -264,7 +265,7 @@ def _take_where_found(moments: Array, ground: Array) -> None:
 def _compared(
     smooth: Array, ground: Array, top: int, left: int, frame_shape: tuple[int, int], log_of: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """The fields of `Darkening` in a box; the ground is interpolated bilinearly."""
+    """Compute the fields of `Darkening` in a box; the ground is interpolated bilinearly."""
     height, width, _ = smooth.shape
     mean, spread = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     brightness, variance = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
@@ -297,7 +298,7 @@ def _compared(
 
 @compiled
 def _between(pixel: int, ratio: float, count: int) -> tuple[int, int, float]:
-    """The two pixels of a shrunk row of ``count`` next to a pixel of the row, and the share of the second."""
+    """Return the two pixels of a shrunk row next to a pixel of the row, and the second's share."""
     place = min(max((pixel + 0.5) * ratio - 0.5, 0.0), count - 1.0)
     first = int(place)
     return first, min(first + 1, count - 1), place - first

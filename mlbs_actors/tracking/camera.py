@@ -1,9 +1,9 @@
 """The camera's own motion between two frames: a homography fitted to background trajectories.
 
-The paper has no camera model. Here trajectories are compared by what the camera's motion leaves of theirs, so
-that a roll or a zoom, whose motion differs from place to place, does not look like objects. A homography does
-not explain parallax. Where a camera drives through a scene, :mod:`mlbs_actors.tracking.epipolar` does;
-elsewhere parallax stays in the residuals and is the clustering's business.
+The paper has no camera model. Here trajectories are compared by their residuals against the camera's motion,
+so that a roll or a zoom, whose motion differs from place to place, does not look like objects. A homography
+does not explain parallax. Where a camera drives through a scene, :mod:`mlbs_actors.tracking.epipolar` does;
+elsewhere parallax stays in the residuals for the clustering to judge.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = [
 
 #: Reprojection error of an inlier, px.
 INLIER_PX = 1.0
-#: Bounds of what is taken for noise between two frames, grey levels. Where the median difference is larger,
+#: Bounds of the noise estimate between two frames, grey levels. Where the median difference is larger,
 #: the camera model fails or the scene is full of fine texture; a smooth object differs by less than that.
 LEAST_NOISE, MOST_NOISE = 2.0, 3.5
 #: Fewer points than this do not determine a homography that can be trusted; a translation is used.
@@ -62,14 +62,14 @@ def camera_homography(positions: Array, motions: Array, scale: float) -> Array:
 
 
 def _enlargement(matrix: Array) -> float:
-    """How much larger a homography (3, 3) makes areas, but for its perspective."""
+    """Return the factor by which a homography (3, 3) enlarges areas, its perspective aside."""
     (xx, xy, _), (yx, yy, _), _ = matrix.tolist()
     return float(xx * yy - xy * yx)
 
 
 @compiled
 def homography_motion(matrix: Array, positions: Array) -> Array:
-    """Backward motion that a homography gives each point.
+    """Return the backward motion of each point under a homography.
 
     Parameters
     ----------
@@ -175,11 +175,11 @@ def camera_evidence(previous: Array, current: Array, matrix: Array, flow: Array,
 
 @compiled
 def _flow_sources(flow: Array, side: np.float32) -> Array:
-    """x and y of where each pixel comes from, (h, w, 2) float32, cells."""
+    """Compute x and y of where each pixel comes from, (h, w, 2) float32, cells."""
     height, width = flow.shape[:2]
     sources, one = np.empty((height, width, 2), np.float32), np.uint64(1)
     for y in range(height):
-        moved, place = flow[y].reshape(-1), sources[y].reshape(-1)  # in vector registers when flat
+        moved, place = flow[y].reshape(-1), sources[y].reshape(-1)  # flat, so that it is vectorised
         for x in range(width):
             at = np.uint64(2 * x)
             place[at] = np.float32(np.int32(x)) + moved[at] / side
@@ -189,7 +189,7 @@ def _flow_sources(flow: Array, side: np.float32) -> Array:
 
 @compiled
 def _median_error(error: Array) -> float:
-    """Median of every fourth pixel, which tells as much; means over 25 whole numbers are counted by value."""
+    """Estimate the median from every fourth pixel; means over 25 integers are counted by value."""
     counts, values = np.zeros(25 * 255 + 1, np.int32), np.zeros(25 * 255 + 1, np.float32)
     total = 0
     for y in range(0, error.shape[0], 2):
@@ -210,7 +210,7 @@ def _median_error(error: Array) -> float:
 
 @compiled
 def _in_noise(camera_error: Array, flow_error: Array, noise: np.float32) -> tuple[Array, Array]:
-    """What the camera leaves unexplained and what the flow explains better, × noise."""
+    """Return the camera's error and the flow's advantage over it, × noise."""
     unexplained, advantage = np.empty_like(camera_error), np.empty_like(camera_error)
     for y in range(camera_error.shape[0]):
         for x in range(camera_error.shape[1]):
@@ -221,11 +221,11 @@ def _in_noise(camera_error: Array, flow_error: Array, noise: np.float32) -> tupl
 
 @compiled
 def _differences(current: Array, one: Array, other: Array, mapping: Array) -> Array:
-    """Absolute differences of a grey frame to two others, (2, h, w) uint8; 0 where the mapping leads out."""
+    """Return absolute differences of a grey frame to two others, (2, h, w) uint8; 0 where it maps outside."""
     height, width = current.shape
     differences = np.zeros((2, height, width), np.uint8)
     for y in range(height):
-        # Where in the row x, y and the remaining width and height of the source are not negative.
+        # In the row: where x, y and the remaining width and height of the source are not negative.
         left, right = 0.0, width - 1.0
         for axis, length in ((0, width - 1.0), (1, height - 1.0)):
             slope, start = mapping[axis, 0], mapping[axis, 1] * y + mapping[axis, 2]

@@ -1,9 +1,9 @@
-"""A frame's trajectories: carried along the flow, held against the camera's motion, and seeded anew (§3).
+"""A frame's trajectories: carried along the flow, compared with the camera's motion, and seeded anew (§3).
 
-Differs from the paper, which follows points by the flow alone: what the camera's own motion is, and where it
-fails to explain the image, is told here once a frame, and every trajectory learns by how much. A camera that
-drives has no homography; where an epipolar geometry says more (:mod:`mlbs_actors.tracking.epipolar`), that
-counts.
+Differs from the paper, which follows points by the flow alone: the camera's own motion, and where it fails to
+explain the image, are found here once a frame, and every trajectory accumulates that as evidence. A camera
+that drives has no homography; where an epipolar geometry explains more
+(:mod:`mlbs_actors.tracking.epipolar`), that is used.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ __all__ = ["Tracked", "track"]
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """What a frame has made of the trajectories.
+    """Trajectories after a frame.
 
     Attributes
     ----------
     trajectories : TrajectoryState
         At this frame: the survivors, then those that begin in it.
     survivors : (m,) intp
-        Where those that live on stood in the arrays of the frame before, ascending.
+        Indices of the survivors in the arrays of the frame before, ascending.
     camera : (3, 3) float64
         :func:`~mlbs_actors.tracking.camera.camera_homography`, backward.
     against_camera : CameraEvidence
@@ -70,7 +70,7 @@ def track(
     before : TrajectoryState
         At the frame before.
     background : (n,) bool
-        Which of them tell the camera's motion.
+        Which of them determine the camera's motion.
     flow : DenseFlow or None
         Between the two frames; None in the first one.
     previous, gray : (h, w) uint8
@@ -89,8 +89,8 @@ def track(
     trajectories, survivors = before, np.arange(len(before))
     if flow is not None:
         trajectories, survivors = advance_trajectories(before, flow, shape)
-    telling = (trajectories.ages > 0) & background[survivors]
-    voters = evenly_spread(trajectories.positions, telling, 2 * spacing)
+    informative = (trajectories.ages > 0) & background[survivors]
+    voters = evenly_spread(trajectories.positions, informative, 2 * spacing)
     places, motions = trajectories.positions[voters], trajectories.motions[voters]
     camera = camera_homography(places, motions, scale)
     planar = explains(camera, places, motions, shape)
@@ -116,7 +116,7 @@ def track(
     predicted = homography_motion(camera, trajectories.positions)
     everywhere = evenly_spread(trajectories.positions, trajectories.ages > 0, 2 * spacing)
     driving = None
-    if not planar:  # else what the homography does not explain of all are objects
+    if not planar:  # else all that the homography does not explain are objects
         driving = forward_motion(
             trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape
         )

@@ -1,8 +1,8 @@
 """Which streams may run at once: as many as the machine holds, in the order of the list.
 
-A stream is several processes, and together they must fit the memory: a machine that swaps, or whose kernel
-kills for memory, loses all streams at once. More streams than the cores can serve gain nothing but
-memory use, so they are bounded too. The others wait; they start as running ones end.
+A stream is several processes, and together they must fit into memory: if a machine swaps, or its kernel kills
+for memory, all streams are lost at once. More streams than the cores can serve only cost memory, so they are
+bounded too. The others wait and start as running ones end.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _STREAMS_A_CORE = 2
 
 
 def places(memory_bytes: int, core_count: int) -> int:
-    """How many streams may run at once.
+    """Return how many streams may run at once.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ def places(memory_bytes: int, core_count: int) -> int:
 
 
 def warn_of_cameras(cameras: int, streams: int, limit: int) -> str | None:
-    """Say that some streams may never start, if cameras, which do not end by themselves, can take all places.
+    """Warn that some streams may never start if cameras, which do not end by themselves, take all places.
 
     Parameters
     ----------
     cameras : int
         Streams without an end.
     streams : int
-        Those and the others.
+        All streams, cameras included.
     limit : int
         Streams that may run at once.
     """
@@ -75,7 +75,7 @@ def warn_of_cameras(cameras: int, streams: int, limit: int) -> str | None:
 
 
 def places_here(folder: Path) -> int:
-    """How many streams this machine, a node of a cluster, can hold if it sees the run's folder.
+    """Return how many streams this machine, a node of a cluster, can hold; it must see the run's folder.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def places_here(folder: Path) -> int:
 
 
 def streams_to_start(states: Sequence[StreamState], limit: int) -> tuple[str, ...]:
-    """Names of the waiting streams that have a place now, in the order of ``states``.
+    """Select the waiting streams that may start now, in the order of ``states``.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def streams_to_start(states: Sequence[StreamState], limit: int) -> tuple[str, ..
 
 
 def available_memory(proc: Path = Path("/proc"), cgroup: Path = Path("/sys/fs/cgroup")) -> int:
-    """Memory that new processes can have, bytes: of the machine, or of this container if that is less."""
+    """Return the memory available to new processes, bytes: of the machine, or of this container if less."""
     available = 0
     for line in (proc / "meminfo").read_text(encoding="ascii").splitlines():
         if line.startswith("MemAvailable:"):
@@ -118,5 +118,5 @@ def available_memory(proc: Path = Path("/proc"), cgroup: Path = Path("/sys/fs/cg
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))

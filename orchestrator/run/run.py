@@ -58,11 +58,11 @@ def run(
     ----------
     arguments : Arguments
     streams : sequence of ListedStream
-        What ``arguments.streams`` lists.
+        The streams listed in ``arguments.streams``.
     missing : mapping of str to str
         Streams without a source → what is wrong; they fail, the others run.
     config : Config
-        What ``arguments`` asks for.
+        The parameters according to ``arguments``.
     scratch : Path
         Folder for Ray's files, from :func:`orchestrator.ray_session.ray_settings`.
 
@@ -77,21 +77,21 @@ def run(
     sourceless = [stream for stream in streams if stream.name in missing]
     for stream in sourceless:
         _say(f"{arguments.streams}, line {stream.line}: {missing[stream.name]}")
-    if arguments.watch:  # their lines are ignored until they are mended
+    if arguments.watch:  # their lines are ignored until they are corrected
         streams, sourceless = [stream for stream in streams if stream.name not in missing], []
     ended = {
         stream.name: after_failure(StreamState(stream.name, line=stream.line), missing[stream.name])
         for stream in sourceless
     }
-    # On a cluster the pictures come from other machines, by way of the folder that all of them share.
+    # On a cluster the pictures come from other machines, through the shared folder.
     live = None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
     job = _Job(streams, arguments, config, folder, live)
     limit = places(available_memory(), cores())
     status = StatusFile(folder.path / "status.json")
-    with ExitStack() as hold, ExitStack() as session:  # the folder is held until its last file is written
+    with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
         if arguments.resume:
             begun = folder.refuse_other(job.description)
-            hold.enter_context(folder.held())
+            hold.enter_context(folder.locked())
             changed = {key: job.description[key] for key in ("sources", "hashes")}
             if changed != {key: begun.get(key) for key in changed}:
                 try:
@@ -114,8 +114,8 @@ def run(
             if arguments.address is None:
                 _say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
         if not arguments.resume:
-            folder.claim(job.description)
-            hold.enter_context(folder.held())
+            folder.create(job.description)
+            hold.enter_context(folder.locked())
         if at_work:
             states, exit_status = _drive(job, ended, limit, status, onlookers, folder, arguments)
         else:
@@ -137,7 +137,7 @@ def run(
 
 @contextmanager
 def _monitored(address: MonitorAddress | None, live: Path | None) -> Iterator[list[Observer]]:
-    """Serve the monitor's page if it is asked for; what it shows is to observe the driver."""
+    """Serve the monitor's page if requested; yield its observer of the driver."""
     if address is None or live is None:
         yield []
         return
@@ -152,7 +152,7 @@ def _monitored(address: MonitorAddress | None, live: Path | None) -> Iterator[li
 
 
 class _Job:
-    """What the streams of this run are to do, and those that the list gets while it is watched."""
+    """The streams of this run, including those added to a watched list."""
 
     def __init__(
         self,
@@ -177,11 +177,11 @@ class _Job:
 
     @property
     def specs(self) -> list[StreamSpec]:
-        """All streams, as the driver needs them."""
+        """All streams, in the driver's form."""
         return [self._spec(stream) for stream in self._streams]
 
     def changes(self) -> SpecChange | None:
-        """Follow the list."""
+        """Return changes to the list."""
         change = self._watch.look()
         if change is None:
             return None
@@ -224,7 +224,7 @@ class _Job:
 
 
 def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int) -> None:
-    """Say what begins, and what about it may surprise."""
+    """Announce the run, and anything about it that may surprise."""
     count = count_of(len(due), "stream")
     if arguments.address is not None:
         _say(f"Joining Ray at {arguments.address}; {count}.")
@@ -246,7 +246,7 @@ def _drive(
     folder: RunFolder,
     arguments: Arguments,
 ) -> tuple[tuple[StreamState, ...], int]:
-    """Run the streams; return how they stand at the end, and the run's exit status."""
+    """Run the streams; return their final states, and the run's exit status."""
     output = sys.stdout
     # Ray prints its own warnings; standard output belongs to the progress.
     ray_log = folder.path / "ray.log"
@@ -282,9 +282,9 @@ def _drive(
 
 
 def _not_to_be_resumed(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[str, StreamState]:
-    """Streams that are left as they are: those that ended, and cameras that have nothing to go on from."""
+    """Select streams that are not resumed: those that ended, and cameras without a snapshot."""
     words = (
-        "This camera's stream has no snapshot to go on from; what was committed is kept. "
+        "This camera's stream has no snapshot to continue from; what was committed is kept. "
         "Start it anew in another folder."
     )
     states, left = folder.states(), {}
@@ -300,7 +300,7 @@ def _not_to_be_resumed(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[s
 
 
 def _words_on_resuming(begun: Mapping[str, Any], description: Mapping[str, Any], ended: int) -> str:
-    """What the user should know of a run that is gone on with."""
+    """Return what the user should know about the resumed run."""
     words = f"Going on with the run of {begun['started']}"
     words += f"; {count_of(ended, 'stream')} ended before." if ended else "."
     for key in ("versions", "machine"):
@@ -329,19 +329,19 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
     if any(state.interrupted for state in states):
         but = ", without --watch" if arguments.watch else ""
         given = f"--resume --output {shlex.quote(str(folder.path))}"
-        lines.append(f"To go on with what was interrupted, give the same command with {given}{but}.")
+        lines.append(f"To continue what was interrupted, give the same command with {given}{but}.")
     return "\n".join(lines)
 
 
 def what_to_look_at(stream: Path, save: frozenset[str]) -> str:
-    """Which of a stream's results show its labels best: the videos, or the masks where none was saved."""
+    """Return the results of a stream that show its labels best: the videos, or the masks without any."""
     videos = overlays(stream)
     if not videos:
         return str(stream / "masks" if "masks" in save else stream)
-    # A run that was gone on with has one for each start.
+    # A resumed run has one for each start.
     return f"{videos[0][1]}" if len(videos) == 1 else f"{stream / 'overlay*.mp4'} ({len(videos)} parts)"
 
 
 def _say(text: str) -> None:
-    """Tell the user; standard output is left to the progress, which a program may read."""
+    """Print a message on standard error: standard output is for the progress, which a program may read."""
     print(text, file=sys.stderr, flush=True)

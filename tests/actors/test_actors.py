@@ -35,8 +35,8 @@ from actor_fakes import (
 from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.actors import Node, PoolPolicy
 from mlbs_actors.actors.ipc.shared_memory import Slot, SlotKind, SlotPool
+from mlbs_actors.actors.node.burst_limiter import BurstLimiter
 from mlbs_actors.actors.node.processes import end, spawn
-from mlbs_actors.actors.node.turns import Turns
 from mlbs_actors.actors.parts import CoordinatorPart
 from mlbs_actors.actors.stream.order import FrameOrder
 from mlbs_actors.actors.stream.protocol import SourceFrame, SourceSilence, SourceStatus, StreamProgress
@@ -169,14 +169,14 @@ class _OverwritingParts(FakeParts):
     """Whoever reads a message after its memory was given back reads something else."""
 
     def coordinator(self, config: Config) -> CoordinatorPart:
-        give_back = SlotPool.give_back
+        release = SlotPool.release
 
         def overwritten(self: SlotPool, slots: Sequence[Slot]) -> None:
             for slot in slots:
                 os.pwrite(slot.descriptor, b"\xa5" * os.fstat(slot.descriptor).st_size, 0)
-            give_back(self, slots)
+            release(self, slots)
 
-        SlotPool.give_back = overwritten  # type: ignore[method-assign]  # in the coordinator's process alone
+        SlotPool.release = overwritten  # type: ignore[method-assign]  # in the coordinator's process alone
         return super().coordinator(config)
 
 
@@ -194,32 +194,32 @@ def test_messages_are_read_before_their_memory_is_given_back_also_by_a_stream_th
     assert rows(tmp_path) == rows_in_one_process(parts, pictures)
 
 
-class _NotingParts(FakeParts):
-    """Each slot that is lent is a line in a file."""
+class _RecordingParts(FakeParts):
+    """Each acquired slot is a line in a file."""
 
     def coordinator(self, config: Config) -> CoordinatorPart:
-        take, lent = SlotPool.take, (self.folder / "lent").open("a", buffering=1)
+        acquire, acquired = SlotPool.acquire, (self.folder / "acquired").open("a", buffering=1)
 
         def noted(self: SlotPool, kind: SlotKind) -> Slot:
-            slot = take(self, kind)
-            lent.write(f"{kind} {slot.descriptor}\n")
+            slot = acquire(self, kind)
+            acquired.write(f"{kind} {slot.descriptor}\n")
             return slot
 
-        SlotPool.take = noted  # type: ignore[method-assign]  # in the coordinator's process alone
+        SlotPool.acquire = noted  # type: ignore[method-assign]  # in the coordinator's process alone
         return super().coordinator(config)
 
 
 def test_what_only_segmenter_and_layers_read_stays_in_few_slots_however_slow_the_sink_is(
     ray_session: RaySession, tmp_path: Path
 ) -> None:
-    node = Node(parts=_NotingParts(tmp_path))
+    node = Node(parts=_RecordingParts(tmp_path))
     pictures = [picture(t, live=[1, 2]) for t in range(40)]
     run_to_end(
         node.start(spec("slow", FakeReader([*pictures], tmp_path), FakeSink(tmp_path, slow_seconds=0.02)))
     )
     node.close()
-    lent = set((tmp_path / "lent").read_text().splitlines())
-    slots = Counter(line.partition(" ")[0] for line in lent)
+    acquired = set((tmp_path / "acquired").read_text().splitlines())
+    slots = Counter(line.partition(" ")[0] for line in acquired)
     frames = 4  # at most three under way, and the one before
     assert slots["evidence"] <= frames
     assert slots["posterior"] <= frames * 3
@@ -397,9 +397,9 @@ def test_a_drained_stop_labels_and_commits_exactly_what_was_read(
 def test_a_stream_that_waits_for_its_turn_goes_on_with_it_and_can_be_drained_before(
     node: Node, parts: FakeParts, tmp_path: Path
 ) -> None:
-    node._turns = Turns(1, 600.0)
+    node._burst_limiter = BurstLimiter(1, 600.0)
     held = Future[None]()
-    node._turns.take(lambda: held)
+    node._burst_limiter.submit(lambda: held)
     pictures = crowd(40, 2)
     started = [
         node.start(spec(name, FakeReader([*pictures], tmp_path / name))) for name in ("drained", "goes on")

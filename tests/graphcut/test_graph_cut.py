@@ -207,8 +207,8 @@ def test_no_expansion_lowers_the_result_although_few_are_tried_again(
         tried, left_out = tried + int(worth.sum()), left_out + int((~worth).sum())
         return worth
 
-    compiled: Any = expansion_state._expand_in_turn
-    monkeypatch.setattr(expansion_state, "_expand_in_turn", compiled.py_func)
+    compiled: Any = expansion_state._expand_cyclically
+    monkeypatch.setattr(expansion_state, "_expand_cyclically", compiled.py_func)
     for seed in range(30):
         rng = np.random.default_rng(seed)
         unary = rng.uniform(0, 3, (4, 12, 30))

@@ -264,7 +264,7 @@ def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) ->
     arguments = parse([str(word) for word in given])
     streams, config = read_stream_list(arguments.streams), Config()
     folder = RunFolder(tmp_path / "out")
-    folder.claim(describe_run(streams, config, arguments.save, None))
+    folder.create(describe_run(streams, config, arguments.save, None))
     StatusFile(folder.path / "status.json").finish([StreamState("street", "done", read=9, committed=9)], 0)
     ended = command(*given, "--resume")
     assert ended.returncode == 0, ended.stderr

@@ -1,8 +1,8 @@
-"""The node's layer processes: kept warm, lent to streams, taken back, ended when too many are idle.
+"""The node's layer processes: kept warm, acquired by streams, released, ended when too many are idle.
 
-The pool creates every layer process of its node, so all end with it. What it lends is a process that has
-already imported and compiled everything. Who waits for one with frames gets one that is started for him, if
-none is ready; for all others processes are started one after the other, beside the frames.
+The pool creates every layer process of its node, so all end with it. Its processes have already imported and
+compiled everything. If frames wait for a process and none is ready, one is started for them; all others are
+started one after the other, beside the frames.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import ray
 from ray.exceptions import RayError
 
-from mlbs_actors.actors.ipc.channels import ChannelOffer
+from mlbs_actors.actors.ipc.channels import ChannelAddress
 from mlbs_actors.actors.node.failures import last_line
 from mlbs_actors.actors.node.processes import LOST_PROCESS, Handle, identity, spawn
 from mlbs_actors.actors.parts import PartFactory
@@ -28,7 +28,7 @@ __all__ = ["PoolActor", "PoolCensus", "PoolPolicy"]
 
 @dataclass(frozen=True, slots=True)
 class PoolPolicy:
-    """How many processes wait for a layer.
+    """How many processes are kept idle.
 
     Attributes
     ----------
@@ -43,9 +43,9 @@ class PoolPolicy:
     idle_seconds : float
         Idle processes beyond these are ended once they were idle for this long, s.
     start_seconds : float
-        A process that is waited for and takes longer to start hangs, and is replaced, s.
+        An awaited process that takes longer to start is taken to hang, and replaced, s.
     release_seconds : float
-        How long a layer's process may take to leave a stream that has ended until it is ended too, s.
+        Timeout for a layer's process to leave a stream that has ended, after which it is ended too, s.
     """
 
     spare: int = 4
@@ -58,14 +58,14 @@ class PoolPolicy:
 
 @dataclass(frozen=True, slots=True)
 class PoolCensus:
-    """How many processes a pool has.
+    """Numbers of processes of a pool.
 
     Attributes
     ----------
     idle : int
         Waiting for a layer, those still starting included.
     busy : int
-        Lent to streams.
+        Acquired by streams.
     """
 
     idle: int
@@ -85,7 +85,7 @@ class _Idle:
         return self.awaited or self.ready.done()
 
     def preference(self) -> tuple[bool, float]:
-        """Ready ones first, the last used of them, so that the others grow old; else the first started."""
+        """Sort key: ready ones first, the last used of them, so that others age; else the first started."""
         return (True, self.since) if self.ready.done() else (False, -self.since)
 
 
@@ -106,13 +106,13 @@ class PoolActor:
         self._news = asyncio.Event()  # an idle process is ready, or a stream has ended
 
     async def begin(self, run: int) -> int:
-        """Let a new stream in; return its number, which no other stream may have had."""
+        """Register a new stream; return its number, which must be unused."""
         self._busy[run] = {}
         self._refill()
         return run
 
-    async def acquire(self, run: int, config: Config, *, awaited: bool) -> tuple[Handle, ChannelOffer]:
-        """Lend stream ``run`` a process for a layer as soon as one is ready.
+    async def acquire(self, run: int, config: Config, *, awaited: bool) -> tuple[Handle, ChannelAddress]:
+        """Acquire a process for a layer of stream ``run`` as soon as one is ready.
 
         Parameters
         ----------
@@ -121,14 +121,14 @@ class PoolActor:
             Of the stream.
         awaited : bool
             Whether frames wait for it: if none is ready, one is started for it. Else it may take as long as
-            the frames want.
+            needed.
 
         Returns
         -------
         Handle
             A :class:`~mlbs_actors.actors.stream.layer_actor.LayerActor`, assigned.
-        ChannelOffer
-            Where the layer and its steps are to come from.
+        ChannelAddress
+            Of the channel for the layer and its steps.
 
         Raises
         ------
@@ -148,56 +148,56 @@ class PoolActor:
             self._busy[run][identity(process.handle)] = process.handle
             try:
                 await asyncio.wait_for(asyncio.shield(process.ready), self._policy.start_seconds)
-                offer = None
-                if run in self._busy:  # else it may be another stream's by now
-                    offer = await process.handle.assign.remote(run, config)
+                address = None
+                if run in self._busy:  # else it may belong to another stream by now
+                    address = await process.handle.assign.remote(run, config)
             except asyncio.TimeoutError:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
                 ray.kill(process.handle)
             except LOST_PROCESS as error:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
-                # One that waited may have died unnoticed: the next will do. Where one died that was started
-                # meanwhile, the next would die again.
+                # An idle one may have died unnoticed: try the next. If one that was just started died,
+                # the next would die again.
                 if process.since >= asked and run in self._busy:
                     raise ActorLostError(
                         f"No process could be started for a layer: {last_line(error)}."
                     ) from error
             else:
-                # Not before: where every start fails, refilling for each try would try for ever.
+                # Only now: if every start fails, refilling after each attempt would never end.
                 asyncio.get_running_loop().call_later(self._policy.refill_seconds, self._top_up)
-                if run in self._busy and offer is not None:
-                    return process.handle, offer
+                if run in self._busy and address is not None:
+                    return process.handle, address
         raise LayerError("A layer was to be born in a stream that has ended; start the stream again.")
 
     async def release(self, run: int, process: str, released: None) -> None:
-        """Take the process of a retired layer back, by its identity; ``released`` is its own answer.
+        """Release the process of a retired layer, by its identity; ``released`` is its own answer.
 
-        Not by its layer: a layer that begins anew can have another process before the old one comes back.
+        Not by its layer: a layer that wakes can have another process before the old one is released.
         """
         handle = self._busy.get(run, {}).pop(process, None)
         if handle is not None:
             self._keep(handle)
 
     async def end(self, run: int) -> None:
-        """Take the processes that a stream still has back; wait until those that do not answer are gone.
+        """Release the processes that a stream still has; wait until those that do not answer are gone.
 
-        A stream that lost a process is started again at once, and those that it did not lose are warm.
+        A stream that lost a process is started again at once, and its other processes are warm.
         """
-        lent = self._busy.pop(run, {})
+        busy = self._busy.pop(run, {})
         self._news.set()
-        await asyncio.gather(*(self._take_back(run, handle) for handle in lent.values()))
+        await asyncio.gather(*(self._take_back(run, handle) for handle in busy.values()))
 
     async def close(self) -> None:
         """End every process, and wait until all are gone."""
         self._closed = True
         idle, self._idle = self._idle, []
-        lent = [handle for busy in self._busy.values() for handle in busy.values()]
+        busy = [handle for own in self._busy.values() for handle in own.values()]
         self._busy = {}
-        await asyncio.gather(*(_end(handle) for handle in [*lent, *(process.handle for process in idle)]))
+        await asyncio.gather(*(_end(handle) for handle in [*busy, *(process.handle for process in idle)]))
 
     async def census(self) -> PoolCensus:
         """Count the processes."""
-        return PoolCensus(idle=len(self._idle), busy=sum(len(lent) for lent in self._busy.values()))
+        return PoolCensus(idle=len(self._idle), busy=sum(map(len, self._busy.values())))
 
     async def _take_back(self, run: int, handle: Handle) -> None:
         try:
@@ -215,7 +215,7 @@ class PoolActor:
         asyncio.get_running_loop().call_later(self._policy.idle_seconds, self._shrink)
 
     def _soonest(self) -> _Idle:
-        """The idle process that will be ready first, or a new one."""
+        """Return the idle process that will be ready first, or a new one."""
         soon = [process for process in self._idle if process.soon]
         soonest = max(soon, key=_Idle.preference, default=None)
         if soonest is None:
@@ -224,7 +224,7 @@ class PoolActor:
         return soonest
 
     def _ready(self) -> _Idle | None:
-        """An idle process that is ready."""
+        """Return an idle process that is ready."""
         ready = max(self._idle, key=_Idle.preference, default=None)
         if ready is None or not ready.ready.done():
             return None
@@ -242,12 +242,12 @@ class PoolActor:
             self._idle.append(self._start(awaited=True))
 
     def _start_beside_frames(self) -> None:
-        """Start a process that steps back, unless one is starting."""
+        """Start a low-priority process, unless one is starting."""
         if all(process.ready.done() for process in self._idle):
             self._idle.append(self._start(awaited=False))
 
     def _top_up(self) -> None:
-        """Start a process if too few are idle and none is starting, and look again after a while."""
+        """Start a process if too few are idle and none is starting, and check again after a while."""
         if self._closed or len(self._idle) >= min(self._policy.least, self._policy.spare):
             return
         self._start_beside_frames()

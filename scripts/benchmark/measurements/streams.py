@@ -26,7 +26,7 @@ __all__ = ["STREAMS", "StreamsCost", "fleet_table", "measure_streams", "most_fra
 
 STREAMS = (1, 2, 4, 8)
 
-#: Cores of the nodes that are simulated, for so many cameras with so many pictures a second each.
+#: Cores of the simulated nodes; number and picture rate of the cameras.
 _NODES = (2, 8, 16, 64)
 _CAMERAS, _CAMERA_RATE = 1000, 5.0
 

@@ -16,7 +16,7 @@ import sys
 import threading
 from pathlib import Path
 
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 
 
 def slack(thread):
@@ -32,7 +32,7 @@ if sys.argv[1] == "as nobody":
     except PermissionError:
         pass  # nor may this user
 before = slack(threading.get_native_id())
-look_round_seldom()
+relax_thread_timers()
 assert slack(threading.get_native_id()) == before
 if sys.argv[1] == "as root":
     later = threading.Thread(target=done.wait, daemon=True)

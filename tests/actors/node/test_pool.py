@@ -29,7 +29,7 @@ from actor_fakes import (
 from ray.exceptions import RayActorError
 
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
-from mlbs_actors.actors.ipc.channels import take
+from mlbs_actors.actors.ipc.channels import connect
 from mlbs_actors.actors.ipc.shared_memory import SharedMemory, SlotPool
 from mlbs_actors.actors.node.pool import PoolActor
 from mlbs_actors.actors.node.processes import end, identity, spawn
@@ -146,7 +146,7 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
     with pytest.raises(RayActorError):
         ray.get(hanging.__ray_ready__.remote())
     again = ray.get(pool.begin.remote(2))
-    same, offer = ray.get(pool.acquire.remote(again, CONFIG, awaited=True))
+    same, address = ray.get(pool.acquire.remote(again, CONFIG, awaited=True))
     assert same == kept
     # What the first stream's coordinator has asked for before may still come.
     ray.get(kept.release.remote(run))
@@ -155,14 +155,14 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
         [LayerEvidence(3, "object", -1, np.zeros((1, 2), np.float32), np.zeros((1, 2), np.float32))], 0
     )
     slots, memory = SlotPool(), SharedMemory()
-    told = memory.share(evidence, slots.take("evidence"))
-    frame = memory.share(SourceFrame(0, picture(0), 0.0, "0"), slots.take("frame"))
-    born = memory.share(capture(Memory(4)), slots.take("state"))
+    told = memory.share(evidence, slots.acquire("evidence"))
+    frame = memory.share(SourceFrame(0, picture(0), 0.0, "0"), slots.acquire("frame"))
+    born = memory.share(capture(Memory(4)), slots.acquire("state"))
     served = kept.serve.remote(again)
-    with take(offer) as channel:
+    with connect(address) as channel:
         channel.send(LayerStart(SavedLayer(3, "object", -1), born))
-        channel.send(LayerStep(told, frame, None, slots.take("posterior"), None))
-        assert memory.taken(channel.receive()).layer == 3
+        channel.send(LayerStep(told, frame, None, slots.acquire("posterior"), None))
+        assert memory.load(channel.receive()).layer == 3
     ray.get(served)
     end([pool])
 
