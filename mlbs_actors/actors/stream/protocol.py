@@ -312,6 +312,8 @@ class StreamProgress:
         What ``read`` will be at the end, as far as the source or :attr:`StreamSpec.max_frames` says.
     kept_waiting : bool
         The burst ended before its time because the source had no frame at hand.
+    without_process : int
+        Layers of these that have no process of their own because the node's memory holds no more.
     """
 
     read: int
@@ -326,6 +328,7 @@ class StreamProgress:
     silence: SourceSilence | None = None
     length: int | None = None
     kept_waiting: bool = False
+    without_process: int = 0
 
 
 class RunningStream(Protocol):
