@@ -303,9 +303,46 @@ class SegmentationConfig(_Section):
         le=1,
         description="Greatest height of a contact shadow, as a share of its object's; 0 = none.",
     )
+    shadow_lightest: float = Field(-0.1, lt=0, description="Log darkening at which a shadow begins.")
+    shadow_lightest_ramp: float = Field(0.15, gt=0, description="... over which that becomes certain.")
+    shadow_darkest: float = Field(-2.2, lt=0, description="Log darkening at which a shadow ends.")
+    shadow_darkest_ramp: float = Field(0.3, gt=0, description="... over which it fades.")
+    channel_spread: float = Field(
+        0.25, ge=0, description="Log darkening of a shadow may differ by this between the channels."
+    )
+    channel_noise: float = Field(6.0, ge=0, description="... and by so many grey levels more in the dark.")
+    ground_px: float = Field(
+        16.0, ge=0, description="Nearer to an object's trajectory no pixel counts as ground, px."
+    )
+    ground_reach: float = Field(
+        1.5, gt=0, description="Standard deviation over which ground is looked for at first, 8 cells."
+    )
+    ground_share: float = Field(0.05, gt=0, le=1, description="Least share of ground within that reach.")
+    ground_variance: float = Field(
+        0.04, gt=0, description="Variance of the ground's log colour above which no shadow is certain."
+    )
+    contact_dark: float = Field(-0.7, lt=0, description="Log darkening of a contact shadow.")
+    contact_smooth: float = Field(
+        6.0, ge=0, description="Its steepest mean gradient over 5×5 px, grey levels/px."
+    )
+    contact_width: float = Field(0.3, ge=0, description="Its least width, in heights of its object.")
+    contact_gap_px: float = Field(6.0, ge=0, description="It comes so near to the ground, px.")
+    contact_edge_px: float = Field(
+        4.0, ge=0, description="Its edges, which are neither smooth nor flat, reach so far, px."
+    )
     label_cost: float = Field(20.0, ge=0, description="h_k: cost of using a label at all, px × nats.")
+    cut_whole: int = Field(2048, ge=1, description="Most pixels that are cut without a coarser level.")
+    cut_whole_halved: int = Field(1024, ge=1, description="The same of an image that was halved once.")
+    cut_whole_coarse: int = Field(
+        9216, ge=1, description="The same of one halved more often: legs are thinner than large blocks."
+    )
     speck_px: float = Field(50.0, ge=0, description="Smaller components of an object are cleaned away, px².")
     hole_px: float = Field(200.0, ge=0, description="Smaller holes of the background are filled, px².")
+
+    @property
+    def most_cut_whole(self) -> tuple[int, int, int]:
+        """The limits by how often an image has been halved; the last counts for all further ones."""
+        return self.cut_whole, self.cut_whole_halved, self.cut_whole_coarse
 
 
 class Config(_Section):
