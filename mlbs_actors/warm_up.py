@@ -177,7 +177,7 @@ def _focus_on_crowd() -> None:
 
     blocks = np.zeros((12, 16), bool)
     blocks[:6, :6] = blocks[6:, 6:] = True
-    focus_boxes(blocks, (12 * BLOCK, 16 * BLOCK))
+    focus_boxes(blocks, (12 * BLOCK, 16 * BLOCK), Config().flow)
 
 
 def _read_only(array: Array) -> Array:

@@ -27,9 +27,6 @@ from mlbs_actors.messages import BACKGROUND, Array
 
 __all__ = ["LayerRegistry", "RegistryState"]
 
-#: Clusterings at which an object is not put to the N-cut test after one that it has passed firmly.
-_SPARED = 3
-
 
 @dataclass(frozen=True, slots=True)
 class RegistryState:
@@ -149,12 +146,12 @@ class LayerRegistry:
         ----------
         firm : (m,) int64
             Labels that hold together firmly, from :func:`~mlbs_actors.clustering.splitting.split_labels`.
-            Objects among them are spared the test at the next ``_SPARED`` clusterings: what moves apart does
-            so slowly.
+            Objects among them are spared the test at the next clusterings: what moves apart does so slowly.
         """
         state = self.state
         proven = (state.labels > BACKGROUND) & np.isin(state.labels, firm)
-        self.state = replace(state, spared=np.where(proven, _SPARED, np.maximum(state.spared - 1, 0)))
+        fewer, most = np.maximum(state.spared - 1, 0), self.config.spared_clusterings
+        self.state = replace(state, spared=np.where(proven, most, fewer))
 
     def ages(self, frame_index: int) -> dict[int, int]:
         """Frames since birth of every label, the background being older than all.

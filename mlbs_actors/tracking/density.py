@@ -15,11 +15,10 @@ import numpy as np
 from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.messages import Array
 
-__all__ = ["MOST_IN_SQUARE", "SQUARE", "cell_of", "room_left", "within_room"]
+__all__ = ["SQUARE", "cell_of", "room_left", "within_room"]
 
-#: A square of the flow's grid with this side takes so many trajectories, about half of what the dense grid of
-#: seeds has in it.
-SQUARE, MOST_IN_SQUARE = 8, 7
+#: Side of a square, cells.
+SQUARE = 8
 
 
 @inlined
@@ -31,13 +30,13 @@ def cell_of(positions: Array, point: int, shape: tuple[int, int], side: int) -> 
 
 
 @compiled
-def _room_in_squares(shape: tuple[int, int]) -> Array:
+def _room_in_squares(shape: tuple[int, int], most: int) -> Array:
     """What each square of a frame of (h, w) cells takes while it is empty, (⌈h/8⌉, ⌈w/8⌉) int64."""
-    return np.full((-(-shape[0] // SQUARE), -(-shape[1] // SQUARE)), MOST_IN_SQUARE)
+    return np.full((-(-shape[0] // SQUARE), -(-shape[1] // SQUARE)), most)
 
 
 @compiled
-def room_left(positions: Array, shape: tuple[int, int], side: int) -> Array:
+def room_left(positions: Array, shape: tuple[int, int], side: int, most: int) -> Array:
     """How many more trajectories each square takes, (⌈h/8⌉, ⌈w/8⌉) int64; below 0 where too many are.
 
     Parameters
@@ -48,8 +47,10 @@ def room_left(positions: Array, shape: tuple[int, int], side: int) -> Array:
         (h, w) of the frame, cells.
     side : int
         Of its cells, px.
+    most : int
+        What a square takes while it is empty.
     """
-    room = _room_in_squares(shape)
+    room = _room_in_squares(shape, most)
     for point in range(positions.shape[0]):
         y, x = cell_of(positions, point, shape, side)
         room[y // SQUARE, x // SQUARE] -= 1
@@ -57,7 +58,9 @@ def room_left(positions: Array, shape: tuple[int, int], side: int) -> Array:
 
 
 @compiled
-def within_room(positions: Array, ages: Array, oldest: int, shape: tuple[int, int], side: int) -> Array:
+def within_room(
+    positions: Array, ages: Array, oldest: int, shape: tuple[int, int], side: int, most: int
+) -> Array:
     """Which trajectories stay: the young ones, and of those that remember all they can the first in each
     square.
 
@@ -72,13 +75,15 @@ def within_room(positions: Array, ages: Array, oldest: int, shape: tuple[int, in
         (h, w) of the frame, cells.
     side : int
         Of its cells, px.
+    most : int
+        As for :func:`room_left`.
 
     Returns
     -------
     (m,) intp
         Ascending.
     """
-    room, stays, count = _room_in_squares(shape), np.empty(ages.size, np.intp), 0
+    room, stays, count = _room_in_squares(shape, most), np.empty(ages.size, np.intp), 0
     for point in range(ages.size):
         if ages[point] == oldest:
             y, x = cell_of(positions, point, shape, side)
