@@ -13,10 +13,11 @@ from pathlib import Path
 
 __all__ = ["LAYER_BYTES", "STREAM_BYTES", "NodeMemory", "node_memory", "unique_memory"]
 
-#: Unique memory of a stream without its objects: reader, coordinator, segmenter and background, at 640×480.
+#: Unique memory of a stream without its objects, reader, coordinator, segmenter and background, at 640×480,
+#: bytes, as docs/scaling.md has it measured.
 STREAM_BYTES = 610 * 2**20
 
-#: Unique memory of an object's process at 640×480; no measurement makes a pool expect less.
+#: The same of an object's process. A pool that finds larger ones at work expects these.
 LAYER_BYTES = 140 * 2**20
 
 #: What no process is started into: this share of the node's memory, and at least so much. Processes grow as

@@ -20,13 +20,7 @@ from ray.exceptions import RayError
 
 from mlbs_actors.actors.ipc.channels import ChannelOffer
 from mlbs_actors.actors.node.failures import last_line
-from mlbs_actors.actors.node.memory import (
-    LAYER_BYTES,
-    STREAM_BYTES,
-    NodeMemory,
-    node_memory,
-    unique_memory,
-)
+from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory, node_memory, unique_memory
 from mlbs_actors.actors.node.processes import LOST_PROCESS, Handle, identity, spawn
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layer_actor import LayerActor
@@ -62,7 +56,7 @@ class PoolPolicy:
         How long a layer waits for a process that comes back, where the memory holds no other, until its
         stream is told, s.
     streams : int
-        Streams for which memory is kept, those included that are still to begin.
+        Streams for which memory is kept, also as long as they have not begun.
     memory : callable
         Looks at the node's memory.
     """
@@ -134,6 +128,7 @@ class PoolActor:
         self._node = ray.get_runtime_context().get_node_id()
         self._idle: list[_Process] = []
         self._busy: dict[int, dict[str, _Process]] = {}  # by stream and process
+        self._grown: set[int] = set()  # streams that have what they need but for layer processes
         self._closed = False
         self._news = asyncio.Event()  # an idle process is ready, or a stream has ended
 
@@ -172,6 +167,7 @@ class PoolActor:
             If the stream has ended.
         """
         asked = time.monotonic()
+        self._grown.add(run)
         while run in self._busy:
             process = self._soonest() if awaited else self._ready()
             if process is None:
@@ -221,6 +217,7 @@ class PoolActor:
         A stream that lost a process is started again at once, and those that it did not lose are warm.
         """
         lent = self._busy.pop(run, {})
+        self._grown.discard(run)
         self._news.set()
         await asyncio.gather(*(self._take_back(run, process) for process in lent.values()))
 
@@ -270,13 +267,13 @@ class PoolActor:
         return ready
 
     def _holds_another(self) -> bool:
-        """Whether the memory holds another process, when these are grown and all streams have begun."""
+        """Whether the memory holds another process once these and all streams have grown."""
         lent = self._lent()
         at_work = [process.memory for process in lent if process.is_ready]
         grown = max([LAYER_BYTES, *at_work])
         to_come = grown * (1 + len(self._idle) + len(lent) - len(at_work))
         to_come -= sum(process.memory for process in self._idle)
-        to_come += STREAM_BYTES * max(self._policy.streams - len(self._busy), 0)
+        to_come += STREAM_BYTES * max(self._policy.streams - len(self._grown), 0)
         return self._policy.memory().free >= to_come
 
     def _start(self, *, awaited: bool) -> _Process:

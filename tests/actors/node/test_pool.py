@@ -227,13 +227,14 @@ def test_objects_beyond_the_memory_have_no_process_of_their_own_and_the_same_lab
 def test_memory_is_kept_for_the_streams_that_are_still_to_begin(
     ray_session: RaySession, parts: FakeParts
 ) -> None:
-    room = Room(parts.folder, 3 + STREAM_BYTES // LAYER_BYTES + 1)
-    policy = PoolPolicy(spare=9, streams=2, memory=room)
+    room = Room(parts.folder, 3 + 2 * STREAM_BYTES // LAYER_BYTES + 1)
+    policy = PoolPolicy(spare=9, refill_seconds=60.0, streams=2, memory=room)
     pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
-    ray.get(pool.begin.remote(1))
-    assert ray.get(pool.census.remote()).idle == 3
+    run = ray.get(pool.begin.remote(1))
+    assert ray.get(pool.census.remote()) == PoolCensus(idle=3, busy=0)
+    assert ray.get(pool.acquire.remote(run, CONFIG, awaited=True)) is not None
     ray.get(pool.begin.remote(2))
-    assert 3 < ray.get(pool.census.remote()).idle < 9
+    assert 2 < ray.get(pool.census.remote()).idle < 9
     end([pool])
 
 
