@@ -177,7 +177,7 @@ class Coordinator:
             picture, flow = picture_of(frame, side, self.flow is not None), None
             previous, gray = state.picture.gray, picture.gray
             if frame_index > state.epoch and min(gray.shape) >= LEAST_CELLS:
-                focus = focus_boxes(state.focus, gray.shape) if state.focus.size else None
+                focus = focus_boxes(state.focus, gray.shape, config.flow) if state.focus.size else None
                 flow = estimate_flow(state.picture, picture, side, config, focus, self.flow)
 
         with _timed(stage_ms, "tracking"):
@@ -190,7 +190,8 @@ class Coordinator:
             spreads = np.concatenate([[spread], state.spreads])[: config.trajectories.history_frames]
 
         if flow is not None and state.held and state.held[0].frame_index == state.epoch == frame_index - 1:
-            state.held = (first_frame(state.held[0], flow, previous, gray, camera),)
+            first = first_frame(state.held[0], flow, previous, gray, camera, config.trajectories)
+            state.held = (first,)
         state.next_frame, state.shape, state.picture = frame_index + 1, shape, picture
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
         if self._clustering_due(frame_index):
@@ -203,7 +204,7 @@ class Coordinator:
         if state.clustered:
             state.focus = focus_blocks(
                 tracked.against_camera.advantage, trajectories.positions, trajectories.motions,
-                state.labels > BACKGROUND, side,
+                state.labels > BACKGROUND, side, config.flow,
             )  # fmt: skip
         state.held = (
             *state.held,
@@ -277,7 +278,7 @@ class Coordinator:
             graph = self._graph()
             affinity = graph.matrix()
         with _timed(stage_ms, "clustering"):
-            speed = residual_speed(state.trajectories)
+            speed = residual_speed(state.trajectories, config.layers.speed_frames)
             bled = bled_trajectories(state.trajectories, speed, config.layers, scale)
             if state.clustered:
                 carried = propagate_labels(affinity, state.labels, config.affinity)

@@ -150,7 +150,8 @@ def _cut_images() -> None:
         label_costs = np.array([0, 2000, 2000, 2000]) * (cells // 16) ** 2
         places = np.tile(np.array([0, cells, 0, cells]), (4, 1))
         for costs in (saving, shared):
-            minimise(LabelCostEnergy(costs, weights, label_costs, places, side))
+            energy = LabelCostEnergy(costs, weights, label_costs, places, side)
+            minimise(energy, Config().segmentation.most_cut_whole)
 
 
 def _find_contact_shadow() -> None:
@@ -166,7 +167,8 @@ def _find_contact_shadow() -> None:
     light = np.zeros((cells, cells), np.float32)
     light[25:30, 10:30] = -3
     even = np.zeros_like(light)
-    contact_shadow(labels, image, Darkening(light, even, even + 10, even), side, 1.0, 0.25)
+    dark = Darkening(light, even, even + 10, even)
+    contact_shadow(labels, image, dark, side, 1.0, Config().segmentation)
 
 
 def _focus_on_crowd() -> None:
@@ -175,7 +177,7 @@ def _focus_on_crowd() -> None:
 
     blocks = np.zeros((12, 16), bool)
     blocks[:6, :6] = blocks[6:, 6:] = True
-    focus_boxes(blocks, (12 * BLOCK, 16 * BLOCK))
+    focus_boxes(blocks, (12 * BLOCK, 16 * BLOCK), Config().flow)
 
 
 def _read_only(array: Array) -> Array:

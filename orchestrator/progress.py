@@ -139,7 +139,7 @@ class LiveTable:
 
 
 def _note(state: StreamState) -> str:
-    return state.error or (f"waits for {state.waits_for}" if state.waits_for else "")
+    return state.error or (f"waits for {state.waits_for}" if state.waits_for else state.memory_note or "")
 
 
 def _read(state: StreamState) -> str:

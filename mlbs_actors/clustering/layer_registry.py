@@ -26,9 +26,6 @@ from mlbs_actors.messages import BACKGROUND, Array
 
 __all__ = ["LayerRegistry", "RegistryState"]
 
-#: Clusterings in which an object skips the N-cut test after it has passed one firmly.
-_SPARED = 3
-
 
 @dataclass(frozen=True, slots=True)
 class RegistryState:
@@ -148,11 +145,12 @@ class LayerRegistry:
         ----------
         firm : (m,) int64
             Labels that hold together firmly, from :func:`~mlbs_actors.clustering.splitting.split_labels`.
-            Objects among them skip the test at the next ``_SPARED`` clusterings: parts separate slowly.
+            Objects among them skip the test at the next clusterings: parts separate slowly.
         """
         state = self.state
         proven = (state.labels > BACKGROUND) & np.isin(state.labels, firm)
-        self.state = replace(state, spared=np.where(proven, _SPARED, np.maximum(state.spared - 1, 0)))
+        fewer, most = np.maximum(state.spared - 1, 0), self.config.spared_clusterings
+        self.state = replace(state, spared=np.where(proven, most, fewer))
 
     def ages(self, frame_index: int) -> dict[int, int]:
         """Return the frames since birth of every label, the background being older than all.

@@ -20,9 +20,6 @@ from mlbs_actors.messages import BACKGROUND, Array
 
 __all__ = ["border_motion", "merge_by_motion"]
 
-#: Fewer edges across a border are not evidence.
-LEAST_BORDER = 5
-
 
 def merge_by_motion(
     graph: TrajectoryGraph,
@@ -72,6 +69,7 @@ def merge_by_motion(
         least_border=config.merge_border,
         most_same_distance=config.same_motion_distance,
         least_same_border=config.same_motion_border,
+        least_edges=config.least_border,
     )
     known_ages = np.array([ages.get(label, 0) for label in known.tolist()], np.int64)
     edges = graph.first, graph.second, graph.motion_distance
@@ -89,6 +87,7 @@ class _Rules(NamedTuple):
     least_border: float
     most_same_distance: float
     least_same_border: float
+    least_edges: int
 
 
 @compiled
@@ -123,7 +122,7 @@ def _merge(
                 alike |= (
                     apart < rules.most_same_distance
                     and touching[border] >= rules.least_same_border * root
-                    and touching[border] >= LEAST_BORDER
+                    and touching[border] >= rules.least_edges
                 )
             if alike and (apart, younger, older) < (nearest, best_younger, best_older):
                 nearest, best_younger, best_older = apart, younger, older

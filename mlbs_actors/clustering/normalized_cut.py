@@ -31,8 +31,6 @@ EXACT_NODES = 64
 #: Rounding in single precision moves the least eigenvalue that a factorisation of n nodes sees by less than
 #: this · n (n + 1), of a matrix with at most 2 on its diagonal (Higham, Accuracy and Stability, §10.1).
 ROUNDING = 1.2e-7
-#: A cluster is firm if all its cuts have an N-cut value above the threshold times this.
-FIRM = 3.0
 #: Eigenvectors tried for each cut.
 EIGENVECTORS = 3
 
@@ -200,7 +198,11 @@ def _severed(affinity: Array, order: Array) -> Array:
 
 
 def recursive_cut(
-    affinity: sp.csr_array, threshold: float, min_side: int, apart: Array | None = None
+    affinity: sp.csr_array,
+    threshold: float,
+    min_side: int,
+    apart: Array | None = None,
+    firm_factor: float = 1.0,
 ) -> tuple[Array, Array]:
     """Split a graph into clusters while the best N-cut of a cluster is below the threshold.
 
@@ -214,14 +216,16 @@ def recursive_cut(
         Least number of nodes of a cluster.
     apart : (n,) int, optional
         Only nodes of the same value can share a cluster, and those below 0 are in none.
+    firm_factor : float
+        At least 1.
 
     Returns
     -------
     clusters : (n,) int64
         Cluster of every node, 0 … C−1 by falling size; −1 for nodes in parts smaller than ``min_side``.
     firm : (C,) bool
-        Clusters in which certainly no cut has an N-cut value below ``FIRM`` times the threshold; not tested
-        for the larger side of a cut.
+        Clusters in which certainly no cut has an N-cut value below ``firm_factor`` times the threshold; not
+        tested for the larger side of a cut.
     """
     pointers, neighbours, weights = affinity.indptr, affinity.indices, affinity.data
     labels = np.full(affinity.shape[0], -1, np.int64)
@@ -243,7 +247,7 @@ def recursive_cut(
             most = max(len(nodes) // EXACT_NODES, 1)
             edges = _kept_edges(pointers, neighbours, weights, nodes)
             small = _SmallGraph(*coarsen(*edges, most), len(nodes))
-            firm = holds_together(small.joined, FIRM * threshold)
+            firm = holds_together(small.joined, firm_factor * threshold)
         if not firm and not holds_together(small.joined, threshold):
             cut = best_cut(small.joined, np.bincount(small.group), min_side)
             if cut.value < threshold:

@@ -47,9 +47,6 @@ __all__ = [
     "split_origins",
 ]
 
-#: Frames over which a trajectory's speed against the camera is averaged.
-SPEED_FRAMES = 3
-
 
 def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConfig) -> Array:
     """Carry last frame's labels to this frame's trajectories.
@@ -139,7 +136,9 @@ def split_labels(
     known, classes = label_classes(labels, bled)
     tested = np.append(~np.isin(known, spared), False)  # the last entry is for those of no class
     classes = np.where(tested[classes], classes, -1)
-    clusters, firm = recursive_cut(affinity, config.cut_threshold, config.cut_side_tracks, classes)
+    clusters, firm = recursive_cut(
+        affinity, config.cut_threshold, config.cut_side_tracks, classes, config.firm_factor
+    )
     result, adrift, names = _named(labels, bled, known, classes, clusters, next_label)
     if adrift.any():
         # All others keep their labels: the walk decides only for those adrift.
@@ -256,20 +255,20 @@ def least_object_speed(
     return least
 
 
-def residual_speed(trajectories: TrajectoryState) -> Array:
-    """Return the length of each trajectory's mean residual motion of up to three frames, (n,) px/frame."""
-    return np.asarray(_mean_speed(trajectories.residuals, trajectories.ages))
+def residual_speed(trajectories: TrajectoryState, frames: int) -> Array:
+    """Return the length of each trajectory's mean residual motion over up to ``frames``, (n,) px/frame."""
+    return np.asarray(_mean_speed(trajectories.residuals, trajectories.ages, frames))
 
 
 @compiled
-def _mean_speed(residuals: Array, ages: Array) -> Array:
+def _mean_speed(residuals: Array, ages: Array, frames: int) -> Array:
     speed = np.empty(ages.size)
     for i in range(ages.size):
         x = y = np.float32(0)
-        for age in range(min(SPEED_FRAMES, residuals.shape[1])):
+        for age in range(min(frames, residuals.shape[1])):
             x += residuals[i, age, 0]
             y += residuals[i, age, 1]
-        known = min(max(ages[i], 1), SPEED_FRAMES)
+        known = min(max(ages[i], 1), frames)
         speed[i] = np.hypot(x / known, y / known)
     return speed
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from mlbs_actors.config import FlowConfig
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.segmentation.region_groups import group_regions
@@ -20,21 +21,13 @@ __all__ = ["focus_blocks", "focus_boxes"]
 
 #: Side of a block, cells.
 BLOCK = 8
-#: A block needs the finest level if the flow explained the image better than the camera by this, × noise.
-ADVANTAGE = 0.5
-#: Fewer adjacent blocks than this are taken for noise.
-LEAST_BLOCKS = 3
-#: Margin around such blocks, in blocks: how far they may move in a frame, and the context of the flow.
-GROWN = 2
 #: Column of OpenCV's statistics of a component.
 _AREA = int(cv2.CC_STAT_AREA)
-#: Cost of a seam between two boxes for each pair of blocks that it separates, in blocks.
-SEAM = 4.0
-#: Above this share of the frame, boxes are not worth their seams.
-MOST = 0.7
 
 
-def focus_blocks(advantage: Array, positions: Array, motions: Array, objects: Array, side: int) -> Array:
+def focus_blocks(
+    advantage: Array, positions: Array, motions: Array, objects: Array, side: int, config: FlowConfig
+) -> Array:
     """Find the blocks of a finished frame around which the next flow needs its finest level.
 
     Parameters
@@ -47,6 +40,7 @@ def focus_blocks(advantage: Array, positions: Array, motions: Array, objects: Ar
         Which of them are on objects.
     side : int
         Of a cell, px.
+    config : FlowConfig
 
     Returns
     -------
@@ -55,20 +49,25 @@ def focus_blocks(advantage: Array, positions: Array, motions: Array, objects: Ar
     height, width = advantage.shape
     rows, columns = -(-height // BLOCK), -(-width // BLOCK)
     mean = cv2.resize(advantage, (columns, rows), interpolation=cv2.INTER_AREA)
-    _, piece, stats, _ = cv2.connectedComponentsWithStats((mean > ADVANTAGE).view(np.uint8), connectivity=8)
-    blocks = _blocks(piece, stats, positions, motions, objects, np.float32(BLOCK * side))
-    return np.asarray(cv2.dilate(blocks, np.ones((2 * GROWN + 1, 2 * GROWN + 1), np.uint8)), bool)
+    ahead = (mean > config.focus_advantage).view(np.uint8)
+    _, piece, stats, _ = cv2.connectedComponentsWithStats(ahead, connectivity=8)
+    least, block_px = config.focus_least_blocks, np.float32(BLOCK * side)
+    blocks = _blocks(piece, stats, positions, motions, objects, block_px, least)
+    # As far as it may move in a frame, and what the flow sees beside it.
+    grown = 2 * config.focus_margin_blocks + 1
+    return np.asarray(cv2.dilate(blocks, np.ones((grown, grown), np.uint8)), bool)
 
 
 @compiled
 def _blocks(
-    piece: Array, stats: Array, positions: Array, motions: Array, objects: Array, block_px: np.float32
-) -> Array:
+    piece: Array, stats: Array, positions: Array, motions: Array, objects: Array, block_px: np.float32,
+    least: int,
+) -> Array:  # fmt: skip
     """Label connected blocks (1 …; 0 is none) that are not noise; mark where objects will be, as uint8."""
     blocks = np.empty(piece.shape, np.uint8)
     for y in range(piece.shape[0]):
         for x in range(piece.shape[1]):
-            blocks[y, x] = piece[y, x] > 0 and stats[piece[y, x], _AREA] >= LEAST_BLOCKS
+            blocks[y, x] = piece[y, x] > 0 and stats[piece[y, x], _AREA] >= least
     for i in range(objects.size):
         if objects[i]:
             x = int((positions[i, 0] - motions[i, 0]) / block_px)
@@ -77,7 +76,7 @@ def _blocks(
     return blocks
 
 
-def focus_boxes(blocks: Array, shape: tuple[int, int]) -> list[Region]:
+def focus_boxes(blocks: Array, shape: tuple[int, int], config: FlowConfig) -> list[Region]:
     """Return disjoint boxes around the blocks, in cells; the whole frame if they would be most of it.
 
     Flow is better in one box around neighbours than in several with seams, so boxes are split only where they
@@ -89,6 +88,7 @@ def focus_boxes(blocks: Array, shape: tuple[int, int]) -> list[Region]:
         Of :func:`focus_blocks`.
     shape : (h, w)
         Of the frame, cells.
+    config : FlowConfig
 
     Returns
     -------
@@ -96,9 +96,11 @@ def focus_boxes(blocks: Array, shape: tuple[int, int]) -> list[Region]:
     """
     _, _, stats, _ = cv2.connectedComponentsWithStats(blocks.view(np.uint8), connectivity=8)
     boxes = [group.box for group in group_regions(_in_cells(stats[1:, :4], shape), shape)]
-    if _most(boxes, shape):
-        boxes = _in_cells(_parts(blocks), shape)
-    return [Region(0, 0, shape[1], shape[0])] if _most(boxes, shape) else boxes
+    most = config.focus_most * shape[0] * shape[1]
+    if sum(box.area for box in boxes) > most:
+        boxes = _in_cells(_parts(blocks, config.focus_seam_blocks), shape)
+    worth = sum(box.area for box in boxes) <= most  # their seams
+    return boxes if worth else [Region(0, 0, shape[1], shape[0])]
 
 
 def _in_cells(rectangles: Array, shape: tuple[int, int]) -> list[Region]:
@@ -110,12 +112,8 @@ def _in_cells(rectangles: Array, shape: tuple[int, int]) -> list[Region]:
     ]
 
 
-def _most(boxes: list[Region], shape: tuple[int, int]) -> bool:
-    return sum(box.area for box in boxes) > MOST * shape[0] * shape[1]
-
-
 @compiled
-def _parts(blocks: Array) -> Array:
+def _parts(blocks: Array, seam: float) -> Array:
     """Cover all blocks by disjoint rectangles, (n, 4) int64: left, top, width and height.
 
     A rectangle around all of them is cut in two as long as the two rectangles cost less.
@@ -126,7 +124,7 @@ def _parts(blocks: Array) -> Array:
         if top == bottom:
             continue
         part = blocks[top:bottom, left:right]
-        between_rows, between_columns = _cut_costs(part), _cut_costs(part.T)
+        between_rows, between_columns = _cut_costs(part, seam), _cut_costs(part.T, seam)
         row, column = int(np.argmin(between_rows)), int(np.argmin(between_columns))
         if min(between_rows[row], between_columns[column]) >= part.size:
             parts.append((left, top, right - left, bottom - top))
@@ -155,7 +153,7 @@ def _tightened(blocks: Array, part: tuple[int, int, int, int]) -> tuple[int, int
 
 
 @compiled
-def _cut_costs(blocks: Array) -> Array:
+def _cut_costs(blocks: Array, seam: float) -> Array:
     """Return the cost of a cut above each row: the blocks of the rectangles on both sides, and the seam."""
     rows, columns = blocks.shape
     costs = np.zeros(rows)
@@ -170,5 +168,5 @@ def _cut_costs(blocks: Array) -> Array:
     costs[0] = np.inf
     for row in range(1, rows):
         for x in range(columns):
-            costs[row] += SEAM * (blocks[row - 1, x] & blocks[row, x])
+            costs[row] += seam * (blocks[row - 1, x] & blocks[row, x])
     return costs

@@ -18,13 +18,15 @@ Differs from the paper:
 * The initial label is 0 everywhere: every labelling with one more label is one expansion away, and with two
   labels the first expansion ends in a global optimum. An expansion is repeated only where something has
   changed: the last one was the best there.
-* Above some thousand pixels (``MOST_CUT_WHOLE``), only those near the outlines of a coarser solution
-  are cut (``coarse_cut``), in one sweep.
+* Above some thousand pixels (``SegmentationConfig.cut_whole``), only those near the outlines of a coarser
+  solution are cut (``coarse_cut``), in one sweep.
 * PyMaxflow cuts only where an expansion could free several labels of their costs at once
   (``expansion.paid_expansion``), which needs a general graph; ``min_cut`` cuts the pixels' own.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -37,17 +39,14 @@ from mlbs_actors.messages import Array
 
 __all__ = ["minimise"]
 
-#: Most pixels that are cut without a coarser level, by number of halvings; the last is for all further ones.
-#: Costs hardly differ within blocks of 2×2 pixels, but legs are thinner than larger blocks.
-MOST_CUT_WHOLE = (2048, 1024, 9216)
 #: Rounds of expansions on the coarsest level; two to five are usual.
 MAX_SWEEPS = 10
 
 
-def minimise(whole: LabelCostEnergy, level: int = 0) -> Array:
+def minimise(whole: LabelCostEnergy, most_whole: Sequence[int], level: int = 0) -> Array:
     """Find a labelling that no α-expansion and no removal of a label improves.
 
-    Up to ``MOST_CUT_WHOLE[0]`` pixels with two labels it is a global optimum; with more labels no expansion
+    Up to ``most_whole[0]`` pixels with two labels it is a global optimum; with more labels no expansion
     of the whole image lowers it, although only undecided pixels are cut (``persistency`` says why), and of
     those only the components around which something has changed. A larger image is labelled coarse to fine,
     close to that.
@@ -56,6 +55,8 @@ def minimise(whole: LabelCostEnergy, level: int = 0) -> Array:
     ----------
     whole : LabelCostEnergy
         Its costs must be in their ranges, which is not checked.
+    most_whole : sequence of int
+        :attr:`~mlbs_actors.config.SegmentationConfig.most_cut_whole`.
     level : int
         How often the image has been halved.
 
@@ -65,8 +66,8 @@ def minimise(whole: LabelCostEnergy, level: int = 0) -> Array:
         Label positions.
     """
     height, width = whole.weights.shape[:2]
-    if height * width > MOST_CUT_WHOLE[min(level, len(MOST_CUT_WHOLE) - 1)]:
-        labels, rest, start = band_around_outlines(whole, minimise(halved(whole), level + 1))
+    if height * width > most_whole[min(level, len(most_whole) - 1)]:
+        labels, rest, start = band_around_outlines(whole, minimise(halved(whole), most_whole, level + 1))
         sweeps = 1  # the outlines are nearly there: a second one would move hardly a pixel
     else:
         labels, rest = prune(whole if whole.side == 1 and len(whole.extras) == 0 else energy_of_pixels(whole))

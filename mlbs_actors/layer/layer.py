@@ -47,7 +47,7 @@ from mlbs_actors.errors import LayerError
 from mlbs_actors.layer.layer_state import LayerState
 from mlbs_actors.layer.learning import object_support, trusted_background
 from mlbs_actors.layer.object_regions import contested, median_of_motions, object_region
-from mlbs_actors.layer.photometric import photometric_advantage
+from mlbs_actors.layer.photometric import PhotometricRules, photometric_advantage
 from mlbs_actors.layer.posterior_terms import (
     Prediction,
     finished_posterior,
@@ -196,7 +196,7 @@ class Layer:
 
     def _places(self, own: LayerEvidence, evidence: FrameEvidence, previous: Segmentation | None) -> _Places:
         weights, side = self.config.posterior, self._side(evidence.shape)
-        margins = (weights.region_margin_px, weights.covered_margin_px)
+        margins = (weights.region_margin_px, weights.covered_margin_px, weights.covered_px)
         if self._is_background:
             region, needed = contested(evidence, previous, margins, side)
             height, width = evidence.shape
@@ -265,7 +265,7 @@ class Layer:
                 side,
                 ((cells.x, cells.y), (before.x, before.y)),
                 prior[0] >= np.float32(0.5),
-                np.float32(config.posterior.photometric_cap),
+                PhotometricRules.configured(config.posterior),
             )
         variance = np.ascontiguousarray(field.dense_variance(side)[part])
         prediction = Prediction(cells, side, needed, motion, variance, prior, away, advantage)

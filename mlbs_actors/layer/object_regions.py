@@ -39,15 +39,15 @@ __all__ = [
     "object_region",
 ]
 
-#: Most pixels per trajectory, of a 640×480 frame, at which an object's trajectories cover it.
-_COVERED_PX = 100.0
+#: See :func:`object_region`.
+Margins = tuple[float, float, float]
 
 
 def object_region(
     own: LayerEvidence,
     shape: tuple[int, int],
     previous: Segmentation | None,
-    margins_px: tuple[float, float],
+    margins_px: Margins,
     cell: int,
 ) -> Region:
     """Find the region of one object in frame t.
@@ -60,9 +60,10 @@ def object_region(
         Size of the frame, px.
     previous : Segmentation or None
         Published result of t−1.
-    margins_px : (float, float)
+    margins_px : Margins
         Margins around trajectories and pixels, px of a 640×480 frame: of any object, and of one in full view,
-        to which the largest deviation from its median motion is added.
+        to which the largest deviation from its median motion is added; and most pixels per trajectory at
+        which an object's trajectories cover it, px² of such a frame.
     cell : int
         The region consists of whole cells of this side, px.
 
@@ -90,7 +91,7 @@ def _known_pixels(one: LayerSummary | None) -> tuple[float, ...]:
 
 @compiled
 def _region_of_object(
-    pixels: Array, positions: Array, motions: Array, margins_px: tuple[float, float], scale: float, cell: int,
+    pixels: Array, positions: Array, motions: Array, margins_px: Margins, scale: float, cell: int,
     height: int, width: int,
 ) -> tuple[int, int, int, int]:  # fmt: skip
     """Compute box (left, top, width, height) of :func:`object_region`, px, from :func:`_known_pixels`."""
@@ -111,7 +112,7 @@ def _region_of_object(
     inside = (
         pixels[1] > 0 and pixels[2] > 0 and pixels[1] + pixels[3] < width and pixels[2] + pixels[4] < height
     )
-    in_full_view = pixels[0] and inside and pixels[0] <= len(positions) * _COVERED_PX * scale**2
+    in_full_view = pixels[0] and inside and pixels[0] <= len(positions) * margins_px[2] * scale**2
     margin = scale * margins_px[0]
     if in_full_view:
         margin = min(margin, scale * margins_px[1] + _farthest(motions, -move_x, -move_y))
@@ -162,7 +163,7 @@ def _within(place: int, length: int) -> int:
 
 
 def contested(
-    evidence: FrameEvidence, previous: Segmentation | None, margins_px: tuple[float, float], cell: int = 1
+    evidence: FrameEvidence, previous: Segmentation | None, margins_px: Margins, cell: int = 1
 ) -> tuple[Region, Array]:
     """Find where a pixel can be an object's: the union of the objects' regions.
 
@@ -196,7 +197,7 @@ def contested(
 
 @compiled
 def _contested(
-    pixels: Array, positions: Array, motions: Array, counts: Array, margins_px: tuple[float, float],
+    pixels: Array, positions: Array, motions: Array, counts: Array, margins_px: Margins,
     scale: float, cell: int, shape: tuple[int, int],
 ) -> tuple[tuple[int, int, int, int], Array]:  # fmt: skip
     """Find the box and its cells; the objects' trajectories come last in the arrays."""

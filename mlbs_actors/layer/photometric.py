@@ -11,29 +11,55 @@ uncovered has no past that could explain it, but over smooth ground any motion s
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from mlbs_actors.config import PosteriorConfig
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.camera import homography_of_cells
 
-__all__ = ["photometric_advantage"]
+__all__ = ["PhotometricRules", "photometric_advantage"]
 
 #: Position (x, y) of an image's corner in the frame.
 Corner = tuple[int, int]
 #: Side of the window over which motions are compared.
 WINDOW = 3
-#: Bounds of the noise estimate, grey levels: lower than those of the camera's evidence, as the means of
-#: cells are less noisy.
-LEAST_NOISE, MOST_NOISE = 1.5, 3.0
-#: Error at which a motion is not trusted at all, × noise; from one less on it is trusted fully.
-OWN_BELIEVED, CAMERA_BELIEVED = 4.0, 2.5
+
+
+class PhotometricRules(NamedTuple):
+    """Parameters of how far a motion is trusted.
+
+    Attributes
+    ----------
+    largest : float32
+        Bound of the advantage in either direction, × noise.
+    least_noise, most_noise : float32
+        Bounds of the noise estimate, grey levels: lower than those of the camera's evidence, as the means of
+        cells are less noisy.
+    own, camera : float32
+        Error at which a motion is not trusted at all, × noise; from one less on it is trusted fully.
+    """
+
+    largest: np.float32
+    least_noise: np.float32
+    most_noise: np.float32
+    own: np.float32
+    camera: np.float32
+
+    @staticmethod
+    def configured(config: PosteriorConfig) -> PhotometricRules:
+        """Return those of a configuration."""
+        noise = config.photometric_least_noise, config.photometric_most_noise
+        rules = config.photometric_cap, *noise, config.own_believed, config.camera_believed
+        return PhotometricRules(*map(np.float32, rules))
 
 
 @compiled
 def photometric_advantage(
     before: Array, now: Array, motion: Array, camera: Array, side: int, corners: tuple[Corner, Corner],
-    own: Array, largest: np.float32,
+    own: Array, rules: PhotometricRules,
 ) -> Array:  # fmt: skip
     """Measure by how much an object's motion explains the image better than the camera's.
 
@@ -51,14 +77,13 @@ def photometric_advantage(
         Where ``now`` and ``before`` begin in the frame, in their pixels.
     own : (h, w) bool
         Where the object's motion leads back to its own pixels.
-    largest : float32
-        Bound in either direction.
+    rules : PhotometricRules
 
     Returns
     -------
     (h, w) float32
-        In units of the noise, which is the median error of the camera's motion, between ``LEAST_NOISE`` and
-        ``MOST_NOISE`` grey levels; 0 where either motion leads out of ``before``.
+        In units of the noise, which is the median error of the camera's motion, within bounds; 0 where
+        either motion leads out of ``before``.
     """
     if before.size == 0 or now.size == 0:
         return np.zeros(own.shape, np.float32)
@@ -72,7 +97,7 @@ def photometric_advantage(
         last, newest, motion, homography_of_cells(camera, side), corners, known
     )
     own_sums, camera_sums = _window_sums(own_misfit), _window_sums(camera_misfit)
-    return _compared(own_sums, camera_sums, _noise(camera_sums), own, known, largest)
+    return _compared(own_sums, camera_sums, _noise(camera_sums, rules), own, known, rules)
 
 
 @compiled
@@ -185,9 +210,9 @@ def _window_sums(values: Array) -> Array:
 
 
 @compiled
-def _noise(sums: Array) -> np.float32:
+def _noise(sums: Array, rules: PhotometricRules) -> np.float32:
     """Return the median of every fourth window's mean, clipped to the noise's bounds, by a counting sort."""
-    top = np.int32(np.ceil(MOST_NOISE * WINDOW**2))
+    top = np.int32(np.ceil(rules.most_noise * WINDOW**2))
     counts, total = np.zeros(top + 1, np.int64), 0
     for y in range(0, sums.shape[0], 2):
         for x in range(0, sums.shape[1], 2):
@@ -201,12 +226,12 @@ def _noise(sums: Array) -> np.float32:
         value += 1
     ninth = np.float32(1 / WINDOW**2)
     median: np.float32 = np.float32(0.5) * (np.float32(lower) * ninth + np.float32(value - 1) * ninth)
-    return min(max(median, np.float32(LEAST_NOISE)), np.float32(MOST_NOISE))
+    return min(max(median, rules.least_noise), rules.most_noise)
 
 
 @compiled
 def _compared(
-    own_sums: Array, camera_sums: Array, noise: np.float32, own: Array, known: Array, largest: np.float32
+    own_sums: Array, camera_sums: Array, noise: np.float32, own: Array, known: Array, rules: PhotometricRules
 ) -> Array:
     zero, one, ninth = np.float32(0), np.float32(1), np.float32(1 / WINDOW**2)
     advantage = np.empty(known.shape, np.float32)
@@ -218,8 +243,8 @@ def _compared(
                 np.float32(own_row[x]) * ninth / noise,
                 np.float32(camera_row[x]) * ninth / noise,
             )
-            lead = min(max(by_camera - by_own, -largest), largest)
-            own_believed = np.float32(OWN_BELIEVED) - by_own if its_own[x] else zero
-            believed = own_believed if lead > zero else np.float32(CAMERA_BELIEVED) - by_camera
+            lead = min(max(by_camera - by_own, -rules.largest), rules.largest)
+            own_believed = rules.own - by_own if its_own[x] else zero
+            believed = own_believed if lead > zero else rules.camera - by_camera
             row[x] = lead * min(max(believed, zero), one) if seen[x] else zero
     return advantage

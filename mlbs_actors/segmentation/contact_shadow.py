@@ -11,24 +11,18 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from mlbs_actors.config import SegmentationConfig
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import BACKGROUND, Array, Region
 from mlbs_actors.segmentation.label_runs import label_runs
 from mlbs_actors.segmentation.region_groups import grown, slices_in
-from mlbs_actors.segmentation.shadows import CHANNEL_NOISE, CHANNEL_SPREAD, Darkening
+from mlbs_actors.segmentation.shadows import Darkening
 
 __all__ = ["contact_shadow"]
 
-#: Log darkening of a contact shadow, and its steepest mean gradient over 5×5 px, grey levels/px of 640×480.
-CONTACT_DARK, CONTACT_SMOOTH = -0.7, 6.0
-#: Its least width, in heights of its object, and its largest distance from the ground, px of 640×480.
-CONTACT_WIDTH, CONTACT_GAP_PX = 0.3, 6.0
-#: Width of its edges, which are neither smooth nor flat, px of a 640×480 frame.
-CONTACT_EDGE_PX = 4.0
-
 
 def contact_shadow(
-    labels: Array, frame: Array, dark: Darkening, side: int, scale: float, rise: float
+    labels: Array, frame: Array, dark: Darkening, side: int, scale: float, config: SegmentationConfig
 ) -> Array:
     """Find the dark strip between an object's foot and the ground that the label map gives to the object.
 
@@ -44,26 +38,26 @@ def contact_shadow(
     side : int
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
-    rise : float
-        Its largest height, as a share of the height of its piece of the object.
+    config : SegmentationConfig
 
     Returns
     -------
     (h, w) bool
     """
-    unlit = _unlit(dark.mean, dark.spread, dark.brightness)
+    limits = map(np.float32, (config.contact_dark, config.channel_spread, config.channel_noise))
+    unlit = _unlit(dark.mean, dark.spread, dark.brightness, *limits)
     found = np.zeros(labels.shape, np.bool_)
     if not unlit.any():
         return found
     runs = label_runs(labels, True)
     pieces = _unlit_pieces(labels, *runs, unlit, side)
-    edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
+    edge = 2 * int(config.contact_edge_px * scale) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
-    steepest, gap = np.float32(CONTACT_SMOOTH / scale), CONTACT_GAP_PX * scale
+    steepest, gap = np.float32(config.contact_smooth / scale), config.contact_gap_px * scale
     for piece, x, y, width, height in pieces.tolist():
-        feet, least = Region(x, y + height // 2, width, height - height // 2), CONTACT_WIDTH * height
+        feet, least = Region(x, y + height // 2, width, height - height // 2), config.contact_width * height
         body, above, foot, (left, top, right, bottom) = _foot(
-            labels, runs, piece, feet.box, unlit, side, rise * height, least
+            labels, runs, piece, feet.box, unlit, side, config.contact_shadow * height, least
         )
         if right <= left:
             continue
@@ -74,10 +68,11 @@ def contact_shadow(
 
 
 @compiled
-def _unlit(mean: Array, spread: Array, brightness: Array) -> Array:
+def _unlit(
+    mean: Array, spread: Array, brightness: Array, darkest: np.float32, widest: np.float32, noise: np.float32
+) -> Array:
     """Mark pixels much darker than the ground, and equally so in all channels."""
     unlit = np.empty(mean.shape, np.bool_)
-    darkest, widest, noise = np.float32(CONTACT_DARK), np.float32(CHANNEL_SPREAD), np.float32(CHANNEL_NOISE)
     for y in range(mean.shape[0]):
         for x in range(mean.shape[1]):
             tolerance = widest + noise / brightness[y, x]

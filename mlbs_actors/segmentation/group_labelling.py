@@ -134,15 +134,13 @@ def label_proposals(
         cells = Region(proposals.corner[0] + box.x, proposals.corner[1] + box.y, box.width, box.height)
         pixels = in_pixels(cells, side, shape)
         dark = None if scene.ground is None else darkening(scene.means, scene.ground, cells, 1.0 / side)
-        labelling = minimise(_energy(scene, proposals, own, box, pixels, dark))
+        labelling = minimise(_energy(scene, proposals, own, box, pixels, dark), config.most_cut_whole)
         published[pixels.slices] = proposals.ids[own][labelling]
         cut = perf_counter()
         clean_labels(published, pixels.box, config.speck_px * scale**2, config.hole_px * scale**2)
         labels = published[pixels.slices].copy()
         if dark is not None and config.contact_shadow > 0:
-            strip = contact_shadow(
-                labels, scene.frame[pixels.slices], dark, side, scale, config.contact_shadow
-            )
+            strip = contact_shadow(labels, scene.frame[pixels.slices], dark, side, scale, config)
             labels[strip] = BACKGROUND
             published[pixels.slices] = labels
         _measure(labels, proposals, own, (box.x, box.y), statistics)
@@ -170,7 +168,8 @@ def _energy(
     config, side, shape = scene.config, proposals.side, scene.frame.shape[:2]
     costs, places = proposed_costs(proposals.cost, own, box.box, proposals.boxes)
     if dark is not None and config.shadow > 0:
-        discount_shadows(costs, places, shadow_likelihood(dark), np.float32(config.shadow / COST_QUANTUM))
+        likelihood = shadow_likelihood(dark, config)
+        discount_shadows(costs, places, likelihood, np.float32(config.shadow / COST_QUANTUM))
     pull = round(2.0 * config.track_cost / COST_QUANTUM)
     pulls = track_pulls(
         scene.positions, proposals.tracks[own], places * side, (pixels.x, pixels.y), shape, pull

@@ -103,7 +103,8 @@ class Segmenter:
         side = posteriors[0].cell
         means, ground = mean_of_cells(frame, side), None
         if settings.shadow > 0 or settings.contact_shadow > 0:
-            ground = ground_colour(means, evidence, self.state.labels, length_scale(*evidence.shape))
+            scale = length_scale(*evidence.shape)
+            ground = ground_colour(means, evidence, self.state.labels, scale, settings)
         # Read-only as between processes: kernels are compiled separately for writable arrays.
         image = np.ascontiguousarray(frame).view()
         image.setflags(write=False)

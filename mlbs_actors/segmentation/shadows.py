@@ -14,40 +14,22 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from mlbs_actors.config import SegmentationConfig
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.layer.trajectory_distance import trajectory_distance
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 
-__all__ = [
-    "CHANNEL_NOISE",
-    "CHANNEL_SPREAD",
-    "Darkening",
-    "darkening",
-    "ground_colour",
-    "shadow_likelihood",
-]
+__all__ = ["Darkening", "darkening", "ground_colour", "shadow_likelihood"]
 
 #: The ground's colour is estimated on the frame shrunk by this factor.
 SHRINK = 4
-#: Pixels this near to an object's trajectory may be the object itself, px of a 640×480 frame.
-NEAR_PX = 16.0
 #: Reach of the blur of the picture, px.
 BLUR_REACH = 4
 #: Side of the square around a shrunk pixel in which last frame's map must show no object either.
 GROWN = 3
-#: Standard deviation over which ground is searched for, twice shrunk px; where there is none it is doubled,
-#: this many times.
-REACH, DOUBLINGS = 1.5, 4
-#: Least share of ground within a reach, in pixels out of four.
-LEAST_GROUND = 4 * 0.05
-#: Log darkening at which a shadow begins, the range over which that becomes certain, and both for the
-#: darkest.
-LIGHTEST, LIGHTEST_RAMP, DARKEST, DARKEST_RAMP = -0.10, 0.15, -2.2, 0.3
-#: Largest difference of log darkening between channels, and what is added to it in the dark, grey levels.
-CHANNEL_SPREAD, CHANNEL_NOISE = 0.25, 6.0
-#: Variance of the ground's log colour above which it is unknown.
-GROUND_VARIANCE = 0.04
-#: Its value where there is no ground within any reach.
+#: Where there is no ground within the reach, the reach is doubled, this many times.
+DOUBLINGS = 4
+#: Variance of the ground where there is no ground within any reach.
 NO_GROUND = 1e3
 
 
@@ -73,7 +55,9 @@ class Darkening:
     variance: Array
 
 
-def ground_colour(picture: Array, evidence: FrameEvidence, previous: Array, scale: float) -> Array | None:
+def ground_colour(
+    picture: Array, evidence: FrameEvidence, previous: Array, scale: float, config: SegmentationConfig
+) -> Array | None:
     """Estimate the colour of the ground near each pixel from pixels of no object.
 
     Parameters
@@ -86,6 +70,7 @@ def ground_colour(picture: Array, evidence: FrameEvidence, previous: Array, scal
         Last label map; empty if there is none.
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
+    config : SegmentationConfig
 
     Returns
     -------
@@ -99,11 +84,11 @@ def ground_colour(picture: Array, evidence: FrameEvidence, previous: Array, scal
         return None
     size = (max(1, width // SHRINK), max(1, height // SHRINK))
     colour = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    free: Array = trajectory_distance(positions, Region(0, 0, *size), SHRINK) >= NEAR_PX * scale
+    free: Array = trajectory_distance(positions, Region(0, 0, *size), SHRINK) >= config.ground_px * scale
     if previous.size:
         shown = cv2.resize(previous, size, interpolation=cv2.INTER_NEAREST) > BACKGROUND
         free &= cv2.dilate(shown.view(np.uint8), np.ones((GROWN, GROWN), np.uint8)) == 0
-    return _spread_into_objects(colour, free)
+    return _spread_into_objects(colour, free, config)
 
 
 def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darkening:
@@ -128,19 +113,25 @@ def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darken
     return Darkening(*_compared(smooth, ground, box.y, box.x, picture.shape[:2], _LOG))
 
 
-def shadow_likelihood(dark: Darkening) -> Array:
+def shadow_likelihood(dark: Darkening, config: SegmentationConfig) -> Array:
     """Rate how much each pixel looks like the ground near it with less light.
 
     Parameters
     ----------
     dark : Darkening
+    config : SegmentationConfig
 
     Returns
     -------
     (h, w) float32
         0 = no shadow … 1 = darker ground.
     """
-    likelihood: Array = _shadow_likelihood(dark.mean, dark.spread, dark.brightness, dark.variance)
+    lightest = config.shadow_lightest, config.shadow_lightest_ramp
+    darkest = config.shadow_darkest, config.shadow_darkest_ramp
+    most = config.channel_spread, config.channel_noise, config.ground_variance
+    likelihood: Array = _shadow_likelihood(
+        dark.mean, dark.spread, dark.brightness, dark.variance, lightest, darkest, most
+    )
     return likelihood
 
 
@@ -201,20 +192,23 @@ def _mirrored(at: int, length: int) -> int:
 
 
 @compiled
-def _shadow_likelihood(mean: Array, spread: Array, brightness: Array, variance: Array) -> Array:
+def _shadow_likelihood(
+    mean: Array, spread: Array, brightness: Array, variance: Array, lightest: tuple[float, float],
+    darkest: tuple[float, float], most: tuple[float, float, float],
+) -> Array:  # fmt: skip
     likelihood = np.empty(mean.shape, np.float32)
     for y in range(mean.shape[0]):
         for x in range(mean.shape[1]):
-            tolerance = CHANNEL_SPREAD + CHANNEL_NOISE / brightness[y, x]
-            value = min(max((LIGHTEST - mean[y, x]) / LIGHTEST_RAMP, 0.0), 1.0)
-            value *= min(max((mean[y, x] - DARKEST) / DARKEST_RAMP, 0.0), 1.0)
+            tolerance = most[0] + most[1] / brightness[y, x]
+            value = min(max((lightest[0] - mean[y, x]) / lightest[1], 0.0), 1.0)
+            value *= min(max((mean[y, x] - darkest[0]) / darkest[1], 0.0), 1.0)
             value *= min(max(2.0 - 2.0 * spread[y, x] / tolerance, 0.0), 1.0)
-            value *= min(max(2.0 - variance[y, x] / GROUND_VARIANCE, 0.0), 1.0)
+            value *= min(max(2.0 - variance[y, x] / most[2], 0.0), 1.0)
             likelihood[y, x] = value
     return likelihood
 
 
-def _spread_into_objects(colour: Array, free: Array) -> Array:
+def _spread_into_objects(colour: Array, free: Array, config: SegmentationConfig) -> Array:
     """Return mean log colour and its variance, (h / 2, w / 2, 4) float32, of the free pixels in reach."""
     weighted = [_moments(colour, free, _LOG)]
     for _ in range(DOUBLINGS):
@@ -224,7 +218,8 @@ def _spread_into_objects(colour: Array, free: Array) -> Array:
     for level in reversed(weighted):
         if ground.shape[:2] != level.shape[:2]:
             ground = cv2.pyrUp(ground, dstsize=level.shape[1::-1])
-        _take_where_found(cv2.GaussianBlur(level, (0, 0), REACH), ground)
+        smooth = cv2.GaussianBlur(level, (0, 0), config.ground_reach)
+        _take_where_found(smooth, ground, 4 * config.ground_share)  # of four pixels
     return ground
 
 
@@ -246,13 +241,13 @@ def _moments(colour: Array, free: Array, log_of: Array) -> Array:
 
 
 @compiled
-def _take_where_found(moments: Array, ground: Array) -> None:
+def _take_where_found(moments: Array, ground: Array, least_share: float) -> None:
     """Write mean log colour and variance into ``ground`` where there is enough of it within the reach."""
     height, width, _ = ground.shape
     for y in range(height):
         for x in range(width):
             share = moments[y, x, 6]
-            if share > LEAST_GROUND:
+            if share > least_share:
                 variance = np.float32(0.0)
                 for c in range(3):
                     mean = moments[y, x, c] / share

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from mlbs_actors.config import TrajectoriesConfig
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
@@ -24,16 +25,8 @@ __all__ = [
     "homography_of_cells",
 ]
 
-#: Reprojection error of an inlier, px.
-INLIER_PX = 1.0
-#: Bounds of the noise estimate between two frames, grey levels. Where the median difference is larger,
-#: the camera model fails or the scene is full of fine texture; a smooth object differs by less than that.
-LEAST_NOISE, MOST_NOISE = 2.0, 3.5
-#: Fewer points than this do not determine a homography that can be trusted; a translation is used.
-LEAST_POINTS = 12
 
-
-def camera_homography(positions: Array, motions: Array, scale: float) -> Array:
+def camera_homography(positions: Array, motions: Array, scale: float, config: TrajectoriesConfig) -> Array:
     """Fit the background's backward motion by RANSAC (seeded inside OpenCV) and least squares.
 
     Parameters
@@ -44,6 +37,7 @@ def camera_homography(positions: Array, motions: Array, scale: float) -> Array:
         Their backward motions, px.
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
+    config : TrajectoriesConfig
 
     Returns
     -------
@@ -52,8 +46,9 @@ def camera_homography(positions: Array, motions: Array, scale: float) -> Array:
         determine more.
     """
     matrix = None
-    if len(positions) >= LEAST_POINTS:
-        matrix, _ = cv2.findHomography(positions, positions + motions, cv2.RANSAC, INLIER_PX * scale)
+    if len(positions) >= config.camera_tracks:
+        inlier = config.camera_inlier_px * scale
+        matrix, _ = cv2.findHomography(positions, positions + motions, cv2.RANSAC, inlier)
     if matrix is None or not np.isfinite(matrix).all() or not 0.5 < _enlargement(matrix) < 2.0:
         matrix = np.eye(3)
         if len(positions):
@@ -136,7 +131,9 @@ class CameraEvidence:
     advantage: Array
 
 
-def camera_evidence(previous: Array, current: Array, matrix: Array, flow: Array, side: int) -> CameraEvidence:
+def camera_evidence(
+    previous: Array, current: Array, matrix: Array, flow: Array, side: int, config: TrajectoriesConfig
+) -> CameraEvidence:
     """Compare the frame before, moved by the camera's motion and by the dense flow, with the new frame.
 
     Parameters
@@ -149,12 +146,14 @@ def camera_evidence(previous: Array, current: Array, matrix: Array, flow: Array,
         Backward flow t → t−1, px.
     side : int
         Of a cell, px.
+    config : TrajectoriesConfig
 
     Returns
     -------
     CameraEvidence
-        The noise is the median difference to the camera's motion, between ``LEAST_NOISE`` and ``MOST_NOISE``
-        grey levels. Both are 0 where the camera's motion leads out of frame t−1.
+        The noise is the median difference to the camera's motion, within bounds: where that is larger, the
+        camera model fails or the scene is full of fine texture; a smooth object differs by less. Both are 0
+        where the camera's motion leads out of frame t−1.
     """
     mapping = homography_of_cells(matrix, side)
     height, width = current.shape
@@ -169,7 +168,7 @@ def camera_evidence(previous: Array, current: Array, matrix: Array, flow: Array,
         cv2.boxFilter(difference, cv2.CV_32F, (5, 5))
         for difference in _differences(current, by_camera, by_flow, mapping)
     )
-    noise = np.float32(min(max(_median_error(camera_error), LEAST_NOISE), MOST_NOISE))
+    noise = np.float32(min(max(_median_error(camera_error), config.least_noise), config.most_noise))
     return CameraEvidence(*_in_noise(camera_error, flow_error, noise))
 
 

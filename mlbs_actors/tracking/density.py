@@ -15,10 +15,10 @@ import numpy as np
 from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.messages import Array
 
-__all__ = ["MOST_IN_SQUARE", "SQUARE", "cell_of", "room_left", "within_room"]
+__all__ = ["SQUARE", "cell_of", "room_left", "within_room"]
 
-#: Bound for a square of the flow's grid with this side, about half of what the dense grid puts there.
-SQUARE, MOST_IN_SQUARE = 8, 7
+#: Side of a square, cells.
+SQUARE = 8
 
 
 @inlined
@@ -30,13 +30,13 @@ def cell_of(positions: Array, point: int, shape: tuple[int, int], side: int) -> 
 
 
 @compiled
-def _room_in_squares(shape: tuple[int, int]) -> Array:
+def _room_in_squares(shape: tuple[int, int], most: int) -> Array:
     """Return the bound of each square of a frame of (h, w) cells, (⌈h/8⌉, ⌈w/8⌉) int64."""
-    return np.full((-(-shape[0] // SQUARE), -(-shape[1] // SQUARE)), MOST_IN_SQUARE)
+    return np.full((-(-shape[0] // SQUARE), -(-shape[1] // SQUARE)), most)
 
 
 @compiled
-def room_left(positions: Array, shape: tuple[int, int], side: int) -> Array:
+def room_left(positions: Array, shape: tuple[int, int], side: int, most: int) -> Array:
     """Count how many more trajectories each square takes, (⌈h/8⌉, ⌈w/8⌉) int64; negative if overfull.
 
     Parameters
@@ -47,8 +47,10 @@ def room_left(positions: Array, shape: tuple[int, int], side: int) -> Array:
         (h, w) of the frame, cells.
     side : int
         Of its cells, px.
+    most : int
+        What a square takes while it is empty.
     """
-    room = _room_in_squares(shape)
+    room = _room_in_squares(shape, most)
     for point in range(positions.shape[0]):
         y, x = cell_of(positions, point, shape, side)
         room[y // SQUARE, x // SQUARE] -= 1
@@ -56,7 +58,9 @@ def room_left(positions: Array, shape: tuple[int, int], side: int) -> Array:
 
 
 @compiled
-def within_room(positions: Array, ages: Array, oldest: int, shape: tuple[int, int], side: int) -> Array:
+def within_room(
+    positions: Array, ages: Array, oldest: int, shape: tuple[int, int], side: int, most: int
+) -> Array:
     """Select the trajectories that stay: all young ones, and in each square the first with a full history.
 
     Parameters
@@ -70,13 +74,15 @@ def within_room(positions: Array, ages: Array, oldest: int, shape: tuple[int, in
         (h, w) of the frame, cells.
     side : int
         Of its cells, px.
+    most : int
+        As for :func:`room_left`.
 
     Returns
     -------
     (m,) intp
         Ascending.
     """
-    room, stays, count = _room_in_squares(shape), np.empty(ages.size, np.intp), 0
+    room, stays, count = _room_in_squares(shape, most), np.empty(ages.size, np.intp), 0
     for point in range(ages.size):
         if ages[point] == oldest:
             y, x = cell_of(positions, point, shape, side)

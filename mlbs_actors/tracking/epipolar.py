@@ -14,15 +14,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from mlbs_actors.config import length_scale
+from mlbs_actors.config import TrajectoriesConfig, length_scale
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.camera import INLIER_PX, LEAST_POINTS, homography_motion
+from mlbs_actors.tracking.camera import homography_motion
 
 __all__ = ["EpipolarGeometry", "explains", "forward_motion", "static_motion"]
 
-#: The camera drives forwards if at most this share of the points obeys its homography, at least that share
-#: one epipolar geometry, and at least that share moves in it as static points do.
-MOST_PLANAR, LEAST_EPIPOLAR, LEAST_STATIC = 0.6, 0.7, 0.5
 #: Confidence that the best geometry was found, and most samples drawn for it.
 CONFIDENCE, MOST_SAMPLES = 0.999, 2000
 
@@ -45,7 +42,7 @@ class EpipolarGeometry:
 
 
 def forward_motion(
-    positions: Array, motions: Array, homography: Array, shape: tuple[int, int]
+    positions: Array, motions: Array, homography: Array, shape: tuple[int, int], config: TrajectoriesConfig
 ) -> EpipolarGeometry | None:
     """Estimate the epipolar geometry of a camera that drives forwards through a scene of many depths.
 
@@ -61,17 +58,18 @@ def forward_motion(
         :func:`camera_homography`.
     shape : (H, W)
         px.
+    config : TrajectoriesConfig
 
     Returns
     -------
     EpipolarGeometry or None
         None if the camera does not drive.
     """
-    if len(positions) < 2 * LEAST_POINTS:
+    if len(positions) < 2 * config.camera_tracks:
         return None
-    if explains(homography, positions, motions, shape):
+    if explains(homography, positions, motions, shape, config):
         return None
-    inlier = INLIER_PX * length_scale(*shape)
+    inlier = config.camera_inlier_px * length_scale(*shape)
     points = positions.astype(np.float64)
     try:
         matrix, inliers = cv2.findFundamentalMat(
@@ -79,7 +77,7 @@ def forward_motion(
         )
     except cv2.error:  # with few points in random motion OpenCV may find no matrix, and fail on that
         return None
-    if matrix is None or matrix.shape != (3, 3) or inliers.mean() < LEAST_EPIPOLAR:
+    if matrix is None or matrix.shape != (3, 3) or inliers.mean() < config.least_epipolar:
         return None
     before, _, after = np.linalg.svd(matrix)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -89,11 +87,13 @@ def forward_motion(
     geometry = EpipolarGeometry(matrix, *epipoles)
     # A camera that drives backwards has the same epipolar lines, but its points come from farther out.
     error = np.hypot(*(motions - static_motion(geometry, positions, motions)).T)
-    return geometry if (error < inlier).mean() >= LEAST_STATIC else None
+    return geometry if (error < inlier).mean() >= config.least_static else None
 
 
-def explains(homography: Array, positions: Array, motions: Array, shape: tuple[int, int]) -> bool:
-    """Whether a homography explains more than ``MOST_PLANAR`` of some backward motions.
+def explains(
+    homography: Array, positions: Array, motions: Array, shape: tuple[int, int], config: TrajectoriesConfig
+) -> bool:
+    """Whether a homography explains more than ``most_planar`` of some backward motions.
 
     Parameters
     ----------
@@ -102,9 +102,11 @@ def explains(homography: Array, positions: Array, motions: Array, shape: tuple[i
         px; without any, False.
     shape : (int, int)
         (H, W) of the frame.
+    config : TrajectoriesConfig
     """
     error = np.hypot(*(motions - homography_motion(homography, positions)).T)
-    return bool((error < INLIER_PX * length_scale(*shape)).sum() > MOST_PLANAR * len(positions))
+    obeying = error < config.camera_inlier_px * length_scale(*shape)
+    return bool(obeying.sum() > config.most_planar * len(positions))
 
 
 def static_motion(geometry: EpipolarGeometry, positions: Array, motions: Array) -> Array:

@@ -13,12 +13,13 @@ import cv2
 import numpy as np
 
 from mlbs_actors.clustering.label_index import UNLABELLED, label_places
+from mlbs_actors.config import TrajectoriesConfig
 from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.kernels.interpolation import sample_flow, sample_map
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import BACKGROUND, UNEXPLAINED_STEP, Array
 from mlbs_actors.tracking.camera import CameraEvidence, camera_evidence
-from mlbs_actors.tracking.trajectories import EVIDENCE_BOUNDS, TrajectoryState
+from mlbs_actors.tracking.trajectories import TrajectoryState
 
 __all__ = ["HeldFrame", "by_layer", "first_frame", "held_frame", "relabelled"]
 
@@ -84,7 +85,14 @@ def held_frame(
     )
 
 
-def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array, camera: Array) -> HeldFrame:
+def first_frame(
+    held: HeldFrame,
+    flow: DenseFlow,
+    gray: Array,
+    following: Array,
+    camera: Array,
+    config: TrajectoriesConfig,
+) -> HeldFrame:
     """Complete an epoch's first frame, which has none before it, with the motion from the second one.
 
     Parameters
@@ -96,17 +104,19 @@ def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array,
         The two frames as the flow sees them.
     camera : (3, 3) float64
         Takes pixels of the second frame to the first.
+    config : TrajectoriesConfig
 
     Returns
     -------
     HeldFrame
     """
-    evidence = camera_evidence(following, gray, np.linalg.inv(camera), flow.forward, flow.side)
+    forwards = np.linalg.inv(camera)
+    evidence = camera_evidence(following, gray, forwards, flow.forward, flow.side, config)
     advantage = sample_map(evidence.advantage, held.positions, flow.side)
     return replace(
         held,
         motions=-sample_flow(flow.forward, held.positions, flow.side),
-        evidence=np.clip(advantage, *EVIDENCE_BOUNDS),
+        evidence=np.clip(advantage, config.least_evidence_step, config.most_evidence_step),
         camera=camera,
         flow=-flow.forward,
         flow_reliable=flow.forward_reliable(),

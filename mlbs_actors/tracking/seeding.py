@@ -23,9 +23,6 @@ from mlbs_actors.tracking.trajectories import TrajectoryState
 
 __all__ = ["seed_trajectories"]
 
-#: Least spacing of seeds, cells, on the usual and the dense grid.
-LEAST_SPACING, LEAST_DENSE_SPACING = 3.0, 2.0
-
 
 def seed_trajectories(
     state: TrajectoryState,
@@ -73,11 +70,12 @@ def seed_trajectories(
         np.ones(gray.shape, bool) if flow is None else flow.backward_reliable,
         np.zeros(gray.shape, np.float32) if advantage is None else advantage,
         side,
+        config.square_tracks,
     )
     # Closer than the least spacing the flow cannot separate two points.
     spacings = (
-        max(config.seed_spacing_px * scale, LEAST_SPACING * side),
-        max(config.dense_spacing_px * scale, LEAST_DENSE_SPACING * side),
+        max(config.seed_spacing_px * scale, config.least_spacing_cells * side),
+        max(config.dense_spacing_px * scale, config.least_dense_spacing_cells * side),
     )
     seeds = _seeds(state.positions, ground, config.dense_advantage, (height, width), spacings)
     count = len(seeds)
@@ -108,6 +106,8 @@ class _Ground(NamedTuple):
     advantage : (h, w) float32
     side : int
         Of a cell, px.
+    most : int
+        Trajectories of a square.
     """
 
     structure: Array
@@ -115,6 +115,7 @@ class _Ground(NamedTuple):
     reliable: Array
     advantage: Array
     side: int
+    most: int
 
 
 @compiled
@@ -124,7 +125,7 @@ def _seeds(
 ) -> Array:  # fmt: skip
     """Return the seeds of the grid and of the dense one, (n, 2) float32."""
     taken = np.zeros(ground.structure.shape, np.bool_)
-    room = room_left(positions, ground.structure.shape, ground.side)
+    room = room_left(positions, ground.structure.shape, ground.side, ground.most)
     _take(taken, positions, ground.side)
     seeds = _grid_seeds(ground, -np.inf, taken, room, shape, spacings[0])
     _take(taken, seeds, ground.side)

@@ -92,12 +92,12 @@ def track(
     informative = (trajectories.ages > 0) & background[survivors]
     voters = evenly_spread(trajectories.positions, informative, 2 * spacing)
     places, motions = trajectories.positions[voters], trajectories.motions[voters]
-    camera = camera_homography(places, motions, scale)
-    planar = explains(camera, places, motions, shape)
+    camera = camera_homography(places, motions, scale, settings)
+    planar = explains(camera, places, motions, shape, settings)
     nothing = np.zeros(gray.shape, np.float32)
     against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
     if flow is not None:
-        against_camera = camera_evidence(previous, gray, camera, flow.backward, side)
+        against_camera = camera_evidence(previous, gray, camera, flow.backward, side, settings)
         unexplained, advantage = (
             sample_map(one, trajectories.positions, side)
             for one in (against_camera.unexplained, against_camera.advantage)
@@ -106,8 +106,9 @@ def track(
         same = np.flatnonzero(mismatch <= settings.most_mismatch)
         trajectories, survivors = selected(trajectories, same), survivors[same]
         stays = within_room(
-            trajectories.positions, trajectories.ages, settings.history_frames, gray.shape, side
-        )
+            trajectories.positions, trajectories.ages, settings.history_frames, gray.shape, side,
+            settings.square_tracks,
+        )  # fmt: skip
         trajectories, survivors = selected(trajectories, stays), survivors[stays]
     trajectories = seed_trajectories(
         trajectories, gray, flow, shape, side, settings, against_camera.advantage
@@ -118,11 +119,11 @@ def track(
     driving = None
     if not planar:  # else all that the homography does not explain are objects
         driving = forward_motion(
-            trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape
+            trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape, settings
         )
     if driving is not None:
         predicted = static_motion(driving, trajectories.positions, trajectories.motions)
         obeying = np.hypot(*(trajectories.motions - predicted).T) < scale
         advantage = np.where(obeying, 0.0, advantage)
-    trajectories = with_residuals(trajectories, predicted, advantage)
+    trajectories = with_residuals(trajectories, predicted, advantage, settings)
     return Tracked(trajectories, survivors, camera, against_camera)

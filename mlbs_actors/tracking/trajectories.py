@@ -27,12 +27,6 @@ __all__ = [
 ]
 
 
-#: Share of a trajectory's evidence against the camera that is kept in the next frame.
-EVIDENCE_KEPT = np.float32(0.95)
-#: Bounds of what one frame adds to it, × the frame's noise: one bad match must not decide for long.
-EVIDENCE_BOUNDS = (-2.0, 8.0)
-
-
 @dataclass(frozen=True, slots=True)
 class TrajectoryState:
     """The live trajectories.
@@ -188,7 +182,9 @@ def evenly_spread(positions: Array, chosen: Array, spacing: float) -> Array:
     return first[:found]
 
 
-def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -> TrajectoryState:
+def with_residuals(
+    state: TrajectoryState, predicted: Array, advantage: Array, config: TrajectoriesConfig
+) -> TrajectoryState:
     """Add the newest residuals and evidence against the camera.
 
     Parameters
@@ -198,9 +194,12 @@ def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -
         Backward motion of a background point at each trajectory, px.
     advantage : (n,) float32
         :class:`~mlbs_actors.tracking.camera.CameraEvidence` at each trajectory, × the frame's noise.
+    config : TrajectoriesConfig
     """
+    # A step has bounds: one bad match must not decide for long.
+    rules = (1.0 - config.evidence_forgetting, config.least_evidence_step, config.most_evidence_step)
     residuals, evidence = _remembered(
-        state.residuals, state.rows, state.ages, state.motions, predicted, state.evidence, advantage
+        state.residuals, state.rows, state.ages, state.motions, predicted, state.evidence, advantage, rules
     )
     return replace(state, residuals=residuals, rows=np.arange(len(state)), evidence=evidence)
 
@@ -208,13 +207,13 @@ def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -
 @compiled
 def _remembered(
     residuals: Array, rows: Array, ages: Array, motions: Array, predicted: Array, evidence: Array,
-    advantage: Array,
+    advantage: Array, rules: tuple[float, float, float],
 ) -> tuple[Array, Array]:  # fmt: skip
     """Return the residuals with the newest first, 0 for those without a motion, and the evidence."""
-    least, most = np.float32(EVIDENCE_BOUNDS[0]), np.float32(EVIDENCE_BOUNDS[1])
+    kept, least, most = np.float32(rules[0]), np.float32(rules[1]), np.float32(rules[2])
     summed = np.empty(rows.size, np.float32)
     for trajectory in range(rows.size):
-        summed[trajectory] = EVIDENCE_KEPT * evidence[trajectory] + min(
+        summed[trajectory] = kept * evidence[trajectory] + min(
             max(np.float32(advantage[trajectory]), least), most
         )
     length = 2 * residuals.shape[1]

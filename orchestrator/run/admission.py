@@ -1,8 +1,9 @@
 """Which streams may run at once: as many as the machine holds, in the order of the list.
 
 A stream is several processes, and together they must fit into memory: if a machine swaps, or its kernel kills
-for memory, all streams are lost at once. More streams than the cores can serve only cost memory, so they are
-bounded too. The others wait and start as running ones end.
+for memory, all streams are lost at once. Each stream is admitted with memory for a few objects; for more,
+the pool starts processes while memory lasts (:mod:`mlbs_actors.actors.node.pool`). More streams than the
+cores can serve only cost memory, so they are bounded too. The others wait and start as running ones end.
 """
 
 from __future__ import annotations
@@ -11,13 +12,13 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory, node_memory
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.wording import count_of
 from orchestrator.run.stream_state import ENDED, StreamState
 
 __all__ = [
-    "STREAM_BYTES",
-    "available_memory",
+    "PLACE_BYTES",
     "cores",
     "places",
     "places_here",
@@ -25,23 +26,23 @@ __all__ = [
     "warn_of_cameras",
 ]
 
-#: Private memory of a stream of three layers at 640×480: reader, coordinator, segmenter and layers, bytes.
-STREAM_BYTES = 1_200 * 2**20
+#: Unique memory of a stream with four objects, bytes.
+PLACE_BYTES = STREAM_BYTES + 4 * LAYER_BYTES
 
 #: Left for the driver, Ray's own processes, the sink and the object store, bytes.
 _RESERVED_BYTES = 1_500 * 2**20
 
-# A stream's stages wait for one another: two on a core keep it busy.
+#: A stream's stages wait for one another: two on a core keep it busy.
 _STREAMS_A_CORE = 2
 
 
-def places(memory_bytes: int, core_count: int) -> int:
+def places(memory: NodeMemory, core_count: int) -> int:
     """Return how many streams may run at once.
 
     Parameters
     ----------
-    memory_bytes : int
-        Memory available before the run, bytes.
+    memory : NodeMemory
+        Before the run.
     core_count : int
 
     Returns
@@ -49,7 +50,7 @@ def places(memory_bytes: int, core_count: int) -> int:
     int
         At least 1: a machine too small for the estimate may still hold one small stream.
     """
-    by_memory = (memory_bytes - _RESERVED_BYTES) // STREAM_BYTES
+    by_memory = (memory.free - _RESERVED_BYTES) // PLACE_BYTES
     return max(1, min(by_memory, core_count * _STREAMS_A_CORE))
 
 
@@ -86,7 +87,7 @@ def places_here(folder: Path) -> int:
         raise ConfigError(
             f"the output folder {folder} is not there; put it on a file system that all nodes share"
         )
-    return places(available_memory(), cores())
+    return places(node_memory(), cores())
 
 
 def streams_to_start(states: Sequence[StreamState], limit: int) -> tuple[str, ...]:
@@ -101,20 +102,6 @@ def streams_to_start(states: Sequence[StreamState], limit: int) -> tuple[str, ..
     running = sum(state.state != "waiting" and state.state not in ENDED for state in states)
     waiting = (state.name for state in states if state.state == "waiting")
     return tuple(name for name, _ in zip(waiting, range(limit - running), strict=False))
-
-
-def available_memory(proc: Path = Path("/proc"), cgroup: Path = Path("/sys/fs/cgroup")) -> int:
-    """Return the memory available to new processes, bytes: of the machine, or of this container if less."""
-    available = 0
-    for line in (proc / "meminfo").read_text(encoding="ascii").splitlines():
-        if line.startswith("MemAvailable:"):
-            available = int(line.split()[1]) * 1024
-    try:
-        limit = (cgroup / "memory.max").read_text(encoding="ascii").strip()
-        used = int((cgroup / "memory.current").read_text(encoding="ascii"))
-    except (OSError, ValueError):
-        return available
-    return available if limit == "max" else min(available, int(limit) - used)
 
 
 def cores() -> int:

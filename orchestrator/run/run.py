@@ -12,7 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mlbs_actors.actors import Cluster, Node
+from mlbs_actors.actors import Cluster, Node, PoolPolicy
+from mlbs_actors.actors.node.memory import NodeMemory, node_memory
 from mlbs_actors.actors.stream.protocol import FrameReader, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SinkError
@@ -28,7 +29,7 @@ from orchestrator.monitor.server import serving
 from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
 from orchestrator.report.page import render_report
-from orchestrator.run.admission import available_memory, cores, places, places_here, warn_of_cameras
+from orchestrator.run.admission import cores, places, places_here, warn_of_cameras
 from orchestrator.run.driver import Driver, Observer, SpecChange
 from orchestrator.run.durable_files import replace_file
 from orchestrator.run.list_watch import ListWatch
@@ -86,7 +87,8 @@ def run(
     # On a cluster the pictures come from other machines, through the shared folder.
     live = None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
     job = _Job(streams, arguments, config, folder, live)
-    limit = places(available_memory(), cores())
+    memory = node_memory()
+    limit = places(memory, cores())
     status = StatusFile(folder.path / "status.json")
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
         if arguments.resume:
@@ -107,7 +109,7 @@ def run(
         onlookers: list[Observer] = []
         if at_work := bool(due) or arguments.watch:
             onlookers = session.enter_context(_monitored(arguments.monitor, live))
-            _announce(due, arguments, limit)
+            _announce(due, arguments, limit, memory)
             session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
         if at_work and arguments.ray_metrics is not None:
             onlookers.append(RayMetrics())
@@ -223,13 +225,14 @@ class _Job:
         )
 
 
-def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int) -> None:
+def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int, memory: NodeMemory) -> None:
     """Announce the run, and anything about it that may surprise."""
     count = count_of(len(due), "stream")
     if arguments.address is not None:
         _say(f"Joining Ray at {arguments.address}; {count}.")
         return
-    _say(f"Starting Ray; {count}, up to {limit} at a time.")
+    room = f"{count_of(cores(), 'core')}, {memory.available / 2**30:.1f} GiB of memory"
+    _say(f"Starting Ray; {count}, up to {limit} at a time ({room}).")
     if not has_machine_code():
         _say("This is the first run of this installation: it compiles for a minute or two, once.")
     endless = sum(not spec.replayable and spec.max_frames is None for spec in due)
@@ -256,7 +259,9 @@ def _drive(
             host: Node | Cluster
             most: int | Callable[[], int] = limit
             if arguments.address is None:
-                host = Node()
+                # Others may only come to a list that is watched.
+                at_once = limit if arguments.watch else min(limit, len(job.specs) - len(ended))
+                host = Node(policy=PoolPolicy(streams=at_once))
             else:
                 host = Cluster(partial(places_here, folder.path), _say)
                 most = host.places
@@ -317,6 +322,7 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
         for state in states
         if state.error is not None
     ]
+    lines += [f"  {state.name}: {note}" for state in states if (note := state.memory_note) is not None]
     lines += [
         f"  {state.name}: {error.read_text(encoding='utf-8').strip()}"
         for state in states

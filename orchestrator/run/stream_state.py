@@ -57,6 +57,8 @@ class StreamState:
         A signal ended it before its end.
     length : int, optional
         Final number of frames read, according to its source.
+    without_process : int
+        Most layers at once without a process of their own because memory was too short.
     """
 
     name: str
@@ -74,6 +76,7 @@ class StreamState:
     returns: int = 0
     interrupted: bool = False
     length: int | None = None
+    without_process: int = 0
 
     @property
     def queued(self) -> int:
@@ -105,6 +108,16 @@ class StreamState:
             else "new processes and its last snapshot"
         )
 
+    @property
+    def memory_note(self) -> str | None:
+        """That the memory was too small for its objects' processes, as a sentence."""
+        if not self.without_process:
+            return None
+        return (
+            f"The memory is full: up to {count_of(self.without_process, 'layer')} at once had no process "
+            "but the segmenter's. Labels are the same, frames take longer."
+        )
+
     def figures(self) -> dict[str, Any]:
         """All displayed values, by name."""
         derived = {"queued": self.queued, "seconds_left": self.seconds_left, "waits_for": self.waits_for}
@@ -131,6 +144,7 @@ def after_progress(state: StreamState, progress: StreamProgress, frames_per_seco
         latency_ms=sum(progress.stage_ms.values()) or state.latency_ms,
         error=None if error is None else mask(error),
         length=progress.length,
+        without_process=max(state.without_process, progress.without_process),
     )
 
 

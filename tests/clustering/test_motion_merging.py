@@ -7,7 +7,7 @@ import pytest
 
 from mlbs_actors.clustering.affinity import TrajectoryGraph
 from mlbs_actors.clustering.label_index import UNLABELLED, label_classes
-from mlbs_actors.clustering.motion_merging import LEAST_BORDER, border_motion, merge_by_motion
+from mlbs_actors.clustering.motion_merging import border_motion, merge_by_motion
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import BACKGROUND, Array
 
@@ -60,7 +60,7 @@ def plain_merge(graph: TrajectoryGraph, labels: Array, ages: dict[int, int], con
                 ) or (
                     distance < config.same_motion_distance
                     and edges >= config.same_motion_border * root
-                    and edges >= LEAST_BORDER
+                    and edges >= config.least_border
                 )
             if alike:
                 candidates.append((distance, younger, older))
@@ -184,7 +184,7 @@ def test_old_objects_whose_motions_differ_stay_apart() -> None:
 
 def test_old_objects_that_touch_with_little_stay_apart_however_alike_they_move() -> None:
     ages, speeds = {2: OLD, 5: OLD}, {2: FAST, 5: FAST}
-    few, labels = border(2, 5, [0.0] * (LEAST_BORDER - 1))
+    few, labels = border(2, 5, [0.0] * (MERGES.least_border - 1))
     np.testing.assert_array_equal(merge_by_motion(few, labels, ages, speeds, 1.0, MERGES), labels)
     config = MERGES.model_copy(update={"same_motion_border": 2.0})
     little, labels = border(2, 5, [0.0] * 8)  # less than 2 √20

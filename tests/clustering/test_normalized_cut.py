@@ -14,7 +14,6 @@ from mlbs_actors.clustering import normalized_cut
 from mlbs_actors.clustering.graph_coarsening import coarsen
 from mlbs_actors.clustering.normalized_cut import (
     EXACT_NODES,
-    FIRM,
     NO_EDGE,
     ROUNDING,
     TwoWayCut,
@@ -313,11 +312,11 @@ def test_connected_parts_are_those_of_scipy_numbered_by_their_first_nodes() -> N
 def test_a_cluster_is_firm_exactly_if_its_best_cut_is_far_above_the_threshold(between: float) -> None:
     affinity, _ = block_graph([6, 5], between)
     values = scipy.linalg.eigh(np.diag(affinity.sum(axis=1)) - affinity, np.diag(affinity.sum(axis=1)))[0]
-    clusters, firm = recursive_cut(sp.csr_array(affinity), 1e-2, 2)
+    clusters, firm = recursive_cut(sp.csr_array(affinity), 1e-2, 2, firm_factor=3.0)
     assert len(firm) == clusters.max() + 1
     if len(firm) == 1:
-        assert firm[0] == (values[1] > FIRM * 1e-2)
-        assert not firm[0] or exhaustive_ncut(affinity, 2) > FIRM * 1e-2
+        assert firm[0] == (values[1] > 3.0 * 1e-2)
+        assert not firm[0] or exhaustive_ncut(affinity, 2) > 3.0 * 1e-2
     else:
         assert exhaustive_ncut(affinity, 2) < 1e-2
 
@@ -326,6 +325,6 @@ def test_of_each_cluster_it_is_told_whether_it_is_firm() -> None:
     loose, _ = block_graph([20, 20], between=0.006)
     tight, _ = block_graph([30], between=0.0)
     affinity = scipy.linalg.block_diag(loose, tight, tight[:25, :25])
-    clusters, firm = recursive_cut(sp.csr_array(affinity), 1e-2, 5)
+    clusters, firm = recursive_cut(sp.csr_array(affinity), 1e-2, 5, firm_factor=3.0)
     np.testing.assert_array_equal(clusters, np.repeat([0, 1, 2], [40, 30, 25]))
     assert firm.tolist() == [False, True, True]

@@ -197,9 +197,14 @@ def test_what_moves_against_the_camera_without_evidence_has_bled() -> None:
         trajectories(np.zeros((4, 2)), residuals),
         evidence=np.array([0.0, 0.0, LAYERS.least_evidence, -1.0], np.float32),
     )
-    assert bled_trajectories(state, residual_speed(state), LAYERS, 1.0).tolist() == [False, True, False, True]
+    assert bled_trajectories(state, residual_speed(state, LAYERS.speed_frames), LAYERS, 1.0).tolist() == [
+        False,
+        True,
+        False,
+        True,
+    ]
     assert not bled_trajectories(
-        state, residual_speed(state), LAYERS, 10.0
+        state, residual_speed(state, LAYERS.speed_frames), LAYERS, 10.0
     ).any()  # 3 px is nothing in so large a frame
 
 
@@ -212,7 +217,8 @@ def test_a_labels_speed_is_the_median_of_its_members_mean_residual() -> None:
     residuals[2] = (60.0, 80.0)  # an outlier
     residuals[3, ::2], residuals[3, 1::2] = (2.0, 0.0), (-2.0, 0.0)  # shakes, goes nowhere
     speeds = label_speeds(
-        residual_speed(trajectories(np.zeros((5, 2)), residuals)), np.array([4, 4, 4, 1, UNLABELLED])
+        residual_speed(trajectories(np.zeros((5, 2)), residuals), LAYERS.speed_frames),
+        np.array([4, 4, 4, 1, UNLABELLED]),
     )
     assert set(speeds) == {1, 4}
     assert speeds[4] == pytest.approx(5.0)
@@ -223,14 +229,16 @@ def test_a_young_trajectory_is_as_fast_as_the_frames_it_has_lived() -> None:
     residuals = np.zeros((1, 4, 2))
     residuals[0, 0] = (0.0, 3.0)
     state = trajectories(np.zeros((1, 2)), residuals, ages=np.array([1]))
-    assert label_speeds(residual_speed(state), np.array([2]))[2] == pytest.approx(3.0)
+    assert label_speeds(residual_speed(state, LAYERS.speed_frames), np.array([2]))[2] == pytest.approx(3.0)
 
 
 def test_what_counts_as_moving_grows_with_the_camera_and_with_what_it_leaves_unexplained() -> None:
     def least(camera: float, residual: float) -> float:
         state = trajectories(np.full((20, 2), (camera, 0.0)), np.full((20, 4, 2), (0.0, residual)))
         labels = np.full(20, BACKGROUND)
-        return least_object_speed(state, labels, label_speeds(residual_speed(state), labels), LAYERS, 1.0)
+        return least_object_speed(
+            state, labels, label_speeds(residual_speed(state, LAYERS.speed_frames), labels), LAYERS, 1.0
+        )
 
     floor = least(0.0, 0.0)
     assert floor > 0

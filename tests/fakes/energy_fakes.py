@@ -6,11 +6,13 @@ import itertools
 
 import numpy as np
 
+from mlbs_actors.config import SegmentationConfig
 from mlbs_actors.graphcut.energy import NEIGHBOUR_OFFSETS, LabelCostEnergy
 from mlbs_actors.messages import Array
 from mlbs_actors.segmentation.contrast import COST_QUANTUM, contrast_weights, weights_by_distance
 
 #: Largest unary cost or pair weight: sums of nine still fit into 32 bits.
+MOST_WHOLE = SegmentationConfig().most_cut_whole
 MAX_COST = 2**24
 NO_EXTRAS = np.zeros((0, 4), np.int64)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from energy_fakes import (
     MAX_COST,
+    MOST_WHOLE,
     energy_of,
     in_quanta,
     laid_out,
@@ -145,7 +146,7 @@ def test_costs_of_cells_and_of_single_pixels_are_those_of_all_pixels(
     bands = [band_around_outlines(one, blocks)[1].unaries for one in (given, plain)]
     np.testing.assert_array_equal(bands[0].pixel, bands[1].pixel)
     np.testing.assert_array_equal(bands[0].cost, bands[1].cost)
-    np.testing.assert_array_equal(minimise(given), minimise(plain))
+    np.testing.assert_array_equal(minimise(given, MOST_WHOLE), minimise(plain, MOST_WHOLE))
 
 
 def test_what_no_pixel_may_have_no_block_may_have() -> None:
@@ -184,7 +185,7 @@ def test_only_pixels_near_an_outline_are_open_and_the_rest_is_folded_into_their_
 @pytest.mark.parametrize("shape", [(11, 14), (8, 8), (1, 7), (6, 1)])
 @pytest.mark.parametrize("side", [1, 2, 3])
 def test_a_label_that_can_only_be_in_its_place_costs_too_much_elsewhere(
-    side: int, shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+    side: int, shape: tuple[int, int]
 ) -> None:
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -206,18 +207,13 @@ def test_a_label_that_can_only_be_in_its_place_costs_too_much_elsewhere(
         plain = energy_of(dear, problem.weights, problem.label_costs, side, pulls)
         placed = energy_of(unary, problem.weights, problem.label_costs, side, pulls, places)
         for large in ((10**6,), (20,)):
-            monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", large)
-            np.testing.assert_array_equal(minimise(placed), minimise(plain))
+            np.testing.assert_array_equal(minimise(placed, large), minimise(plain, large))
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_coarse_to_fine_finds_nearly_the_labels_of_the_whole_cut(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_coarse_to_fine_finds_nearly_the_labels_of_the_whole_cut(seed: int) -> None:
     problem = moving_scene(seed)
-    exact = minimise(problem)
-    monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", (2000,))
-    found = minimise(problem)
+    exact, found = minimise(problem, MOST_WHOLE), minimise(problem, (2000,))
     blank = slow_energy(np.zeros((80, 96), np.intp), problem)
     # Of what the whole cut gains over no object at all, nearly everything.
     gain = blank - slow_energy(exact, problem)
@@ -226,24 +222,21 @@ def test_coarse_to_fine_finds_nearly_the_labels_of_the_whole_cut(
     assert (found != exact).sum() <= 0.12 * (exact > 0).sum()
 
 
-def test_smooth_costs_give_the_very_same_labels(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_smooth_costs_give_the_very_same_labels() -> None:
     y, x = np.mgrid[:64, :64]
     inside: Array = 2.0 * np.tanh((20 - np.hypot(y - 30, x - 33)) / 3)
     unary = np.stack([np.maximum(inside, 0), np.maximum(-inside, 0)])
     image = np.full((64, 64, 3), 90, np.uint8)
     problem = energy_of(in_quanta(unary), weights_of_image(image), np.zeros(2, np.int64))
-    exact = minimise(problem)
-    monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", (2000,))
-    np.testing.assert_array_equal(minimise(problem), exact)
+    np.testing.assert_array_equal(minimise(problem, (2000,)), minimise(problem, MOST_WHOLE))
 
 
-def test_every_coarser_level_has_its_own_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_coarser_level_has_its_own_bound() -> None:
     problem = moving_scene(1)  # 7680 px: 1920 blocks, or 480 blocks of blocks, or 120 of those
 
     def in_bands(whole: LabelCostEnergy, levels: int) -> Array:
         if levels == 0:
-            monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", (10**6,))
-            return minimise(whole)
+            return minimise(whole, (10**6,))
         labels, rest, start = band_around_outlines(whole, in_bands(halved(whole), levels - 1))
         labels.reshape(-1)[rest.pixels] = graph_cut._search(rest, start, 1)
         return labels
@@ -252,7 +245,6 @@ def test_every_coarser_level_has_its_own_bound(monkeypatch: pytest.MonkeyPatch) 
     found = {}
     for levels, large in bounds.items():
         expected = in_bands(problem, levels)
-        monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", large)
-        found[levels] = minimise(problem)
+        found[levels] = minimise(problem, large)
         np.testing.assert_array_equal(found[levels], expected)
     assert len({labels.tobytes() for labels in found.values()}) == len(bounds)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from energy_fakes import (
     MAX_COST,
+    MOST_WHOLE,
     energy_of,
     enumerated_minimum,
     pairs,
@@ -29,7 +30,7 @@ from mlbs_actors.segmentation.contrast import COST_QUANTUM
 
 
 def energy_found(problem: LabelCostEnergy) -> int:
-    return slow_energy(minimise(problem), problem)
+    return slow_energy(minimise(problem, MOST_WHOLE), problem)
 
 
 def undecided_share(problem: LabelCostEnergy) -> float:
@@ -122,7 +123,7 @@ def test_no_labelling_with_one_label_is_better(
     seed: int, count: int, height: int, width: int, label_cost: float
 ) -> None:
     problem = random_problem(seed, (count, height, width), label_cost)
-    labels = minimise(problem)
+    labels = minimise(problem, MOST_WHOLE)
     assert labels.dtype == np.int16
     for label in range(count):
         assert slow_energy(labels, problem) <= slow_energy(np.full((height, width), label), problem)
@@ -176,7 +177,7 @@ def test_no_expansion_on_the_full_graph_lowers_the_pruned_result(label_cost: flo
     for seed in range(12):
         unary, image = blocks_scene(seed, 4, 14, 16)
         problem = problem_of(unary, weights_of_image(image, 1.2), np.full(4, label_cost))
-        labels = minimise(problem)
+        labels = minimise(problem, MOST_WHOLE)
         for alpha in range(4):
             expanded = textbook_expansion(labels, alpha, problem)
             assert slow_energy(expanded, problem) >= slow_energy(labels, problem)
@@ -188,7 +189,7 @@ def test_no_expansion_on_the_full_graph_lowers_the_pruned_result(label_cost: flo
 def test_no_expansion_lowers_the_result_where_every_label_meets_every_other(label_cost: float) -> None:
     for seed in range(15, 30):
         problem = random_problem(seed, (4, 7, 8), label_cost)
-        labels = minimise(problem)
+        labels = minimise(problem, MOST_WHOLE)
         for alpha in range(4):
             expanded = textbook_expansion(labels, alpha, problem)
             assert slow_energy(expanded, problem) >= slow_energy(labels, problem)
@@ -222,13 +223,13 @@ def test_no_expansion_lowers_the_result_although_few_are_tried_again(
             problem = problem_of(unary, weights, costs)
             with monkeypatch.context() as few:
                 few.setattr(expansion_state, "_worth_expanding", counted)
-                labels = minimise(problem)
+                labels = minimise(problem, MOST_WHOLE)
             with monkeypatch.context() as all_again:
                 all_again.setattr(expansion_state, "_nothing_new", lambda *_: False)
                 all_again.setattr(
                     expansion_state, "_worth_expanding", lambda *given: np.ones(given[-2].size, bool)
                 )
-                np.testing.assert_array_equal(labels, minimise(problem))
+                np.testing.assert_array_equal(labels, minimise(problem, MOST_WHOLE))
             for alpha in range(4):
                 expanded = textbook_expansion(labels, alpha, problem)
                 assert slow_energy(expanded, problem) >= slow_energy(labels, problem)
@@ -257,7 +258,7 @@ def test_a_label_whose_cost_outweighs_its_evidence_disappears() -> None:
     weights = weights_of_image(np.zeros((12, 12, 3), np.uint8), strength=0.1)
 
     def used(label_cost: float) -> list[int]:
-        labels = minimise(problem_of(unary, weights, np.full(3, label_cost)))
+        labels = minimise(problem_of(unary, weights, np.full(3, label_cost)), MOST_WHOLE)
         return sorted(set(labels.ravel().tolist()))
 
     assert used(0.0) == [0, 1, 2]
@@ -282,7 +283,7 @@ def test_a_label_that_lies_on_two_others_is_shared_out_to_both() -> None:
     for heir in (0, 2):
         handed = np.where(spurious == 1, heir, spurious)
         assert slow_energy(handed, problem) > slow_energy(spurious, problem)
-    assert minimise(problem).tolist() == shared.tolist()
+    assert minimise(problem, MOST_WHOLE).tolist() == shared.tolist()
 
 
 def test_an_unused_label_is_not_paid_for() -> None:
@@ -296,4 +297,4 @@ def test_equal_input_gives_equal_bytes_and_leaves_the_input_alone() -> None:
     problem = problem_of(unary, weights_of_image(image), np.full(4, 5.0))
     for array in (problem.unary, problem.weights, problem.label_costs):
         array.flags.writeable = False
-    assert minimise(problem).tobytes() == minimise(problem).tobytes()
+    assert minimise(problem, MOST_WHOLE).tobytes() == minimise(problem, MOST_WHOLE).tobytes()

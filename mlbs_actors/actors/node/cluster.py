@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -74,7 +74,7 @@ class Cluster:
         self._places = places
         self._say = say
         self._parts = parts
-        self._policy = policy
+        self._policy = policy or PoolPolicy()
         self._own = ray.get_runtime_context().get_node_id()
         self._members: dict[str, _Member] = {}
         self._asked: dict[str, Reference] = {}
@@ -149,7 +149,8 @@ class Cluster:
         except RayError as error:
             self._say(f"The node {address} is not used: {last_line(error)}.")
             return
-        self._members[node] = _Member(Node(node, parts=self._parts, policy=self._policy), places)
+        policy = replace(self._policy, streams=places)
+        self._members[node] = _Member(Node(node, parts=self._parts, policy=policy), places)
         self._say(f"The node {address} takes up to {places} of the streams.")
 
     def _lose(self, node: str) -> None:

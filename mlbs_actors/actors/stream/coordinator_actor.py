@@ -13,7 +13,7 @@ import sys
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -427,9 +427,10 @@ class CoordinatorActor:
         )
 
     def _progress(self, *, done: bool, kept_waiting: bool = False) -> StreamProgress:
-        return self._account.progress(
+        progress = self._account.progress(
             self._record.committed, len(self._layers), done=done, kept_waiting=kept_waiting
         )
+        return replace(progress, without_process=self._layers.without_process)
 
     def _roles(self) -> dict[str, str]:
         links = self._links

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -125,6 +126,10 @@ class LayerActor:
         self._run: int | None = None
         self._work: LayerWork | None = None
         self._writer = StateWriter()
+
+    def process_id(self) -> int:
+        """Return the process's id, once it is ready."""
+        return os.getpid()
 
     def assign(self, run: int, config: Config) -> ChannelAddress:
         """Join a stream, whose segmenter will choose the layer.

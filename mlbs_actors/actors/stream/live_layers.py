@@ -37,6 +37,7 @@ class LiveLayers:
     A layer is born without a process, and lives in the segmenter's
     (:mod:`mlbs_actors.actors.stream.segmenter_actor`) until the pool has one for it. So births never wait,
     and where many are born at once their processes are started one after the other, beside the frames.
+    If the node's memory is too short for one, the layer stays there.
 
     Parameters
     ----------
@@ -53,10 +54,15 @@ class LiveLayers:
         self._config = config
         self._living: dict[int, _Living] = {}
         self._asked: deque[Reference] = deque()  # processes, of any layer
-        self._begun = False
+        self._begun = self._is_short = False
 
     def __len__(self) -> int:
         return len(self._living)
+
+    @property
+    def without_process(self) -> int:
+        """Number of layers without a process because the node's memory is too short."""
+        return self._is_short * sum(living.process is None for living in self._living.values())
 
     def roles(self) -> Iterator[tuple[str, str]]:
         """Yield actor id and name of every layer process, for messages."""
@@ -113,7 +119,12 @@ class LiveLayers:
         while len(self._asked) < min(len(waiting), max(awaited, 1)):
             self._asked.append(self._pool.acquire.remote(self._run, self._config, awaited=awaited > 0))
         while self._asked and (awaited or _is_there(self._asked[0])):
-            process, address = ray.get(self._asked.popleft())
+            answer = ray.get(self._asked.popleft())
+            awaited = max(awaited - 1, 0)
+            self._is_short = answer is None
+            if answer is None:  # asked again with the next frame
+                continue
+            process, address = answer
             if waiting:
                 layer = waiting.popleft()
                 self._living[layer].process = process
@@ -121,7 +132,6 @@ class LiveLayers:
                 yield layer, address
             else:  # the layer it was requested for has retired, or sleeps
                 self._release_process(process)
-            awaited = max(awaited - 1, 0)
 
     def _release(self, layer: int) -> None:
         process = self._living.pop(layer).process

@@ -312,6 +312,8 @@ class StreamProgress:
         Final value of ``read``, as far as the source or :attr:`StreamSpec.max_frames` says.
     kept_waiting : bool
         Whether the burst ended early because the source had no frame ready.
+    without_process : int
+        Layers without a process of their own because the node's memory is too short.
     """
 
     read: int
@@ -326,6 +328,7 @@ class StreamProgress:
     silence: SourceSilence | None = None
     length: int | None = None
     kept_waiting: bool = False
+    without_process: int = 0
 
 
 class RunningStream(Protocol):

@@ -6,6 +6,7 @@ import asyncio
 import os
 import signal
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from ray.exceptions import RayActorError
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
 from mlbs_actors.actors.ipc.channels import connect
 from mlbs_actors.actors.ipc.shared_memory import SharedMemory, SlotPool
+from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory
 from mlbs_actors.actors.node.pool import PoolActor
 from mlbs_actors.actors.node.processes import end, identity, spawn
 from mlbs_actors.actors.stream.layer_actor import LayerStart, LayerStep
@@ -189,6 +191,66 @@ def test_a_stream_that_has_ended_gets_no_more_processes(ray_session: RaySession,
         return census
 
     assert asyncio.run(end_while_a_process_starts()) == PoolCensus(idle=1, busy=0)
+
+
+# ---- memory
+
+
+@dataclass(frozen=True)
+class Room:
+    """A node's memory for so many processes, of those that have started."""
+
+    folder: Path
+    processes: int
+
+    def __call__(self) -> NodeMemory:
+        free = LAYER_BYTES * (self.processes - len([*self.folder.glob("start-*")]))
+        return NodeMemory(0, free + NodeMemory(0, 0).available - NodeMemory(0, 0).free)
+
+
+def test_objects_beyond_the_memory_have_no_process_of_their_own_and_the_same_labels(
+    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+) -> None:
+    node = Node(parts=parts, policy=PoolPolicy(short_seconds=0.1, memory=Room(parts.folder, 2)))
+    pictures = [picture(t, live=range(1, 6)) for t in range(200)]
+    stream = node.start(spec("crowd", FakeReader([*pictures], tmp_path, slow_seconds=0.01)))
+    steps = [stream.advance().result(timeout=200)]
+    while not steps[-1].done:
+        steps.append(stream.advance().result(timeout=200))
+    stream.stop(drain=False)
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+    assert len([*parts.folder.glob("start-*")]) == 2
+    assert max(step.without_process for step in steps) == 4  # of the background and five objects
+    node.close()
+
+
+def test_memory_is_kept_for_the_streams_that_are_still_to_begin(
+    ray_session: RaySession, parts: FakeParts
+) -> None:
+    room = Room(parts.folder, 3 + 2 * STREAM_BYTES // LAYER_BYTES + 1)
+    policy = PoolPolicy(spare=9, refill_seconds=60.0, streams=2, memory=room)
+    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote(1))
+    assert ray.get(pool.census.remote()) == PoolCensus(idle=3, busy=0)
+    assert ray.get(pool.acquire.remote(run, CONFIG, awaited=True)) is not None
+    ray.get(pool.begin.remote(2))
+    assert 2 < ray.get(pool.census.remote()).idle < 9
+    end([pool])
+
+
+def test_a_layer_gets_the_process_that_another_gives_back_where_the_memory_holds_no_more(
+    ray_session: RaySession, parts: FakeParts
+) -> None:
+    policy = PoolPolicy(short_seconds=60.0, memory=Room(parts.folder, 1))
+    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote(1))
+    first, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
+    assert ray.get(pool.acquire.remote(run, CONFIG, awaited=True)) is None  # frames do not wait
+    later = pool.acquire.remote(run, CONFIG, awaited=False)
+    assert not ray.wait([later], timeout=0.5)[0]
+    ray.get(pool.release.remote(run, identity(first), first.release.remote(run)))
+    assert ray.get(later, timeout=30.0)[0] == first
+    end([pool])
 
 
 # ---- processes that wait for a stream
