@@ -259,7 +259,7 @@ def _drive(
             host: Node | Cluster
             most: int | Callable[[], int] = limit
             if arguments.address is None:
-                # Others may only come to a list that is watched.
+                # Only a watched list can get more.
                 at_once = limit if arguments.watch else min(limit, len(job.specs) - len(ended))
                 host = Node(policy=PoolPolicy(streams=at_once))
             else:

@@ -110,12 +110,12 @@ class StreamState:
 
     @property
     def memory_note(self) -> str | None:
-        """That the memory was too small for its objects' processes, as a sentence."""
+        """State that memory was too short for its objects' processes, or None."""
         if not self.without_process:
             return None
         return (
-            f"The memory is full: up to {count_of(self.without_process, 'layer')} at once had no process "
-            "but the segmenter's. Labels are the same, frames take longer."
+            f"Memory was too short: up to {count_of(self.without_process, 'layer')} at once had no process "
+            "of their own. Labels are the same, frames take longer."
         )
 
     def figures(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """How much memory a node has for processes, and how much one takes.
 
-The limits of control groups count, those of containers and services: the node has the least of what they and
-the machine leave. A file's pages that nobody has used lately are no use of it, for the system gives them up.
+Control groups (containers, services) limit it, too; the smallest limit counts. Inactive pages of files are
+available, as the system drops them when needed.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from pathlib import Path
 
 __all__ = ["LAYER_BYTES", "STREAM_BYTES", "NodeMemory", "node_memory", "unique_memory"]
 
-#: Unique memory of a stream without its objects, reader, coordinator, segmenter and background, at 640×480,
-#: bytes, as docs/scaling.md has it measured.
+#: Unique memory of a stream's reader, coordinator, segmenter and background at 640×480, bytes, as measured in
+#: docs/scaling.md.
 STREAM_BYTES = 610 * 2**20
 
-#: The same of an object's process. A pool that finds larger ones at work expects these.
+#: The same of an object's process; a pool with larger ones expects more.
 LAYER_BYTES = 140 * 2**20
 
-#: What no process is started into: this share of the node's memory, and at least so much. Processes grow as
-#: their objects do, and Ray ends one where less than a twentieth is left.
+#: What stays free: this share of the node's memory, and at least so many bytes. Processes grow as their
+#: objects do, and Ray ends one when less than a twentieth is left.
 _RESERVED_SHARE, _LEAST_RESERVED = 0.1, 512 * 2**20
 
 #: Of control groups of version 2 and 1: the files of limit and usage, and the unused pages in memory.stat.
@@ -38,9 +38,9 @@ class NodeMemory:
     Attributes
     ----------
     total : int
-        All that it may use, bytes.
+        Limit of its use, bytes.
     available : int
-        What of that nobody uses, bytes.
+        Unused part of it, bytes.
     """
 
     total: int
@@ -48,12 +48,12 @@ class NodeMemory:
 
     @property
     def free(self) -> int:
-        """What processes may still be started into, bytes: less than 0 where the reserve is used up."""
+        """Memory for new processes, bytes; negative if the reserve is in use."""
         return self.available - max(round(_RESERVED_SHARE * self.total), _LEAST_RESERVED)
 
 
 def node_memory(proc: Path = Path("/proc"), cgroups: Path = Path("/sys/fs/cgroup")) -> NodeMemory:
-    """Look at this node: the machine, and the control groups of this process."""
+    """Measure this node: the machine, and the control groups of this process."""
     fields = (line.split() for line in (proc / "meminfo").read_text(encoding="ascii").splitlines())
     machine = {name: 1024 * int(size) for name, size, *_ in fields}
     within = [(machine["MemTotal:"], machine["MemAvailable:"]), *_groups(proc, cgroups)]
@@ -61,7 +61,7 @@ def node_memory(proc: Path = Path("/proc"), cgroups: Path = Path("/sys/fs/cgroup
 
 
 def unique_memory(pid: int, proc: Path = Path("/proc")) -> int:
-    """Memory that only this process has (its unique set size but for files), bytes; 0 if it has ended."""
+    """Return a process's unique memory (its unique set size without files), bytes; 0 if it has ended."""
     try:
         _, resident, shared, *_ = (proc / str(pid) / "statm").read_text(encoding="ascii").split()
     except OSError:
@@ -70,18 +70,18 @@ def unique_memory(pid: int, proc: Path = Path("/proc")) -> int:
 
 
 def _groups(proc: Path, cgroups: Path) -> Iterator[tuple[int, int]]:
-    """Limit of each control group that has one, and what is left of it, bytes."""
+    """Yield the limit of each control group that has one, and what is left of it, bytes."""
     for line in (proc / "self" / "cgroup").read_text(encoding="utf-8").splitlines():
         _, controllers, path = line.split(":", 2)
         if controllers not in _GROUP_FILES:
             continue
         limit, usage, unused = _GROUP_FILES[controllers]
         own = cgroups / controllers / path.lstrip("/")
-        for group in (own, *own.parents):  # a container sees its own group as the uppermost
+        for group in (own, *own.parents):  # a container sees its own group as the topmost
             try:
                 most, used = (int((group / name).read_text(encoding="ascii")) for name in (limit, usage))
                 statistics = (group / "memory.stat").read_text(encoding="ascii").splitlines()
-            except (OSError, ValueError):  # there is no such group, or it has no limit ("max")
+            except (OSError, ValueError):  # no such group, or no limit ("max")
                 continue
             figures = dict(statistic.split() for statistic in statistics)
             yield most, most - used + int(figures[unused])
