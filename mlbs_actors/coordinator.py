@@ -112,7 +112,6 @@ class Coordinator:
 
     Parameters
     ----------
-    config : Config
     state : CoordinatorState, optional
         To continue from a snapshot; a new stream by default.
     flow : FlowFunction, optional

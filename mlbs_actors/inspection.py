@@ -88,7 +88,6 @@ def inspect_frame(
 
     Parameters
     ----------
-    config : Config
     evidence : FrameEvidence
         Of the frame that was labelled last.
     layers : mapping of int to Layer

@@ -143,7 +143,6 @@ def trajectory_graph(
         :func:`displacement_spread` of the last T frames, newest first, px.
     shape : (int, int)
         (H, W), px.
-    config : AffinityConfig
 
     Returns
     -------

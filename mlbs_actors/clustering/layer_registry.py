@@ -104,7 +104,6 @@ class LayerRegistry:
 
     Parameters
     ----------
-    config : LayersConfig
     shape : (H, W)
         Of the frame, px.
     state : RegistryState, optional

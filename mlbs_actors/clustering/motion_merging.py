@@ -49,7 +49,6 @@ def merge_by_motion(
         From :func:`~mlbs_actors.clustering.splitting.label_speeds`.
     least_speed : float
         From :func:`~mlbs_actors.clustering.splitting.least_object_speed`.
-    config : LayersConfig
 
     Returns
     -------

@@ -101,7 +101,6 @@ def best_sleeper(
         The present frame.
     shape : (H, W)
         px.
-    config : LayersConfig
 
     Returns
     -------

@@ -56,7 +56,6 @@ def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConf
     affinity : (n, n) sparse
     labels : (n,) int64
         Label of each trajectory in the last frame; −1 for new ones.
-    config : AffinityConfig
 
     Returns
     -------
@@ -89,7 +88,6 @@ def bled_trajectories(
     trajectories : TrajectoryState
     speed : (n,) float64
         :func:`residual_speed`, px/frame.
-    config : LayersConfig
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
 
@@ -119,7 +117,6 @@ def split_labels(
     ----------
     affinity : (n, n) sparse
     labels : (n,) int64
-    config : AffinityConfig
     next_label : int
         First unused label.
     bled : (n,) bool
@@ -244,7 +241,6 @@ def least_object_speed(
     labels : (n,) int64
     speeds : mapping of int to float
         :func:`label_speeds`.
-    config : LayersConfig
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
     """

@@ -34,7 +34,6 @@ def search_both_ways(
     ----------
     previous, current : (h, w) uint8
         Grey levels, at least two patches high and wide.
-    config : FlowConfig
     focus : sequence of Region, optional
         Disjoint boxes where the finest level is computed. By default it is everywhere, and with the settings
         of the first frames, where an object that is missed stays missed for long.

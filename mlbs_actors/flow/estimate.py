@@ -71,7 +71,6 @@ def estimate_flow(
     previous, current : Picture
     side : int
         Of a cell, px.
-    config : Config
     focus : sequence of Region, optional
         Disjoint boxes, in cells, beyond which the flow need not be fine; everywhere by default.
     function : FlowFunction, optional

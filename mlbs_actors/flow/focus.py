@@ -40,7 +40,6 @@ def focus_blocks(
         Which of them are on objects.
     side : int
         Of a cell, px.
-    config : FlowConfig
 
     Returns
     -------
@@ -53,7 +52,7 @@ def focus_blocks(
     _, piece, stats, _ = cv2.connectedComponentsWithStats(ahead, connectivity=8)
     least, block_px = config.focus_least_blocks, np.float32(BLOCK * side)
     blocks = _blocks(piece, stats, positions, motions, objects, block_px, least)
-    # As far as it may move in a frame, and what the flow sees beside it.
+    # How far they may move in a frame, and the context of the flow.
     grown = 2 * config.focus_margin_blocks + 1
     return np.asarray(cv2.dilate(blocks, np.ones((grown, grown), np.uint8)), bool)
 
@@ -88,7 +87,6 @@ def focus_boxes(blocks: Array, shape: tuple[int, int], config: FlowConfig) -> li
         Of :func:`focus_blocks`.
     shape : (h, w)
         Of the frame, cells.
-    config : FlowConfig
 
     Returns
     -------

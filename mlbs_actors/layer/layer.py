@@ -100,7 +100,6 @@ class Layer:
 
     Parameters
     ----------
-    config : Config
     layer : int
         Its id.
     kind : {"background", "object", "other"}

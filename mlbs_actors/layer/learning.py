@@ -34,7 +34,6 @@ def object_support(
 
     Parameters
     ----------
-    config : Config
     evidence : FrameEvidence
     own : LayerTracks
         Which trajectories are the object's.

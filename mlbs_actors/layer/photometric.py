@@ -50,7 +50,7 @@ class PhotometricRules(NamedTuple):
 
     @staticmethod
     def configured(config: PosteriorConfig) -> PhotometricRules:
-        """Return those of a configuration."""
+        """Return the rules of a configuration."""
         noise = config.photometric_least_noise, config.photometric_most_noise
         rules = config.photometric_cap, *noise, config.own_believed, config.camera_believed
         return PhotometricRules(*map(np.float32, rules))

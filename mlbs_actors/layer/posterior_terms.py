@@ -85,7 +85,6 @@ def posterior_cost(config: Config, kind: LayerKind, evidence: FrameEvidence, pre
 
     Parameters
     ----------
-    config : Config
     kind : {"background", "object", "other"}
     evidence : FrameEvidence
         Camera and dense flow of the frame.
@@ -241,7 +240,6 @@ def finished_posterior(
 
     Parameters
     ----------
-    config : Config
     sent : cost (h, w) uint8, log_ratio (h, w) int8, samples (h, w) uint8
         As the layer sent them to the segmenter.
     published : Segmentation

@@ -38,7 +38,6 @@ def contact_shadow(
     side : int
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
-    config : SegmentationConfig
 
     Returns
     -------

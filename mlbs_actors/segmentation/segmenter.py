@@ -59,7 +59,6 @@ class Segmenter:
 
     Parameters
     ----------
-    config : Config
     state : SegmenterState, optional
         To continue from a snapshot; a new stream by default.
     """

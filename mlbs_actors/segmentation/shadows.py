@@ -70,7 +70,6 @@ def ground_colour(
         Last label map; empty if there is none.
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
-    config : SegmentationConfig
 
     Returns
     -------
@@ -115,11 +114,6 @@ def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darken
 
 def shadow_likelihood(dark: Darkening, config: SegmentationConfig) -> Array:
     """Rate how much each pixel looks like the ground near it with less light.
-
-    Parameters
-    ----------
-    dark : Darkening
-    config : SegmentationConfig
 
     Returns
     -------

@@ -37,7 +37,6 @@ def camera_homography(positions: Array, motions: Array, scale: float, config: Tr
         Their backward motions, px.
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
-    config : TrajectoriesConfig
 
     Returns
     -------
@@ -146,7 +145,6 @@ def camera_evidence(
         Backward flow t → t−1, px.
     side : int
         Of a cell, px.
-    config : TrajectoriesConfig
 
     Returns
     -------

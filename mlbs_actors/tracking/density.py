@@ -48,7 +48,7 @@ def room_left(positions: Array, shape: tuple[int, int], side: int, most: int) ->
     side : int
         Of its cells, px.
     most : int
-        What a square takes while it is empty.
+        Bound of a square.
     """
     room = _room_in_squares(shape, most)
     for point in range(positions.shape[0]):

@@ -58,7 +58,6 @@ def forward_motion(
         :func:`camera_homography`.
     shape : (H, W)
         px.
-    config : TrajectoriesConfig
 
     Returns
     -------
@@ -102,7 +101,6 @@ def explains(
         px; without any, False.
     shape : (int, int)
         (H, W) of the frame.
-    config : TrajectoriesConfig
     """
     error = np.hypot(*(motions - homography_motion(homography, positions)).T)
     obeying = error < config.camera_inlier_px * length_scale(*shape)

@@ -86,12 +86,7 @@ def held_frame(
 
 
 def first_frame(
-    held: HeldFrame,
-    flow: DenseFlow,
-    gray: Array,
-    following: Array,
-    camera: Array,
-    config: TrajectoriesConfig,
+    held: HeldFrame, flow: DenseFlow, gray: Array, following: Array, camera: Array, config: TrajectoriesConfig
 ) -> HeldFrame:
     """Complete an epoch's first frame, which has none before it, with the motion from the second one.
 
@@ -104,7 +99,6 @@ def first_frame(
         The two frames as the flow sees them.
     camera : (3, 3) float64
         Takes pixels of the second frame to the first.
-    config : TrajectoriesConfig
 
     Returns
     -------

@@ -47,7 +47,6 @@ def seed_trajectories(
         (H, W) of the frame.
     side : int
         Of a cell, px.
-    config : TrajectoriesConfig
     advantage : (h, w) float32, optional
         Of :class:`~mlbs_actors.tracking.camera.CameraEvidence`, × noise: where it is large, small movers need
         more points than the grid has, so a dense grid is used, too.
@@ -107,7 +106,7 @@ class _Ground(NamedTuple):
     side : int
         Of a cell, px.
     most : int
-        Trajectories of a square.
+        Trajectories in a square.
     """
 
     structure: Array

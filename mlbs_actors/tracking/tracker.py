@@ -77,7 +77,6 @@ def track(
         The two frames as the flow sees them; ``previous`` is not used without a flow.
     shape : (int, int)
         (H, W) of the full frame.
-    config : Config
 
     Returns
     -------

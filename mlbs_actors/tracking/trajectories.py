@@ -194,7 +194,6 @@ def with_residuals(
         Backward motion of a background point at each trajectory, px.
     advantage : (n,) float32
         :class:`~mlbs_actors.tracking.camera.CameraEvidence` at each trajectory, × the frame's noise.
-    config : TrajectoriesConfig
     """
     # A step has bounds: one bad match must not decide for long.
     rules = (1.0 - config.evidence_forgetting, config.least_evidence_step, config.most_evidence_step)

@@ -70,7 +70,6 @@ def inspected(
     recorded : iterable of RecordedFrame
     source : str
         Their source; if it cannot be read again nothing is yielded.
-    config : Config
     max_frames, max_side : int, optional
         Of the run.
 

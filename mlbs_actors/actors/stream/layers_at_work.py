@@ -80,7 +80,6 @@ class LayersAtWork:
     Parameters
     ----------
     parts : PartFactory
-    config : Config
     memory : SharedMemory
         Of the segmenter's process.
     """

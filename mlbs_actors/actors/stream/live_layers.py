@@ -45,7 +45,6 @@ class LiveLayers:
         The node's :class:`~mlbs_actors.actors.node.pool.PoolActor`.
     run : int
         The stream's number in that pool.
-    config : Config
     """
 
     def __init__(self, pool: Handle, run: int, config: Config) -> None:
