@@ -44,10 +44,10 @@ MOST_CUT_WHOLE = (2048, 1024, 9216)
 MAX_SWEEPS = 10
 
 
-def minimise(whole: LabelCostEnergy, level: int = 0) -> Array:
+def minimise(whole: LabelCostEnergy, most_cut_whole: tuple[int, ...] = MOST_CUT_WHOLE) -> Array:
     """Find a labelling that no α-expansion and no removal of a label improves.
 
-    Of up to ``MOST_CUT_WHOLE[0]`` pixels with two labels it is a global optimum; with more labels no
+    Of up to ``most_cut_whole[0]`` pixels with two labels it is a global optimum; with more labels no
     expansion of the whole image lowers it, although only undecided pixels are cut (``persistency`` says why),
     and of those only the parts around which something has changed. A larger image is labelled coarse to fine,
     near to that.
@@ -56,8 +56,9 @@ def minimise(whole: LabelCostEnergy, level: int = 0) -> Array:
     ----------
     whole : LabelCostEnergy
         Its costs must be in their ranges, which is not checked.
-    level : int
-        How often the image has been halved.
+    most_cut_whole : tuple of int
+        Most pixels that are cut without a coarser level: of the image, of the image halved, and so on; the
+        last counts for all further ones.
 
     Returns
     -------
@@ -65,8 +66,9 @@ def minimise(whole: LabelCostEnergy, level: int = 0) -> Array:
         Label positions.
     """
     height, width = whole.weights.shape[:2]
-    if height * width > MOST_CUT_WHOLE[min(level, len(MOST_CUT_WHOLE) - 1)]:
-        labels, rest, start = band_around_outlines(whole, minimise(halved(whole), level + 1))
+    if height * width > most_cut_whole[0]:
+        blocks = minimise(halved(whole), most_cut_whole[1:] or most_cut_whole)
+        labels, rest, start = band_around_outlines(whole, blocks)
         sweeps = 1  # the outlines are nearly there: a second one would move hardly a pixel
     else:
         labels, rest = prune(whole if whole.side == 1 and len(whole.extras) == 0 else energy_of_pixels(whole))
