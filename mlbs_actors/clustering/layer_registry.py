@@ -174,10 +174,6 @@ class LayerRegistry:
         awake = (state.labels > 0) & (state.born <= frame_index) & (state.seen >= frame_index)
         return tuple(sorted(set(self.layers_of(state.labels[awake]).tolist())))
 
-    def remembered_layers(self) -> frozenset[int]:
-        """Layer ids, without the background, that live or sleep."""
-        return frozenset(self.layers_of(self.state.labels[self.state.labels > 0]).tolist())
-
     def layers_of(self, labels: Array) -> Array:
         """Layer ids of some labels, (n,) int64, −1 for none.
 
