@@ -169,10 +169,6 @@ class LayerRegistry:
         awake = (state.labels > 0) & (state.born <= frame_index) & (state.seen >= frame_index)
         return tuple(sorted(set(self.layers_of(state.labels[awake]).tolist())))
 
-    def remembered_layers(self) -> frozenset[int]:
-        """Return layer ids that live or sleep, without the background."""
-        return frozenset(self.layers_of(self.state.labels[self.state.labels > 0]).tolist())
-
     def layers_of(self, labels: Array) -> Array:
         """Return layer ids of labels, (n,) int64, −1 for none.
 

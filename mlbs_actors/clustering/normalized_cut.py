@@ -22,7 +22,7 @@ from mlbs_actors.clustering.graph_coarsening import coarsen
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
-__all__ = ["TwoWayCut", "best_cut", "holds_together", "ncut_value", "recursive_cut"]
+__all__ = ["TwoWayCut", "best_cut", "holds_together", "recursive_cut"]
 
 #: Affinity below which an edge counts as absent.
 NO_EDGE = 1e-6
@@ -49,22 +49,6 @@ class TwoWayCut:
 
     value: float
     side: Array
-
-
-def ncut_value(affinity: Array, side: Array) -> float:
-    """N-cut value of a given bipartition; inf if one side has no volume.
-
-    Parameters
-    ----------
-    affinity : (n, n) float64, symmetric, non-negative
-    side : (n,) bool
-    """
-    degree = affinity.sum(axis=1)
-    inside, outside = float(degree[side].sum()), float(degree[~side].sum())
-    if inside <= 0 or outside <= 0:
-        return float("inf")
-    across = float(affinity[np.ix_(side, ~side)].sum())
-    return across / inside + across / outside
 
 
 def holds_together(affinity: Array, threshold: float) -> bool:

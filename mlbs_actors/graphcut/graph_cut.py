@@ -43,10 +43,10 @@ __all__ = ["minimise"]
 MAX_SWEEPS = 10
 
 
-def minimise(whole: LabelCostEnergy, most_whole: Sequence[int], level: int = 0) -> Array:
+def minimise(whole: LabelCostEnergy, most_cut_whole: Sequence[int]) -> Array:
     """Find a labelling that no α-expansion and no removal of a label improves.
 
-    Up to ``most_whole[0]`` pixels with two labels it is a global optimum; with more labels no expansion
+    Up to ``most_cut_whole[0]`` pixels with two labels it is a global optimum; with more labels no expansion
     of the whole image lowers it, although only undecided pixels are cut (``persistency`` says why), and of
     those only the components around which something has changed. A larger image is labelled coarse to fine,
     close to that.
@@ -55,10 +55,8 @@ def minimise(whole: LabelCostEnergy, most_whole: Sequence[int], level: int = 0) 
     ----------
     whole : LabelCostEnergy
         Its costs must be in their ranges, which is not checked.
-    most_whole : sequence of int
+    most_cut_whole : sequence of int
         :attr:`~mlbs_actors.config.SegmentationConfig.most_cut_whole`.
-    level : int
-        How often the image has been halved.
 
     Returns
     -------
@@ -66,8 +64,9 @@ def minimise(whole: LabelCostEnergy, most_whole: Sequence[int], level: int = 0) 
         Label positions.
     """
     height, width = whole.weights.shape[:2]
-    if height * width > most_whole[min(level, len(most_whole) - 1)]:
-        labels, rest, start = band_around_outlines(whole, minimise(halved(whole), most_whole, level + 1))
+    if height * width > most_cut_whole[0]:
+        blocks = minimise(halved(whole), most_cut_whole[1:] or most_cut_whole)
+        labels, rest, start = band_around_outlines(whole, blocks)
         sweeps = 1  # the outlines are nearly there: a second one would move hardly a pixel
     else:
         labels, rest = prune(whole if whole.side == 1 and len(whole.extras) == 0 else energy_of_pixels(whole))

@@ -164,23 +164,23 @@ def named_by_masks(labels: Array, bled: Array, clusters: Array, next_label: int)
     return result, adrift
 
 
-@pytest.mark.parametrize("seed", range(30))
-def test_clusters_are_named_as_label_by_label(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    labels, bled = rng.choice([-4, UNLABELLED, 0, 1, 6], 200), rng.random(200) < 0.1 * (seed % 3)
-    bled |= labels == rng.choice([0, 1, 77])  # all of a label may have bled
-    known, classes = label_classes(labels, bled)
-    found = rng.integers(-1, 3, 200)  # three clusters at most of each label
-    numbers = rng.permutation(3 * len(known))
-    clusters = np.where((found < 0) | bled, -1, numbers[3 * classes + np.maximum(found, 0)])
-    clusters[classes == seed % 4] = -1  # and one that is too small to be cut
-    clusters = np.unique(np.r_[-1, clusters], return_inverse=True)[1][1:] - 1
-    result, adrift, names = splitting._named(labels, bled, known, classes, clusters, 50)
-    expected, expected_adrift = named_by_masks(labels, bled, clusters, 50)
-    np.testing.assert_array_equal(result, expected)
-    np.testing.assert_array_equal(adrift, expected_adrift)
-    for cluster, name in enumerate(names):
-        assert set(expected[clusters == cluster].tolist()) == {name}
+def test_clusters_are_named_as_label_by_label() -> None:
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        labels, bled = rng.choice([-4, UNLABELLED, 0, 1, 6], 200), rng.random(200) < 0.1 * (seed % 3)
+        bled |= labels == rng.choice([0, 1, 77])  # all of a label may have bled
+        known, classes = label_classes(labels, bled)
+        found = rng.integers(-1, 3, 200)  # three clusters at most of each label
+        numbers = rng.permutation(3 * len(known))
+        clusters = np.where((found < 0) | bled, -1, numbers[3 * classes + np.maximum(found, 0)])
+        clusters[classes == seed % 4] = -1  # and one that is too small to be cut
+        clusters = np.unique(np.r_[-1, clusters], return_inverse=True)[1][1:] - 1
+        result, adrift, names = splitting._named(labels, bled, known, classes, clusters, 50)
+        expected, expected_adrift = named_by_masks(labels, bled, clusters, 50)
+        np.testing.assert_array_equal(result, expected)
+        np.testing.assert_array_equal(adrift, expected_adrift)
+        for cluster, name in enumerate(names):
+            assert set(expected[clusters == cluster].tolist()) == {name}
 
 
 def test_what_hangs_on_a_cluster_by_bled_trajectories_alone_keeps_its_label() -> None:

@@ -172,28 +172,28 @@ def slow_contact_shadow(
     return found
 
 
-@pytest.mark.parametrize("seed", range(60))
-def test_it_is_what_the_components_of_one_object_after_the_other_give(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    side, scale, rise = (
-        int(random.integers(1, 4)),
-        float(random.uniform(0.3, 2)),
-        float(random.uniform(0.1, 0.8)),
-    )
-    height, width = (int(random.integers(5, most)) for most in (90, 120))
-    labels = np.zeros((height, width), np.uint16)
-    for label in random.choice([0, 1, 2, 7], 6):
-        y, x = random.integers(0, height), random.integers(0, width)
-        labels[y : y + random.integers(1, height), x : x + random.integers(1, width)] = label
-    if seed % 3 == 0:
-        labels[random.random(labels.shape) < 0.03] = BACKGROUND
-    noise = random.normal(60, random.uniform(1, 60), (height, width, 3))
-    frame = np.clip(cv2.GaussianBlur(noise, (0, 0), random.uniform(0.5, 3)), 0, 255).astype(np.uint8)
-    cells = (-(-height // side), -(-width // side))
-    mean = cv2.GaussianBlur(random.normal(-0.8, 0.5, cells), (0, 0), 2).astype(np.float32)
-    spread = random.uniform(0, 0.4 * random.random(), cells).astype(np.float32)
-    brightness = random.uniform(1, 60, cells).astype(np.float32)
-    dark = Darkening(mean, spread, brightness, np.zeros(cells, np.float32))
-    config = SegmentationConfig(contact_shadow=rise)
-    strip = contact_shadow(labels, frame, dark, side, scale, config)
-    np.testing.assert_array_equal(strip, slow_contact_shadow(labels, frame, dark, side, scale, config))
+def test_it_is_what_the_components_of_one_object_after_the_other_give() -> None:
+    for seed in range(60):
+        random = np.random.default_rng(seed)
+        side, scale, rise = (
+            int(random.integers(1, 4)),
+            float(random.uniform(0.3, 2)),
+            float(random.uniform(0.1, 0.8)),
+        )
+        height, width = (int(random.integers(5, most)) for most in (90, 120))
+        labels = np.zeros((height, width), np.uint16)
+        for label in random.choice([0, 1, 2, 7], 6):
+            y, x = random.integers(0, height), random.integers(0, width)
+            labels[y : y + random.integers(1, height), x : x + random.integers(1, width)] = label
+        if seed % 3 == 0:
+            labels[random.random(labels.shape) < 0.03] = BACKGROUND
+        noise = random.normal(60, random.uniform(1, 60), (height, width, 3))
+        frame = np.clip(cv2.GaussianBlur(noise, (0, 0), random.uniform(0.5, 3)), 0, 255).astype(np.uint8)
+        cells = (-(-height // side), -(-width // side))
+        mean = cv2.GaussianBlur(random.normal(-0.8, 0.5, cells), (0, 0), 2).astype(np.float32)
+        spread = random.uniform(0, 0.4 * random.random(), cells).astype(np.float32)
+        brightness = random.uniform(1, 60, cells).astype(np.float32)
+        dark = Darkening(mean, spread, brightness, np.zeros(cells, np.float32))
+        config = SegmentationConfig(contact_shadow=rise)
+        strip = contact_shadow(labels, frame, dark, side, scale, config)
+        np.testing.assert_array_equal(strip, slow_contact_shadow(labels, frame, dark, side, scale, config))

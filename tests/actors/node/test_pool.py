@@ -46,22 +46,22 @@ pytestmark = pytest.mark.ray
 
 
 def test_released_processes_become_other_layers_and_idle_ones_beyond_the_spare_are_ended(
-    node: Node, parts: FakeParts, tmp_path: Path
+    own_node: Node, parts: FakeParts, tmp_path: Path
 ) -> None:
     one_after_the_other = [picture(t, live=[1 + t // 3]) for t in range(30)]
-    stream = node.start(spec("changing", FakeReader([*one_after_the_other], tmp_path)))
+    stream = own_node.start(spec("changing", FakeReader([*one_after_the_other], tmp_path)))
     run_to_end(stream)
     layers, others = 1 + 10, 2  # the background and ten objects; coordinator and segmenter
     assert len(parts.processes()) - others < layers
-    wait_until(lambda: node.census() == PoolCensus(idle=1, busy=0))
+    wait_until(lambda: own_node.census() == PoolCensus(idle=1, busy=0))
 
 
-def test_the_pool_is_refilled_in_the_background(node: Node, tmp_path: Path) -> None:
-    stream = node.start(spec("two", FakeReader([picture(t, live=[1]) for t in range(500)], tmp_path)))
+def test_the_pool_is_refilled_in_the_background(own_node: Node, tmp_path: Path) -> None:
+    stream = own_node.start(spec("two", FakeReader([picture(t, live=[1]) for t in range(500)], tmp_path)))
     stream.advance().result(timeout=200)
-    wait_until(lambda: node.census() == PoolCensus(idle=1, busy=2))
+    wait_until(lambda: own_node.census() == PoolCensus(idle=1, busy=2))
     stream.stop(drain=False)
-    assert node.census().busy == 0
+    assert own_node.census().busy == 0
 
 
 def test_a_birth_starts_a_process_only_where_few_are_left(ray_session: RaySession, parts: FakeParts) -> None:
@@ -115,7 +115,7 @@ def test_processes_that_no_frame_waits_for_start_one_after_the_other_or_are_take
 def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
     ray_session: RaySession, parts: FakeParts, tmp_path: Path
 ) -> None:
-    node = Node(parts=FakeParts(parts.folder, cannot_start=True))
+    node = Node(parts=FakeParts(parts.folder, cannot_start=True), policy=PoolPolicy(spare=0))
     stream = node.start(spec("poor", FakeReader([*crowd(9, 1)], tmp_path)))
     with pytest.raises(ActorLostError, match=r"No process could be started for a layer: .*no memory left"):
         stream.advance().result(timeout=200)
@@ -257,15 +257,15 @@ def test_a_layer_gets_the_process_that_another_gives_back_where_the_memory_holds
 
 
 def test_a_stream_starts_in_processes_that_were_warm_before(
-    node: Node, parts: FakeParts, tmp_path: Path
+    own_node: Node, parts: FakeParts, tmp_path: Path
 ) -> None:
-    first = node.start(spec("first", FakeReader([*crowd(60, 1)], tmp_path / "first")))
+    first = own_node.start(spec("first", FakeReader([*crowd(60, 1)], tmp_path / "first")))
     for _ in range(5):
         first.advance().result(timeout=200)
-    wait_until(node.prepare, 60.0)
+    wait_until(own_node.prepare, 60.0)
     warm = parts.processes()
     pictures = crowd(12, 1)
-    second = node.start(spec("second", FakeReader([*pictures], tmp_path / "second")))
+    second = own_node.start(spec("second", FakeReader([*pictures], tmp_path / "second")))
     own = {
         ray.get(handle.__ray_call__.remote(_pid)) for handle in (second._coordinator, second._links.segmenter)
     }
@@ -276,12 +276,14 @@ def test_a_stream_starts_in_processes_that_were_warm_before(
     first.stop(drain=False)
 
 
-def test_processes_for_the_next_stream_are_started_one_after_the_other(node: Node, parts: FakeParts) -> None:
+def test_processes_for_the_next_stream_are_started_one_after_the_other(
+    own_node: Node, parts: FakeParts
+) -> None:
     seen = set()
 
     def ready() -> bool:
         seen.add(len(parts.processes()))
-        return node.prepare()
+        return own_node.prepare()
 
     wait_until(ready, 60.0)
     assert seen == {0, 1, 2}

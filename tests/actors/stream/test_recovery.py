@@ -488,7 +488,7 @@ def test_snapshots_of_a_quick_stream_wait_for_their_time(parts: FakeParts, tmp_p
     with started(never_dies) as node:
         for name, seconds in (("hourly", 3600.0), ("always", 0.0)):
             one = replace(
-                spec(name, FakeReader([*crowd(100, 2)], tmp_path / f"r {name}"), tmp_path),
+                spec(name, FakeReader([*crowd(100, 0)], tmp_path / f"r {name}"), tmp_path),
                 snapshot_seconds=seconds,
             )
             assert drive(node, one)[name].committed == 100
