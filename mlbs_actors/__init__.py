@@ -47,10 +47,10 @@ __all__ = [
 ]
 
 
-if not TYPE_CHECKING:  # a checker that sees it would take every name for one of this package
+if not TYPE_CHECKING:  # hidden from type checkers, which would accept every name
 
     def __getattr__(name: str) -> object:
-        """Import the whole engine when it is asked for: most processes of a stream need a part or none."""
+        """Import the engine on demand: most processes of a stream need a part of it or none."""
         if name == "MultilayerSubtractor":
             from mlbs_actors.subtractor import MultilayerSubtractor
 

@@ -1,10 +1,10 @@
 """The cells of a frame: squares of pixels that share a flow vector, a posterior and samples of colours.
 
-They are the one grid on which a frame is worked on: the dense flow, how well the camera explains the image,
-and every layer's posterior and colours are maps of cells. A cell is 2×2 pixels of a 640×480 frame, so there
-are about as many whatever the frame's size. The graph cut draws outlines from the pixels themselves, and what
-a cell's mean colour says is nearly as much at a fraction of the time, the memory and the messages. Objects'
-regions begin and end between cells.
+They are the one grid of a frame: the dense flow, how well the camera explains the image, and every layer's
+posterior and colours are maps of cells. A cell is 2×2 pixels of a 640×480 frame, so there are about as many
+whatever the frame's size. The graph cut draws outlines from the pixels themselves; elsewhere a cell's mean
+colour is nearly as good, at a fraction of the time, the memory and the messages. Objects' regions begin and
+end between cells.
 
 Differs from the paper, which evaluates and keeps samples for every pixel.
 """
@@ -35,7 +35,7 @@ def cell_side(shape: tuple[int, int], cell_px: float) -> int:
 
 
 def aligned(region: Region, side: int, shape: tuple[int, int]) -> Region:
-    """The least region of whole cells around another one; cells end at the frame's right and lower border."""
+    """Return the least region of whole cells around another one; cells end at the right and lower border."""
     x, y = region.x // side * side, region.y // side * side
     right = min(-(-(region.x + region.width) // side) * side, shape[1])
     bottom = min(-(-(region.y + region.height) // side) * side, shape[0])
@@ -43,12 +43,12 @@ def aligned(region: Region, side: int, shape: tuple[int, int]) -> Region:
 
 
 def in_cells(region: Region, side: int) -> Region:
-    """An aligned region in units of cells."""
+    """Convert an aligned region to units of cells."""
     return Region(region.x // side, region.y // side, -(-region.width // side), -(-region.height // side))
 
 
 def in_pixels(cells: Region, side: int, shape: tuple[int, int]) -> Region:
-    """The pixels of a region of cells, as far as the (H, W) frame goes."""
+    """Convert a region of cells to pixels, clipped to the (H, W) frame."""
     x, y = cells.x * side, cells.y * side
     right = min(x + cells.width * side, shape[1])
     bottom = min(y + cells.height * side, shape[0])
@@ -56,7 +56,7 @@ def in_pixels(cells: Region, side: int, shape: tuple[int, int]) -> Region:
 
 
 def mean_of_cells(values: Array, side: int) -> Array:
-    """Means over the cells of an aligned region; past the frame's border its last row and column go on.
+    """Average over the cells of an aligned region; past the frame's border its last row and column repeat.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def mean_of_cells(values: Array, side: int) -> Array:
     """
     height, width = values.shape[:2]
     if side == 1 or values.size == 0:
-        # A copy: for Numba an array that can only be read is another type, with kernels of its own.
+        # A copy: for Numba a read-only array is another type, with kernels of its own.
         return values.copy()
     rows, columns = -(-height // side), -(-width // side)
     missing = (rows * side - height, columns * side - width)
@@ -80,7 +80,7 @@ def mean_of_cells(values: Array, side: int) -> Array:
 
 
 def cells_won(labels: Array, layer: int, region: Region, side: int, trusted: Array) -> tuple[Array, Array]:
-    """How much of each cell of an aligned region a layer has in a map.
+    """Compute how much of each cell of an aligned region a layer has in a map.
 
     Parameters
     ----------
@@ -94,9 +94,9 @@ def cells_won(labels: Array, layer: int, region: Region, side: int, trusted: Arr
     Returns
     -------
     share : (⌈h/side⌉, ⌈w/side⌉) uint8
-        255 = all; past the frame's border its last row and column go on.
+        255 = all; past the frame's border its last row and column repeat.
     learnt : (⌈h/side⌉, ⌈w/side⌉) bool
-        Cells that it has altogether and that are trusted.
+        Cells that are trusted and entirely the layer's.
     """
     share, learnt = _count_won(labels, np.uint16(layer), region.box, side, trusted)
     return share, learnt
@@ -117,25 +117,25 @@ def _count_won(
             for x in range(width):
                 own[np.uint64(x)] += np.uint8(line[np.uint64(x)] == layer)
         own[width:] = own[width - 1]
-        row, told, trust = share[y], learnt[y], trusted[y]
-        if side == 2:  # the usual one: a loop of known steps runs in vector registers
+        row, trusted_cells, trust = share[y], learnt[y], trusted[y]
+        if side == 2:  # the usual one: a loop of known length is vectorised
             for x in range(columns):
                 first = np.uint64(2 * x)
                 count = np.int32(own[first]) + np.int32(own[first + np.uint64(1)])
                 row[x] = np.uint8((np.int32(255) * count + np.int32(2)) >> np.int32(2))
-                told[x] = (count == 4) & trust[x]
+                trusted_cells[x] = (count == 4) & trust[x]
             continue
         for x in range(columns):
             count = np.int32(0)
             for u in range(x * side, (x + 1) * side):
                 count += np.int32(own[u])
             row[x] = np.uint8(np.int32(np.rint(scale * np.float32(count))))
-            told[x] = (count == side * side) & trust[x]
+            trusted_cells[x] = (count == side * side) & trust[x]
     return share, learnt
 
 
 def spread_over_cells(values: Array, side: int, shape: tuple[int, int]) -> Array:
-    """Every pixel of an aligned region takes its cell's value.
+    """Give every pixel of an aligned region its cell's value.
 
     Parameters
     ----------

@@ -77,6 +77,20 @@ class FlowConfig(_Section):
     )
     first_refinement_iterations: int = Field(3, ge=0, description="The same there.")
     first_patch_stride_px: int = Field(3, ge=1, le=8, description="The same there.")
+    focus_advantage: float = Field(
+        0.5,
+        description="8×8 cells need the finest level if flow explained them better by this, × noise.",
+    )
+    focus_least_blocks: int = Field(3, ge=1, description="Fewer adjacent ones are taken for noise.")
+    focus_margin_blocks: int = Field(2, ge=0, description="Margin around them, in blocks.")
+    focus_seam_blocks: float = Field(
+        4.0,
+        ge=0,
+        description="Cost of a seam between two boxes for each pair of blocks that it separates, in blocks.",
+    )
+    focus_most: float = Field(
+        0.7, ge=0, le=1, description="Above this share of the frame, all of it is searched."
+    )
 
 
 class TrajectoriesConfig(_Section):
@@ -103,6 +117,38 @@ class TrajectoriesConfig(_Section):
         description="A point is lost where even the flow leaves this much of the image unexplained, × noise.",
     )
     history_frames: int = Field(24, ge=2, description="Frames of motion that a trajectory remembers.")
+    least_spacing_cells: float = Field(3.0, gt=0, description="Least spacing of seeds, cells.")
+    least_dense_spacing_cells: float = Field(2.0, gt=0, description="The same on the dense grid, cells.")
+    square_tracks: int = Field(7, ge=1, description="Most trajectories of a square of 8×8 cells.")
+    evidence_forgetting: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="Share of a trajectory's evidence against the camera that is forgotten per frame.",
+    )
+    least_evidence_step: float = Field(-2.0, description="Lower bound of what one frame adds to it, × noise.")
+    most_evidence_step: float = Field(8.0, description="Upper bound of what one frame adds to it, × noise.")
+    camera_inlier_px: float = Field(
+        1.0, gt=0, description="Reprojection error of an inlier of the camera's motion, px."
+    )
+    camera_tracks: int = Field(
+        12, ge=4, description="With fewer, the camera's motion is a translation, not a homography."
+    )
+    least_noise: float = Field(
+        2.0, gt=0, description="Least noise estimate of the camera's evidence, grey levels."
+    )
+    most_noise: float = Field(
+        3.5, gt=0, description="Largest noise estimate of the camera's evidence, grey levels."
+    )
+    most_planar: float = Field(
+        0.6, ge=0, le=1, description="The camera drives if at most this share obeys its homography, …"
+    )
+    least_epipolar: float = Field(
+        0.7, ge=0, le=1, description="… at least this share one epipolar geometry, and …"
+    )
+    least_static: float = Field(
+        0.5, ge=0, le=1, description="… at least this share moves in it as static points do."
+    )
 
 
 class AffinityConfig(_Section):
@@ -129,6 +175,9 @@ class AffinityConfig(_Section):
         1e-2, gt=0, description="A cluster is split while its best N-cut is below this."
     )
     cut_side_tracks: int = Field(12, ge=2, description="Least trajectories on either side of a split.")
+    firm_factor: float = Field(
+        3.0, ge=1, description="A cluster is firm if its best N-cut is certainly above this × the threshold."
+    )
     propagation: Literal["soft", "absorbing"] = Field(
         "soft", description="Random walk with soft restart, or the paper's absorbing one."
     )
@@ -144,7 +193,10 @@ class LayersConfig(_Section):
         33, ge=2, description="Most layers of a stream with the background; smaller objects share 'other'."
     )
     clustering_period: int = Field(
-        3, ge=1, description="Trajectories are clustered anew every so many frames (at first in each)."
+        3, ge=1, description="Frames from one clustering to the next (1 at the start)."
+    )
+    spared_clusterings: int = Field(
+        3, ge=0, description="Clusterings in which an object skips the N-cut test after it was firm in one."
     )
     young_frames: int = Field(6, ge=0, description="Age below which a label can be merged by motion.")
     least_moving: float = Field(
@@ -158,6 +210,9 @@ class LayersConfig(_Section):
     merge_border: float = Field(
         6.0, ge=0, description="Border edges of two objects to merge, × √(trajectories of the younger)."
     )
+    speed_frames: int = Field(
+        3, ge=1, description="Frames over which a speed against the camera is averaged."
+    )
     camera_px: float = Field(
         0.6, ge=0, description="A young label moves at least this much against the camera, px/frame."
     )
@@ -170,6 +225,7 @@ class LayersConfig(_Section):
     same_motion_border: float = Field(
         1.0, ge=0, description="Border edges of two such objects, × √(trajectories of the younger)."
     )
+    least_border: int = Field(5, ge=1, description="Fewer border edges of two such objects are not evidence.")
     unexplained_noise: float = Field(
         4.0, gt=0, description="The camera's motion fails to explain a place where it errs by this, × noise."
     )
@@ -198,7 +254,7 @@ class MotionConfig(_Section):
 
     grid_px: float = Field(18.0, ge=4, description="Spacing of the field's grid, px; rounded to whole cells.")
     variance_grid_px: float = Field(
-        32.0, ge=8, description="Spacing of the grid on which marginal variances hold, px; so too."
+        32.0, ge=8, description="Spacing of the grid of the marginal variances, px; rounded to whole cells."
     )
     smoothness_std_px: float = Field(0.5, gt=0, description="σ_m: difference of neighbouring nodes, px.")
     point_std_px: float = Field(0.5, gt=0, description="σ_p: a trajectory's error, px.")
@@ -253,6 +309,16 @@ class PosteriorConfig(_Section):
         0.25, ge=0, description="Weight of how much better an object's motion explains the image."
     )
     photometric_cap: float = Field(3.0, gt=0, description="Most that it counts, × noise.")
+    photometric_least_noise: float = Field(
+        1.5, gt=0, description="Lower bound of the noise estimate, grey levels."
+    )
+    photometric_most_noise: float = Field(
+        3.0, gt=0, description="Upper bound of the noise estimate, grey levels."
+    )
+    own_believed: float = Field(
+        4.0, ge=0, description="Error at which an object's own motion is not trusted at all, × noise."
+    )
+    camera_believed: float = Field(2.5, ge=0, description="The same for the camera's motion, × noise.")
     prior: float = Field(0.02, ge=0, description="Weight of the warped posterior of the last frame.")
     prior_floor: float = Field(0.1, gt=0, lt=1, description="Least prior.")
     neutral_prior: float = Field(0.5, gt=0, le=1, description="Prior where the layer was not before.")
@@ -271,7 +337,7 @@ class PosteriorConfig(_Section):
     keep_off_px: float = Field(
         40.0,
         ge=0,
-        description="So near to an object the background learns only beside its own trajectories, px.",
+        description="Within this of an object the background learns only beside its own trajectories, px.",
     )
     learn_px: float = Field(6.0, ge=0, description="An object learns only this near to its trajectories, px.")
     offset: float = Field(4.0, ge=0, description="Added to every cost so that it is not negative, nats.")
@@ -283,6 +349,9 @@ class PosteriorConfig(_Section):
         ge=0,
         description="The same, if it is less, where trajectories that move alike cover an object that "
         "touches no border, px.",
+    )
+    covered_px: float = Field(
+        100.0, ge=0, description="Most pixels per trajectory of an object that is covered, px²."
     )
 
 
@@ -303,9 +372,46 @@ class SegmentationConfig(_Section):
         le=1,
         description="Greatest height of a contact shadow, as a share of its object's; 0 = none.",
     )
+    shadow_lightest: float = Field(-0.1, lt=0, description="Log darkening at which a shadow begins.")
+    shadow_lightest_ramp: float = Field(0.15, gt=0, description="Range over which that becomes certain.")
+    shadow_darkest: float = Field(-2.2, lt=0, description="Log darkening at which a shadow ends.")
+    shadow_darkest_ramp: float = Field(0.3, gt=0, description="Range over which it fades out.")
+    channel_spread: float = Field(
+        0.25, ge=0, description="Largest difference of a shadow's log darkening between channels."
+    )
+    channel_noise: float = Field(6.0, ge=0, description="What is added to that in the dark, grey levels.")
+    ground_px: float = Field(
+        16.0, ge=0, description="Pixels nearer to an object's trajectory do not count as ground, px."
+    )
+    ground_reach: float = Field(
+        1.5, gt=0, description="Standard deviation over which ground is searched for first, × 8 cells."
+    )
+    ground_share: float = Field(0.05, gt=0, le=1, description="Least share of ground within that reach.")
+    ground_variance: float = Field(
+        0.04, gt=0, description="Variance of the ground's log colour above which no shadow is certain."
+    )
+    contact_dark: float = Field(-0.7, lt=0, description="Log darkening of a contact shadow.")
+    contact_smooth: float = Field(
+        6.0, ge=0, description="Its steepest mean gradient over 5×5 px, grey levels/px."
+    )
+    contact_width: float = Field(0.3, ge=0, description="Its least width, in heights of its object.")
+    contact_gap_px: float = Field(6.0, ge=0, description="Its largest distance from the ground, px.")
+    contact_edge_px: float = Field(
+        4.0, ge=0, description="Width of its edges, which are neither smooth nor flat, px."
+    )
     label_cost: float = Field(20.0, ge=0, description="h_k: cost of using a label at all, px × nats.")
+    cut_whole: int = Field(2048, ge=1, description="Most pixels that are cut without a coarser level.")
+    cut_whole_halved: int = Field(1024, ge=1, description="The same for an image that was halved once.")
+    cut_whole_coarse: int = Field(
+        9216, ge=1, description="The same for one halved more often: legs are thinner than large blocks."
+    )
     speck_px: float = Field(50.0, ge=0, description="Smaller components of an object are cleaned away, px².")
     hole_px: float = Field(200.0, ge=0, description="Smaller holes of the background are filled, px².")
+
+    @property
+    def most_cut_whole(self) -> tuple[int, int, int]:
+        """The limits by number of halvings; the last is for all further ones."""
+        return self.cut_whole, self.cut_whole_halved, self.cut_whole_coarse
 
 
 class Config(_Section):

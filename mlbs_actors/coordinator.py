@@ -1,9 +1,9 @@
 """The coordinator of one stream: follows trajectories, clusters them, and decides which layers live (§3, §4).
 
-:meth:`Coordinator.step` is the way of a frame: flow → trajectories → camera → affinities → labels →
-evidence for every layer.
+:meth:`Coordinator.step` takes a frame through flow → trajectories → camera → affinities → labels → evidence
+for every layer.
 
-Differs from the paper: the first frames, whose motion nobody can know yet, are held and labelled
+Differs from the paper: the first frames, whose motion cannot be known yet, are held and labelled
 backwards along their trajectories once the first clustering is done, so that every frame gets its label
 map; with ``lookahead`` every frame waits for later ones in the same way. Frames of another size, and the
 first picture after a cut, begin a new *epoch*: what was held comes out, and all starts anew but the count of
@@ -128,12 +128,12 @@ class _Match:
 
 @dataclass(slots=True)
 class CoordinatorState:
-    """Everything that steers the coordinator's next frame.
+    """Everything that determines the coordinator's next frame.
 
     Attributes
     ----------
     next_frame : int
-        Index of the frame that :meth:`Coordinator.step` takes next.
+        Index of the next frame.
     epoch : int
         First picture of the present scene and size.
     cut : bool
@@ -152,7 +152,7 @@ class CoordinatorState:
     lit : int
         Frames in a row, up to the newest, that are lit differently from the last picture.
     focus : (rows, columns) bool
-        Blocks around which the next flow needs its finest level; empty where it does everywhere.
+        Blocks around which the next flow needs its finest level; empty for everywhere.
     trajectories : TrajectoryState
     labels : (n,) int64
         Label of each live trajectory after the last frame.
@@ -188,7 +188,7 @@ class CoordinatorState:
 
     @staticmethod
     def beginning(config: Config) -> CoordinatorState:
-        """Before the first frame."""
+        """Return the state before the first frame."""
         return CoordinatorState(
             next_frame=0,
             epoch=0,
@@ -216,9 +216,8 @@ class Coordinator:
 
     Parameters
     ----------
-    config : Config
     state : CoordinatorState, optional
-        To go on from a snapshot; a new stream by default.
+        To continue from a snapshot; a new stream by default.
     flow : FlowFunction, optional
         The caller's own flow, in place of ``config.flow.method``.
     """
@@ -231,7 +230,7 @@ class Coordinator:
         self.state = state or CoordinatorState.beginning(config)
 
     def feedback_index(self, frame_index: int) -> int | None:
-        """Frame whose segmentation :meth:`step` reads: two before the newest it will emit, or None."""
+        """Return the frame whose segmentation :meth:`step` reads, two before the newest to emit, if any."""
         newest, epoch = frame_index - self.config.layers.lookahead, self.state.epoch
         if frame_index + 1 <= epoch + self.config.layers.init_frames or newest - 2 < epoch:
             return None
@@ -257,13 +256,13 @@ class Coordinator:
         frame : (H, W, 3) uint8
             BGR; one of another size than the last begins an epoch.
         feedback : callable or None
-            Returns the Segmentation of :meth:`feedback_index`. It is asked for last: who makes it may be at
-            work while the frame is tracked and its trajectories are clustered.
+            Returns the Segmentation of :meth:`feedback_index`. It is called last, so that another process can
+            compute the label map while this one tracks and clusters.
 
         Returns
         -------
         list of FrameEvidence
-            In frame order: none while frames are held, several when the hold ends.
+            In frame order: none while frames are held, several when they are released.
 
         Raises
         ------
@@ -273,7 +272,7 @@ class Coordinator:
         self._check(frame_index, frame)
         shape = (int(frame.shape[0]), int(frame.shape[1]))
         if self.state.shape not in (None, shape):
-            # They have waited for this frame, which says that there is no other like them.
+            # The held frames waited for this one, and it is of another size.
             self._settle()
             ended = [replace(one, latency_frames=one.latency_frames + 1) for one in self.flush()]
             self._begin_epoch(frame_index)
@@ -313,7 +312,7 @@ class Coordinator:
         status: FrameStatus = "ok"
         astray = np.zeros(0, np.float32)
         if state.pictures and min(picture.gray.shape) >= LEAST_CELLS:
-            boxes = focus_boxes(state.focus, picture.gray.shape) if state.focus.size else None
+            boxes = focus_boxes(state.focus, picture.gray.shape, config.flow) if state.focus.size else None
 
             def search(before: Picture, closely: bool) -> DenseFlow:
                 return estimate_flow(before, picture, side, config, None if closely else boxes, self.flow)
@@ -366,7 +365,9 @@ class Coordinator:
 
         if flow is not None and state.pictures == 1 and state.held:
             first = next(place for place, one in enumerate(state.held) if one.status not in NO_PICTURE)
-            known = first_frame(state.held[first], flow, match.gray, picture.gray, camera)
+            known = first_frame(
+                state.held[first], flow, match.gray, picture.gray, camera, config.trajectories
+            )
             state.held = (*state.held[:first], known, *state.held[first + 1 :])
         status: FrameStatus = "ok"
         if state.pictures == 0:
@@ -385,7 +386,7 @@ class Coordinator:
         if state.clustered:
             state.focus = focus_blocks(
                 tracked.against_camera.advantage, trajectories.positions, trajectories.motions,
-                state.labels > BACKGROUND, side,
+                state.labels > BACKGROUND, side, config.flow,
             )  # fmt: skip
         held = held_frame(
             frame_index, trajectories, state.labels, camera, flow, tracked.against_camera, stage_ms, status,
@@ -445,11 +446,11 @@ class Coordinator:
         return ended
 
     def flush(self) -> list[FrameEvidence]:
-        """Emit what is still held: the stream has ended."""
+        """Emit what is still held at the end of the stream."""
         self._settle()
         state = self.state
         if state.pictures and not state.clustered:
-            # Fewer frames than the first clustering wants: it is done with what there is.
+            # Fewer frames than the first clustering wants: cluster those there are.
             colourless = np.zeros((*(state.shape or (0, 0)), 3), np.uint8)
             self._cluster(colourless, state.next_frame - 1, None, {})
         return self._emit(state.next_frame - 1)
@@ -477,11 +478,11 @@ class Coordinator:
             next_frame=frame_index,
             epoch=frame_index,
             registry=replace(RegistryState.empty(), next_layer=before.registry.next_layer),
-            evaluated=before.evaluated,  # whose processes are to be given back
+            evaluated=before.evaluated,  # whose processes are to be released
         )
 
     def _clustering_due(self, frame_index: int) -> bool:
-        """Often at first, while objects are told apart; later trajectories keep labels for some frames."""
+        """Cluster in every frame at first, while objects separate; later labels are kept for some frames."""
         layers, age = self.config.layers, frame_index - self.state.epoch
         if not self.state.clustered:
             return self.state.pictures >= layers.init_frames
@@ -509,7 +510,7 @@ class Coordinator:
             graph = self._graph()
             affinity = graph.matrix()
         with _timed(stage_ms, "clustering"):
-            speed = residual_speed(state.trajectories)
+            speed = residual_speed(state.trajectories, config.layers.speed_frames)
             bled = bled_trajectories(state.trajectories, speed, config.layers, scale)
             if state.clustered:
                 carried = propagate_labels(affinity, state.labels, config.affinity)
@@ -532,7 +533,7 @@ class Coordinator:
             labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)
             gone = set(speeds) - distinct_labels(labels)
             registry.forget({label: int(labels[split == label][0]) for label in gone})
-            # What the first clustering finds has been there since the first frame.
+            # Objects of the first clustering date from the first frame.
             labels = registry.admit(labels, frame_index if state.clustered else state.epoch, origins)
         published = _published(feedback)
         with _timed(stage_ms, "clustering"):
@@ -563,7 +564,7 @@ class Coordinator:
         state.registry = registry.state
 
     def _emit(self, last: int) -> list[FrameEvidence]:
-        """Evidence of the held frames up to ``last``."""
+        """Return the evidence of the held frames up to ``last``."""
         state = self.state
         ready = [held for held in state.held if held.frame_index <= last]
         state.held = tuple(held for held in state.held if held.frame_index > last)
@@ -579,9 +580,9 @@ class Coordinator:
         live = sorted({BACKGROUND, *distinct_labels(owner), *registry.live_layers(held.frame_index)})
         retired = set(state.evaluated) - set(live)
         if held.frame_index == state.epoch:
-            # The models of another size; the background's is one of them.
+            # All models are of another size, the background's too.
             retired, state.evaluated = set(state.evaluated), {}
-        # Where the camera's motion explains the image as well, a trajectory says nothing for an object: flow
+        # Where the camera's motion explains the image as well, a trajectory is no evidence of an object: flow
         # bleeds from an object over the smooth road beside it.
         least = np.float32(self.config.layers.least_evidence)
         positions, motions, starts = by_layer(
@@ -636,7 +637,7 @@ class Coordinator:
 
 
 def _published(feedback: Callable[[], Segmentation] | None) -> list[int]:
-    """Layers that own pixels of the label map that is to be read."""
+    """Return the layers that own pixels of the label map that may be read."""
     return [] if feedback is None else [one.layer for one in feedback().layers]
 
 

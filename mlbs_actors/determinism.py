@@ -1,10 +1,10 @@
 """One thread for every numerical library, so that equal input gives equal bytes.
 
-A library that splits a sum over its threads gives other last bits with another number of threads (a
-matrix product by OpenBLAS does), and a threshold downstream makes them visible. Everything of this
-package therefore computes in one thread, in the caller's process (:func:`single_threaded`) and in each
-actor's (:func:`limit_process`). The parallelism is between the processes. Numba needs no limit: no kernel
-here asks for its threads, and changing their number after its import makes its next compilation fail.
+A library that splits a sum over its threads gives other last bits with another number of threads (a matrix
+product by OpenBLAS does), and a threshold downstream makes them visible. So all of this package computes in
+one thread, in the caller's process (:func:`single_threaded`) and in each actor's (:func:`limit_process`);
+parallelism is between processes. Numba needs no limit: no kernel here uses its threads, and changing their
+number after its import makes its next compilation fail.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _THREAD_VARIABLES = (
 
 @functools.cache
 def _thread_pools() -> ThreadpoolController:
-    """BLAS and OpenMP libraries of this process; looking for them takes 5 ms, so it is done once."""
+    """Return the BLAS and OpenMP libraries of this process; finding them takes 5 ms, so it is done once."""
     import scipy.linalg  # noqa: F401  (brings a BLAS along, which must be there before the search)
 
     return ThreadpoolController()
@@ -57,9 +57,9 @@ def single_threaded() -> Iterator[None]:
 def limit_process() -> None:
     """Compute in one thread in this process from now on, for a process that does nothing else.
 
-    Call it first in an actor, in the thread that will compute. Libraries that are loaded later follow
-    the environment variables it sets; none is loaded for its sake, since a process that only reads or
-    writes files can do without them.
+    Call it first in an actor, in the thread that will compute. Libraries that are loaded later follow the
+    environment variables it sets; none is loaded for this purpose, since a process that only reads or writes
+    files does not need them.
     """
     for variable in _THREAD_VARIABLES:
         os.environ[variable] = "1"

@@ -6,7 +6,7 @@
     ├── ConfigError      a parameter, stream list or command line that cannot be used
     ├── SourceError      a source that cannot be opened or decoded
     ├── FrameError       a frame that the engine cannot take (type, size, order)
-    ├── SolverError      evidence that no field can be solved from
+    ├── SolverError      evidence that determines no motion field
     ├── LayerError       a layer that failed
     ├── ActorLostError   a process of a stream that was lost: the stream can go back to its last snapshot
     ├── SnapshotError    a snapshot that is damaged or of another version

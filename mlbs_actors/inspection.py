@@ -1,7 +1,6 @@
-"""What the parts of a stream know inside while they label a frame, for whoever wants to look.
+"""The internals of a stream at each labelled frame: trajectories, motion fields, posteriors.
 
-Nothing here steers a label: it is read from the parts after the frame, or computed once more from what they
-hold then.
+Nothing here affects a label: it is read from the parts after the frame, or recomputed from their state.
 """
 
 from __future__ import annotations
@@ -40,9 +39,9 @@ class LayerInspection:
     region : Region
         Where it was evaluated.
     posterior : (region.height, region.width) float32
-        How likely a pixel was this layer's before the graph cut, in [0, 1]; the same all over a cell.
-        Over the layers that were evaluated at a pixel they sum to 1, as nearly as the quantised costs allow;
-        outside all objects' regions the background's is 1.
+        How likely a pixel was this layer's before the graph cut, in [0, 1]; constant in a cell. Over the
+        layers that were evaluated at a pixel they sum to 1, up to the quantisation of the costs; outside all
+        objects' regions the background's is 1.
     """
 
     layer: int
@@ -85,11 +84,10 @@ def inspect_frame(
     posteriors: Sequence[LayerPosterior],
     segmentation: Segmentation,
 ) -> FrameInspection:
-    """Look into the parts of a stream.
+    """Collect the internals of a stream's parts.
 
     Parameters
     ----------
-    config : Config
     evidence : FrameEvidence
         Of the frame that was labelled last.
     layers : mapping of int to Layer

@@ -1,4 +1,4 @@
-"""What passes between the parts of one stream: typed, array-valued, the same in one process and over Ray.
+"""Messages between the parts of one stream: typed, array-valued, the same in one process and over Ray.
 
 The way of a frame::
 
@@ -7,9 +7,9 @@ The way of a frame::
                    │ segmentations up to t−2           │ segmentation of t−1      ▼
                    └───────────────────────────────────┴──── Segmentation ◄─ Segmenter.step
 
-Conventions: images are (H, W, 3) uint8 BGR; a pixel is (x right, y down); frame indices count from 0;
-a *motion* is backward: the displacement of a point of frame t to where it was in frame t−1, in px.
-A layer's id is for life and never reused; id 0 is the background.
+Conventions: images are (H, W, 3) uint8 BGR; a pixel is (x right, y down); frame indices count from 0; a
+*motion* is backward: the displacement of a point of frame t to where it was in frame t−1, in px. A layer's id
+is never reused; id 0 is the background.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ __all__ = [
     "LayerTracks",
     "Region",
     "Segmentation",
-    "received",
+    "readonly",
 ]
 
-# Not npt.NDArray: since NumPy 2.5 that is an alias which hides its class, and states are checked by class.
+# Not npt.NDArray: since NumPy 2.5 that alias hides its class, and states are checked by class.
 Array = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 LayerKind = Literal["background", "object", "other"]
 
@@ -127,7 +127,7 @@ class LayerTracks(NamedTuple):
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class FrameEvidence:
-    """All that the coordinator found out about one frame.
+    """The coordinator's results for one frame (coordinator → layers, segmenter).
 
     Attributes
     ----------
@@ -138,8 +138,7 @@ class FrameEvidence:
         Homography that takes homogeneous pixels of frame t to where they were in frame t−1 if they
         belong to the background.
     flow : (h, w, 2) float32
-        Dense backward flow t → t−1 of the frame's cells (:mod:`mlbs_actors.cells`), px.
-        Zeros for frame 0.
+        Dense backward flow t → t−1 of the frame's cells (:mod:`mlbs_actors.cells`), px. Zeros for frame 0.
     flow_reliable : (h, w) bool
         Where forward and backward flow agree.
     unexplained : (h, w) uint8
@@ -150,9 +149,9 @@ class FrameEvidence:
     positions, motions : (n, 2) float32
         Those of all layers' trajectories (:class:`LayerEvidence`), layer after layer.
     retired : tuple of int
-        Layers whose models end before this frame: those that had a part in the last frame and have none
-        in this one (asleep or ended), and at the start of an epoch all, the background's too. Their processes
-        may be given back; a layer that wakes starts with a new model under its old id.
+        Layers whose models end before this frame: those that were live in the last frame and are not in this
+        one (asleep or ended), and at the start of an epoch all, the background's too. Their processes are
+        free; a layer that wakes starts with a new model under its old id.
     latency_frames : int
         How many frames later than its own decoding this frame's evidence was complete.
     stage_ms : mapping of str to float
@@ -184,15 +183,15 @@ class FrameEvidence:
 
     @property
     def layers(self) -> tuple[LayerEvidence, ...]:
-        """What concerns each of the live layers."""
+        """Evidence of each of the live layers."""
         return tuple(map(self._evidence, self.tracks))
 
     def of(self, layer: int) -> LayerEvidence:
-        """What concerns one live layer; raises as :meth:`tracks_of` does."""
+        """Return the evidence of one live layer; raises as :meth:`tracks_of` does."""
         return self._evidence(self.tracks_of(layer))
 
     def tracks_of(self, layer: int) -> LayerTracks:
-        """Which trajectories are one live layer's; raises LayerError if it has no part in the frame."""
+        """Return which trajectories are one live layer's; raises LayerError if it is not live."""
         for one in self.tracks:
             if one.layer == layer:
                 return one
@@ -216,19 +215,18 @@ class LayerPosterior:
     layer, frame_index : int
     kind : {"background", "object", "other"}
     region : Region
-        Where the layer was evaluated; outside it the cost is ``outside_cost`` (a layer lives on its own
-        support).
+        Where the layer was evaluated; outside it the cost is ``outside_cost``.
     cell : int
-        Side of the cells that the maps are made of, px; the region begins and ends between them.
+        Side of the cells of the maps, px; the region begins and ends between them.
     cost : (⌈region.height / cell⌉, ⌈region.width / cell⌉) uint8
         −log(likelihood × prior) without the colours, in units of ``COST_STEP`` nats.
     log_ratio : int8, of the same shape
-        log of the colours' density over the uniform one, in units of ``fusion.RATIO_STEP`` nats; 0 where
-        nothing is known.
+        log of the colours' density over the uniform one, in units of ``fusion.RATIO_STEP`` nats; 0 without
+        samples.
     samples : uint8, of the same shape
         Colour samples behind it.
     outside_cost : int
-        The unit of ``cost``.
+        In units of ``COST_STEP``, too.
     confidence : float
         Mean certainty of the layer's own model over its region, in [0, 1].
     velocity : (2,) float32
@@ -253,16 +251,16 @@ class LayerPosterior:
 
 @dataclass(frozen=True, slots=True)
 class LayerAppearance:
-    """What a layer remembers of its looks, at the frame it was evaluated last (layer → sink).
+    """Colours that a layer remembers, at the frame it was evaluated last (layer → sink).
 
     Attributes
     ----------
     layer, frame_index : int
     region : Region
     colours : (region.height, region.width, 3) uint8
-        BGR; medians of the remembered colours, that frame's own not among them.
+        BGR; medians of the remembered colours, without that frame's own.
     known : (region.height, region.width) bool
-        Where anything is remembered.
+        Where there are samples.
     """
 
     layer: int
@@ -282,7 +280,7 @@ COST_STEP = 1.0 / 16.0
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LayerSummary:
-    """What one layer looks like in one published label map: a row of ``layers-*.parquet``.
+    """One layer in one published label map: a row of ``layers-*.parquet``.
 
     Attributes
     ----------
@@ -324,7 +322,7 @@ class Segmentation:
         ``COST_STEP`` nats, Z the sum of the unnormalised posteriors over the layers; 255 away from all
         objects, where the background's posterior is 1 whatever its cost.
     fallback : (rows, columns) int8
-        What a layer without samples is taken to know of a pixel's colour, in units of ``fusion.RATIO_STEP``
+        log of the density that a layer without samples is assumed to have, in units of ``fusion.RATIO_STEP``
         nats (:mod:`mlbs_actors.appearance.fusion`); 0 away from all objects.
     layers : tuple of LayerSummary
         The object layers that own at least one pixel, in ascending id.
@@ -356,7 +354,7 @@ class Segmentation:
         return self.frame_index if self.picture_index is None else self.picture_index
 
     def to_supervision(self) -> Detections:
-        """Return the objects as detections of the package supervision, for its annotators and tools.
+        """Convert the objects to detections of the package supervision, for its annotators and tools.
 
         Returns
         -------
@@ -392,11 +390,11 @@ class Segmentation:
 Message = TypeVar("Message", FrameEvidence, LayerPosterior, Segmentation)
 
 
-def received(message: Message) -> Message:
-    """A message as its receiver has it: to its arrays nothing can be written.
+def readonly(message: Message) -> Message:
+    """Return a message with read-only arrays.
 
-    It is so between processes. Within one process, too, the same kernels do for all receivers then: they are
-    compiled for arrays that can be written to, or for such that cannot.
+    Arrays that arrive from another process are read-only. Within one process they are made so, too, as Numba
+    compiles kernels separately for writable and read-only arrays.
     """
     views: dict[str, Any] = {}
     for one in fields(message):

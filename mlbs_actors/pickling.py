@@ -1,7 +1,7 @@
-"""Messages that pass between processes for every frame are pickled by their values.
+"""Pickling of small messages between processes by their values.
 
-Python pickles a frozen dataclass with slots by functions that look up its fields anew for each instance: a
-good part of what a process does that wakes for a millisecond a frame.
+Python pickles a frozen dataclass with slots by functions that look up its fields anew for each instance,
+which is costly in a process that wakes for a millisecond a frame.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Class = TypeVar("Class", bound=type[Any])
 
 
 def pickled_by_values(cls: Class) -> Class:
-    """Decorate a dataclass of two or more fields: its instances are pickled as a call with their values."""
+    """Decorate a dataclass of two or more fields to pickle its instances as calls with their values."""
     values = attrgetter(*(field.name for field in fields(cls)))
     copyreg.pickle(cls, lambda message: (cls, values(message)))
     return cls

@@ -1,8 +1,8 @@
-"""The state of a part as a file, or on its way to another process: typed arrays and plain values, no pickle.
+"""The state of a part as a file, or sent to another process: typed arrays and plain values, no pickle.
 
 A file holds one dataclass: its values as JSON, in which an array is a number, then the bytes of the arrays,
-then the CRC-32 of all that. It is read back against the type that is expected, field by field; what does not
-fit is refused, never guessed at, and nothing in a file can name code.
+then the CRC-32 of all that. It is read against the expected type, field by field; a mismatch is refused, and
+nothing in a file can name code.
 
 Besides their values, arrays keep their memory order and whether they may be written to: sums and compiled
 kernels depend on them.
@@ -30,7 +30,7 @@ __all__ = ["CapturedState", "capture", "check_file", "read_state"]
 
 _State = TypeVar("_State")
 
-#: First bytes of every file; another version of this format has others.
+#: First bytes of every file; they change with the format.
 _MAGIC = b"mlbs-st1"
 _LENGTH = struct.Struct("<Q")
 _CHECKSUM = struct.Struct("<I")
@@ -40,7 +40,7 @@ _SCALARS = (bool, int, float, str)
 
 @dataclass(frozen=True, slots=True)
 class CapturedState:
-    """A state at one moment; what becomes of the part afterwards does not change it.
+    """A copy of a state at one moment.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class CapturedState:
     arrays: tuple[Array, ...]
 
     def state(self, kind: type[_State]) -> _State:
-        """Return the state as another process can go on with it; all arrays are copies.
+        """Rebuild the state for another process; all arrays are copies.
 
         Parameters
         ----------
@@ -66,7 +66,7 @@ class CapturedState:
         return state
 
     def write(self, path: Path) -> None:
-        """Write the file and wait until it is on the disk; under its name it is whole.
+        """Write the file and wait until it is on the disk; under its name it is always complete.
 
         Raises
         ------
@@ -106,7 +106,7 @@ def capture(state: object) -> CapturedState:
     Raises
     ------
     TypeError
-        If a value is not what its annotation says: it could not be read back.
+        If a value does not match its annotation and could not be read back.
     """
     arrays: list[Array] = []
     values = _encoded(state, type(state), arrays)
@@ -127,7 +127,7 @@ def read_state(path: Path, kind: type[_State]) -> _State:
     Raises
     ------
     SnapshotError
-        If the file is not there, is damaged, or holds anything else.
+        If the file is missing, damaged, or holds another type.
     """
     content = _checked(path)
     try:
@@ -144,7 +144,7 @@ def read_state(path: Path, kind: type[_State]) -> _State:
 
 
 def check_file(path: Path) -> None:
-    """Check that a file is whole; raises as :func:`read_state`."""
+    """Check that a file is complete; raises as :func:`read_state`."""
     _checked(path)
 
 
@@ -182,7 +182,7 @@ def _arrays(content: Array, position: int, layout: list[dict[str, Any]]) -> list
 
 
 def _formed(content: Array, layout: Mapping[str, Any]) -> Array:
-    """An array of its own from its bytes, (n,) uint8."""
+    """Copy an array from its bytes, (n,) uint8."""
     order: Literal["F", "C"] = "F" if layout["fortran"] else "C"
     array: Array = content.copy().view(np.dtype(layout["dtype"])).reshape(tuple(layout["shape"]), order=order)
     array.setflags(write=layout["writeable"])
@@ -190,7 +190,7 @@ def _formed(content: Array, layout: Mapping[str, Any]) -> Array:
 
 
 def _encoded(value: Any, hint: Any, arrays: list[Array]) -> Any:
-    """The JSON value of what has the type ``hint``; its arrays go to ``arrays``."""
+    """Encode a value of type ``hint`` as JSON, with its arrays appended to ``arrays``."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         (other,) = (one for one in arguments if one is not type(None))
@@ -222,7 +222,7 @@ def _encoded(value: Any, hint: Any, arrays: list[Array]) -> Any:
 
 
 def _decoded(value: Any, hint: Any, arrays: list[Array]) -> Any:
-    """What :func:`_encoded` made ``value`` of."""
+    """Decode a value of :func:`_encoded`."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         (other,) = (one for one in arguments if one is not type(None))
@@ -254,13 +254,13 @@ def _decoded(value: Any, hint: Any, arrays: list[Array]) -> Any:
 
 @functools.cache
 def _types(kind: Any) -> dict[str, Any]:
-    """Types of a dataclass's fields: Python evaluates them anew each time it is asked."""
+    """Cache the types of a dataclass's fields, which Python evaluates anew each time."""
     types = get_type_hints(kind)
     return {one.name: types[one.name] for one in fields(kind)}
 
 
 def _member_types(arguments: tuple[Any, ...], count: int) -> tuple[Any, ...]:
-    """Types of a tuple's members: ``tuple[X, ...]`` has as many as there are."""
+    """Return the types of a tuple's members: ``tuple[X, ...]`` has any number."""
     return (arguments[0],) * count if arguments[1:] == (Ellipsis,) else arguments
 
 

@@ -19,7 +19,7 @@ from mlbs_actors.flow.estimate import FlowFunction
 from mlbs_actors.inspection import FrameInspection, inspect_frame
 from mlbs_actors.layer.layer import Layer
 from mlbs_actors.layer.layer_state import LayerState
-from mlbs_actors.messages import Array, FrameEvidence, LayerKind, Segmentation, received
+from mlbs_actors.messages import Array, FrameEvidence, LayerKind, Segmentation, readonly
 from mlbs_actors.segmentation.segmenter import Segmenter, SegmenterState
 from mlbs_actors.state_file import capture
 
@@ -34,7 +34,7 @@ class _LayerAtWork:
 
 @dataclass(frozen=True, slots=True)
 class _SubtractorState:
-    """All that steers the next frame."""
+    """Everything that determines the next frame."""
 
     coordinator: CoordinatorState
     segmenter: SegmenterState
@@ -55,21 +55,20 @@ class MultilayerSubtractor:
         order: trajectories, motion fields and posteriors. The results are the same with it.
 
     flow : callable, optional
-        Your own dense flow, in place of the configured one: from two frames (H, W, 3) uint8 BGR, (H, W, 2)
-        float, how far each pixel of the first one moves to its place in the second, px. It is called
-        twice a frame, once in each direction.
+        Your own dense flow, in place of the configured one: maps two frames (H, W, 3) uint8 BGR to (H, W, 2)
+        float, the displacement of each pixel from the first to the second, px. It is called twice a frame,
+        once in each direction.
 
     Raises
     ------
     ConfigError
-        If ``config`` is something else, a file's name for instance.
+        If ``config`` is something else, such as a file's name.
 
     Notes
     -----
     A subtractor belongs to one thread at a time: called while it is at work, it raises an
-    :class:`~mlbs_actors.errors.MlbsError`. Several subtractors in several threads are no trouble.
-
-    It can be pickled between two frames. What is restored of it goes on as the original would have, to the
+    :class:`~mlbs_actors.errors.MlbsError`. Several subtractors may run in several threads.
+    It can be pickled between two frames. The copy continues as the original would have, to the
     byte, with the same versions of the packages on the same kind of CPU.
 
     Examples
@@ -101,8 +100,8 @@ class MultilayerSubtractor:
 
     def __getstate__(self) -> dict[str, Any]:
         with self._at_work():
-            # Not the parts themselves: pickle forgets which arrays may be written to, and kernels are
-            # compiled for one kind or the other.
+            # Not the parts themselves: pickle forgets which arrays are read-only, and kernels are
+            # compiled separately for those.
             state = _SubtractorState(
                 self._coordinator.state,
                 self._segmenter.state,
@@ -131,7 +130,7 @@ class MultilayerSubtractor:
         Parameters
         ----------
         frame : (H, W, 3) uint8
-            BGR. With a frame of another size all starts anew, but for the ids: none is given again.
+            BGR. A frame of another size resets everything but the ids, which are never reused.
 
         Returns
         -------
@@ -141,11 +140,11 @@ class MultilayerSubtractor:
         Raises
         ------
         FrameError
-            If the frame has another type, or a flow function returned something else than a flow.
+            If the frame has another type, or a flow function did not return a flow.
         MlbsError
-            If another thread, or the inspector, calls while a frame is worked on; that frame goes on.
+            If called by another thread, or the inspector, during a frame; that frame is finished.
         """
-        if isinstance(frame, np.ndarray):  # of anything else the coordinator says what is wrong
+        if isinstance(frame, np.ndarray):  # the coordinator rejects anything else
             frame = frame.copy()  # the caller may reuse its buffer
             frame.setflags(write=False)
         with self._at_work(), single_threaded():
@@ -174,7 +173,7 @@ class MultilayerSubtractor:
             self._lock.release()
 
     def _label(self, made: FrameEvidence) -> Segmentation:
-        evidence = received(made)
+        evidence = readonly(made)
         index = evidence.frame_index
         frame = self._waiting.pop(index)
         for retired in evidence.retired:
@@ -184,7 +183,7 @@ class MultilayerSubtractor:
             if one.layer not in self._layers:
                 self._layers[one.layer] = Layer(self.config, one.layer, one.kind)
             layer = self._layers[one.layer]
-            posteriors.append(received(layer.step(evidence, frame, self._published.get(index - 1))))
+            posteriors.append(readonly(layer.step(evidence, frame, self._published.get(index - 1))))
         segmentation = self._segmenter.step(evidence, frame, posteriors)
         self._published = {known: result for known, result in self._published.items() if known > index - 3}
         self._published[index] = segmentation

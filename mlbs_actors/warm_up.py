@@ -1,7 +1,7 @@
-"""Compiles all kernels, or loads their machine code, before a frame waits for them.
+"""Compiles all kernels, or loads their machine code, before the first frame needs them.
 
 ``python -m mlbs_actors.warm_up`` compiles what every run needs, once after an installation, in two processes;
-machine code that is there already is only loaded.
+existing machine code is only loaded.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ import cv2
 import numpy as np
 
 from mlbs_actors.config import Config
-from mlbs_actors.messages import Array, FrameEvidence, LayerKind, LayerTracks, Segmentation, received
+from mlbs_actors.messages import Array, FrameEvidence, LayerKind, LayerTracks, Segmentation, readonly
 
 __all__ = ["main", "warm_layer", "warm_stream"]
 
-#: Time between two signs of life, s.
+#: Interval of progress messages, s.
 _PROGRESS_SECONDS = 5.0
 
 
 def main() -> int:
-    """Warm up in two processes that share the work, and say so."""
+    """Warm up in two processes that share the work, and report progress."""
     started = perf_counter()
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=context) as pool:
@@ -42,8 +42,8 @@ def main() -> int:
 def warm_layer() -> None:
     """Run a layer of either kind over two small frames.
 
-    The arrays are read-only, as those of real frames are when they arrive: for Numba that is another type,
-    with kernels of its own.
+    The arrays are read-only, like those of real frames: for Numba that is another type, with kernels of its
+    own.
     """
     from mlbs_actors.layer.layer import Layer
 
@@ -76,7 +76,7 @@ def warm_layer() -> None:
                 retired=(),
                 latency_frames=0,
             )
-            part.step(received(evidence), frame, previous)
+            part.step(readonly(evidence), frame, previous)
             segmentation = Segmentation(
                 frame_index=t,
                 labels=np.full((height, width), layer, np.uint16),
@@ -86,13 +86,13 @@ def warm_layer() -> None:
                 camera_motion=(0.0, 0.0),
                 latency_frames=0,
             )
-            previous = received(segmentation)
+            previous = readonly(segmentation)
 
 
 def warm_stream() -> None:
-    """Label a small scene with objects, and do what a scene holds by accident only.
+    """Label a small scene with objects, then trigger the kernels that a scene uses only by chance.
 
-    Else the kernels that only objects need are loaded at a stream's first birth: a quarter of a second.
+    Otherwise the kernels for objects would be loaded at a stream's first birth: a quarter of a second.
     """
     _label_small_scene()
     _cut_images()
@@ -115,7 +115,7 @@ def _label_small_scene() -> None:
 
 
 def _small_scene(frames: int = 7) -> Iterator[Array]:
-    """Two squares that move before a ground that moves otherwise, and meet, (160, 320, 3) uint8.
+    """Yield two squares that meet, moving against moving ground, (160, 320, 3) uint8.
 
     One has a shadow under it.
     """
@@ -133,7 +133,7 @@ def _small_scene(frames: int = 7) -> Iterator[Array]:
 
 
 def _cut_images() -> None:
-    """Cut an image whole and one by blocks: a label that saves two others, and one that two share out."""
+    """Cut an image whole and by blocks: one label frees two others, and one is shared out to two."""
     from mlbs_actors.graphcut.energy import LabelCostEnergy
     from mlbs_actors.graphcut.graph_cut import minimise
 
@@ -150,7 +150,8 @@ def _cut_images() -> None:
         label_costs = np.array([0, 2000, 2000, 2000]) * (cells // 16) ** 2
         places = np.tile(np.array([0, cells, 0, cells]), (4, 1))
         for costs in (saving, shared):
-            minimise(LabelCostEnergy(costs, weights, label_costs, places, side))
+            energy = LabelCostEnergy(costs, weights, label_costs, places, side)
+            minimise(energy, Config().segmentation.most_cut_whole)
 
 
 def _find_contact_shadow() -> None:
@@ -166,16 +167,17 @@ def _find_contact_shadow() -> None:
     light = np.zeros((cells, cells), np.float32)
     light[25:30, 10:30] = -3
     even = np.zeros_like(light)
-    contact_shadow(labels, image, Darkening(light, even, even + 10, even), side, 1.0, 0.25)
+    dark = Darkening(light, even, even + 10, even)
+    contact_shadow(labels, image, dark, side, 1.0, Config().segmentation)
 
 
 def _focus_on_crowd() -> None:
-    """Part blocks in two corners, one box around which would be most of the frame."""
+    """Split blocks in two corners, whose common box would be most of the frame."""
     from mlbs_actors.flow.focus import BLOCK, focus_boxes
 
     blocks = np.zeros((12, 16), bool)
     blocks[:6, :6] = blocks[6:, 6:] = True
-    focus_boxes(blocks, (12 * BLOCK, 16 * BLOCK))
+    focus_boxes(blocks, (12 * BLOCK, 16 * BLOCK), Config().flow)
 
 
 def _read_only(array: Array) -> Array:

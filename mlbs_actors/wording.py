@@ -1,4 +1,4 @@
-"""Numbers in sentences."""
+"""Numbers in messages."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ __all__ = ["count_of"]
 
 
 def count_of(number: int, noun: str) -> str:
-    """Write ``1 frame``, ``2 frames``."""
+    """Write ``1 frame`` or ``2 frames``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

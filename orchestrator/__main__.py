@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 __all__ = ["main"]
 
-#: What the class alone can do without: modules of the extra ``run``.
+#: Modules of the extra ``run``, which ``MultilayerSubtractor`` alone does not need.
 _NEEDED = ("av", "filelock", "jinja2", "PIL", "pyarrow", "pycocotools", "ray", "rich")
 
 

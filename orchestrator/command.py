@@ -1,4 +1,4 @@
-"""The command as a whole: what it is given is checked, then run; an error ends in a sentence and a status."""
+"""The command as a whole: arguments are checked, then run; an error becomes a message and an exit status."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def run_command(argv: Sequence[str]) -> int:
     except StopAtOnce as stop:
         print(
             "Stopped at once; what was committed before is kept. "
-            "To go on, give the same command with --resume.",
+            "To continue, give the same command with --resume.",
             file=sys.stderr,
         )
         return 128 + stop.signal_number

@@ -1,4 +1,4 @@
-"""The command line: what may be asked for, and how it is refused."""
+"""The command line: options, and how wrong ones are refused."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["SAVABLE", "SAVED", "Arguments", "parse"]
 #: The parts of a record that ``--save`` can name.
 SAVABLE = ("masks", "parquet", "overlay", "background", "cutouts")
 
-#: What is written of them where it is not given.
+#: The default of ``--save``.
 SAVED = SAVABLE[:3]
 
 #: Least ``--max-side``, px: in smaller pictures there is hardly a trajectory.
@@ -64,7 +64,7 @@ exit status:
 
 @dataclass(frozen=True, slots=True)
 class Arguments:
-    """What the user asked for.
+    """The options of the command.
 
     Attributes
     ----------
@@ -79,18 +79,18 @@ class Arguments:
     address : str, optional
         Ray cluster to join; None for one of this run's own.
     resume : bool
-        Go on with the run in ``output``.
+        Continue the run in ``output``.
     save : frozenset of str
         Parts of :data:`SAVABLE`.
     monitor : MonitorAddress, optional
         Where to serve the live page.
     ray_metrics : int, optional
-        Port of this machine where Ray gives the figures of the streams to a Prometheus; 0 for those of the
+        Port of this machine where Ray exports the figures of the streams to Prometheus; 0 for the port of the
         cluster at ``address``.
     max_frames : int, optional
         Frames to read of each stream.
     max_side : int, optional
-        Longest side of the pictures that are worked on, px.
+        Longest side of the pictures that are processed, px.
     watch : bool
         Whether the list is read again when it changes.
     """
@@ -109,7 +109,7 @@ class Arguments:
     watch: bool
 
     def command(self, output: str) -> list[str]:
-        """The words that ask for the same from any folder, with another folder for the results."""
+        """Return the arguments that start the same run from any folder, with another output folder."""
         words = [
             sys.executable,
             "-m",
@@ -141,7 +141,7 @@ def parse(argv: Sequence[str]) -> Arguments:
     Raises
     ------
     ConfigError
-        If something is asked for that does not exist, or not yet.
+        If an option or value is not supported.
     SystemExit
         From argparse: 0 after ``--help``, 2 if the arguments do not fit the usage.
     """
@@ -264,8 +264,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="go on with the run in DIR that was killed or interrupted; all else must be as it was, "
-        "without --watch; cameras go on after a row gap",
+        help="continue the run in DIR that was killed or interrupted; all other options must be the same, "
+        "without --watch; cameras continue after a row gap",
     )
     parser.add_argument(
         "--save",
@@ -278,8 +278,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs="?",
         const="",
         metavar="[HOST:]PORT",
-        help="serve a live page on this machine, and figures for a Prometheus at /metrics there; at another "
-        "HOST whoever looks must know the token in the "
+        help="serve a live page on this machine, and figures for Prometheus at /metrics there; at another "
+        "HOST viewers need the token in the "
         f"environment variable {TOKEN_VARIABLE} (default PORT: any that is free)",
     )
     parser.add_argument(
@@ -287,8 +287,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs="?",
         const="",
         metavar="PORT",
-        help="let Ray give the figures of every stream to a Prometheus at this PORT of this machine; with "
-        "--address, without PORT, at those of the cluster; needs pip install 'mlbs-actors[ray-metrics]'",
+        help="export the figures of every stream through Ray to Prometheus, at PORT of this machine; with "
+        "--address, without PORT, with those of the cluster; needs pip install 'mlbs-actors[ray-metrics]'",
     )
     parser.add_argument(
         "--max-frames", type=_positive, metavar="N", help="stop each stream after its first N frames"
@@ -297,13 +297,13 @@ def _parser() -> argparse.ArgumentParser:
         "--max-side",
         type=_side,
         metavar="N",
-        help="shrink pictures whose longer side has more than N px for the work; all results come in full "
-        "size, with outlines as coarse as the smaller picture (default: work on them as they are)",
+        help="process pictures shrunk to N px on the longer side; all results have full "
+        "size, with outlines as coarse as the smaller picture (default: process them as they are)",
     )
     parser.add_argument(
         "--watch",
         action="store_true",
         help="read the list again whenever it changes: new names start, removed ones are finished, bad lines "
-        "are told and ignored until they are mended; the run goes on until a signal",
+        "are reported and ignored until they are corrected; the run continues until a signal",
     )
     return parser

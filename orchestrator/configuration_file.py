@@ -1,7 +1,7 @@
-"""The parameters written out for people: ``configs/default.yaml`` and ``docs/configuration.md``.
+"""The parameters as documents: ``configs/default.yaml`` and ``docs/configuration.md``.
 
-Both are made from the models of :mod:`mlbs_actors.config`, so a default, a meaning or a range is stated once.
-``scripts/configuration`` writes them; a test fails while they are out of step with the models.
+Both are generated from the models of :mod:`mlbs_actors.config`, so a default, a meaning or a range is stated
+once. ``scripts/configuration`` writes them; a test fails while they differ from the models.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ This page and that file are written by `scripts/configuration` from
 [`mlbs_actors/config.py`](../mlbs_actors/config.py). Do not edit them by hand.
 """
 
-# A meaning ends with its unit where the name does not hold it: "..., nats." or "..., px (not scaled ...)."
+# A meaning ends with its unit where the name does not include it: "..., nats." or "..., px (not scaled ...)."
 _UNIT_IN_MEANING = re.compile(r", (px/frame|px × nats|px²|px|nats|grey levels|× noise)(?: \([^)]*\))?\.$")
 _UNIT_OF_SUFFIX = {
     "px": "px",
@@ -67,7 +67,7 @@ _SIGN_OF_BOUND = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter as a reader sees it.
+    """One parameter as documented.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Parameter:
     unit : str
         Empty for a pure number or a word.
     allowed : str
-        What values there are, for example ``"> 0, ≤ 1"``; empty if all of its type.
+        The range, for example ``"> 0, ≤ 1"``; empty if there is none.
     """
 
     key: str
@@ -92,7 +92,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One section of the configuration: its key, what it is about, its parameters in their order."""
+    """One section of the configuration: its key, its title, its parameters in order."""
 
     key: str
     title: str
@@ -100,7 +100,7 @@ class Section:
 
 
 def describe(model: type[BaseModel]) -> tuple[Section, ...]:
-    """List what a configuration consists of.
+    """List the sections and parameters of a configuration.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def as_yaml(sections: tuple[Section, ...]) -> str:
 
 
 def as_markdown(sections: tuple[Section, ...]) -> str:
-    """Write the page: a table a section."""
+    """Write the page: one table per section."""
     lines = [_MARKDOWN_HEAD]
     for section in sections:
         lines += [f"## `{section.key}`", "", section.title, ""]
@@ -149,13 +149,13 @@ def as_markdown(sections: tuple[Section, ...]) -> str:
 
 
 def configuration_texts() -> dict[str, str]:
-    """Content of the written files by their path in the repository."""
+    """Return the content of the generated files by path in the repository."""
     sections = describe(Config)
     return {"configs/default.yaml": as_yaml(sections), "docs/configuration.md": as_markdown(sections)}
 
 
 def main() -> int:
-    """Write the files into the repository that this module is part of; return the exit status."""
+    """Write the files into the repository of this module; return the exit status."""
     root = Path(__file__).resolve().parents[1]
     for name, text in configuration_texts().items():
         (root / name).write_text(text, encoding="utf-8")

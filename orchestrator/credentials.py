@@ -10,7 +10,7 @@ import re
 
 __all__ = ["MASK", "mask"]
 
-#: What stands in the place of a secret.
+#: Replacement of a secret.
 MASK = "***"
 
 # Greedy up to the last @ of the word: a password may itself hold "/", "@" or ":".

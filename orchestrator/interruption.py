@@ -14,7 +14,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopAtOnce(BaseException):
-    """Raised in the main thread by the second signal. No ``except Exception`` may hold it up.
+    """Raised in the main thread by the second signal. No ``except Exception`` may catch it.
 
     Attributes
     ----------
@@ -28,24 +28,24 @@ class StopAtOnce(BaseException):
 
 
 class Interruption:
-    """Notes the first signal while its ``with`` block runs; must be entered after ``ray.init``.
+    """Records the first signal while its ``with`` block runs; must be entered after ``ray.init``.
 
     Ray replaces the handler of SIGTERM when it starts. The handlers found on entry are restored on exit.
 
     Attributes
     ----------
     signal_number : int, optional
-        The signal that came first, None as long as none came.
+        The signal that came first, if any.
     """
 
     def __init__(self) -> None:
         self.signal_number: int | None = None
-        self._heard = threading.Event()
-        self._teller = threading.Thread(target=self._tell, daemon=True)
+        self._received = threading.Event()
+        self._announcer = threading.Thread(target=self._announce, daemon=True)
         self._found: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Interruption:
-        self._teller.start()
+        self._announcer.start()
         self._found = {number: signal.signal(number, self._receive) for number in _SIGNALS}
         return self
 
@@ -54,19 +54,19 @@ class Interruption:
     ) -> None:
         for number, handler in self._found.items():
             signal.signal(number, handler)
-        self._heard.set()
-        self._teller.join()
+        self._received.set()
+        self._announcer.join()
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
         if self.signal_number is not None:
             raise StopAtOnce(self.signal_number)
         self.signal_number = number
-        self._heard.set()
+        self._received.set()
 
-    def _tell(self) -> None:
-        # In a thread of its own: a signal may come in the middle of a print, and what does not go through
-        # one is drawn over by a live table.
-        self._heard.wait()
+    def _announce(self) -> None:
+        # In a thread of its own: a signal may come in the middle of a print, and a live table overwrites
+        # everything that is not printed through its console.
+        self._received.wait()
         if self.signal_number is not None:
             print(
                 "Finishing what was read; a second signal ends the run at once.", file=sys.stderr, flush=True

@@ -1,4 +1,4 @@
-"""Shows a run while it goes on: a live table on a terminal, JSON lines elsewhere."""
+"""Shows the progress of a run: a live table on a terminal, JSON lines elsewhere."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from orchestrator.run.stream_state import ENDED, StreamState
 
 __all__ = ["JsonLines", "LiveTable", "Progress", "progress_for"]
 
-#: Least time between two lines about a stream whose state is the same, s.
+#: Least time between two lines about a stream in the same state, s.
 _LINE_SECONDS = 5.0
 
-#: Streams that the table has at least, and lines that are reckoned for a note.
+#: Least number of streams in the table, and lines reserved for a note.
 _LEAST_SHOWN, _NOTE_LINES = 3, 2
 
 _STYLES = {"running": "green", "done": "dim", "partial": "yellow", "failed": "red", "waiting": "dim"}
 
 
 class Progress(Protocol):
-    """An observer of the driver that shows what it is told."""
+    """An observer of the driver that displays the states."""
 
     def update(self, states: Sequence[StreamState]) -> None:
         """Show the states."""
 
     def close(self) -> None:
-        """Show the last states and give the terminal back."""
+        """Show the last states and release the terminal."""
 
 
 def progress_for(output: TextIO) -> Progress:
-    """Return what suits ``output``: a table if it is a terminal."""
+    """Return the display for ``output``: a table if it is a terminal."""
     return LiveTable(Console(file=output)) if output.isatty() else JsonLines(output)
 
 
@@ -74,7 +74,7 @@ class JsonLines:
                 self._write(state)
 
     def close(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: no line is pending."""
 
     def _write(self, state: StreamState) -> None:
         figures = state.figures()
@@ -83,7 +83,7 @@ class JsonLines:
 
 
 class LiveTable:
-    """A table that is redrawn in place; streams at work come first, then those gone wrong, waiting and done.
+    """A table that is redrawn in place; running streams come first, then failed, waiting and finished ones.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class LiveTable:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        # What is said meanwhile on the same terminal goes above the table, which would be drawn over it.
+        # Messages to the same terminal go above the table, which would overwrite them.
         above = sys.stderr.isatty()
         self._live = Live(console=console, refresh_per_second=4, redirect_stdout=False, redirect_stderr=above)
         self._live.start()
@@ -102,7 +102,7 @@ class LiveTable:
         self._live.update(self._table(states))
 
     def close(self) -> None:
-        """Draw the last states and give the terminal back."""
+        """Draw the last states and release the terminal."""
         self._live.stop()
 
     def _table(self, states: Sequence[StreamState]) -> Group:
@@ -114,7 +114,7 @@ class LiveTable:
             if room < 0 and len(shown) >= _LEAST_SHOWN:
                 break
             shown.append(state)
-        # Notes go below: beside the figures a terminal of 80 columns has no room for a sentence.
+        # Notes go below: a terminal of 80 columns has no room for a sentence beside the figures.
         notes = "".join(f"{state.name}: {note}\n" for state in shown if (note := _note(state)))
         table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
         for heading in ("stream", "state"):
@@ -139,7 +139,7 @@ class LiveTable:
 
 
 def _note(state: StreamState) -> str:
-    return state.error or (f"waits for {state.waits_for}" if state.waits_for else "")
+    return state.error or (f"waits for {state.waits_for}" if state.waits_for else state.memory_note or "")
 
 
 def _read(state: StreamState) -> str:

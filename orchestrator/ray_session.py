@@ -1,8 +1,8 @@
 """Ray for one run: started on this machine with safe settings, or a cluster that is joined.
 
-Whoever reaches Ray's ports can run code. So a session of our own listens on this machine only, asks for a
-token that only this user can read, and has no dashboard. A cluster is joined only when asked for:
-``RAY_ADDRESS`` in the environment alone does nothing.
+Anybody who reaches Ray's ports can run code. So our own session listens on this machine only, requires a
+token that only this user can read, and has no dashboard. A cluster is joined only with ``--address``:
+``RAY_ADDRESS`` in the environment is ignored.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from mlbs_actors.errors import ConfigError, MlbsError
 
 __all__ = ["ray_session", "ray_settings"]
 
-#: Frames, label maps and posteriors on their way; a few of each a stream, bytes.
+#: Object store for frames, label maps and posteriors, a few of each stream, bytes.
 _OBJECT_STORE_BYTES = 2 * 2**30
 
 _CONNECT_SECONDS = 10.0
 
-#: For what Ray is not to do again, s.
+#: Timeout that disables an activity of Ray, s.
 _NEVER_SECONDS = "1e9"
 
-#: How long processes of Ray may write on after its end, s.
+#: How long processes of Ray may keep writing after its end, s.
 _LATE_SECONDS = 5.0
 
 # Ray's sockets must have short paths, and TMPDIR may be long.
@@ -45,7 +45,7 @@ _SCRATCH_PREFIX = "mlbs-ray-"
 def ray_settings(address: str | None) -> Iterator[Path]:
     """Set Ray's environment for a run and make its scratch folder; both are undone on exit.
 
-    Ray reads its settings when it is imported, so this comes before the first import of anything on Ray.
+    Ray reads its settings on import, so this must precede the first import of a module that uses Ray.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def ray_settings(address: str | None) -> Iterator[Path]:
         raise RuntimeError("Ray is imported already and would ignore the settings; call ray_settings before.")
     _remove_abandoned()
     scratch, own = _new_scratch()
-    # Nor may a call that comes late, after the end of the run, start a session of another kind.
+    # Nor may a late call, after the end of the run, start a session of another kind.
     settings: dict[str, str | None] = {"RAY_ADDRESS": None, "RAY_ENABLE_AUTO_CONNECT": "0"}
     if address is None:
         token = scratch / "token"
@@ -77,16 +77,16 @@ def ray_settings(address: str | None) -> Iterator[Path]:
             "RAY_AUTH_TOKEN": None,
             "RAY_AUTH_TOKEN_PATH": str(token),
             "RAY_USAGE_STATS_ENABLED": "0",
-            # Its name tells where Ray needs it; without clusters it listens at the loopback address only.
+            # Named after other systems, but with clusters off Ray listens on the loopback address only.
             "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
-            # What is told of every call, for a dashboard that is not there, costs some per cent of it.
+            # Reporting every call to a dashboard that does not exist costs some per cent of the call.
             "RAY_task_events_report_interval_ms": "0",
             "RAY_event_stats": "0",
-            # Ray makes its processes nice by 15. Beside such ones a process that is made ready, and is to run
-            # only when no other wants to, gets a thirteenth of a core, in one piece: frames waited 50 ms.
+            # Ray sets its processes to niceness 15. Beside such processes one of SCHED_IDLE, which is being
+            # prepared, gets a thirteenth of a core, in one piece: frames waited 50 ms.
             "RAY_worker_niceness": "0",
-            # What the processes print, it passes on to a driver that asks for it; ours does not. Looking at
-            # their files, ten times a second, took half as much as all else of Ray that is idle.
+            # Ray forwards the output of processes to drivers that want it; ours does not. Polling
+            # their files ten times a second took half as much as everything else of an idle Ray.
             "RAY_LOG_MONITOR_MANY_FILES_THRESHOLD": "0",
             "LOG_NAME_UPDATE_INTERVAL_S": _NEVER_SECONDS,
         }
@@ -99,7 +99,7 @@ def ray_settings(address: str | None) -> Iterator[Path]:
 
 
 def _remove(scratch: Path) -> None:
-    """Remove a folder in which a process of Ray that ends late may still write."""
+    """Remove a folder in which a late process of Ray may still write."""
     deadline = time.monotonic() + _LATE_SECONDS
     while scratch.exists() and time.monotonic() < deadline:
         shutil.rmtree(scratch, ignore_errors=True)
@@ -107,10 +107,10 @@ def _remove(scratch: Path) -> None:
 
 
 def _new_scratch() -> tuple[Path, int]:
-    """Make a folder that is this process's as long as the returned descriptor is open.
+    """Make a folder that belongs to this process while the returned descriptor is open.
 
-    A run that begins at the same moment takes a folder that is not locked yet for abandoned and removes it,
-    at any point between these lines; then there is another try.
+    Another run that begins at the same moment may find the folder not locked yet and remove it at any point
+    between these lines; then it is made again.
     """
     while True:
         scratch = Path(tempfile.mkdtemp(prefix=_SCRATCH_PREFIX, dir=_SCRATCH_PARENT))
@@ -125,26 +125,26 @@ def _new_scratch() -> tuple[Path, int]:
 
 
 def _remove_abandoned() -> None:
-    """Remove what killed runs of this user have left: the system frees the lock of whoever dies."""
+    """Remove folders of this user's killed runs, whose locks the system has released."""
     for folder in _SCRATCH_PARENT.glob(f"{_SCRATCH_PREFIX}*"):
         try:
             if folder.stat().st_uid != os.getuid():
                 continue
-            held = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
+            descriptor = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
         except OSError:
             continue
         try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             shutil.rmtree(folder, ignore_errors=True)
         except BlockingIOError:
             continue
         finally:
-            os.close(held)
+            os.close(descriptor)
 
 
 @contextmanager
 def ray_session(address: str | None, scratch: Path, metrics_port: int | None = None) -> Iterator[None]:
-    """Have a Ray session while the ``with`` block runs; ends what it has started, and nothing else.
+    """Keep a Ray session while the ``with`` block runs; end what it has started, and nothing else.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def ray_session(address: str | None, scratch: Path, metrics_port: int | None = N
     scratch : Path
         From :func:`ray_settings`.
     metrics_port : int, optional
-        Of this machine, where a session of our own gives its metrics to a Prometheus.
+        Of this machine, where our own session exports its metrics to Prometheus.
 
     Raises
     ------
@@ -186,13 +186,13 @@ def ray_session(address: str | None, scratch: Path, metrics_port: int | None = N
     try:
         yield
     finally:
-        # At its end Ray prints the repeats of warnings it has held back; standard output is the progress's.
+        # At its end Ray prints repeated warnings that it has held back; standard output is for the progress.
         with redirect_stdout(io.StringIO()):
             ray.shutdown()
 
 
 def _refuse_unreachable(address: str) -> None:
-    """Raise OSError or ValueError if nobody listens at HOST:PORT; Ray itself would try for minutes."""
+    """Raise OSError or ValueError if nothing listens at HOST:PORT; Ray itself would try for minutes."""
     if address == "auto":
         return
     host, _, port = address.rpartition(":")
@@ -201,7 +201,7 @@ def _refuse_unreachable(address: str) -> None:
 
 
 def _refuse_unexportable(port: int) -> None:
-    """Raise ConfigError if Ray could not export metrics at this port; it would say nothing and go on."""
+    """Raise ConfigError if Ray could not export metrics at this port; it would continue silently."""
     try:
         import ray.dashboard.optional_deps  # noqa: F401
     except ImportError:
@@ -249,7 +249,7 @@ def _apply(settings: Mapping[str, str | None]) -> None:
 
 
 def _object_store_bytes() -> int:
-    """At most half of the shared memory: where that is small (containers), Ray would use the disk."""
+    """Return at most half of the shared memory: if that is small (containers), Ray would use the disk."""
     try:
         free = shutil.disk_usage("/dev/shm").free
     except OSError:

@@ -1,8 +1,8 @@
-"""Work on smaller pictures, record in full size (``--max-side``).
+"""Process smaller pictures, record in full size (``--max-side``).
 
-The reader hands a shrunk picture to the engine; before anything is written, the label map is enlarged to the
-size of the source, each pixel taking the label of the nearest one, and what the tables tell is measured on
-that. Outlines are as coarse as the smaller picture.
+The reader passes a shrunk picture to the engine; before anything is written, the label map is enlarged to the
+size of the source by nearest neighbour, and the values of the tables are measured on that. Outlines are as
+coarse as the smaller picture.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["FullSizeRecord", "ShrinkingReader", "enlarged", "shrunk"]
 
 
 class ShrinkingReader:
-    """A reader whose pictures have no side longer than ``max_side`` px; the whole ones go along.
+    """A reader whose pictures have no side longer than ``max_side`` px; the originals are kept beside them.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class ShrinkingReader:
 
     @property
     def problem(self) -> str | None:
-        """What was wrong with the source so far."""
+        """Damage of the source so far."""
         return self._reader.problem
 
     def read(self) -> SourceFrame | SourceSilence | None:
@@ -52,12 +52,12 @@ class ShrinkingReader:
 
 
 class FullSizeRecord(StreamRecord):
-    """Records what was found in shrunk pictures in the size of the source."""
+    """Records results of shrunk pictures in the size of the source."""
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
     ) -> int:
-        """Take one result; return how many label maps are committed."""
+        """Write one result; return the number of label maps committed."""
         assert frame.original is not None  # from a ShrinkingReader
         height, width = frame.original.shape[:2]
         whole = replace(frame, image=frame.original, original=None)
@@ -79,7 +79,7 @@ def shrunk(image: Array, max_side: int) -> Array:
 
 
 def enlarged(segmentation: Segmentation, shape: tuple[int, int]) -> Segmentation:
-    """Say of a picture of ``shape`` (H, W) what was found in a smaller one of it."""
+    """Enlarge the segmentation of a smaller picture to ``shape`` (H, W)."""
     if segmentation.labels.shape == shape:
         return segmentation
     per_px = (shape[1] / segmentation.labels.shape[1], shape[0] / segmentation.labels.shape[0])
@@ -93,7 +93,7 @@ def enlarged(segmentation: Segmentation, shape: tuple[int, int]) -> Segmentation
 
 
 def _enlarged_appearance(background: LayerAppearance, shape: tuple[int, int]) -> LayerAppearance:
-    """The background's, whose region is the frame."""
+    """Enlarge the background's appearance, whose region is the frame."""
     height, width = shape
     return replace(
         background,
@@ -105,7 +105,7 @@ def _enlarged_appearance(background: LayerAppearance, shape: tuple[int, int]) ->
 
 def _nearest(array: Array, shape: tuple[int, int]) -> Array:
     rows, columns = (
-        # The pixel under the middle of each new one.
+        # The pixel at the centre of each new one.
         np.minimum((2 * np.arange(new) + 1) * old // (2 * new), old - 1)
         for new, old in zip(shape, array.shape, strict=True)
     )

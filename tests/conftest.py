@@ -20,9 +20,9 @@ _OBJECT_STORE_BYTES = 100_000_000
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave all tests that need Ray to one process, so that they share a session."""
+    """Leave all tests in the session of Ray to one process, so that there is one."""
     for item in items:
-        if item.get_closest_marker("ray"):
+        if isinstance(item, pytest.Function) and "ray_session" in item.fixturenames:
             item.add_marker(pytest.mark.xdist_group("ray"))
 
 
@@ -60,9 +60,17 @@ def parts(tmp_path: Path) -> FakeParts:
     return FakeParts(folder)
 
 
+@pytest.fixture(scope="session")
+def node(ray_session: RaySession, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
+    """This machine, for tests that leave its processes as they are: to start these takes seconds."""
+    node = Node(parts=FakeParts(tmp_path_factory.mktemp("parts")), policy=PoolPolicy(spare=2))
+    yield node
+    node.close()
+
+
 @pytest.fixture
-def node(ray_session: RaySession, parts: FakeParts) -> Iterator[Node]:
-    """This machine, with one spare layer process."""
+def own_node(ray_session: RaySession, parts: FakeParts) -> Iterator[Node]:
+    """This machine, for one test, with one spare layer process."""
     node = Node(parts=parts, policy=PoolPolicy(spare=1, idle_seconds=0.5))
     yield node
     node.close()

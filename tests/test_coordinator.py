@@ -388,12 +388,6 @@ def test_what_begins_to_move_between_two_clusterings_is_a_layer_soon_after_the_n
     assert found[0] in (8, 12)
 
 
-def test_equal_streams_give_equal_bytes() -> None:
-    pictures = movie(9, CAR, Square(80, 60, -3))
-    first, second = run(pictures, configured()), run([one.copy() for one in pictures], configured())
-    assert [as_bytes(one) for one in first] == [as_bytes(one) for one in second]
-
-
 def test_it_goes_on_from_its_state() -> None:
     pictures = movie(12, CAR)
     config = configured(lookahead=2)

@@ -44,22 +44,7 @@ def imported_modules(path: Path) -> set[str]:
     return names
 
 
-def test_the_package_gives_out_these_names() -> None:
-    assert set(mlbs_actors.__all__) == {
-        "Config",
-        "ConfigError",
-        "FrameError",
-        "LayerError",
-        "LayerSummary",
-        "MlbsError",
-        "MultilayerSubtractor",
-        "Region",
-        "Segmentation",
-        "SinkError",
-        "SolverError",
-        "SourceError",
-        "load_config",
-    }
+def test_the_package_gives_out_what_it_lists_and_nothing_else() -> None:
     imported = {
         name
         for name, member in vars(mlbs_actors).items()
@@ -76,13 +61,13 @@ def test_a_process_that_runs_no_part_of_the_engine_does_not_load_it() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=200).returncode == 0
 
 
-@pytest.mark.parametrize("name", PLAIN_MODULES)
-def test_a_module_lists_the_names_it_defines(name: str) -> None:
-    module = importlib.import_module(name)
-    listed = module.__all__
-    assert len(set(listed)) == len(listed)
-    assert public_definitions(module) <= set(listed)
-    assert all(hasattr(module, member) for member in listed)
+def test_a_module_lists_the_names_it_defines() -> None:
+    for name in PLAIN_MODULES:
+        module = importlib.import_module(name)
+        listed = module.__all__
+        assert len(set(listed)) == len(listed), name
+        assert public_definitions(module) <= set(listed), name
+        assert all(hasattr(module, member) for member in listed), name
 
 
 def test_no_name_is_exported_by_two_modules() -> None:

@@ -141,13 +141,6 @@ def test_the_motions_of_camera_and_objects_are_told(
                 assert layer.velocity == pytest.approx(expected.tolist(), abs=0.5)
 
 
-def test_two_runs_give_the_same_bytes(
-    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
-) -> None:
-    _, pictures, results = pan
-    assert as_bytes(run(pictures)) == as_bytes(results)
-
-
 def test_the_caller_may_use_its_frame_buffer_again(
     pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
 ) -> None:

@@ -1,4 +1,4 @@
-"""What the actors run: the pure parts of the engine, named by what the actors need of them.
+"""The interface between the actors and the engine's parts.
 
 The actors know the engine through :class:`PartFactory` only. :class:`EngineParts` is the engine.
 """
@@ -34,8 +34,8 @@ __all__ = [
 ]
 
 
-#: How long a process waits for another one that compiles the same, s; on a slow machine that takes minutes.
-TURN_SECONDS = 300.0
+#: How long a process waits for another one that compiles the same kernels, s; it can take minutes.
+COMPILE_SECONDS = 300.0
 
 
 class CoordinatorPart(Protocol):
@@ -44,8 +44,8 @@ class CoordinatorPart(Protocol):
     Attributes
     ----------
     state : dataclass
-        As of every part: all that steers its next frame. Another one of its type takes the part to another
-        frame.
+        Everything that determines its next frame, as of every part. Another one of its type moves the part to
+        another frame.
     """
 
     state: Any
@@ -58,7 +58,7 @@ class CoordinatorPart(Protocol):
     ) -> list[FrameEvidence]:
         """Take the next frame; return the evidence complete by now, in frame order.
 
-        What makes the label map that ``feedback`` returns may be at work until that is called.
+        The label map of ``feedback`` may be computed in parallel until that is called.
         """
 
     def flush(self) -> list[FrameEvidence]:
@@ -74,7 +74,7 @@ class LayerPart(Protocol):
         """Finish frame t−1 with its labels, then predict and evaluate frame t."""
 
     def appearance(self) -> LayerAppearance:
-        """Return what is remembered at the frame evaluated last; nothing is changed."""
+        """Return the remembered colours at the frame evaluated last, without changing anything."""
 
 
 class SegmenterPart(Protocol):
@@ -99,10 +99,10 @@ class PartFactory(Protocol):
         """Make a stream's segmenter."""
 
     def warm_layer(self) -> None:
-        """Do once what would delay the first frame of a layer, in a process that waits for one."""
+        """Do in advance what would delay the first frame of a layer."""
 
     def warm_stream(self) -> None:
-        """Do once what would delay a stream's start, in a process that waits for one."""
+        """Do in advance what would delay a stream's start."""
 
 
 class EngineParts:
@@ -129,38 +129,38 @@ class EngineParts:
     def warm_layer(self) -> None:
         """See :func:`mlbs_actors.warm_up.warm_layer`.
 
-        Processes of one machine do it one after the other: the first ever compiles and leaves its kernels on
-        disk, where the others would all compile the same.
+        Processes of one machine do it one at a time: the first ever compiles and leaves its kernels on disk;
+        all others would compile the same.
         """
         from mlbs_actors.warm_up import warm_layer
 
-        with _turn("layer"):
+        with _one_at_a_time("layer"):
             warm_layer()
 
     def warm_stream(self) -> None:
-        """See :func:`mlbs_actors.warm_up.warm_stream`; in turn, too.
+        """See :func:`mlbs_actors.warm_up.warm_stream`; one at a time, too.
 
-        Where nothing is compiled yet, a process for layers compiles theirs meanwhile.
+        On the first run a layer process compiles the layer's kernels meanwhile.
         """
         from mlbs_actors.warm_up import warm_stream
 
-        with _turn("stream"):
+        with _one_at_a_time("stream"):
             warm_stream()
 
 
 @contextmanager
-def _turn(warmed: str) -> Iterator[None]:
-    """Wait for this user's other processes of this installation that do the same; without order nothing is
-    lost but time.
+def _one_at_a_time(warmed: str) -> Iterator[None]:
+    """Wait for this user's other processes of this installation that compile the same kernels.
 
-    Those that step back take turns among themselves: who is waited for must not wait for them.
+    If the lock fails, only time is lost. Low-priority processes have a lock of their own, so that others
+    never wait for them.
     """
     rank = "-idle" if os.sched_getscheduler(0) == os.SCHED_IDLE else ""
     installation = zlib.crc32(str(Path(__file__).resolve()).encode())
     name = f"mlbs-actors-kernels-{os.getuid()}-{installation:08x}-{warmed}{rank}.lock"
     lock = FileLock(Path(tempfile.gettempdir()) / name)
     with suppress(OSError, Timeout):
-        lock.acquire(timeout=TURN_SECONDS)
+        lock.acquire(timeout=COMPILE_SECONDS)
     try:
         yield
     finally:

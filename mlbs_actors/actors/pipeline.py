@@ -1,7 +1,7 @@
-"""Streams on a node, as the driver holds them: started, asked for one burst after the other, stopped.
+"""Streams on a node, as the driver sees them: started, asked for one burst after the other, stopped.
 
-Nothing of a stream's data passes through here. The driver creates a stream's reader, segmenter and
-coordinator; the node's pool creates its layers.
+No frames or results pass through here. The driver creates a stream's reader, segmenter and coordinator; the
+node's pool creates its layers.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ import ray
 from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.ipc.wakeup import WakeupEvent
+from mlbs_actors.actors.node.burst_limiter import BurstLimiter
 from mlbs_actors.actors.node.failures import COORDINATOR, POOL, SEGMENTER, explain
 from mlbs_actors.actors.node.pool import PoolActor, PoolCensus, PoolPolicy
 from mlbs_actors.actors.node.processes import Handle, Reference, end, identity, spawn, spawn_standby
-from mlbs_actors.actors.node.turns import Turns
 from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.stream.coordinator_actor import CoordinatorActor, StreamLinks
 from mlbs_actors.actors.stream.live_reader import LiveReaderActor
@@ -32,48 +32,48 @@ from mlbs_actors.errors import MlbsError
 
 __all__ = ["Node", "StreamActors", "sinks_of"]
 
-#: Cores that one sink serves: writing a frame takes a tenth of the CPU time of all that is done for it, so
-#: a sink alone would hold up a node of more than about eight.
+#: Cores per sink: writing a frame takes a tenth of its CPU time, so a single sink would limit a node of more
+#: than about eight.
 _CORES_A_SINK = 4
 
-#: Cores that a stream of a file keeps busy by itself: so many streams work on a burst at once.
-_CORES_A_TURN = 2
+#: Cores that a stream of a file keeps busy, which limits the bursts at once.
+_CORES_A_BURST = 2
 
-#: A burst that takes longer keeps no other stream waiting, s: twice as long as one takes new frames.
-_TURN_SECONDS = 3.0
+#: A burst that takes longer blocks no other stream, s: twice the time in which one takes new frames.
+_BURST_SECONDS = 3.0
 
-#: Frames of a burst at most: of a camera, or of a stream that has just begun, and of a file. Files take turns
-#: of a burst: with 8 frames eight of them spent 6 % more on what the others had pushed out of the caches.
+#: Most frames of a burst: of a camera, or of a stream that has just begun, and of a file. With 8 frames a
+#: burst eight files took 6 % more CPU time, for data that the others had evicted from the caches.
 _SHORT_BURST, _LONG_BURST = 8, 24
 
-#: Bursts of a stream that are short: processes are made ready for the next one between bursts.
+#: Short bursts of a new stream: processes are prepared for the next one between bursts.
 _SHORT_BURSTS = 6
 
-#: How long the ends of a stream that is stopped are waited for, s.
+#: Timeout for the processes of a stopped stream to end, s.
 _STOP_SECONDS = 10.0
 
-#: How long a pool, sink or live reader may not answer until it is taken to be lost, s.
+#: Timeout for an answer of a pool, sink or live reader, after which it counts as lost, s.
 _ANSWER_SECONDS = 10.0
 
 
-#: What a stream begins with, as processes that may be started before it is known.
+#: Actors whose processes may be started before there is a stream for them.
 _STANDBY = (CoordinatorActor, SegmenterActor)
 
 
 def sinks_of(cores: int) -> int:
-    """How many sinks a node has; a stream's record is written by one of them."""
+    """Return the number of sinks of a node; a stream's record is written by one of them."""
     return max(1, cores // _CORES_A_SINK)
 
 
 class _Standby:
-    """A process that waits for a stream."""
+    """A started process without a stream."""
 
     def __init__(self, handle: Handle) -> None:
         self.handle = handle
         self._ready: Future[object] = handle.__ray_ready__.remote().future()
 
     def is_ready(self) -> bool:
-        """Whether it has started, or never will."""
+        """Whether it has started, or has failed to."""
         return self._ready.done()
 
 
@@ -105,7 +105,7 @@ class Node:
         self._policy = policy or PoolPolicy()
         self._pool = self._new_pool()
         self._sinks = [spawn(SinkActor, node=self._node) for _ in range(sinks_of(_cores(self._node)))]
-        self._turns = Turns(max(1, _cores(self._node) // _CORES_A_TURN), _TURN_SECONDS)
+        self._burst_limiter = BurstLimiter(max(1, _cores(self._node) // _CORES_A_BURST), _BURST_SECONDS)
         self._runs = count(1)
         self._standby: list[_Standby] = []
         self._preparing = Lock()
@@ -113,7 +113,7 @@ class Node:
         self._closed = False
 
     def start(self, spec: StreamSpec, before: RunningStream | None = None) -> StreamActors:
-        """Create a stream's actors and return at once; what goes wrong is raised by ``advance``."""
+        """Create a stream's actors and return at once; errors are raised by ``advance``."""
         reader = before.living_reader if isinstance(before, StreamActors) else None
         if reader is None:
             kind = ReaderActor if spec.replayable else LiveReaderActor
@@ -127,16 +127,15 @@ class Node:
             coordinator,
             StreamLinks(reader=reader, segmenter=segmenter, pool=self._pool, sink=sink),
             run=run,
-            turns=self._turns,
+            burst_limiter=self._burst_limiter,
             under_way=self.prepare,
             wakeup=WakeupEvent() if self._beside_driver else None,
         )
 
     def prepare(self) -> bool:
-        """Have the processes ready in which the next stream starts, or goes on that lost one of its own.
+        """Prepare the processes of the next stream, or of one that restarts after a loss.
 
-        They are started one after the other, as this is called again and again, and take the time that the
-        streams leave.
+        They are started one after the other in repeated calls, at low priority.
 
         Returns
         -------
@@ -152,9 +151,9 @@ class Node:
             return False
 
     def _take_standby(self) -> list[Handle]:
-        """The processes that a stream begins in: those that are ready, and new ones."""
+        """Return the processes of a new stream: the standby ones that are ready, and new ones."""
         with self._preparing:
-            # The first to be started is the first to be ready.
+            # Only the last one started can be unready.
             if self._standby and not self._standby[-1].is_ready():
                 ray.kill(self._standby.pop().handle)
             while len(self._standby) < len(_STANDBY):
@@ -197,7 +196,7 @@ class Node:
 
 
 def _cores(node: str) -> int:
-    """Cores of a node, as Ray counts them."""
+    """Return the cores of a node, as Ray counts them."""
     nodes: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
     return int(next(one["Resources"].get("CPU", 1) for one in nodes if one["NodeID"] == node))
 
@@ -218,22 +217,22 @@ class StreamActors:
     spec : StreamSpec
     parts : PartFactory
     coordinator : Handle
-        Still to become one.
+        Not initialised yet.
     links : StreamLinks
-        The other processes; the segmenter is still to become one.
+        The other processes; the segmenter is not initialised yet.
     run : int
         The stream's number.
-    turns : Turns
+    burst_limiter : BurstLimiter
         Of the node.
     under_way : callable
-        Called again and again once the stream has some frames behind it.
+        Called repeatedly once the stream is under way.
     wakeup : WakeupEvent, optional
-        For the coordinator between its turns; only on the driver's own node.
+        For the coordinator between bursts; only on the driver's own node.
 
     Attributes
     ----------
     living_reader : Handle, optional
-        What :meth:`stop` has left for the start that follows; it ends when nobody holds it any more.
+        Left by :meth:`stop` for the next start; it ends when its last handle is dropped.
     """
 
     def __init__(
@@ -244,7 +243,7 @@ class StreamActors:
         links: StreamLinks,
         *,
         run: int,
-        turns: Turns,
+        burst_limiter: BurstLimiter,
         under_way: Callable[[], object],
         wakeup: WakeupEvent | None,
     ) -> None:
@@ -257,13 +256,12 @@ class StreamActors:
             identity(links.segmenter): SEGMENTER,
             identity(links.pool): POOL,
         }
-        # The number reaches the coordinator by reference: it does not begin before the pool has let the
-        # stream in.
+        # By reference: the coordinator must not begin before the pool has registered the stream.
         self._run: Reference = links.pool.begin.remote(run)
         segmenter_begun: Reference = links.segmenter.become.remote(parts, spec.config)
         begun: Reference = coordinator.become.remote(spec, parts, links, self._run, segmenter=segmenter_begun)
         self._begun: Future[None] = begun.future()
-        self._turns = turns
+        self._burst_limiter = burst_limiter
         self._under_way = under_way
         self._wakeup = wakeup
         self._is_waiting = False
@@ -281,31 +279,31 @@ class StreamActors:
         Future of StreamProgress
             Carries an MlbsError if the stream failed (see :class:`RunningStream`).
         """
-        # A camera's stream waits for its pictures, one that starts for its processes, another for its file.
+        # Not limited: a camera's stream waits for pictures, a new one for processes, a slow one for its file.
         at_once = self._live or self._bursts == 0 or self._kept_waiting
         if at_once:
             progress = self._ask_for_burst()
         else:
-            progress = self._turns.take(self._ask_for_burst, self._wait_inside_a_call)
+            progress = self._burst_limiter.submit(self._ask_for_burst, self._wait_inside_a_call)
         self._bursts += 1
-        if self._bursts > 1:  # while the stream works: starting processes takes some time here
+        if self._bursts > 1:  # in parallel with the burst, as starting processes takes time here
             self._under_way()
         return progress
 
     def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
-        """End the stream and give its processes back; may be called twice, and after a failure.
+        """End the stream and release its processes; may be called twice, and after a failure.
 
         Parameters
         ----------
         drain : bool
-            Label and commit what was read, and wait for it; else what was handed to the sink is the end.
+            Label and commit what was read, and wait for it; else only what was sent to the sink is kept.
         returns : bool
-            The stream is to be started again: a live reader stays, if it answers.
+            The stream will be started again: a live reader is kept, if it answers.
 
         Returns
         -------
         StreamProgress or None
-            The final progress if drained and whole.
+            The final progress if drained without an error.
         """
         if self._stopped:
             return self._final
@@ -319,7 +317,7 @@ class StreamActors:
         if self._live and returns and _answers(reader):
             self.living_reader = reader
         else:
-            # It releases its device or file if it can; a stuck one is ended all the same.
+            # It releases its device or file if it can; it is ended in any case.
             with suppress(RayError, GetTimeoutError):
                 ray.get(reader.close.remote(), timeout=1.0)
             end([reader], _STOP_SECONDS)
@@ -348,7 +346,7 @@ class StreamActors:
         return self._explained(self._coordinator.advance.remote(frames))
 
     def _explained(self, reference: Reference) -> Future[StreamProgress]:
-        """Return the answer's future with Ray's errors turned into this package's."""
+        """Translate Ray's errors in an answer's future into this package's."""
         answer: Future[StreamProgress] = reference.future()
         explained: Future[StreamProgress] = Future()
 
@@ -365,5 +363,5 @@ class StreamActors:
         return explained
 
     def _failure_at_start(self) -> BaseException | None:
-        """What kept the stream from beginning, of which later calls know nothing."""
+        """Return the error that kept the stream from starting, which later calls do not report."""
         return self._begun.exception() if self._begun.done() else None

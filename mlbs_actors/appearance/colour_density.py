@@ -1,4 +1,4 @@
-"""How likely the frame's colours are under a layer: kernel density estimation, pixel by pixel (§6.2).
+"""Kernel density estimation of the frame's colours under a layer, pixel by pixel (§6.2).
 
 The density of a colour c at a pixel with the samples c_1 … c_n is
 
@@ -7,14 +7,14 @@ The density of a colour c at a pixel with the samples c_1 … c_n is
 **Bandwidth.** σ is one for the three channels of a pixel: the stack's running median of the mean absolute
 successive difference, with a floor. (A median |a − b| of two Gaussian values is 0.95 σ; the mean over three
 independent channels has its median at 1.1 σ, over three equal ones at 0.95 σ: it is taken as σ.) Where the
-image is steep a model that is a little out of place errs by much: there the floor is √(σ_min² + (e·|∇I|)²),
-e the registration error. Without it outlines and textures contradict the model of a turning object.
+image is steep, a slightly misplaced model errs by much: there the floor is √(σ_min² + (e·|∇I|)²),
+e the registration error. Without it outlines and textures contradict the model of a rotating object.
 
 **Unknown is not unlikely.** A pixel without samples has no likelihood: NaN, with confidence 0.
 
-Differs from the paper: the sum is divided by the number of samples (the published MATLAB's is not, an
-accidental prior); colours are plain BGR (there: normalised red, green and intensity); exponential and
-logarithm are polynomials, less than 1e-3 nats from exact together; a kernel is never below e⁻⁴⁰.
+Differs from the paper: the sum is divided by the number of samples (the published MATLAB code does not, which
+acts as an accidental prior); colours are plain BGR (there: normalised red, green and intensity); exponential
+and logarithm are polynomials, together within 1e-3 nats of exact; a kernel is never below e⁻⁴⁰.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ __all__ = [
 
 #: Least logarithm of a kernel to base 2.
 _LEAST = np.float32(-40.0 / np.log(2.0))
-#: From the place on that as many lanes are left as there are samples, 1 for each of them.
+#: From index 16 − n on, the first n lanes are 1.
 _VALID = np.repeat(np.array([1, 0], np.float32), LANES)
 #: 2^z for −1 ≤ z ≤ 0.
 _P0, _P1, _P2, _P3, _P4 = (
@@ -67,7 +67,7 @@ _P0, _P1, _P2, _P3, _P4 = (
 
 @dataclass(frozen=True, slots=True)
 class AppearanceParameters:
-    """What the density estimate hangs on.
+    """Parameters of the density estimate.
 
     Attributes
     ----------
@@ -85,21 +85,21 @@ class AppearanceParameters:
 
     @classmethod
     def configured(cls, config: Config, kind: LayerKind, side: int) -> AppearanceParameters:
-        """Those of a kind of layer, for images of cells of this side, px."""
+        """Take the parameters of a kind of layer from a configuration, for images of cells of ``side`` px."""
         colours, background = config.appearance, kind == "background"
         registration = colours.background_registration_px if background else colours.registration_px
         return cls(colours.bandwidth_floor, registration / side, colours.half_confidence_samples)
 
 
 def confidence(count: Array, parameters: AppearanceParameters) -> Array:
-    """Trust in stacks of ``count`` samples: n / (n + n_half), in [0, 1), float32."""
+    """Return the trust in stacks of ``count`` samples: n / (n + n_half), in [0, 1), float32."""
     samples = count.astype(np.float32)
     trust: Array = samples / (samples + np.float32(parameters.half_confidence_samples))
     return trust
 
 
 def mean_confidence(count: Array, parameters: AppearanceParameters) -> float:
-    """Mean of :func:`confidence` over a model's stacks; 0 of none."""
+    """Average :func:`confidence` over a model's stacks; 0 for an empty model."""
     return float(_mean_of_table(count, confidence(np.arange(256), parameters)))
 
 
@@ -115,7 +115,7 @@ def _mean_of_table(places: Array, table: Array) -> float:
 def log_likelihood(
     model: AppearanceModel, image: Array, parameters: AppearanceParameters, needed: Array | None = None
 ) -> Array:
-    """Log density of the frame's colours under a model of the same frame.
+    """Evaluate the log density of the frame's colours under a model of the same frame.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def warp_and_evaluate(
 
 @functools.lru_cache(maxsize=16)
 def _density_tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
-    """Log to base 2 of a kernel per squared grey level, and (σ√2π)⁻³, for the 256 values of ``spread``."""
+    """Tabulate log₂ of a kernel per squared grey level, and (σ√2π)⁻³, for the 256 values of ``spread``."""
     bandwidth = np.maximum(np.arange(256) * SPREAD_STEP, parameters.bandwidth_floor)
     exponent = (-1.0 / (2.0 * np.log(2.0) * bandwidth**2)).astype(np.float32)
     return exponent, ((bandwidth * np.sqrt(2.0 * np.pi)) ** -3).astype(np.float32)
@@ -190,10 +190,10 @@ def _density_tables(parameters: AppearanceParameters) -> tuple[Array, Array]:
 def _least_spreads(
     planes: Array, y: int, first: int, end: int, floor: np.float32, registration: np.float32, least: Array
 ) -> None:
-    """Least bandwidths of a part of a row for the registration error, in units of ``SPREAD_STEP``.
+    """Compute the least bandwidths for the registration error in a part of a row, × ``SPREAD_STEP``.
 
-    Slopes are Sobel's, of the image mirrored at its border; in each direction that of the steepest channel.
-    ``least`` has room for whole registers.
+    Gradients are Sobel's, of the image mirrored at its border; in each direction that of the steepest
+    channel. ``least`` is padded to whole registers.
     """
     height, width = planes.shape[1] - 2, planes.shape[2] - 2
     above = y - 1 if y > 0 else min(1, height - 1)
@@ -231,7 +231,7 @@ def _least_spreads(
 def _squared_slope(
     planes: Array, above: int, y: int, below: int, x: int, left: int, right: int
 ) -> np.float32:
-    """Of a pixel, whose neighbours are those of these rows and columns."""
+    """Return the squared gradient of a pixel from these rows and columns around it."""
     across, down = np.int32(0), np.int32(0)
     for channel in range(3):
         upper, middle, lower = planes[channel, above + 1], planes[channel, y + 1], planes[channel, below + 1]
@@ -260,11 +260,11 @@ def _log_densities(
     stacks, stack = samples.reshape(-1), np.empty(3 * whole, np.uint8)
     planes, colours = padded_planes(image), row_room(width)
     least, asked = np.zeros(colours.shape[1], np.float32), np.empty(width, np.int64)
-    density, places, told = np.empty(result.size, np.float32), np.empty(result.size, np.int64), 0
+    density, places, evaluated = np.empty(result.size, np.float32), np.empty(result.size, np.int64), 0
     for y in range(height):
         found = 0
         for x in range(width):
-            asked[found] = x  # kept if it counts: a branch would be mispredicted
+            asked[found] = x  # kept if it counts; a branch would be mispredicted
             found += int(needed[y, x] & (count[y, x] > 0))
         if found == 0:
             continue
@@ -284,11 +284,11 @@ def _log_densities(
                 for channel in range(3):
                     stack[channel * whole : channel * whole + slots] = samples[y, cell, channel]
                 kernels = _sum_of_kernels(stack, np.uint64(0), whole, blue, green, red, scale, number)
-            density[told], places[told] = norm[bandwidth] * kernels / np.float32(number), place
-            told += 1
-    logs, results = np.empty(told, np.float32), result.reshape(-1)
-    row_log(density[:told], logs)
-    for pixel in range(told):
+            density[evaluated], places[evaluated] = norm[bandwidth] * kernels / np.float32(number), place
+            evaluated += 1
+    logs, results = np.empty(evaluated, np.float32), result.reshape(-1)
+    row_log(density[:evaluated], logs)
+    for pixel in range(evaluated):
         results[np.uint64(places[pixel])] = logs[pixel]
     return result
 
@@ -298,7 +298,7 @@ def _sum_of_kernels(
     stacks: Array, at: np.uint64, slots: int, blue: np.float32, green: np.float32, red: np.float32,
     scale: np.float32, known: np.int64,
 ) -> np.float32:  # fmt: skip
-    """Of a colour under the first samples of a stack, of which each channel has so many slots."""
+    """Sum the kernels of a colour over the first samples of a stack with this many slots a channel."""
     sums = broadcast(np.float32(0), LANES)
     for first in range(0, slots, LANES):
         blues = at + np.uint64(first)

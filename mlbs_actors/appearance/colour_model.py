@@ -1,11 +1,9 @@
-"""What a layer remembers of its appearance: the last N colours of every pixel (§6).
+"""A layer's appearance model: the last N colours of every pixel (§6).
 
-Pixels are those of the images that a layer gives: in the engine, cells of several
-(:mod:`mlbs_actors.cells`).
+Pixels are those of the images that the model is given: in the engine, cells (:mod:`mlbs_actors.cells`).
 
 A *stack* holds a pixel's samples; :mod:`mlbs_actors.appearance.colour_density` turns it into a density. Each
-frame it is moved by the layer's motion (:func:`warp_model`) and learns the pixels that the layer won
-(:func:`update`).
+frame it moves with the layer (:func:`warp_model`) and learns the pixels that the layer won (:func:`update`).
 
 **Spread.** A stack keeps the running median of the mean absolute difference between a sample and the one
 before it, the kernel's bandwidth. A true median of N differences a pixel and frame costs more than the
@@ -15,8 +13,8 @@ whole evaluation; the running one moves by at most half a grey level a frame tow
 :mod:`mlbs_actors.appearance.warp`), so the frame is read at i + r(i) too, bilinearly, to learn and to
 evaluate: a sample is interpolated once in its life and only moved afterwards.
 
-Differs from the paper: it does not say how stacks are moved by fractions of a pixel, nor what replaces the
-oldest sample's place in time: here each pixel forgets its own oldest, whenever it was learnt.
+Differs from the paper: it does not say how stacks are moved by fractions of a pixel, nor which sample is
+replaced: here each pixel forgets its own oldest, whenever it was learnt.
 """
 
 from __future__ import annotations
@@ -44,9 +42,9 @@ __all__ = [
 
 #: Unit of ``AppearanceModel.spread``, grey levels.
 SPREAD_STEP = 1.0 / 8.0
-#: Words of a stack of 16 samples: a loop whose length is known takes half of the time.
+#: Words of a stack of 16 samples: a loop of known length takes half of the time.
 _USUAL_WORDS = 6
-#: How far the running median moves a frame, in units of ``SPREAD_STEP``.
+#: Step of the running median in a frame, in units of ``SPREAD_STEP``.
 _SPREAD_RATE = 4
 
 
@@ -57,7 +55,7 @@ class AppearanceModel:
     Attributes
     ----------
     region : Region
-        Where the stacks live in the frame.
+        Where the stacks are in the frame.
     samples : (h, w, 3, N) uint8
         Colours, BGR; the first ``count`` are valid.
     count : (h, w) uint8
@@ -67,7 +65,7 @@ class AppearanceModel:
     spread : (h, w) uint8
         Running median of the successive differences, in units of ``SPREAD_STEP`` grey levels.
     residual : (h, w, 2) float32
-        Where (x, y) the described point lies from the pixel's centre, px.
+        Offset (x, y) of the described point from the pixel's centre, px.
     """
 
     region: Region
@@ -84,7 +82,7 @@ class AppearanceModel:
 
 
 def empty_model(region: Region, sample_count: int = 20) -> AppearanceModel:
-    """Return a model that knows nothing, for ``sample_count`` ≤ 255 samples a pixel."""
+    """Return a model without samples, for ``sample_count`` ≤ 255 samples a pixel."""
     shape = (region.height, region.width)
     return AppearanceModel(
         region,
@@ -130,36 +128,36 @@ def moved_stacks(
     samples: Array, count: Array, newest: Array, spread: Array, residual: Array, shift_x: int, shift_y: int,
     motion: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
-    """The arrays of :func:`warp_model`, for a region that begins so far from the old one's corner."""
+    """Move the arrays as :func:`warp_model`, for a region offset by this from the old one's corner."""
     source, new_residual = nearest_sources(residual, shift_x, shift_y, motion)
     shape, size = source.shape, 3 * samples.shape[3]
     new_samples = np.empty((shape[0], shape[1], 3, samples.shape[3]), np.uint8)
     new_count, new_newest = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
     new_spread = np.empty(shape, np.uint8)
-    told = (source.reshape(-1), count.reshape(-1), newest.reshape(-1), spread.reshape(-1))
+    sources = (source.reshape(-1), count.reshape(-1), newest.reshape(-1), spread.reshape(-1))
     room = (new_count.reshape(-1), new_newest.reshape(-1), new_spread.reshape(-1))
     old, new = samples.reshape(-1), new_samples.reshape(-1)
-    if size % 8 == 0:  # in words: fewer to copy
-        _take_over(told, old.view(np.uint64), size // 8, room, new.view(np.uint64))
+    if size % 8 == 0:  # in words: fewer copies
+        _take_over(sources, old.view(np.uint64), size // 8, room, new.view(np.uint64))
     else:
-        _take_over(told, old, size, room, new)
+        _take_over(sources, old, size, room, new)
     return new_samples, new_count, new_newest, new_spread, new_residual
 
 
 @compiled
 def _take_over(
-    told: tuple[Array, Array, Array, Array],
+    sources: tuple[Array, Array, Array, Array],
     old: Array,
     words: int,
     room: tuple[Array, Array, Array],
     new: Array,
 ) -> None:
-    """Move stacks of so many words, and counts, newest and spreads, from the places in the first array."""
-    source, count, newest, spread = told
+    """Move stacks of ``words`` words, with their counts and spreads, from the places in ``source``."""
+    source, count, newest, spread = sources
     new_count, new_newest, new_spread = room
     for pixel in range(source.size):
         place = source[pixel]
-        if place < 0 or count[place] == 0:  # where nothing is known all is 0, and need not be read
+        if place < 0 or count[place] == 0:  # unknown stacks are 0, and need not be read
             for word in range(words):
                 new[np.uint64(pixel * words + word)] = 0
             new_count[pixel], new_newest[pixel], new_spread[pixel] = 0, 0, 0
@@ -194,15 +192,15 @@ def update(model: AppearanceModel, image: Array, mask: Array) -> None:
 def learn_colours(
     samples: Array, count: Array, newest: Array, spread: Array, residual: Array, image: Array, mask: Array
 ) -> None:
-    """:func:`update` of a model's arrays."""
+    """Apply :func:`update` to a model's arrays."""
     capacity, width = samples.shape[3], mask.shape[1]
     half, third, rate = np.float32(0.5), np.float32(1 / (3 * SPREAD_STEP)), np.float32(_SPREAD_RATE)
     planes, colours, won = padded_planes(image), row_room(width), np.empty(width, np.int64)
     for y in range(mask.shape[0]):
-        found, told = 0, mask[y]
+        found, learning = 0, mask[y]
         for x in range(width):
-            won[found] = x  # kept if it counts: a branch would be mispredicted
-            found += int(told[np.uint64(x)])
+            won[found] = x  # kept if it counts; a branch would be mispredicted
+            found += int(learning[np.uint64(x)])
         if found == 0:
             continue
         for x in won[:found]:
@@ -220,11 +218,11 @@ def learn_colours(
                     + abs(green - np.float32(stack[1, last]))
                     + abs(red - np.float32(stack[2, last]))
                 )
-                # The running median steps towards the new difference and never past it.
+                # The running median moves towards the new difference and never past it.
                 old = np.float32(spread[y, x])
                 step = min(max(difference * third - old, -rate), rate)
                 spread[y, x] = np.uint8(np.int32(min(old + step + half, np.float32(255))))
-            # By way of int32, which takes one instruction.
+            # via int32, which takes one instruction
             stack[0, slot] = np.uint8(np.int32(blue + half))
             stack[1, slot] = np.uint8(np.int32(green + half))
             stack[2, slot] = np.uint8(np.int32(red + half))
@@ -264,7 +262,7 @@ def _relight(samples: Array, count: Array, newest: Array, light: Array) -> None:
 
 
 def median_colours(model: AppearanceModel) -> Array:
-    """Median of each pixel's samples, channel by channel: the lower one of two; 0 where there are none.
+    """Return the median of each pixel's samples by channel: the lower one of two; 0 where there are none.
 
     Returns
     -------
@@ -281,7 +279,7 @@ def _medians(samples: Array, count: Array, colours: Array) -> None:
     ordered = np.empty(samples.shape[3], np.uint8)
     for y in range(count.shape[0]):
         for x in range(count.shape[1]):
-            known = np.int64(count[y, x])  # signed: a place counts down to 0
+            known = np.int64(count[y, x])  # signed, as an index counts down to 0
             if known == 0:
                 continue
             for channel in range(3):

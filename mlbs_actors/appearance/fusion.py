@@ -1,13 +1,13 @@
-"""What the layers' colours say when they are compared: unknown is neither likely nor unlikely (§6.2).
+"""Fusion of the layers' colour densities: unknown is neither likely nor unlikely (§6.2).
 
-A layer tells its density p of a pixel's colour as r = p/u, u the uniform density over colours, and how many
-samples stand behind it. With κ the confidence in that many samples, it counts as
+A layer reports its density p of a pixel's colour as r = p/u, u the uniform density over colours, with the
+number of samples behind it. With κ the confidence in that many samples, it counts as
 
     r' = κ r + (1 − κ) f,        f = max(1, Σ_k κ_k r_k / Σ_k κ_k).
 
-What a layer does not know it is so taken to explain as well as those that do know, but never worse than by
-chance: if an object matches ground that the background has not seen yet, neither wins by it, and the
-outlines decide; if it does not match, the background wins.
+A layer without samples is taken to explain a colour as well as the layers that have some, but never worse
+than chance: if an object matches ground that the background has not seen yet, neither wins by colour, and the
+contrast term decides; if it does not match, the background wins.
 
 Differs from the paper, which has no rule for unknown pixels, and from the authors' program, in which all
 layers become uniform where one has few samples.
@@ -74,19 +74,19 @@ def with_appearance(
 
 @dataclass(frozen=True, slots=True)
 class FusedCosts:
-    """What the layers say together in one box of cells.
+    """Costs of all layers in one box of cells.
 
     Attributes
     ----------
     cost : (K, h, w) uint8
         Every layer's whole cost, units of ``COST_STEP``; the layer's ``outside_cost`` outside its region.
     normaliser : (h, w) uint8
-        −log Σ_k exp(−cost_k) over the layers that have a say there, units of ``COST_STEP``.
+        −log Σ_k exp(−cost_k) over the layers whose regions hold the cell, units of ``COST_STEP``.
     fallback : (h, w) int8
         log f, units of ``RATIO_STEP``.
     places : (K, 4) int64
-        What every layer's region has in common with the box: first row, row past the last, first column,
-        column past the last.
+        Intersection of every layer's region with the box: first row, row past the last, first column, column
+        past the last.
     """
 
     cost: Array
@@ -98,12 +98,12 @@ class FusedCosts:
 def fused_costs(
     posteriors: Sequence[LayerPosterior], box: Region, weight: float, half_confidence: float
 ) -> FusedCosts:
-    """Compare the layers in one box; a layer has no say outside its region.
+    """Compare the layers in one box; a layer counts inside its region only.
 
     Parameters
     ----------
     posteriors : sequence of LayerPosterior
-        In ascending layer id; the background's region holds the box.
+        In ascending layer id; the background's region contains the box.
     box : Region
         Where they are compared, in units of cells.
     weight, half_confidence : float
@@ -137,7 +137,7 @@ def fused_costs(
 
 @functools.lru_cache(maxsize=16)
 def appearance_tables(half_confidence: float) -> tuple[Array, Array]:
-    """κ for 0 … 255 samples, and r for all values of log r, by their bits as an unsigned byte."""
+    """Tabulate κ for 0 … 255 samples, and r for all values of log r, by their bits as an unsigned byte."""
     trust = confidence(
         np.arange(256, dtype=np.uint8), AppearanceParameters(half_confidence_samples=half_confidence)
     )
@@ -146,8 +146,8 @@ def appearance_tables(half_confidence: float) -> tuple[Array, Array]:
 
 
 def _common_place(corner: tuple[int, int], own: tuple[int, ...], box: tuple[int, int]) -> list[int]:
-    """Rows and columns that a layer's region and a box have in common; the box's corner lies so many cells
-    down and right of the region's."""
+    """Return the rows and columns in which a layer's region and a box intersect; ``corner`` is the box's,
+    relative to the region's, cells."""
     place = []
     for offset, own_length, length in zip(corner, own, box, strict=True):
         first = max(-offset, 0)
@@ -160,7 +160,7 @@ def _add_known(
     known: Array, matched: Array, place: Array, corner: tuple[int, int], log_ratio: Array, samples: Array,
     tables: tuple[Array, Array],
 ) -> None:  # fmt: skip
-    """Add κ and κ r of a layer in its place of the box; log r comes by its bits as an unsigned byte."""
+    """Add κ and κ r of a layer where it intersects the box; log r comes as unsigned bytes."""
     (down, right), (trust, ratio_of) = corner, tables
     for y in range(place[0], place[1]):
         counts, ratios, knowing, matching = samples[y + down], log_ratio[y + down], known[y], matched[y]
@@ -197,7 +197,7 @@ def add_appearance(
     strength: np.float32,
     fused: Array,
 ) -> None:
-    """Cost − strength · log r'; log r and log f come by their bits as unsigned bytes."""
+    """Compute cost − strength · log r'; log r and log f come as unsigned bytes."""
     height, width = cost.shape
     ratio, logs = np.empty(width, np.float32), np.empty(width, np.float32)
     one, least, most = np.float32(1), np.float32(0), np.float32(255)
@@ -218,7 +218,7 @@ def _fuse(
     fused: Array, total: Array, place: Array, corner: tuple[int, int], sent: tuple[Array, Array, Array],
     fallback: Array, tables: tuple[Array, Array, Array], strength: np.float32,
 ) -> None:  # fmt: skip
-    """Put one layer's whole cost into its place, and add its likelihood to the sum of all."""
+    """Write one layer's whole cost where it intersects the box, and add its likelihood to the total."""
     (down, right), (cost, log_ratio, samples), (trust, ratio_of, likelihood) = corner, sent, tables
     rows, columns = slice(place[0], place[1]), slice(place[2], place[3])
     own_rows = slice(place[0] + down, place[1] + down)

@@ -1,23 +1,23 @@
-"""Carries what a layer knows from frame t−1 to frame t along the layer's own motion (§6.1).
+"""Warps a layer's model from frame t−1 to frame t along the layer's own motion (§6.1).
 
-Two things are carried, in two ways:
+Two things are warped in two ways:
 
-* *Sample stacks* (the appearance model) are moved whole, never interpolated: :func:`nearest_sources` says
-  for every pixel of frame t which stack of frame t−1 it takes over, and what is left of the sub-pixel part.
+* *Sample stacks* (the appearance model) are moved whole, never interpolated: :func:`nearest_sources` gives
+  for every pixel of frame t the stack of frame t−1 that it takes over, and the sub-pixel remainder.
 * *Smooth maps* (the prior) are interpolated bilinearly: :func:`warp_map`.
 
 **The residual.** The stack stored at pixel j describes the surface point at j + r(j). Pixel i of frame t,
 with backward motion m(i), looks for the point q = i + m(i). It takes the stack of the pixel j nearest to
 q − r(round q), or of the best of the pixels around q if that one misses q by more than half a pixel, and
-keeps r(i) = j + r(j) − q. What rounding loses in one frame is so made good in a later one: the stack stays
+keeps r(i) = j + r(j) − q. So what rounding loses in one frame is recovered in a later one: the stack stays
 within about half a pixel of its point for ever (and within ``MAX_MISS_PX`` always), while rounding alone
 drifts by up to half a pixel a frame and bilinear resampling blurs a little more every frame.
 
-Differs from the paper: the paper's a_t(i) = a_{t−1}(φ(i, μ_i)) does not say how φ's fraction is treated.
-A pixel whose source lies outside the old region has no stack, and a neutral prior; a map's pixels outside
-the old region count as neutral in the interpolation, so that the warped map has no edge there.
-The prior is resampled every frame and so blurs by a fraction of a pixel; it is made new from the posterior
-of every frame, which restores its edges.
+Differs from the paper: the paper's a_t(i) = a_{t−1}(φ(i, μ_i)) does not say how φ's fraction is treated. A
+pixel whose source lies outside the old region has no stack, and a neutral prior; a map's pixels outside the
+old region count as neutral in the interpolation, so that the warped map has no edge there. The prior is
+resampled every frame and so blurs by a fraction of a pixel; it is recomputed from the posterior of every
+frame, which restores its edges.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ MAX_MISS_PX = 1.0
 
 @compiled
 def nearest_sources(residual: Array, shift_x: int, shift_y: int, motion: Array) -> tuple[Array, Array]:
-    """Which stack of frame t−1 each pixel of frame t takes over, and its new residual.
+    """Find the stack of frame t−1 that each pixel of frame t takes over, and its new residual.
 
     Parameters
     ----------
     residual : (old height, old width, 2) float32
         Sub-pixel residual (x, y) of the stacks of frame t−1, px.
     shift_x, shift_y : int
-        Where the stacks of frame t begin, from where those of frame t−1 do, px.
+        Where the stacks of frame t begin, relative to those of frame t−1, px.
     motion : (new height, new width, 2) float32
         The layer's backward motion t → t−1 at the pixels of the new region, px.
 
@@ -74,20 +74,20 @@ def _find_sources(
     height, width = np.int32(residual.shape[0]), np.int32(residual.shape[1])
     count = source.shape[1]
     column, row, place = np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)
-    # x and y, one after the other: parts of a pixel, steps to the stack, and what that stack has stored.
+    # x and y, one after the other: fractions of a pixel, steps to the stack, and that stack's residual.
     part, step = np.empty((2, count), np.float32), np.empty((2, count), np.float32)
     rest, inside = np.empty((2, count), np.float32), np.empty(count, np.bool_)
     missed = np.empty(count + 1, np.int32)
     all_moves, all_rests, pair = motion.reshape(-1), new_residual.reshape(-1), 2 * count
-    # Loops without a branch, and in 32 bits, run in vector registers.
+    # Loops without a branch, and in 32 bits, are vectorised.
     for y in range(source.shape[0]):
         begin, end, sources = y * pair, (y + 1) * pair, source[y]
         moves, rests = all_moves[begin:end], all_rests[begin:end]
         for x in range(count):
             move_x, move_y = moves[np.uint64(2 * x)], moves[np.uint64(2 * x + 1)]
-            # Halves round upwards whatever the sign, so that a pan is treated alike everywhere.
+            # Halves round up whatever the sign, so that a pan is treated alike everywhere.
             whole_x, whole_y = np.floor(move_x + half), np.floor(move_y + half)
-            # q lies this far from the nearest pixel. Exact in single precision, as q itself is not.
+            # Distance of q from the nearest pixel: exact in single precision, as q itself is not.
             part[0, x], part[1, x] = move_x - whole_x, move_y - whole_y
             column[x] = np.int32(x + shift_x) + np.int32(whole_x)
             row[x] = np.int32(y + shift_y) + np.int32(whole_y)
@@ -109,7 +109,7 @@ def _find_sources(
             rests[np.uint64(2 * x + 1)] = miss_y if inside[x] else zero
         found = 0
         for x in range(count):
-            missed[found] = x  # kept if it counts: a branch would be mispredicted
+            missed[found] = x  # kept if it counts; a branch would be mispredicted
             found += int(max(abs(rests[np.uint64(2 * x)]), abs(rests[np.uint64(2 * x + 1)])) > half)
         for i in range(found):
             x = missed[i]
@@ -129,7 +129,7 @@ def _is_inside(column: np.int32, row: np.int32, width: np.int32, height: np.int3
 
 @compiled
 def _gather(stored: Array, places: Array, rest: Array) -> None:
-    """Stored residuals (x and y in turn) at some places, into (2, n)."""
+    """Read stored residuals (x and y alternating) at some places, into (2, n)."""
     for i in range(places.size):
         place = np.uint64(np.uint32(places[i]))
         rest[0, i] = stored[place * np.uint64(2)]
@@ -140,10 +140,10 @@ def _gather(stored: Array, places: Array, rest: Array) -> None:
 def _best_around(
     stored: Array, height: int, width: int, row: int, column: int, part_x: np.float32, part_y: np.float32
 ) -> tuple[int, np.float32, np.float32]:
-    """Index and miss of the best stack where the residual jumps: at a border, or a bend of the motion."""
+    """Return index and miss of the best stack where the residual jumps: at a border or a bend of motion."""
     best_place, best = 0, np.float32(np.inf)
     best_x, best_y = np.float32(0), np.float32(0)
-    for v in range(-1, 2):  # of fixed length and without a branch: this is half of the time
+    for v in range(-1, 2):  # branch-free and of fixed length: this is half of the time
         near_row = min(max(row + v, 0), height - 1)
         for u in range(-1, 2):
             near_column = min(max(column + u, 0), width - 1)
@@ -161,7 +161,7 @@ def _best_around(
 def warp_map(
     values: Array, old_region: Region, new_region: Region, motion: Array, needed: Array
 ) -> tuple[Array, Array]:
-    """Bilinear backward warp of a map by the layer's motion: prior_t(i) = posterior_{t−1}(i + m(i)).
+    """Warp a map backward, bilinearly, by the layer's motion: prior_t(i) = posterior_{t−1}(i + m(i)).
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def warp_map(
 def interpolate_map(
     values: Array, motion: Array, shift_x: int, shift_y: int, needed: Array, value: Array, share: Array
 ) -> None:
-    """:func:`warp_map` into zeros, from a region that begins so far from the new one's corner."""
+    """Apply :func:`warp_map` into zeros, from a region offset by this from the new one's corner."""
     height, width = values.shape
     one = np.float32(1)
     for y in range(needed.shape[0]):

@@ -2,6 +2,6 @@
 
 Read in this order: ``affinity`` (over ``nearest_neighbours``), ``label_propagation`` (the last frame's
 labels), ``splitting`` (``normalized_cut`` of each cluster, on ``graph_coarsening``), ``motion_merging``
-(labels that move alike), ``layer_registry`` (births, sleep and ends of layers), ``reidentification`` (who
-wakes). ``label_index`` and ``label_lookup`` find labels among sorted ones.
+(labels that move alike), ``layer_registry`` (births, sleep and ends of layers), ``reidentification`` (which
+layer wakes). ``label_index`` and ``label_lookup`` find labels among sorted ones.
 """

@@ -54,17 +54,17 @@ class TrajectoryGraph:
 def displacement_spread(state: TrajectoryState, config: AffinityConfig, scale: float) -> float:
     """Noise scale of two-frame displacements: max(floor, factor × median camera displacement), px.
 
-    The MATLAB takes the spread of all displacements, which one fast object inflates until slow ones drown.
-    What makes the background's own motions differ, parallax and blur, grows with the camera's motion.
+    The MATLAB program takes the spread of all displacements, which one fast object inflates until slow ones
+    are lost. Parallax and blur, which spread the background, grow with the camera's motion.
     """
     floor = config.motion_floor_px * scale
-    # In this order, for the median of none is NaN.
+    # In this order, as the median of nothing is NaN.
     return max(floor, 2.0 * config.motion_relative * median_length(state.motions, state.ages >= 1))
 
 
 @compiled
 def _symmetric(first: Array, second: Array, values: Array, size: int) -> tuple[Array, Array, Array]:
-    """Row pointers, columns and values of the symmetric matrix of some sorted pairs."""
+    """Return row pointers, columns and values of the symmetric matrix of some sorted pairs."""
     pointers, before = np.zeros(size + 1, np.int32), np.zeros(size, np.int32)
     for edge in range(first.size):
         pointers[np.uint32(first[edge]) + 1] += 1
@@ -89,10 +89,10 @@ def _distances(
     edges: tuple[Array, Array], trajectories: tuple[Array, Array, Array], units: Array,
     squared_radius: np.float32, relative: float, forgetting: float,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """D_M and −D_M − |Δp|²/radius² of every edge, from positions, residuals and ages."""
+    """Compute D_M and −D_M − |Δp|²/radius² of every edge, from positions, residuals and ages."""
     (first, second), (positions, residuals, ages) = edges, trajectories
     count, memory = residuals.shape[:2]
-    # Two-frame displacements, their lengths, and how far back they are forgotten.
+    # Two-frame displacements, their lengths, and their weight after forgetting.
     x, y = np.zeros((count, memory), np.float32), np.zeros((count, memory), np.float32)
     speed = np.zeros((count, memory), np.float32)
     for i in range(count):
@@ -109,7 +109,7 @@ def _distances(
     for edge in range(first.size):
         i, j = first[edge], second[edge]
         common = min(ages[i], ages[j])
-        if common == 1:  # twice the one motion they have in common stands for it
+        if common == 1:  # twice the one motion they have in common replaces it
             dx = two * (residuals[i, 0, 0] - residuals[j, 0, 0])
             dy = two * (residuals[i, 0, 1] - residuals[j, 0, 1])
             lengths = np.hypot(residuals[i, 0, 0], residuals[i, 0, 1])
@@ -117,7 +117,7 @@ def _distances(
             spread = two * half * lengths
             distance = (dx * dx + dy * dy) / (noise[0] + spread * spread)
         else:
-            # Numbers that are not negative are in the order of their bits, whose maximum registers can take.
+            # Non-negative floats are ordered as their bits are, whose maximum is vectorised.
             largest = np.int32(0)
             for age in range(common - 1):
                 dx, dy = x[i, age] - x[j, age], y[i, age] - y[j, age]
@@ -134,7 +134,7 @@ def _distances(
 def trajectory_graph(
     state: TrajectoryState, spreads: Array, shape: tuple[int, int], config: AffinityConfig
 ) -> TrajectoryGraph:
-    """Neighbour graph of the live trajectories at one frame.
+    """Build the neighbour graph of the live trajectories at one frame.
 
     Parameters
     ----------
@@ -143,7 +143,6 @@ def trajectory_graph(
         :func:`displacement_spread` of the last T frames, newest first, px.
     shape : (int, int)
         (H, W), px.
-    config : AffinityConfig
 
     Returns
     -------

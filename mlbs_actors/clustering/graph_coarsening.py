@@ -1,10 +1,10 @@
-"""A small graph that stands for a large one: nodes that belong together anyway are joined, pair by pair.
+"""A small graph that stands for a large one: nodes that clearly belong together are joined, pair by pair.
 
 Each round joins every node with the neighbour that it shares most of its affinity with, if both are tied to
-each other about as closely as to their closest neighbours. Joined nodes sum their edges, so that a cut of
-the small graph costs what it costs in the large one. Multilevel graph partitioning works alike (Dhillon,
-Guan, Kulis, PAMI 2007), but it also joins across weak edges where nothing better is left; here that would
-hide the borders that are looked for.
+each other about as closely as to their closest neighbours. Joined nodes sum their edges, so a cut of the
+small graph has the same cost in the large one. Multilevel graph partitioning (Dhillon, Guan, Kulis, PAMI
+2007) is similar, but also joins across weak edges where nothing better is left; here that would hide the
+borders that are searched for.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from mlbs_actors.messages import Array
 __all__ = ["coarsen"]
 
 #: Two nodes are joined if the mean affinity between them is at least this share of the best that either has;
-#: when that joins no more, the next.
+#: when no more are joined, the next share applies.
 CLOSENESS = (0.7, 0.5, 0.3)
-#: A round that leaves more than this share of the nodes is the last of its closeness.
+#: A round that keeps more than this share of the nodes is the last at its share.
 WORTHWHILE = 0.95
 
 
 class _Level(NamedTuple):
-    """A graph on its way to the small one, as compressed rows.
+    """A graph during coarsening, as compressed rows.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class _Level(NamedTuple):
 
 @compiled
 def coarsen(pointers: Array, neighbours: Array, weights: Array, most: int) -> tuple[Array, Array]:
-    """Join nodes as long as some belong together.
+    """Join nodes as long as some clearly belong together.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def _dense(level: _Level) -> Array:
 
 @compiled
 def _match(level: _Level, most: int, closeness: float) -> tuple[Array, int]:
-    """Node of the next graph for each node, and their number."""
+    """Return the node of the next graph for each node, and their number."""
     pointers, neighbours, weights, sizes = level.pointers, level.neighbours, level.weights, level.sizes
     means, closest, volume = level.means, level.closest, level.volume
     count = sizes.size
@@ -131,7 +131,7 @@ def _match(level: _Level, most: int, closeness: float) -> tuple[Array, int]:
 
 @compiled
 def _contract(level: _Level, parent: Array, left: int) -> _Level:
-    """The next graph: parallel edges summed, those inside a node added to what is within."""
+    """Build the next graph: parallel edges summed, those inside a node added to ``within``."""
     pointers, neighbours, weights, edges = level.pointers, level.neighbours, level.weights, level.edges
     members = np.full((left, 2), -1, np.int32)
     new_sizes, new_within = np.zeros(left, np.int32), np.zeros(left)
@@ -144,7 +144,7 @@ def _contract(level: _Level, parent: Array, left: int) -> _Level:
     new_neighbours, new_edges = np.empty(neighbours.size, np.int32), np.empty(neighbours.size, np.int32)
     new_weights, means = np.empty(neighbours.size), np.empty(neighbours.size)
     closest, volume = np.zeros(left), np.zeros(left)
-    # Affinity and edges from the node at hand to each other one, and for which those have been found.
+    # Affinity and edges from the current node to each other one, and for which node those were computed.
     affinity, tied, found_for = np.zeros(left), np.zeros(left, np.int32), np.full(left, -1, np.int32)
     used = 0
     for joined in range(left):

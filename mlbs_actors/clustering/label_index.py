@@ -1,4 +1,4 @@
-"""Labels of trajectories as classes 0 … k−1, and what is asked of all of them at once (§4)."""
+"""Labels of trajectories numbered as classes 0 … k−1, and statistics of all classes at once (§4)."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ __all__ = [
 
 #: Label of a trajectory that belongs to no layer.
 UNLABELLED = -1
-#: Labels are remembered by their lowest bits, so many at a time: few are asked for, often and in no order, so
-#: that a processor could not foretell how a search among them goes.
+#: Size of a cache of labels by their lowest bits: there are few labels, looked up often and in no order, so
+#: that the branches of a search would be mispredicted.
 REMEMBERED = 256
 
 
 @compiled
 def label_classes(labels: Array, left_out: Array) -> tuple[Array, Array]:
-    """Number the labels that there are.
+    """Number the distinct labels.
 
     Parameters
     ----------
     labels : (n,) int64
         Few of them differ.
     left_out : (n,) bool
-        Which do not count.
+        Which to ignore.
 
     Returns
     -------
     known : (k,) int64
-        The labels, ascending.
+        The distinct labels, ascending.
     classes : (n,) int64
-        Where each one's label stands among them, −1 for those left out.
+        Index of each one's label in ``known``, −1 for those left out.
     """
     known = _known_labels(labels, left_out)
     classes = label_places(labels, known)
@@ -52,7 +52,7 @@ def label_classes(labels: Array, left_out: Array) -> tuple[Array, Array]:
 
 @compiled
 def label_places(labels: Array, known: Array) -> Array:
-    """Where labels stand among the known ones.
+    """Find labels among the known ones.
 
     Parameters
     ----------
@@ -63,10 +63,10 @@ def label_places(labels: Array, known: Array) -> Array:
     Returns
     -------
     (n,) int64
-        −1 for a label that is not known.
+        Index in ``known``; −1 for a label that is not there.
     """
     places = np.empty(labels.size, np.int64)
-    # None of the first has its slot's lowest bits.
+    # Initial values that match no label: none of them has its slot's lowest bits.
     asked, answers = np.arange(1, REMEMBERED + 1), np.empty(REMEMBERED, np.int64)
     for i in range(labels.size):
         slot = labels[i] & (REMEMBERED - 1)
@@ -80,14 +80,14 @@ def label_places(labels: Array, known: Array) -> Array:
 
 @compiled
 def _known_labels(labels: Array, left_out: Array) -> Array:
-    """The labels that there are, ascending."""
+    """Return the distinct labels, ascending."""
     known, count = np.empty(labels.size, np.int64), 0
-    noted = np.arange(1, REMEMBERED + 1)  # none with its slot's lowest bits
+    cached = np.arange(1, REMEMBERED + 1)  # no label matches: none of them has its slot's lowest bits
     for i in range(labels.size):
         slot = labels[i] & (REMEMBERED - 1)
-        if left_out[i] or noted[slot] == labels[i]:
+        if left_out[i] or cached[slot] == labels[i]:
             continue
-        noted[slot] = labels[i]
+        cached[slot] = labels[i]
         place = np.searchsorted(known[:count], labels[i])
         if place == count or known[place] != labels[i]:
             for later in range(count, place, -1):
@@ -98,13 +98,13 @@ def _known_labels(labels: Array, left_out: Array) -> Array:
 
 
 def distinct_labels(labels: Array) -> set[int]:
-    """Which labels trajectories (n,) have, but for −1."""
+    """Return the labels of trajectories (n,), without −1."""
     return set(_known_labels(labels, labels == UNLABELLED).tolist())
 
 
 @compiled
 def likeliest(share: Array, known: Array) -> Array:
-    """Label of the largest share of each row (n, k), the first of equal ones; −1 where all are 0."""
+    """Return the label of the largest share of each row (n, k), the first of equals; −1 where all are 0."""
     labels = np.full(len(share), UNLABELLED, np.int64)
     for i in range(len(share)):
         largest = 0.0
@@ -116,7 +116,7 @@ def likeliest(share: Array, known: Array) -> Array:
 
 @compiled
 def class_medians(values: Array, classes: Array, count: int) -> Array:
-    """Median of each class's values (n,), (count,) float64; every class has some."""
+    """Return the median of each class's values (n,), (count,) float64; no class may be empty."""
     starts, medians = np.zeros(count + 1, np.int64), np.empty(count)
     for i in range(classes.size):
         if classes[i] >= 0:
@@ -134,7 +134,7 @@ def class_medians(values: Array, classes: Array, count: int) -> Array:
 
 @compiled
 def median_length(vectors: Array, chosen: Array) -> float:
-    """Median length of some of the vectors (n, 2); NaN if there are none."""
+    """Return the median length of the chosen vectors (n, 2); NaN if there are none."""
     lengths, found = np.empty(chosen.size, vectors.dtype), 0
     for i in range(chosen.size):
         if chosen[i]:

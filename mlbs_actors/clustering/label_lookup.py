@@ -1,4 +1,4 @@
-"""Looks up many labels at once among the ones that a registry knows, which ascend (§4)."""
+"""Vectorised lookup of labels in the registry's sorted label array (§4)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["layers_of", "sightings"]
 
 @compiled
 def layers_of(labels: Array, known: Array, origins: Array, pooled: Array, other: int) -> Array:
-    """Layer ids of labels (n,) int64, −1 for none, by the registry's rows; see `LayerRegistry.layers_of`."""
+    """Return layer ids of labels (n,) int64, −1 for none; see `LayerRegistry.layers_of`."""
     rows, origin_rows = label_places(labels, known), label_places(origins, known)
     layers = np.empty(labels.size, np.int64)
     for i in range(labels.size):
@@ -26,8 +26,8 @@ def layers_of(labels: Array, known: Array, origins: Array, pooled: Array, other:
 
 @compiled
 def sightings(known: Array, labels: Array, positions: Array, motions: Array) -> tuple[Array, Array, Array]:
-    """Row of each trajectory's label, −1 if it is not known; how many each has, and their mean positions and
-    motions (k, 4)."""
+    """Return the row of each trajectory's label, −1 if it is not known; how many each row has, and their mean
+    positions and motions (k, 4)."""
     rows = label_places(labels, known)
     counts, means = np.zeros(known.size, np.int64), np.zeros((known.size, 4), np.float32)
     for i in range(labels.size):

@@ -2,14 +2,14 @@
 
 Two walks behind one option:
 
-* ``absorbing`` (the paper): labelled = the trajectories as labelled in the previous frame, unlabelled = the
-  ones without a label, Y_u = (I − P_uu)⁻¹ P_ul Y_l. A live trajectory is one node and keeps its label.
+* ``absorbing`` (the paper): trajectories with a label from the previous frame keep it, the others get
+  Y_u = (I − P_uu)⁻¹ P_ul Y_l.
 * ``soft`` (the authors' program): every trajectory is decided again, Z = r (I − (1 − r) P)⁻¹ Y, r the
   restart probability, so that a wrong label heals when its neighbourhood disagrees.
 
-Differs from the paper: its (I − P_uu) is singular on a component without any labelled node; such nodes
-stay unlabelled (−1) here, and the caller decides whether they are a new object. The soft walk leaves out what
-so little of a class reaches that no decision hangs on it.
+Differs from the paper: its (I − P_uu) is singular on a component without any labelled node; such nodes stay
+unlabelled (−1) here, and the caller decides whether they are a new object. The soft walk drops shares of a
+class that are too small to affect a decision.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from mlbs_actors.messages import Array
 
 __all__ = ["propagate_absorbing", "propagate_soft"]
 
-#: Affinity below which an edge leads nowhere.
+#: Affinity below which an edge is ignored.
 NO_EDGE = 1e-12
 #: Error of a soft walk's shares.
 TOLERANCE = 1e-2
-#: A walk goes on to a node once a neighbour hands it at least this share of a class.
+#: A walk continues to a node once a neighbour passes it at least this share of a class.
 LEAST_SHARE = 1e-5
 
 
@@ -46,11 +46,10 @@ def propagate_soft(affinity: sp.csr_array, labels: Array, classes: int, restart:
     Returns
     -------
     (n, classes) float64
-        Share of the walks of each node that ended at each class, rows sum to 1 at most (and errors of
-        ``TOLERANCE``).
+        Share of each node's walks that end at each class; rows sum to at most 1, up to ``TOLERANCE``.
     """
     # Chebyshev iteration: the eigenvalues of (1−r) P are real and lie within ±(1−r), so the weights and the
-    # number of steps are known beforehand.
+    # number of steps are known in advance.
     radius = 1.0 - restart
     rate = radius / (1.0 + np.sqrt(1.0 - radius**2))
     steps = int(np.ceil(np.log(TOLERANCE / 2.0) / np.log(rate)))
@@ -69,7 +68,7 @@ def _walk(
     restart: float,
     steps: int,
 ) -> Array:
-    """Shares after some steps, (n, classes): class by class, only as far as walks from its nodes get."""
+    """Compute shares after some steps, (n, classes): class by class, only as far as walks from it reach."""
     count = labels.size
     come = np.empty(count)
     for node in range(count):
@@ -78,7 +77,7 @@ def _walk(
     radius, share = 1.0 - restart, np.zeros((count, classes))
     before, now, start = np.zeros(count), np.zeros(count), np.zeros(count)
     reached, is_reached = np.empty(count, np.uint32), np.zeros(count, np.bool_)
-    # At most so much of its share a node hands to a neighbour that is not reached: few are asked again.
+    # The most that a node may pass to a neighbour that has not been reached: few need the exact test.
     handed = np.full(count, np.inf)
     for one in range(classes):
         found = 0
@@ -91,12 +90,12 @@ def _walk(
         for _ in range(steps):
             weight = 1.0 / (1.0 - 0.25 * radius**2 * weight)
             place = 0
-            while place < found:  # those that are reached on the way, too
+            while place < found:  # including those reached on the way
                 node, total = reached[place], 0.0
                 first, last = pointers[node], pointers[node + 1]
                 for e in range(first, last):
                     total += weights[e] * now[np.uint32(neighbours[e])]
-                # What was there two steps before makes room for what comes next.
+                # The values of two steps ago make room for the next ones.
                 before[node] += weight * (come[node] * total + start[node] - before[node])
                 if handed[node] * now[node] >= LEAST_SHARE:
                     most = 0.0
@@ -143,7 +142,7 @@ def propagate_absorbing(affinity: sp.csr_array, labels: Array, classes: int) -> 
         affinity.indptr, affinity.indices, affinity.data, labels, classes
     )
     if len(solved):
-        # Rows times their degrees: (D − A)_uu Y_u = A_ul Y_l is symmetric, so that rows are columns.
+        # Rows times their degrees: (D − A)_uu Y_u = A_ul Y_l is symmetric, so rows are columns.
         system = sp.csc_array((values, columns, pointers), shape=(len(solved), len(solved)))
         share[solved] = splu(system).solve(towards)
     return share
@@ -153,7 +152,7 @@ def propagate_absorbing(affinity: sp.csr_array, labels: Array, classes: int) -> 
 def _absorbing_system(
     pointers: Array, neighbours: Array, weights: Array, labels: Array, classes: int
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """The unlabelled nodes from which a labelled one can be reached, and their equations.
+    """Set up the equations of the unlabelled nodes from which a labelled one can be reached.
 
     Returns
     -------

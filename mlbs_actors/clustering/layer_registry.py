@@ -1,15 +1,14 @@
 """The life of layers: births, dormancy, return, retirement, and the cap (§4).
 
-Two things are kept apart here and nowhere else: a *label* is what a cluster of trajectories carries in the
-coordinator (0 the background, > 0 a layer, −1 none, < −1 a candidate on probation), a *layer id* is for
-life and is what the label map shows. They differ for the objects past the cap, which share one
-layer "other".
+Two things are kept apart here: a *label* is what a cluster of trajectories carries in the coordinator (0 the
+background, > 0 a layer, −1 none, < −1 a candidate on probation); a *layer id* is never reused and is what the
+label map shows. They differ for the objects past the cap, which share one layer "other".
 
 Differs from the paper: it creates a layer whenever the N-cut splits a cluster and drops it with its last
-trajectory; here a split must last a few frames first. What falls off an object (a limb, a head, the body that
-rests while the head turns) stays with it for longer, and is only then taken for another object. A layer that
-loses its trajectories sleeps for a while and is woken when a new cluster of like colours appears where it
-should be, and the number of layers is bounded.
+trajectory; here a split must last a few frames first. A part split off an object (a limb, a head, the body
+that rests while the head turns) stays with it for longer before it becomes an object of its own. A layer that
+loses its trajectories sleeps for a while and is woken when a new cluster of like colours appears where it is
+expected, and the number of layers is bounded.
 """
 
 from __future__ import annotations
@@ -27,13 +26,10 @@ from mlbs_actors.messages import BACKGROUND, Array
 
 __all__ = ["LayerRegistry", "RegistryState"]
 
-#: Clusterings at which an object is not put to the N-cut test after one that it has passed firmly.
-_SPARED = 3
-
 
 @dataclass(frozen=True, slots=True)
 class RegistryState:
-    """All objects that live, sleep or are on probation; row i of each array is one of them.
+    """All objects that live, sleep or are on probation, one in each row of the arrays.
 
     Attributes
     ----------
@@ -42,13 +38,13 @@ class RegistryState:
     born : (k,) int64
         Frame of birth.
     origins : (k,) int64
-        Label that a candidate fell off, −1 if it fell off none.
+        Label that a candidate was split off, −1 if none.
     seen : (k,) int64
         Last frame awake; older than the newest frame = asleep.
     judged, moving : (k,) int64
-        Clusterings it has been through, and in how many of them it moved against the camera.
+        Clusterings since birth, and in how many of them it moved against the camera.
     spared : (k,) int64
-        Clusterings that it may pass without the N-cut test.
+        Clusterings in which it skips the N-cut test.
     tracked : (k,) int64
         Last frame with enough trajectories; a layer can stay awake a little longer on its published pixels.
     centroids, velocities : (k, 2) float64
@@ -83,7 +79,7 @@ class RegistryState:
 
     @staticmethod
     def empty() -> RegistryState:
-        """No object yet."""
+        """Return the state without any object."""
         return RegistryState(
             np.zeros(0, np.int64),
             np.zeros(0, np.int64),
@@ -104,15 +100,14 @@ class RegistryState:
 
 
 class LayerRegistry:
-    """Decides which labels are layers; see the module's text.
+    """Decides which labels are layers; see the module's docstring.
 
     Parameters
     ----------
-    config : LayersConfig
     shape : (H, W)
         Of the frame, px.
     state : RegistryState, optional
-        To go on from; a new registry by default.
+        To continue from; a new registry by default.
     """
 
     def __init__(
@@ -123,12 +118,12 @@ class LayerRegistry:
         self.state = state or RegistryState.empty()
 
     def judge(self, speeds: Mapping[int, float], least: float) -> None:
-        """Take note at a clustering of which labels move against the camera.
+        """Record at a clustering which labels move against the camera.
 
         Parameters
         ----------
         speeds : mapping of int to float
-            Label → its speed against the camera, px/frame; of all labels that have trajectories.
+            Label → its speed against the camera, px/frame; for all labels that have trajectories.
         least : float
             Speed of an object, px/frame.
         """
@@ -139,28 +134,28 @@ class LayerRegistry:
         self.state = replace(state, judged=state.judged + judged, moving=state.moving + moving)
 
     def spared_labels(self) -> Array:
-        """Labels (m,) int64 of objects that need not be put to the N-cut test at this clustering."""
+        """Return labels (m,) int64 of objects that skip the N-cut test at this clustering."""
         return np.asarray(self.state.labels[self.state.spared > 0])
 
     def spare(self, firm: Array) -> None:
-        """Take note of what the N-cut test of a clustering has told.
+        """Record which labels passed the N-cut test firmly.
 
         Parameters
         ----------
         firm : (m,) int64
             Labels that hold together firmly, from :func:`~mlbs_actors.clustering.splitting.split_labels`.
-            Objects among them are spared the test at the next ``_SPARED`` clusterings: what moves apart does
-            so slowly.
+            Objects among them skip the test at the next clusterings: parts separate slowly.
         """
         state = self.state
         proven = (state.labels > BACKGROUND) & np.isin(state.labels, firm)
-        self.state = replace(state, spared=np.where(proven, _SPARED, np.maximum(state.spared - 1, 0)))
+        fewer, most = np.maximum(state.spared - 1, 0), self.config.spared_clusterings
+        self.state = replace(state, spared=np.where(proven, most, fewer))
 
     def ages(self, frame_index: int) -> dict[int, int]:
-        """Frames since birth of every label, the background being older than all.
+        """Return the frames since birth of every label, the background being older than all.
 
-        A label that has hardly moved in all its life is as young as on its first frame: what is nearer to the
-        camera than the rest of a scene can look like an object for a while, and would be one for ever.
+        A label that has hardly moved in all its life stays as young as on its first frame: foreground parts
+        of a static scene can look like an object for a while, and would remain one for ever.
         """
         state = self.state
         proven = state.moving >= self.config.least_moving * state.judged
@@ -169,25 +164,21 @@ class LayerRegistry:
         return {**known, BACKGROUND: np.iinfo(np.int64).max}
 
     def live_layers(self, frame_index: int) -> tuple[int, ...]:
-        """Layer ids, without the background, awake at the newest frame or one held before it; ascending."""
+        """Return layer ids awake at the newest frame or a held one, without the background; ascending."""
         state = self.state
         awake = (state.labels > 0) & (state.born <= frame_index) & (state.seen >= frame_index)
         return tuple(sorted(set(self.layers_of(state.labels[awake]).tolist())))
 
-    def remembered_layers(self) -> frozenset[int]:
-        """Layer ids, without the background, that live or sleep."""
-        return frozenset(self.layers_of(self.state.labels[self.state.labels > 0]).tolist())
-
     def layers_of(self, labels: Array) -> Array:
-        """Layer ids of some labels, (n,) int64, −1 for none.
+        """Return layer ids of labels, (n,) int64, −1 for none.
 
-        A candidate that fell off an object belongs to its layer until it has one of its own.
+        A candidate split off an object belongs to its layer until it has one of its own.
         """
         state = self.state
         return np.asarray(layers_of(labels, state.labels, state.origins, state.pooled, state.other))
 
     def forget(self, merged: Mapping[int, int]) -> None:
-        """Drop labels that were merged into others: nothing is left that could wake.
+        """Drop labels that were merged into others, so that they cannot wake.
 
         Parameters
         ----------
@@ -202,7 +193,7 @@ class LayerRegistry:
         self._select(~np.isin(self.state.labels, list(merged)))
 
     def admit(self, labels: Array, frame_index: int, origins: Mapping[int, int]) -> Array:
-        """Give the labels that are new since the last frame their candidate labels.
+        """Replace the labels that are new since the last frame by candidate labels.
 
         Parameters
         ----------
@@ -210,7 +201,7 @@ class LayerRegistry:
             Unknown labels ≥ 0 are taken for new clusters.
         frame_index : int
         origins : mapping of int to int
-            New label → the one it fell off.
+            New label → the one it was split off.
 
         Returns
         -------
@@ -243,7 +234,7 @@ class LayerRegistry:
         return labels
 
     def _objects(self) -> dict[int, int]:
-        """The object that each label is, or belongs to as a candidate; −1 if it is none."""
+        """Map each label to the object that it is, or belongs to as a candidate; −1 if none."""
         labels, origins = self.state.labels.tolist(), self.state.origins.tolist()
         return {
             label: label if label > BACKGROUND else origin
@@ -259,7 +250,7 @@ class LayerRegistry:
         frame_index: int,
         published: Collection[int],
     ) -> Array:
-        """Take note of where a frame's labels are: put to sleep and forget.
+        """Record where a frame's labels are; put those without trajectories to sleep, and forget old ones.
 
         Parameters
         ----------
@@ -271,8 +262,8 @@ class LayerRegistry:
             The frame's colours there.
         frame_index : int
         published : collection of int
-            Layers that own pixels in the newest label map that may be read. A layer with too few
-            trajectories stays awake on them for ``coast_frames``.
+            Layers that own pixels in the newest label map available. A layer with too few trajectories stays
+            awake on them for ``coast_frames``.
 
         Returns
         -------
@@ -285,7 +276,7 @@ class LayerRegistry:
         state.seen[enough] = state.tracked[enough] = frame_index
         state.centroids[enough], state.velocities[enough] = means[enough, :2], -means[enough, 2:]
         fresh, known = colour_signatures(rows, colours, len(state.labels))[enough], state.signatures[enough]
-        # A tenth of a new histogram counts, and the first one wholly.
+        # A new histogram has weight 0.1, the first one weight 1.
         share = np.where(known.any(axis=1), np.float32(0.1), np.float32(1))[:, None]
         state.signatures[enough] = np.float32(0.9) * known + share * fresh
         coasting: Array = ~enough & (state.labels > 0) & (state.seen == frame_index - 1)
@@ -302,21 +293,21 @@ class LayerRegistry:
         if not self.state.pooled.any():
             self.state = replace(
                 self.state, other=-1
-            )  # the next "other" is another layer: ids do not come back
+            )  # the next "other" is another layer: ids are never reused
         return labels
 
     def promote(self, labels: Array, frame_index: int, probation: int) -> Array:
-        """Make layers of the candidates that have lasted, and keep the cap.
+        """Make layers of the candidates that have lasted, and enforce the cap.
 
         Parameters
         ----------
         labels : (n,) int64
-            From :meth:`observe`, after a clustering: it is what a candidate has to last.
+            From :meth:`observe`, after a clustering: only clusterings count for a candidate.
         frame_index : int
         probation : int
-            Frames that a candidate must have lasted to become a layer; one that fell off an object must have
-            lasted for ``part_probation_frames``. One whose object has lost all other trajectories is that
-            object from now on.
+            Frames that a candidate must have lasted to become a layer; one split off an object must have
+            lasted for ``part_probation_frames``. One whose object has lost all other trajectories becomes
+            that object.
 
         Returns
         -------
@@ -324,7 +315,7 @@ class LayerRegistry:
         """
         labels = labels.copy()
         for label in self.state.labels[self.state.labels < UNLABELLED][::-1]:
-            # Asked anew for each: the first part of a lost object is that object, the next is a part of it.
+            # Looked up anew for each: the first part of a lost object becomes that object.
             row = int(np.flatnonzero(self.state.labels == label)[0])
             fell_off = self.state.origins[row] != UNLABELLED
             awaited = self.config.part_probation_frames if fell_off else probation
@@ -341,7 +332,7 @@ class LayerRegistry:
             state,
             labels=labels,
             born=state.born[rows],
-            # Parts of what is forgotten are parts of nothing.
+            # A part of a forgotten object is a part no longer.
             origins=np.where(np.isin(origins, labels), origins, UNLABELLED),
             judged=state.judged[rows],
             moving=state.moving[rows],
@@ -355,7 +346,7 @@ class LayerRegistry:
         )
 
     def _promote(self, candidate: int, frame_index: int) -> int:
-        """Make a candidate a layer: wake the sleeping one that it is, or else a new one."""
+        """Make a candidate a layer: the sleeping one that it matches, or else a new one."""
         state = self.state
         row = int(np.flatnonzero(state.labels == candidate)[0])
         sleeper = self._bereft(row, frame_index)
@@ -382,7 +373,7 @@ class LayerRegistry:
         return label
 
     def _bereft(self, row: int, frame_index: int) -> int | None:
-        """The object a candidate fell off, if that has no trajectories: it lives on in the candidate."""
+        """Return the object a candidate was split off, if that has no trajectories and lives on in it."""
         state = self.state
         if state.labels[row] > BACKGROUND or state.origins[row] == UNLABELLED:
             return None
@@ -390,8 +381,8 @@ class LayerRegistry:
         return origin if state.tracked[origin] < frame_index else None
 
     def _keep_cap(self, labels: Array, frame_index: int) -> None:
-        """Past the cap the smallest objects share the layer "other", for the rest of their lives."""
-        room = self.config.max_layers - 2  # the background and "other" take two
+        """Move the smallest objects past the cap into the layer "other", for the rest of their lives."""
+        room = self.config.max_layers - 2  # one each for the background and "other"
         while True:
             state = self.state
             single = np.flatnonzero((state.labels > 0) & ~state.pooled & (state.seen == frame_index))

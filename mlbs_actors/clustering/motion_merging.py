@@ -1,7 +1,7 @@
 """Merges labels that move together (§4): depth is not motion.
 
-Differs from the paper, which trusts the N-cut alone. Two parts of the background that an object cut apart in
-the image are joined again: parts of a static scene join continuously somewhere along their border, while an
+Differs from the paper, which trusts the N-cut alone. Two parts of the background that an object separates in
+the image are joined again: parts of a static scene are continuous somewhere along their border, while an
 object is discontinuous along all of its own. So a young label is merged into the neighbour from which its
 motion distance, at a low quantile over their common border, is within the noise.
 """
@@ -20,9 +20,6 @@ from mlbs_actors.messages import BACKGROUND, Array
 
 __all__ = ["border_motion", "merge_by_motion"]
 
-#: Fewer edges across a border say nothing of it.
-LEAST_BORDER = 5
-
 
 def merge_by_motion(
     graph: TrajectoryGraph,
@@ -34,13 +31,13 @@ def merge_by_motion(
 ) -> Array:
     """Merge labels into the neighbour that moves with them.
 
-    A young label that does not move against the camera goes to the background, wherever it lies. One
-    whose motion distance to a neighbour is within the noise at a low quantile of their common border goes
-    to that neighbour. Parts of one object bend and turn against each other, so between objects more is
-    allowed, but only where a good part of the younger touches the older: two objects that pass each other
-    touch with little. Objects of any age whose motions have been the same, within the noise, all their common
-    life are one, if they touch at all. Borders are measured against √n of the younger's n trajectories, for
-    a border grows like the root of what it bounds.
+    A young label that does not move against the camera goes to the background, wherever it lies. One whose
+    motion distance to a neighbour is within the noise at a low quantile of their common border goes to that
+    neighbour. Parts of one object bend and rotate against each other, so the threshold between objects is
+    higher, but only where the border is long for the younger one: objects that pass each other share a short
+    one. Objects of any age whose motions have been the same, within the noise, all their common life are one,
+    if they touch at all. Borders are compared with √n of the younger's n trajectories, as a border grows with
+    the root of the area.
 
     Parameters
     ----------
@@ -52,7 +49,6 @@ def merge_by_motion(
         From :func:`~mlbs_actors.clustering.splitting.label_speeds`.
     least_speed : float
         From :func:`~mlbs_actors.clustering.splitting.least_object_speed`.
-    config : LayersConfig
 
     Returns
     -------
@@ -72,6 +68,7 @@ def merge_by_motion(
         least_border=config.merge_border,
         most_same_distance=config.same_motion_distance,
         least_same_border=config.same_motion_border,
+        least_edges=config.least_border,
     )
     known_ages = np.array([ages.get(label, 0) for label in known.tolist()], np.int64)
     edges = graph.first, graph.second, graph.motion_distance
@@ -80,7 +77,7 @@ def merge_by_motion(
 
 
 class _Rules(NamedTuple):
-    """When labels are alike, in the words of `LayersConfig`."""
+    """Thresholds of `LayersConfig` below which labels are merged."""
 
     young_frames: int
     quantile: float
@@ -89,13 +86,14 @@ class _Rules(NamedTuple):
     least_border: float
     most_same_distance: float
     least_same_border: float
+    least_edges: int
 
 
 @compiled
 def _merge(
     edges: tuple[Array, Array, Array], labels: Array, known: Array, classes: Array, ages: Array, rules: _Rules
 ) -> None:
-    """Merge labels and their classes, pair by pair, of those that are alike the nearest first."""
+    """Merge similar labels and their classes pair by pair, the nearest first."""
     first, second, distance = edges
     sizes = np.zeros(known.size, np.int64)
     for i in range(classes.size):
@@ -123,7 +121,7 @@ def _merge(
                 alike |= (
                     apart < rules.most_same_distance
                     and touching[border] >= rules.least_same_border * root
-                    and touching[border] >= LEAST_BORDER
+                    and touching[border] >= rules.least_edges
                 )
             if alike and (apart, younger, older) < (nearest, best_younger, best_older):
                 nearest, best_younger, best_older = apart, younger, older
@@ -139,7 +137,7 @@ def _merge(
 def border_motion(
     first: Array, second: Array, distance: Array, classes: Array, count: int, quantile: float
 ) -> tuple[Array, Array, Array]:
-    """Motion distance across the border of each pair of neighbouring classes.
+    """Measure the motion distance across the border of each pair of neighbouring classes.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Which trajectories lie near each other: the nearest few of each, found in square cells.
+"""The nearest trajectories of each, found in square cells.
 
-It gives what a k-d tree gives (the tests compare), in a fifth of the time for a few thousand points, and of
-points that are equally far those that come first. The distance within which there are as many points as
-wanted is found by halving, for counting fills the registers and sorting does not.
+The result is that of a k-d tree (the tests compare), in a fifth of the time for a few thousand points, and of
+equally far points the first are taken. The distance that encloses the wanted number of points is found by
+bisection, as counting is vectorised and sorting is not.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from mlbs_actors.messages import Array
 
 __all__ = ["nearest", "neighbour_pairs"]
 
-#: Points a cell, about.
+#: Mean number of points in a cell.
 CELL_POINTS = 3.0
 
 
 @compiled
 def neighbour_pairs(positions: Array, wanted: int, radius: float) -> tuple[Array, Array]:
-    """Pairs of points of which one is among the nearest of the other.
+    """Find the pairs of points in which one is among the nearest of the other.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def neighbour_pairs(positions: Array, wanted: int, radius: float) -> tuple[Array
 
 @compiled
 def nearest(positions: Array, wanted: int, radius: float) -> Array:
-    """The nearest points of each, without itself.
+    """Find the nearest points of each, without itself.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ def nearest(positions: Array, wanted: int, radius: float) -> Array:
     Returns
     -------
     (n, wanted) int32
-        In no order, but of equally far ones those with the lowest indices; −1 past the last.
+        Unordered; of equally far ones those with the lowest indices; −1 past the last.
     """
     count = positions.shape[0]
     found = np.full((count, wanted), -1, np.int32)
     cell, column, row, start, members = _cells(positions)
     columns, rows = column.max() + 1, row.max() + 1
     most = max(rows, columns)
-    # Cell by cell, so that a row of cells is one run, and what lies around a cell is gathered once.
+    # Cell by cell, so that a row of cells is one run of points and a cell's surroundings are gathered once.
     xs, ys = positions[members, 0].copy(), positions[members, 1].copy()
     near_x, near_y = np.empty(count, np.float32), np.empty(count, np.float32)
     point, squared = np.empty(count, np.int32), np.empty(count, np.float32)
@@ -76,7 +76,7 @@ def nearest(positions: Array, wanted: int, radius: float) -> Array:
                 for k in range(near):
                     across, down = near_x[k] - x, near_y[k] - y
                     squared[k] = across * across + down * down
-                # One more than wanted, for the point itself is among them.
+                # one more than wanted, for the point itself
                 limit = _limit(squared, near, wanted + 1, np.float32(reach * reach), whole)
                 if limit >= 0:
                     break
@@ -108,10 +108,10 @@ def _count_within(squared: Array, near: int, limit: np.float32) -> np.int32:
 
 @compiled
 def _limit(squared: Array, near: int, wanted: int, most: np.float32, whole: bool) -> np.float32:
-    """A squared distance within which so many of the near points lie, no more if possible; else the least
+    """Find a squared distance with ``wanted`` of the near points within, no more if possible; else the least
     with all.
 
-    Where fewer lie within ``most``, that, or −1 if there may be others.
+    Where fewer lie within ``most``, return that, or −1 if there may be others.
     """
     least = np.float32(0)
     fewer, more = _count_within(squared, near, least), _count_within(squared, near, most)
@@ -120,12 +120,12 @@ def _limit(squared: Array, near: int, wanted: int, most: np.float32, whole: bool
     if fewer >= wanted:
         return least
     while True:
-        # Points that are spread evenly have squared distances that are, too.
+        # Points that are spread evenly have evenly spread squared distances.
         share = np.float32(wanted - fewer) / np.float32(more - fewer)
         middle = least + min(max(share, np.float32(0.1)), np.float32(0.9)) * (most - least)
         if middle <= least or middle >= most:
             middle = np.float32(0.5) * (least + most)
-            if middle <= least or middle >= most:  # no number lies between
+            if middle <= least or middle >= most:  # no float lies between
                 return most
         within = _count_within(squared, near, middle)
         if within == wanted:
@@ -140,10 +140,9 @@ def _limit(squared: Array, near: int, wanted: int, most: np.float32, whole: bool
 def _take(
     squared: Array, point: Array, near: int, limit: np.float32, itself: int, room: Array, found: Array
 ) -> None:
-    """Of the first points those nearer than the limit, and of those just there the first, as far as there is
-    room."""
+    """Take the first points nearer than the limit, and of those exactly at it the first that fit."""
     taken = 0
-    for k in range(near):  # without a branch, for none could be foretold
+    for k in range(near):  # branch-free, as it would be mispredicted
         room[taken] = point[k]
         taken += int((squared[k] < limit) & (point[k] != itself))
     for k in range(taken):
@@ -163,11 +162,11 @@ def _take(
 
 @compiled
 def _cells(positions: Array) -> tuple[float, Array, Array, Array, Array]:
-    """Side of a cell, column and row of each point, and the points cell by cell: where each starts, which."""
+    """Return a cell's side, column and row of each point, and the points sorted by cell with the starts."""
     count = positions.shape[0]
     left, top = positions[:, 0].min(), positions[:, 1].min()
     width, height = positions[:, 0].max() - left, positions[:, 1].max() - top
-    # Never so small that points in a line would have more cells than that.
+    # Not so small that points along a line would have more cells than that.
     cell = max(np.sqrt(CELL_POINTS * width * height / count), 1e-2 * max(width, height), 1e-6)
     column, row = np.empty(count, np.int32), np.empty(count, np.int32)
     for i in range(count):
@@ -187,7 +186,7 @@ def _cells(positions: Array) -> tuple[float, Array, Array, Array, Array]:
 
 @compiled
 def _sorted_pairs(nearest_of: Array) -> tuple[Array, Array]:
-    """Each pair once, the lower index first, sorted by both: counted off by the higher, then by the lower."""
+    """List each pair once, the lower index first: a counting sort by the higher index, then by the lower."""
     count = nearest_of.shape[0]
     higher_start, lower_start = np.zeros(count + 1, np.int32), np.zeros(count + 1, np.int32)
     for i in range(count):
@@ -199,21 +198,21 @@ def _sorted_pairs(nearest_of: Array) -> tuple[Array, Array]:
     for i in range(count):
         higher_start[i + 1] += higher_start[i]
         lower_start[i + 1] += lower_start[i]
-    told = higher_start[-1]
-    place, lower = higher_start[:-1].copy(), np.empty(told, np.int32)
+    total = higher_start[-1]
+    place, lower = higher_start[:-1].copy(), np.empty(total, np.int32)
     for i in range(count):
         for j in nearest_of[i]:
             if j < 0:
                 break
             lower[place[max(i, j)]] = min(i, j)
             place[max(i, j)] += 1
-    place, higher = lower_start[:-1].copy(), np.empty(told, np.int32)
+    place, higher = lower_start[:-1].copy(), np.empty(total, np.int32)
     for i in range(count):
         for k in range(higher_start[i], higher_start[i + 1]):
             higher[place[lower[k]]] = i
             place[lower[k]] += 1
-    # A pair that both tell of comes twice, one after the other.
-    first, second = np.empty(told, np.int32), np.empty(told, np.int32)
+    # Pairs of mutual neighbours appear twice, one after the other.
+    first, second = np.empty(total, np.int32), np.empty(total, np.int32)
     found = 0
     for i in range(count):
         last = -1

@@ -2,12 +2,12 @@
 
 Differs from the paper: the paper does not say how a cut is found; here the generalised eigenvectors of the
 few smallest eigenvalues are thresholded everywhere and the best N-cut with enough trajectories on either side
-is taken. Parts that no edge joins are separate from the start (their N-cut is 0), which keeps the
-eigenproblem well posed. A large part is made small first, by joining trajectories that belong together anyway
-(:mod:`mlbs_actors.clustering.graph_coarsening`): a cut of the small graph costs exactly what it costs in the
-large one, only cuts through joined trajectories are not looked for. The dense solver then takes milliseconds,
-and always gives the same. Most parts hold together: no cut is below the second eigenvalue of the normalised
-Laplacian, and a factorisation tells in a tenth of the time whether that is above the threshold.
+is taken. Components are separate from the start (their N-cut is 0), which keeps the eigenproblem well posed.
+A large component is coarsened first, by joining trajectories that clearly belong together
+(:mod:`mlbs_actors.clustering.graph_coarsening`): a cut of the small graph has exactly the same cost in the
+large one, only cuts through joined trajectories are not considered. The dense solver then takes milliseconds
+and is deterministic. Most components hold together: no cut is below the second eigenvalue of the normalised
+Laplacian, and a factorisation finds in a tenth of the time whether that is above the threshold.
 """
 
 from __future__ import annotations
@@ -22,17 +22,15 @@ from mlbs_actors.clustering.graph_coarsening import coarsen
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
-__all__ = ["TwoWayCut", "best_cut", "holds_together", "ncut_value", "recursive_cut"]
+__all__ = ["TwoWayCut", "best_cut", "holds_together", "recursive_cut"]
 
 #: Affinity below which an edge counts as absent.
 NO_EDGE = 1e-6
-#: A part of more nodes is made smaller, to about one and a half times as many.
+#: A component of more nodes is coarsened, to about one and a half times as many.
 EXACT_NODES = 64
 #: Rounding in single precision moves the least eigenvalue that a factorisation of n nodes sees by less than
 #: this · n (n + 1), of a matrix with at most 2 on its diagonal (Higham, Accuracy and Stability, §10.1).
 ROUNDING = 1.2e-7
-#: A cluster is firm if all its cuts have an N-cut value above the threshold times this.
-FIRM = 3.0
 #: Eigenvectors tried for each cut.
 EIGENVECTORS = 3
 
@@ -53,27 +51,11 @@ class TwoWayCut:
     side: Array
 
 
-def ncut_value(affinity: Array, side: Array) -> float:
-    """N-cut value of a given bipartition; inf if one side has no volume.
-
-    Parameters
-    ----------
-    affinity : (n, n) float64, symmetric, non-negative
-    side : (n,) bool
-    """
-    degree = affinity.sum(axis=1)
-    inside, outside = float(degree[side].sum()), float(degree[~side].sum())
-    if inside <= 0 or outside <= 0:
-        return float("inf")
-    across = float(affinity[np.ix_(side, ~side)].sum())
-    return across / inside + across / outside
-
-
 def holds_together(affinity: Array, threshold: float) -> bool:
-    """Whether it is certain that no cut of a cluster has an N-cut value below the threshold.
+    """Whether no cut of a cluster can have an N-cut value below the threshold.
 
-    The least N-cut is at least the second smallest eigenvalue of L = I − D^-½ A D^-½ (Shi & Malik). With its
-    smallest, 0, moved away, L − threshold · I is positive definite exactly if that eigenvalue is larger.
+    The least N-cut is at least the second smallest eigenvalue of L = I − D^-½ A D^-½ (Shi & Malik). With the
+    smallest, 0, shifted away, L − threshold · I is positive definite exactly if that eigenvalue is larger.
 
     Parameters
     ----------
@@ -81,17 +63,17 @@ def holds_together(affinity: Array, threshold: float) -> bool:
         The diagonal adds to the volume.
     threshold : float
     """
-    # In single precision it takes half the time; what its rounding could hide is not certain.
+    # Single precision takes half the time; what its rounding could hide counts as uncertain.
     margin = ROUNDING * len(affinity) * (len(affinity) + 1)
     shifted = _shifted_laplacian(affinity, np.float32(threshold + margin))
-    # A symmetric matrix is its transpose, which LAPACK takes as it is.
+    # A symmetric matrix is its own transpose, so LAPACK takes it without a copy.
     *_, failed = spotrf(shifted.T, overwrite_a=True, clean=False)
     return not failed
 
 
 @compiled
 def _degrees(affinity: Array) -> tuple[Array, Array]:
-    """The diagonal of D, (n,), and that of D^-½."""
+    """Return the diagonal of D, (n,), and that of D^-½."""
     degree, scale = np.empty(len(affinity)), np.empty(len(affinity))
     for node in range(len(affinity)):
         degree[node] = max(affinity[node].sum(), 1e-12)
@@ -101,7 +83,7 @@ def _degrees(affinity: Array) -> tuple[Array, Array]:
 
 @compiled
 def _shifted_laplacian(affinity: Array, threshold: np.float32) -> Array:
-    """The normalised Laplacian with its smallest eigenvalue moved from 0 to 2, less threshold · I."""
+    """Return the normalised Laplacian with its least eigenvalue shifted from 0 to 2, less threshold · I."""
     count = len(affinity)
     (degree, scale), trivial = _degrees(affinity), np.empty(count, np.float32)
     volume = degree.sum()
@@ -117,7 +99,7 @@ def _shifted_laplacian(affinity: Array, threshold: np.float32) -> Array:
 
 
 def best_cut(affinity: Array, sizes: Array, min_side: int) -> TwoWayCut:
-    """Best thresholded-eigenvector cut of one connected cluster.
+    """Find the best thresholded-eigenvector cut of one connected cluster.
 
     Parameters
     ----------
@@ -148,9 +130,9 @@ def best_cut(affinity: Array, sizes: Array, min_side: int) -> TwoWayCut:
 
 @compiled
 def _normalised(affinity: Array) -> tuple[Array, Array]:
-    """The transpose of D^-½ A D^-½, as LAPACK wants it, and the diagonal of D.
+    """Return the transpose of D^-½ A D^-½, as LAPACK wants it, and the diagonal of D.
 
-    Only the order of an eigenvector's entries counts, so single precision does.
+    Single precision is enough, as only the order of an eigenvector's entries counts.
     """
     count, (degree, scale) = len(affinity), _degrees(affinity)
     normalised = np.empty((count, count), np.float32)
@@ -164,7 +146,7 @@ def _normalised(affinity: Array) -> tuple[Array, Array]:
 def _best_threshold(
     affinity: Array, degree: Array, sizes: Array, vectors: Array, min_side: int
 ) -> tuple[float, Array]:
-    """The least N-cut, and its side, of those that part the nodes somewhere along a vector, (k, n)."""
+    """Return the least N-cut, and its side, among all thresholds along some vectors, (k, n)."""
     best, side = np.inf, np.zeros(degree.size, np.bool_)
     volume, trajectories = degree.sum(), sizes.sum()
     for which in range(len(vectors) - 1, -1, -1):
@@ -186,12 +168,12 @@ def _best_threshold(
 
 @compiled
 def _severed(affinity: Array, order: Array) -> Array:
-    """Sum of the edges that a cut after each position of the order severs."""
+    """Sum the edges that a cut after each position of the order severs."""
     across = np.zeros(order.size)
     now = 0.0
     for position in range(order.size):
         node = order[position]
-        for other in range(order.size):  # those before are rejoined, those after are severed
+        for other in range(order.size):  # edges to earlier ones are rejoined, to later ones severed
             if other != position:
                 edge = affinity[node, order[other]]
                 now += edge if other > position else -edge
@@ -200,7 +182,11 @@ def _severed(affinity: Array, order: Array) -> Array:
 
 
 def recursive_cut(
-    affinity: sp.csr_array, threshold: float, min_side: int, apart: Array | None = None
+    affinity: sp.csr_array,
+    threshold: float,
+    min_side: int,
+    apart: Array | None = None,
+    firm_factor: float = 1.0,
 ) -> tuple[Array, Array]:
     """Split a graph into clusters while the best N-cut of a cluster is below the threshold.
 
@@ -213,15 +199,17 @@ def recursive_cut(
     min_side : int
         Least number of nodes of a cluster.
     apart : (n,) int, optional
-        Only nodes of the same value can be in one cluster, and those below 0 are in none.
+        Only nodes of the same value can share a cluster, and those below 0 are in none.
+    firm_factor : float
+        At least 1.
 
     Returns
     -------
     clusters : (n,) int64
         Cluster of every node, 0 … C−1 by falling size; −1 for nodes in parts smaller than ``min_side``.
     firm : (C,) bool
-        Clusters of which it is certain that no cut has an N-cut value below ``FIRM`` times the threshold; it
-        is not asked of the larger side of a cut.
+        Clusters in which certainly no cut has an N-cut value below ``firm_factor`` times the threshold; not
+        tested for the larger side of a cut.
     """
     pointers, neighbours, weights = affinity.indptr, affinity.indices, affinity.data
     labels = np.full(affinity.shape[0], -1, np.int64)
@@ -243,7 +231,7 @@ def recursive_cut(
             most = max(len(nodes) // EXACT_NODES, 1)
             edges = _kept_edges(pointers, neighbours, weights, nodes)
             small = _SmallGraph(*coarsen(*edges, most), len(nodes))
-            firm = holds_together(small.joined, FIRM * threshold)
+            firm = holds_together(small.joined, firm_factor * threshold)
         if not firm and not holds_together(small.joined, threshold):
             cut = best_cut(small.joined, np.bincount(small.group), min_side)
             if cut.value < threshold:
@@ -258,7 +246,7 @@ def recursive_cut(
 
 @dataclass(frozen=True, slots=True)
 class _SmallGraph:
-    """What :func:`coarsen` gives for a part, and how many nodes the part had."""
+    """The result of :func:`coarsen` for a component, and the component's number of nodes."""
 
     group: Array
     joined: Array
@@ -266,7 +254,7 @@ class _SmallGraph:
 
 
 def _one_side(nodes: Array, small: _SmallGraph, side: Array) -> tuple[Array, _SmallGraph | None]:
-    """A side of a cut part: what is left of it keeps its small graph, half or less gets a finer one."""
+    """Return one side of a cut: it keeps its small graph, or is coarsened anew if at most half is left."""
     inside = side[small.group]
     if 2 * np.count_nonzero(inside) <= small.made_for:
         return nodes[inside], None
@@ -274,7 +262,7 @@ def _one_side(nodes: Array, small: _SmallGraph, side: Array) -> tuple[Array, _Sm
 
 
 def _within(side: Array, group: Array, joined: Array) -> tuple[Array, Array]:
-    """The small graph of one side of a cut: groups anew from 0 on, and the affinities between them."""
+    """Restrict the small graph to one side of a cut: groups renumbered from 0, and their affinities."""
     return (np.cumsum(side) - 1)[group], joined[np.ix_(side, side)]
 
 
@@ -282,7 +270,7 @@ def _within(side: Array, group: Array, joined: Array) -> tuple[Array, Array]:
 def _kept_edges(
     pointers: Array, neighbours: Array, weights: Array, nodes: Array
 ) -> tuple[Array, Array, Array]:
-    """Row pointers, columns and values of the edges that count between some of the nodes, which ascend."""
+    """Return row pointers, columns and values of the edges that count between some ascending nodes."""
     position = np.full(pointers.size - 1, -1, np.int32)
     most = 0
     for i in range(nodes.size):
@@ -303,14 +291,14 @@ def _kept_edges(
 
 @compiled
 def _parts(pointers: Array, neighbours: Array, weights: Array, apart: Array) -> tuple[Array, Array]:
-    """Connected parts of a symmetric graph, by their first nodes; see :func:`recursive_cut` for ``apart``.
+    """Find the components of a symmetric graph, by their first nodes; ``apart`` as of :func:`recursive_cut`.
 
     Returns
     -------
     ordered : (m,) int32
-        The nodes part by part, ascending in each.
+        The nodes, component by component, ascending in each.
     starts : (p + 1,) int32
-        Where each part starts in them.
+        Where each component starts in them.
     """
     count = apart.size
     part, waiting = np.full(count, -1, np.int32), np.empty(count, np.int32)

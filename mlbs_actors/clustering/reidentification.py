@@ -1,6 +1,6 @@
-"""Is this new cluster an object that was lost? Told by its colours and its place (§4).
+"""Re-identification: whether a new cluster is an object that was lost, by its colours and its place (§4).
 
-Differs from the paper, which does not take an object up again.
+Differs from the paper, which never resumes an object.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SIGNATURE_BINS = 6
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """What is known of objects when they were last seen, row by row.
+    """Objects as last seen, one in each row.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Sighting:
 
 @compiled
 def colours_at(frame: Array, positions: Array) -> Array:
-    """Colours of the pixels nearest to some positions, (n, 3) uint8."""
+    """Return the colours of the pixels nearest to some positions, (n, 3) uint8."""
     colours = np.empty((positions.shape[0], 3), np.uint8)
     for i in range(positions.shape[0]):
         x = min(max(int(np.rint(positions[i, 0])), 0), frame.shape[1] - 1)
@@ -53,7 +53,7 @@ def colours_at(frame: Array, positions: Array) -> Array:
 
 @compiled
 def colour_signatures(rows: Array, colours: Array, count: int) -> Array:
-    """Normalised colour histograms of some groups of pixels.
+    """Compute normalised colour histograms of groups of pixels.
 
     Parameters
     ----------
@@ -61,12 +61,12 @@ def colour_signatures(rows: Array, colours: Array, count: int) -> Array:
         Group of each pixel, −1 for none.
     colours : (n, 3) uint8
     count : int
-        Of the groups.
+        Number of groups.
 
     Returns
     -------
     (count, SIGNATURE_BINS³) float32
-        Sum 1, or 0 of a group without pixels.
+        Sum 1, or 0 for a group without pixels.
     """
     histograms, pixels = np.zeros((count, SIGNATURE_BINS**3), np.float32), np.zeros(count, np.float32)
     for i in range(rows.size):
@@ -89,7 +89,7 @@ def best_sleeper(
     shape: tuple[int, int],
     config: LayersConfig,
 ) -> int | None:
-    """The lost object that best explains a new cluster by colour and place.
+    """Find the lost object that best explains a new cluster by colour and place.
 
     Parameters
     ----------
@@ -101,20 +101,19 @@ def best_sleeper(
         The present frame.
     shape : (H, W)
         px.
-    config : LayersConfig
 
     Returns
     -------
     int or None
-        Its row; None if none is near and like enough.
+        Its row; None if none is near and similar enough.
     """
     best, chosen = config.wake_similarity, None
     for row, gap in enumerate(frame_index - sleepers.seen):
         expected = sleepers.centroids[row] + gap * sleepers.velocities[row]
         places = [expected]
         if (expected >= 0).all() and (expected < shape[::-1]).all():
-            # It may have been held up. One that has left the frame has not: what comes in where it went
-            # out is another.
+            # It may have been slower than expected, unless it has left the frame: a cluster where it left is
+            # another object.
             places.append(sleepers.centroids[row])
         nearest = min(float(np.hypot(*(centroid - place))) for place in places)
         if nearest > config.wake_px * length_scale(*shape):

@@ -1,16 +1,16 @@
-"""Which trajectories belong together: propagate, split (§4).
+"""Clusters of trajectories: propagate labels, then split (§4).
 
 Every few frames the labels are carried on to new trajectories by a random walk, every cluster is put to the
-N-cut test again, and what falls apart is kept apart only if it *moves* apart
+N-cut test again, and parts are kept separate only if they *move* apart
 (:mod:`mlbs_actors.clustering.motion_merging`).
 
 Differs from the paper, which trusts the N-cut alone:
 
-* Flow bleeds over smooth ground. Trajectories that move without evidence of it have no part in the N-cut
+* Flow bleeds over smooth ground. Trajectories that move without evidence of it are left out of the N-cut
   test.
 * Disconnection alone never makes a label, and groups with few trajectories stay unlabelled.
-* A cluster that holds together firmly is spared the test for a while. It costs less time, and fewer clusters
-  fall apart by an accident of the flow.
+* A cluster that holds together firmly skips the test for a while. It takes less time, and fewer clusters
+  are split by an accident of the flow.
 """
 
 from __future__ import annotations
@@ -47,9 +47,6 @@ __all__ = [
     "split_origins",
 ]
 
-#: Frames over which a trajectory's speed against the camera is averaged.
-SPEED_FRAMES = 3
-
 
 def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConfig) -> Array:
     """Carry last frame's labels to this frame's trajectories.
@@ -59,12 +56,11 @@ def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConf
     affinity : (n, n) sparse
     labels : (n,) int64
         Label of each trajectory in the last frame; −1 for new ones.
-    config : AffinityConfig
 
     Returns
     -------
     (n,) int64
-        −1 where no labelled trajectory can be reached, or only by so long a walk that next to none get there.
+        −1 where no labelled trajectory can be reached, or too few walks arrive.
     """
     if config.propagation == "soft":
         return _decided(partial(propagate_soft, restart=config.restart), affinity, labels)
@@ -74,7 +70,7 @@ def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConf
 def _decided(
     walk: Callable[[sp.csr_array, Array, int], Array], affinity: sp.csr_array, labels: Array
 ) -> Array:
-    """The label to which most walks from each trajectory lead, −1 where none does."""
+    """Return the label to which most walks from each trajectory lead, −1 where none does."""
     known, classes = label_classes(labels, labels == UNLABELLED)
     return np.asarray(likeliest(walk(affinity, classes, len(known)), known))
 
@@ -82,17 +78,16 @@ def _decided(
 def bled_trajectories(
     trajectories: TrajectoryState, speed: Array, config: LayersConfig, scale: float
 ) -> Array:
-    """Which trajectories move against the camera though the image gives no evidence of it.
+    """Find the trajectories that move against the camera without evidence of it in the image.
 
-    Flow bleeds from an object over the smooth ground beside it. Such trajectories move in ways between
-    those of two things, and so tie together what does not belong together.
+    Flow bleeds from an object over the smooth ground beside it. Such trajectories have motions between those
+    of two things, and so tie together what does not belong together.
 
     Parameters
     ----------
     trajectories : TrajectoryState
     speed : (n,) float64
         :func:`residual_speed`, px/frame.
-    config : LayersConfig
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
 
@@ -112,23 +107,22 @@ def split_labels(
     bled: Array,
     spared: Array | Sequence[int] = (),
 ) -> tuple[Array, Array]:
-    """Put clusters to the N-cut test; parts that fall off get fresh labels.
+    """Put clusters to the N-cut test; give parts that are split off new labels.
 
     The part with most trajectories keeps the label. Trajectories without a label are clustered too. Those
-    that have bled tie nothing together; they, and the few that hung on them alone, go where the random walk
-    takes them.
+    that have bled tie nothing together; they, and the few connected through them only, are labelled by the
+    random walk.
 
     Parameters
     ----------
     affinity : (n, n) sparse
     labels : (n,) int64
-    config : AffinityConfig
     next_label : int
-        From here on labels are unused.
+        First unused label.
     bled : (n,) bool
         From :func:`bled_trajectories`.
     spared : (k,) int64
-        Labels that are not put to the test.
+        Labels that skip the test.
 
     Returns
     -------
@@ -137,12 +131,14 @@ def split_labels(
         Labels of clusters that are firm (:func:`~mlbs_actors.clustering.normalized_cut.recursive_cut`).
     """
     known, classes = label_classes(labels, bled)
-    tested = np.append(~np.isin(known, spared), False)  # the last for those of no class
+    tested = np.append(~np.isin(known, spared), False)  # the last entry is for those of no class
     classes = np.where(tested[classes], classes, -1)
-    clusters, firm = recursive_cut(affinity, config.cut_threshold, config.cut_side_tracks, classes)
+    clusters, firm = recursive_cut(
+        affinity, config.cut_threshold, config.cut_side_tracks, classes, config.firm_factor
+    )
     result, adrift, names = _named(labels, bled, known, classes, clusters, next_label)
     if adrift.any():
-        # All others hold still: the walk is asked only where those adrift go.
+        # All others keep their labels: the walk decides only for those adrift.
         result[adrift] = _decided(propagate_absorbing, affinity, result)[adrift]
     return result, names[firm]
 
@@ -151,8 +147,8 @@ def split_labels(
 def _named(
     labels: Array, bled: Array, known: Array, classes: Array, clusters: Array, next_label: int
 ) -> tuple[Array, Array, Array]:
-    """Labels of the clusters that each label has fallen into, which trajectories are adrift, and each
-    cluster's label.
+    """Return the labels of the clusters that each label was split into, which trajectories are adrift, and
+    each cluster's label.
 
     Labels that are too small to be cut stay as they are.
     """
@@ -191,7 +187,7 @@ def _named(
 
 
 def split_origins(before: Array, labels: Array) -> dict[int, int]:
-    """Where the labels that are new after :func:`split_labels` come from.
+    """Map the labels that are new after :func:`split_labels` to their origins.
 
     Parameters
     ----------
@@ -201,7 +197,7 @@ def split_origins(before: Array, labels: Array) -> dict[int, int]:
     Returns
     -------
     dict of int to int
-        New label → the label that most of its trajectories had; none for those that had none.
+        New label → the label that most of its trajectories had; without those that had none.
     """
     origins = {}
     for label in sorted(distinct_labels(labels) - distinct_labels(before)):
@@ -212,7 +208,7 @@ def split_origins(before: Array, labels: Array) -> dict[int, int]:
 
 
 def label_speeds(speed: Array, labels: Array) -> dict[int, float]:
-    """How fast each label moves against the camera.
+    """Return how fast each label moves against the camera.
 
     Parameters
     ----------
@@ -237,7 +233,7 @@ def least_object_speed(
     config: LayersConfig,
     scale: float,
 ) -> float:
-    """Speed against the camera below which a young label is background, px/frame.
+    """Return the speed against the camera below which a young label is background, px/frame.
 
     Parameters
     ----------
@@ -245,7 +241,6 @@ def least_object_speed(
     labels : (n,) int64
     speeds : mapping of int to float
         :func:`label_speeds`.
-    config : LayersConfig
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
     """
@@ -256,20 +251,20 @@ def least_object_speed(
     return least
 
 
-def residual_speed(trajectories: TrajectoryState) -> Array:
-    """Length of each trajectory's mean residual motion of up to three frames, (n,) float64, px/frame."""
-    return np.asarray(_mean_speed(trajectories.residuals, trajectories.ages))
+def residual_speed(trajectories: TrajectoryState, frames: int) -> Array:
+    """Return the length of each trajectory's mean residual motion over up to ``frames``, (n,) px/frame."""
+    return np.asarray(_mean_speed(trajectories.residuals, trajectories.ages, frames))
 
 
 @compiled
-def _mean_speed(residuals: Array, ages: Array) -> Array:
+def _mean_speed(residuals: Array, ages: Array, frames: int) -> Array:
     speed = np.empty(ages.size)
     for i in range(ages.size):
         x = y = np.float32(0)
-        for age in range(min(SPEED_FRAMES, residuals.shape[1])):
+        for age in range(min(frames, residuals.shape[1])):
             x += residuals[i, age, 0]
             y += residuals[i, age, 1]
-        known = min(max(ages[i], 1), SPEED_FRAMES)
+        known = min(max(ages[i], 1), frames)
         speed[i] = np.hypot(x / known, y / known)
     return speed
 
@@ -285,12 +280,12 @@ def background_first(labels: Array, trajectories: TrajectoryState, scale: float,
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
     spacing : float
-        Trajectories count once a square of this side: it is the area that decides, px.
+        A square of this side counts once, so that area decides, px.
 
     Returns
     -------
     (n,) int64
-        All background if there is no cluster.
+        All background if there are no clusters.
     """
     clusters = np.unique(labels[labels != UNLABELLED])
     if len(clusters) == 0:

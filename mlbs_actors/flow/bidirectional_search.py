@@ -1,6 +1,6 @@
-"""Dense inverse search in both directions between two frames: each direction helps the other one.
+"""Dense inverse search in both directions between two frames.
 
-The backward flow is found first; turned around it is where the search for the forward flow begins.
+The backward flow is found first; its inverse is where the search for the forward flow starts.
 """
 
 from __future__ import annotations
@@ -34,10 +34,9 @@ def search_both_ways(
     ----------
     previous, current : (h, w) uint8
         Grey levels, at least two patches high and wide.
-    config : FlowConfig
     focus : sequence of Region, optional
         Disjoint boxes where the finest level is computed. By default it is everywhere, and with the settings
-        of the first frames: what is not told apart there is not found for long.
+        of the first frames, where an object that is missed stays missed for long.
 
     Returns
     -------
@@ -55,17 +54,17 @@ def search_both_ways(
         effort = SearchEffort(config.search_iterations, config.refinement_iterations, config.patch_stride_px)
     coarsest = coarsest_level(current.shape)
     finest = min(config.finest_scale, coarsest)
-    if finest == coarsest:  # no coarser level says how the scene moves outside the boxes
+    if finest == coarsest:  # no coarser level gives the motion outside the boxes
         focus = whole
     before, now = flow_levels(previous, coarsest), flow_levels(current, coarsest)
-    # Halves alone would not do: flow bleeds 10–20 px past an object's outline then.
+    # Two levels alone would not do: flow then bleeds 10–20 px past an object's outline.
     backward = np.zeros((2, *now[coarsest].gray.shape), np.float32)
     backward = _finer(now, before, backward, range(coarsest, finest, -1), whole, effort)
     backward = _finer(now, before, backward, [finest], focus, effort)
     if list(focus) == whole:
         turned, first = -resized_flow(backward, now[coarsest].gray.shape), coarsest
     else:
-        # Outside the boxes the scene moves as the camera does: there it is enough to turn the flow around.
+        # Outside the boxes the scene moves as the camera does, so inverting the flow is good enough.
         turned, first = _inverted(backward), min(finest + 1, coarsest)
     forward = _finer(before, now, turned, range(first, finest - 1, -1), focus, effort)
     forward, backward = (resized_flow(one, current.shape) for one in (forward, backward))
@@ -80,7 +79,7 @@ def _finer(
     boxes: Sequence[Region],
     effort: SearchEffort,
 ) -> Array:
-    """Carry a flow (2, h, w), which may be overwritten, through levels; improve it in boxes of level 0."""
+    """Carry a flow (2, h, w) through levels, in place if it can; improve it in boxes of level 0."""
     for level in levels:
         shape = source[level].gray.shape
         flow = resized_flow(flow, shape)
@@ -90,7 +89,7 @@ def _finer(
 
 
 def _on_level(box: Region, level: int, shape: tuple[int, int]) -> Region:
-    """The pixels of a level that a box of level 0 covers; at least a patch."""
+    """Return the pixels of a level that a box of level 0 covers; at least one patch."""
     places = []
     for start, length, all_ in ((box.x, box.width, shape[1]), (box.y, box.height, shape[0])):
         end = min(max(-(-(start + length) >> level), (start >> level) + PATCH), all_)
@@ -101,7 +100,7 @@ def _on_level(box: Region, level: int, shape: tuple[int, int]) -> Region:
 
 @compiled
 def _inverted(flow: Array) -> Array:
-    """The flow the other way, planes (2, h, w): u with u(x) = −flow(x + u(x)), to a pixel in two rounds."""
+    """Invert a flow, planes (2, h, w): find u with u(x) = −flow(x + u(x)), to a pixel in two rounds."""
     _, height, width = flow.shape
     inverse, place = np.empty_like(flow), np.empty(width, np.int32)
     right, bottom, zero = np.float32(width - 1), np.float32(height - 1), np.float32(0)
@@ -111,7 +110,7 @@ def _inverted(flow: Array) -> Array:
         for x in range(width):
             u[x], v[x] = -flow[0, y, x], -flow[1, y, x]
         for _ in range(2):
-            for x in range(width):  # in vector registers
+            for x in range(width):  # vectorised
                 there_x = np.int32(min(max(np.rint(np.float32(np.int32(x)) + u[x]), zero), right))
                 there_y = np.int32(min(max(np.rint(np.float32(np.int32(y)) + v[x]), zero), bottom))
                 place[x] = np.int32(there_y * np.int32(width)) + there_x

@@ -41,12 +41,12 @@ class DenseFlow:
     thresholds: tuple[float, float, float, float]
 
     def forward_reliable(self) -> Array:
-        """Which forward flow the backward flow confirms and is not on a motion boundary, (h, w) bool."""
+        """Forward flow that the backward flow confirms and that is not on a motion boundary, (h, w) bool."""
         return _reliable(self.forward, self.backward, self.side, self.thresholds)
 
 
 def checked_flow(forward: Array, backward: Array, side: int, checks: TrajectoriesConfig) -> DenseFlow:
-    """Check the flow of either direction by the other one's.
+    """Check the flow of each direction against the other one.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def checked_flow(forward: Array, backward: Array, side: int, checks: Trajectorie
 
 @compiled
 def _reliable(flow: Array, reverse: Array, side: int, checks: tuple[float, ...]) -> Array:
-    """The checks of `DenseFlow.thresholds`, inside the frame."""
+    """Apply the checks of `DenseFlow.thresholds`, inside the frame."""
     height, width = flow.shape[:2]
     reliable = np.zeros((height, width), np.bool_)
     per_px, shrink = np.float32(1.0 / (32 * side)), np.float32(1.0 / side)
@@ -83,7 +83,7 @@ def _reliable(flow: Array, reverse: Array, side: int, checks: tuple[float, ...])
     limits = (np.float32(checks[0]), np.float32(checks[1]), np.float32(checks[2]), np.float32(checks[3]))
     one = np.uint64(1)
     for y in range(height):
-        # Loops without a branch run in vector registers, over both components side by side.
+        # Loops without a branch are vectorised, over both components side by side.
         upper, middle, lower = rows[max(y - 1, 0)], rows[y], rows[min(y + 1, height - 1)]
         for k in range(2 * width):
             smoothed[k], sheared[k] = _across(upper[k], middle[k], lower[k])
@@ -101,7 +101,7 @@ def _reliable(flow: Array, reverse: Array, side: int, checks: tuple[float, ...])
             inside[x], near[x], along[x], across[x] = _there(
                 middle[at], middle[at + one], x, y, width, height, shrink
             )
-        for x in range(width):  # the only one that cannot
+        for x in range(width):  # a gather: not vectorised
             along[x], across[x] = _back(back, near[x], width, along[x], across[x])
         found = reliable[y]
         for x in range(width):
@@ -116,7 +116,7 @@ def _reliable(flow: Array, reverse: Array, side: int, checks: tuple[float, ...])
 def reliable_at(
     flow: Array, reverse: Array, side: int, checks: tuple[float, ...], xs: Array, ys: Array
 ) -> Array:
-    """The same at columns and rows (n,) int64 of the grid: trajectories are at a few in a hundred."""
+    """Evaluate :func:`_reliable` only at columns and rows (n,) int64: trajectories cover a few per cent."""
     height, width = flow.shape[:2]
     reliable = np.zeros(xs.size, np.bool_)
     per_px, shrink = np.float32(1.0 / (32 * side)), np.float32(1.0 / side)
@@ -141,7 +141,7 @@ def reliable_at(
 
 @inlined
 def _across(upper: np.float32, middle: np.float32, lower: np.float32) -> tuple[np.float32, np.float32]:
-    """Scharr's smoothing and difference over three rows."""
+    """Smooth and difference three rows by Scharr's weights."""
     return np.float32(3) * (upper + lower) + np.float32(10) * middle, lower - upper
 
 
@@ -150,7 +150,7 @@ def _slope(
     left: np.float32, right: np.float32, sheared_left: np.float32, sheared: np.float32,
     sheared_right: np.float32, per_px: np.float32,
 ) -> np.float32:  # fmt: skip
-    """Squared gradient of one component by Scharr's central differences, per px."""
+    """Return the squared gradient of one component by Scharr's central differences, per px."""
     along = per_px * (right - left)
     down = per_px * (np.float32(3) * (sheared_left + sheared_right) + np.float32(10) * sheared)
     return along * along + down * down
@@ -160,7 +160,7 @@ def _slope(
 def _there(
     u: np.float32, v: np.float32, x: int, y: int, width: int, height: int, shrink: np.float32,
 ) -> tuple[bool, np.int32, np.float32, np.float32]:  # fmt: skip
-    """Whether flow leads to a place inside; the pixel above and left of it, and the way from that, px."""
+    """Say whether flow ends inside; return the pixel above and left of its end, and the fractions beyond."""
     zero, right, bottom = np.float32(0), np.float32(width - 1), np.float32(height - 1)
     there_x = np.float32(np.int32(x)) + u * shrink
     there_y = np.float32(np.int32(y)) + v * shrink
@@ -175,7 +175,7 @@ def _there(
 def _back(
     back: Array, near: np.int32, width: int, along: np.float32, across: np.float32
 ) -> tuple[np.float32, np.float32]:
-    """Flow at a place of :func:`_there`, from a flat one."""
+    """Interpolate a flattened flow at a place of :func:`_there`."""
     one, aside = np.float32(1), np.uint64(2)
     u, below = np.uint64(np.uint32(np.int32(2) * near)), np.uint64(2 * width)
     v = u + np.uint64(1)

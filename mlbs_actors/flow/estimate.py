@@ -1,4 +1,4 @@
-"""The dense flow of a frame's cells: how it is estimated is chosen here, and nowhere else (§3).
+"""The dense flow of a frame's cells, and the one place where its method is chosen (§3).
 
 Differs from the paper: the authors use LDOF (tens of seconds a frame). Here ``flow.method`` names a search
 that takes some milliseconds, our own or OpenCV's, or the caller hands in a function. Whichever it is, the
@@ -29,21 +29,21 @@ __all__ = ["LEAST_CELLS", "FlowFunction", "Picture", "estimate_flow", "picture_o
 #: A frame with fewer cells on a side has no flow: two patches.
 LEAST_CELLS = 2 * PATCH
 
-#: From two frames (H, W, 3) uint8 BGR, (H, W, 2) float: where each pixel of the first one is in the second,
-#: less where it is in the first, px.
+#: Maps two frames (H, W, 3) uint8 BGR to (H, W, 2) float: the displacement of each pixel from the first frame
+#: to the second, px.
 FlowFunction = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A frame as flow is estimated from it.
+    """A frame in the form from which flow is estimated.
 
     Attributes
     ----------
     gray : (h, w) uint8
         Mean grey levels of its cells.
     image : (H, W, 3) uint8
-        BGR; empty unless the caller's own function is asked.
+        BGR; empty unless the caller supplies the flow function.
     """
 
     gray: Array
@@ -51,10 +51,7 @@ class Picture:
 
 
 def picture_of(frame: Array, side: int, whole: bool) -> Picture:
-    """Return a (H, W, 3) uint8 BGR frame with cells of ``side`` px as flow is estimated from it.
-
-    ``whole`` is whether a function of the caller's needs all of it.
-    """
+    """Prepare a (H, W, 3) uint8 BGR frame with cells of ``side`` px; keep all of it if ``whole``."""
     gray = mean_of_cells(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), side)
     return Picture(gray, frame.copy() if whole else np.zeros((0, 0, 3), np.uint8))
 
@@ -74,7 +71,6 @@ def estimate_flow(
     previous, current : Picture
     side : int
         Of a cell, px.
-    config : Config
     focus : sequence of Region, optional
         Disjoint boxes, in cells, beyond which the flow need not be fine; everywhere by default.
     function : FlowFunction, optional
@@ -87,7 +83,7 @@ def estimate_flow(
     Raises
     ------
     FrameError
-        If the function returns something else than a flow.
+        If the function does not return a flow.
     """
     if function is not None:
         forward = _from_function(function, previous.image, current.image, side)
@@ -103,7 +99,7 @@ def estimate_flow(
 
 @compiled
 def _interleaved(planes: Array, factor: np.float32) -> Array:
-    """Planes (2, h, w) float32 times a factor as (h, w, 2)."""
+    """Interleave planes (2, h, w) float32, times a factor, as (h, w, 2)."""
     _, height, width = planes.shape
     flow = np.empty((height, width, 2), np.float32)
     for y in range(height):

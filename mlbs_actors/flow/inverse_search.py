@@ -4,9 +4,9 @@ On every level patches are searched (:mod:`mlbs_actors.flow.patch_search`), each
 of those over it, and a variational refinement (:mod:`mlbs_actors.flow.variational_refinement`) smooths the
 result.
 
-OpenCV has it whole, too. Here it takes half of the time: a frame's levels are made once for
-both directions, and the kernels fill the registers. A part of a level is searched in sight of what lies
-around it, which makes better flow than a frame cut to the part.
+OpenCV's implementation takes twice as long: here a frame's levels are computed once for both directions, and
+the kernels are vectorised. A part of a level is searched with its surroundings in view, which gives better
+flow than a frame cropped to the part.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ __all__ = [
     "resized_flow",
 ]
 
-#: Sweeps of the variational refinement's solver: more make no flow that is told apart better.
+#: Sweeps of the variational refinement's solver; more do not separate objects better.
 SWEEPS = 3
 
 
 @dataclass(frozen=True, slots=True)
 class SearchEffort:
-    """How much is done for a flow.
+    """How much work is spent on a flow.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class FlowLevel:
     ----------
     gray : (h, w) uint8
     around : (h + 2 MARGIN, w + 2 MARGIN) float32
-        The same, continued past its sides.
+        The same, padded by repeating the outermost pixels.
     slope_x, slope_y : (h, w) int16
         Sobel gradients.
     """
@@ -79,7 +79,7 @@ def coarsest_level(shape: tuple[int, int]) -> int:
 
 
 def flow_levels(gray: Array, count: int) -> list[FlowLevel]:
-    """A frame (h, w) uint8 and its next ``count`` halvings, finest first."""
+    """Return a frame (h, w) uint8 and its next ``count`` halvings, finest first."""
     levels = []
     for level in range(count + 1):
         if level:
@@ -90,7 +90,7 @@ def flow_levels(gray: Array, count: int) -> list[FlowLevel]:
 
 @compiled
 def _continued(gray: Array) -> Array:
-    """A frame as float32, its outermost pixels repeated ``MARGIN`` times."""
+    """Return a frame as float32, its outermost pixels repeated ``MARGIN`` times."""
     height, width = gray.shape
     around = np.empty((height + 2 * MARGIN, width + 2 * MARGIN), np.float32)
     for y in range(around.shape[0]):
@@ -102,7 +102,7 @@ def _continued(gray: Array) -> Array:
 
 
 def resized_flow(flow: Array, shape: tuple[int, int]) -> Array:
-    """Flow planes (2, h, w) on a grid of another size, in px of that; the same array if it has that size."""
+    """Resize flow planes (2, h, w) to another grid, in px of that; the same array if the grid is the same."""
     _, height, width = flow.shape
     if shape == (height, width):
         return flow
@@ -116,14 +116,14 @@ def resized_flow(flow: Array, shape: tuple[int, int]) -> Array:
 def improve_flow(
     source: FlowLevel, target: FlowLevel, flow: Array, parts: Sequence[Region], effort: SearchEffort
 ) -> None:
-    """Search some parts of a level, one after the other, and refine what is found there.
+    """Search some parts of a level, one after the other, and refine the flow found there.
 
     Parameters
     ----------
     source, target : FlowLevel
-        Alike in size.
+        Of the same size.
     flow : (2, h, w) float32
-        x and y of the motion from ``source`` to ``target`` as it is known so far, px; improved in place.
+        x and y of the motion from ``source`` to ``target``, the estimate so far, px; improved in place.
     parts : sequence of Region
         Each at least a patch wide and high.
     effort : SearchEffort
@@ -150,7 +150,7 @@ def _improve(
         densify(gray, around, motions, across, down, left, top, window)
         for _ in range(refinements):
             refine_flow(gray, around, left, top, window, MARGIN, SWEEPS)
-        for axis in range(2):  # the last of the window is the sum of weights
+        for axis in range(2):  # index 2 of the window holds the sum of weights
             for y in range(height):
                 for x in range(width):
                     flow[axis, top + y, left + x] = window[axis, y, x]

@@ -1,7 +1,7 @@
 """The motion of small patches of one level, by search and inverse-compositional descent.
 
-Patches on a grid start from the flow that is known so far or from that of a neighbour, whichever explains the
-image better, and descend from there. Each pixel then takes the mean motion of the patches over it, those that
+Patches on a grid start from the current flow or from that of a neighbour, whichever explains the image
+better, and descend from there. Each pixel then takes the mean motion of the patches over it, those that
 explain it well counting most (:mod:`mlbs_actors.flow.inverse_search` says where this comes from).
 """
 
@@ -19,15 +19,15 @@ __all__ = ["MARGIN", "PATCH", "densify", "patch_places", "search_patches"]
 
 #: Side of a patch, px.
 PATCH = 8
-#: Pixels by which a frame is continued past its sides: a patch may leave it altogether.
+#: Pixels of padding around a frame: a patch may leave it altogether.
 MARGIN = 16
-#: Rows of patches that are searched together: what their diagonals look at stays in the innermost cache.
+#: Rows of patches that are searched together, so that the pixels of a diagonal stay in the innermost cache.
 STRIP = 8
 
 
 @compiled
 def patch_places(start: int, length: int, stride: int) -> Array:
-    """Where patches begin along one axis: the last one ends where the part does."""
+    """Return where patches begin along one axis; the last one ends where the part does."""
     last = start + length - PATCH
     return np.minimum(np.arange(start, last + stride, stride), last)
 
@@ -37,7 +37,7 @@ def search_patches(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, flow: Array, across: Array, down: Array,
     iterations: int,
 ) -> Array:  # fmt: skip
-    """Motion of each patch, (rows, columns, 2), in two passes: from the top left, and back."""
+    """Find the motion of each patch, (rows, columns, 2), in two passes: from the top left, and back."""
     rows, columns, shape = down.size, across.size, gray.shape
     gray, around, slope_x, slope_y = (
         gray.reshape(-1),
@@ -53,10 +53,10 @@ def search_patches(
             slopes[row, column] = _slopes(slope_x, slope_y, shape, y, x)
             for axis in range(2):
                 motions[row, column, axis] = flow[axis, y + PATCH // 2, x + PATCH // 2]
-    for turn in (1, -1):
+    for step in (1, -1):
         _pass(
-            gray, around, slope_x, slope_y, shape, motions[::turn, ::turn], slopes[::turn, ::turn],
-            across[::turn], down[::turn], iterations,
+            gray, around, slope_x, slope_y, shape, motions[::step, ::step], slopes[::step, ::step],
+            across[::step], down[::step], iterations,
         )  # fmt: skip
     return motions
 
@@ -66,10 +66,10 @@ def _pass(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], motions: Array,
     slopes: Array, across: Array, down: Array, iterations: int,
 ) -> None:  # fmt: skip
-    """Search every patch from what it or the one before it in its row or column knows, in place.
+    """Search every patch from its own motion or that of the one before it in its row or column, in place.
 
-    Those on a diagonal do not wait for each other, and take turns with every step: a single one would leave
-    the processor idle for most of the time that its sums take.
+    Patches on a diagonal do not depend on each other and are interleaved step by step: the sums of a single
+    one would leave the processor idle for most of the time.
     """
     rows, columns = motions.shape[:2]
     us, vs, mismatch = np.empty(STRIP, np.float32), np.empty(STRIP, np.float32), np.empty(STRIP, np.float32)
@@ -87,7 +87,7 @@ def _pass(
                     other_u = motions[other_row, other_column, 0]
                     other_v = motions[other_row, other_column, 1]
                     other = _mismatch(gray, around, shape, y, x, other_u, other_v)
-                    better = other < least  # no branch, for it could not be foretold
+                    better = other < least  # branch-free, as it would be mispredicted
                     least = other if better else least
                     u = other_u if better else u
                     v = other_v if better else v
@@ -109,13 +109,13 @@ def _pass(
             for k in range(first, end):
                 row, column = top + k, diagonal - k
                 away_u, away_v = us[k] - motions[row, column, 0], vs[k] - motions[row, column, 1]
-                # What ends far from where it began has lost its way.
+                # A patch that ends far from where it began has lost its way.
                 if away_u**2 + away_v**2 <= np.float32(PATCH * PATCH):
                     motions[row, column, 0], motions[row, column, 1] = us[k], vs[k]
 
 
-# What follows works on flat arrays, where a pixel's place is one sum, and is put where it is called from:
-# calls would move more arguments than a patch has rows.
+# The functions below index flat arrays, where a pixel's place is one sum, and are inlined: calls would move
+# more arguments than a patch has rows.
 
 
 @inlined
@@ -123,10 +123,10 @@ def _descended(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
     u: np.float32, v: np.float32, slopes: Array,
 ) -> tuple[np.float32, np.float32, np.float32]:  # fmt: skip
-    """A patch's motion after a step of inverse-compositional descent, brightness aside; its mismatch before.
+    """Take one step of inverse-compositional descent, brightness aside; return motion and last mismatch.
 
-    Sobel's slopes are eight times the derivatives, so that a step is an eighth of Gauss and Newton's. With
-    whole ones more patches lose their way.
+    Sobel's slopes are eight times the derivatives, so a step is an eighth of a Gauss–Newton step. With full
+    steps more patches lose their way.
     """
     xx, xy, yy, sum_x, sum_y = slopes[0], slopes[1], slopes[2], slopes[3], slopes[4]
     determinant = max(xx * yy - xy * xy, np.float32(1e-3))
@@ -142,7 +142,7 @@ def _descended(
 def _source_place(
     shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
 ) -> tuple[np.uint64, np.float32, np.float32]:
-    """Where a moved patch begins in the continued frame, and by what share of a pixel it lies off."""
+    """Return where a moved patch begins in the padded frame, and the fractions of a pixel left over."""
     least = np.float32(MARGIN - PATCH + 1)
     bottom, right = np.float32(shape[0] + MARGIN - 1), np.float32(shape[1] + MARGIN - 1)
     at_y = min(max(np.float32(y + MARGIN) + v, least), bottom)
@@ -155,7 +155,7 @@ def _source_place(
 
 @inlined
 def _place(width: int, y: int, x: int, row: int, column: int) -> np.uint64:
-    """Place of a patch's pixel in a flat frame."""
+    """Return the flat index of a patch's pixel."""
     return (
         np.uint64(y) * np.uint64(width) + np.uint64(x) + np.uint64(row) * np.uint64(width) + np.uint64(column)
     )
@@ -165,10 +165,10 @@ def _place(width: int, y: int, x: int, row: int, column: int) -> np.uint64:
 def _slopes(
     slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """Sums over a patch: of the slopes' squares and product, and of the slopes."""
+    """Sum the slopes' squares and product, and the slopes, over a patch."""
     xx, xy, yy, sum_x, sum_y = np.int32(0), np.int32(0), np.int32(0), np.int32(0), np.int32(0)
-    # Columns outside: LLVM unrolls the rows, and does all columns at once. Sums of whole numbers may be added
-    # in any order.
+    # Columns are the outer loop: LLVM unrolls the rows, and does all columns at once. Sums of integers may be
+    # added in any order.
     for column in range(PATCH):
         for row in range(PATCH):
             at = _place(shape[1], y, x, row, column)
@@ -186,7 +186,7 @@ def _slopes(
 def _mismatch(
     gray: Array, around: Array, shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
 ) -> np.float32:
-    """Sum of squared differences of a patch and its place in the target, but for their mean."""
+    """Sum the squared differences of a patch and its place in the target, less their mean."""
     there, across, down = _source_place(shape, y, x, u, v)
     here, upper = _place(shape[1], y, x, 0, 0), _between(around, there, across)
     summed = broadcast(np.float32(0), PATCH)
@@ -207,7 +207,7 @@ def _differences(
     gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
     u: np.float32, v: np.float32,
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:  # fmt: skip
-    """Sums of a patch's differences: plain, squared, times its slope along x, and along y."""
+    """Sum a patch's differences: plain, squared, times its slope along x, and along y."""
     there, across, down = _source_place(shape, y, x, u, v)
     here, upper = _place(shape[1], y, x, 0, 0), _between(around, there, across)
     summed = broadcast(np.float32(0), PATCH)
@@ -225,7 +225,7 @@ def _differences(
 
 @inlined
 def _row_difference(gray: Array, here: np.uint64, upper: Any, lower: Any, down: np.float32) -> Any:
-    """What lies between two rows of the continued frame more than in a patch's row."""
+    """Return the interpolated difference between a row of the padded target and a patch's row."""
     moved = multiply_add(broadcast(down, PATCH), lower - upper, upper)
     return moved - load(gray, here, PATCH)
 
@@ -241,7 +241,7 @@ def densify(
     top: int,
     window: Array,
 ) -> None:
-    """Mean motion of the patches over each pixel, into (3, h, w) zeros: x, y and the sum of weights.
+    """Add the motion of the patches over each pixel to (3, h, w) zeros: x, y and the sum of weights.
 
     A patch weighs 1 / its difference there in grey levels, at most 1.
     """
@@ -274,6 +274,6 @@ def densify(
 
 @inlined
 def _between(values: Array, at: np.uint64, share: np.float32) -> Any:
-    """As many values as a patch has columns, by a share of a pixel further to the right."""
+    """Interpolate a patch's row of values at a fraction of a pixel to the right."""
     left = load(values, at, PATCH)
     return multiply_add(broadcast(share, PATCH), load(values, at + np.uint64(1), PATCH) - left, left)

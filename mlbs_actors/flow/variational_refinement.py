@@ -1,13 +1,13 @@
-"""Smooths a flow and fits it to the images: a variational method (Brox et al., ECCV 2004).
+"""Variational refinement: smooths a flow and fits it to the images (Brox et al., ECCV 2004).
 
-Each pixel's motion is to keep its grey level and the slopes of that, and to be its neighbours' motion, each
-with a robust penalty √(e² + ε²). The penalties' weights are those of the flow as it is. What is left is a
-linear system for its change, solved by some sweeps of red–black successive over-relaxation.
+Each pixel's motion should keep its grey level and the gradient of that, and agree with its neighbours'
+motion, each with a robust penalty √(e² + ε²). The penalties' weights are those of the current flow. That
+leaves a linear system for its change, solved by some sweeps of red–black successive over-relaxation.
 
-OpenCV's ``VariationalRefinement`` does the same, to a millionth of a pixel: some twenty maps, one after the
-other. Here a row is done as soon as those are that it depends on, the solver's sweeps a row behind each
-other, and what is in between stays in the processor's caches. Other than there, the target is read beyond a
-part's sides, and warped anew for each step.
+OpenCV's ``VariationalRefinement`` does the same, to a millionth of a pixel, in some twenty passes over whole
+maps. Here each row is processed as soon as the rows that it depends on are, with the solver's sweeps one row
+behind each other, so intermediate values stay in the processor's caches. Unlike there, the target is read
+beyond a part's sides, and warped anew for each step.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ RELAXATION = np.float32(1.6)
 _ZETA2, _EPSILON2 = np.float32(0.1**2), np.float32(0.001**2)
 _HALF, _ONE = np.float32(0.5), np.float32(1)
 
-# Kinds of rows, of which the last 16 are kept; each has a pixel more at both ends.
+# Kinds of rows; the last 16 of each are kept, with one more pixel at both ends.
 _ROWS = 16
-_U, _V = 0, 1  # flow as it was
+_U, _V = 0, 1  # the flow so far
 _MEAN, _DIFFERENCE = 2, 3  # of the source and the warped target
 _X, _Y, _XT, _YT = 4, 5, 6, 7  # derivatives of these
 _DU, _DV = 8, 9  # change of the flow, parted
-_SPARE = 10  # for a row's own use: nothing is kept there
+_SPARE = 10  # scratch space of a row; nothing is kept there
 _KINDS = 11
-# The system, which is made in spare rows and kept parted, what is read of it together side by side: of every
-# row first every other pixel, then those in between. Half a sweep changes the ones or the others.
+# The system is assembled in scratch rows and stored with the even pixels of a row first, then the odd ones:
+# half a sweep changes one or the other.
 _A11, _A12, _A22, _B1, _B2 = 0, 1, 2, 3, 4  # the pixel's own part
-_RIGHT, _BELOW = 5, 6  # what binds it to its neighbours
+_RIGHT, _BELOW = 5, 6  # couples it to its neighbours
 _PARTS = 7
-_FIRST, _ABOVE = 7, 14  # spare rows of the system, and of what binds the pixels above to these
+_FIRST, _ABOVE = 7, 14  # scratch rows of the system, and of the coupling of the row above
 
 
 @compiled
@@ -92,13 +92,13 @@ def refine_flow(
             _write_flow(rows, y, width, flow)
 
 
-# Rows are places in one array, because slices of their own take longer than a short row. What is done past a
-# row's end are numbers like others, and no pixel reads them but with a weight of 0.
+# Rows are offsets into one array, because slicing takes longer than a short row. Values computed past a row's
+# end are ordinary numbers that pixels read with weight 0 only.
 
 
 @inlined
 def _half(width: int) -> int:
-    """Room for every other pixel of a row, and what is done beside the last ones."""
+    """Return the room for every other pixel of a row, padded for whole registers."""
     return width // (2 * LANES) * LANES + LANES + 2
 
 
@@ -110,7 +110,7 @@ def _row(kind: int, y: int, width: int) -> np.uint64:
 
 @inlined
 def _lanes(rows: Array, kind: int, y: int, width: int, x: int) -> Any:
-    """Some pixels of a row from x on, counted from the one before its first."""
+    """Load some pixels of a row from x on, counted from the one before its first."""
     return load(rows, _row(kind, y, width) + np.uint64(x), LANES)
 
 
@@ -156,7 +156,7 @@ def _warp(
     rows: Array, y: int, width: int, source: Array, target: Array, left: int, top: int, margin: int,
     places: Array,
 ) -> None:  # fmt: skip
-    """Mean and difference of the source and of what the flow leads to in the target, grey levels."""
+    """Compute mean and difference of the source and the warped target, grey levels."""
     one, zero = np.uint64(1), np.float32(0)
     u, v = _row(_U, y, width) + one, _row(_V, y, width) + one
     mean, difference = _row(_MEAN, y, width) + one, _row(_DIFFERENCE, y, width) + one
@@ -174,7 +174,7 @@ def _warp(
         places[at] += np.int32(np.int32(there) * np.int32(stride))
         rows[down + at] = there - np.float32(np.int32(there))
     shown = target.reshape(-1)
-    for x in range(width):  # the only one that reads here and there
+    for x in range(width):  # a gather: not vectorised
         at = np.uint64(x)
         place, share = np.uint64(np.uint32(places[at])), rows[across + at]
         upper = shown[place] + share * (shown[place + one] - shown[place])
@@ -198,7 +198,7 @@ def _warp(
 
 @compiled
 def _derive(rows: Array, y: int, width: int, last: int, of: int, along_x: int, along_y: int) -> None:
-    """Differences of the pixels on both sides, once for the frame's mean and once for its difference."""
+    """Difference the pixels on both sides, for the mean of both frames and for their difference."""
     above, below = max(y - 1, 0), min(y + 1, last)
     x_slope, y_slope = _row(along_x, y, width), _row(along_y, y, width)
     for x in range(1, width + 1, LANES):
@@ -212,19 +212,19 @@ def _derive(rows: Array, y: int, width: int, last: int, of: int, along_x: int, a
 
 @inlined
 def _made(part: int, width: int) -> np.uint64:
-    """Where a part of a row's system is made."""
+    """Return where a part of a row's system is assembled."""
     return _row(_SPARE, _FIRST + part, width)
 
 
 @inlined
 def _kept(part: int, y: int, width: int, side: int) -> np.uint64:
-    """Where it is kept of every other pixel, parted."""
+    """Return where that part is stored for every other pixel."""
     return _row(_KINDS, 0, width) + np.uint64((((y & (_ROWS - 1)) * 2 + side) * _PARTS + part) * _half(width))
 
 
 @compiled
 def _bind(rows: Array, y: int, width: int, last: int) -> None:
-    """The system's part for smoothness: what binds a pixel to its neighbours."""
+    """Assemble the smoothness part of the system: the coupling of a pixel to its neighbours."""
     following = min(y + 1, last)
     right, below, above = _made(_RIGHT, width), _made(_BELOW, width), _row(_SPARE, _ABOVE, width)
     strength, share = _alike(_HALF * SMOOTHNESS), _alike(np.float32(y < last))
@@ -243,8 +243,8 @@ def _bind(rows: Array, y: int, width: int, last: int) -> None:
 
 @compiled
 def _fit(rows: Array, y: int, width: int, last: int) -> None:
-    """The system's part for grey levels and slopes that are to stay, and then all of the pixel's own; the
-    diagonal is turned over, for it is divided by only."""
+    """Assemble the data terms of grey levels and gradients, then the pixel's diagonal, stored inverted as it
+    is only divided by."""
     over, under = max(y - 1, 0), min(y + 1, last)
     zeta2, epsilon2 = _alike(_ZETA2), _alike(_EPSILON2)
     for x in range(1, width + 1, LANES):
@@ -272,7 +272,7 @@ def _fit(rows: Array, y: int, width: int, last: int) -> None:
         store(rows, _made(_A11, width) + at, _alike(RELAXATION) / (a11 + bonds))
         store(rows, _made(_A22, width) + at, _alike(RELAXATION) / (a22 + bonds))
         store(rows, _made(_A12, width) + at, a12)
-        # From here on the weights stand for what they weigh.
+        # From here on the weights hold the weighted terms.
         colour, x_weight, y_weight = colour * along_t, x_weight * along_xt, y_weight * along_yt
         pull = _drawn(rows, _U, y, width, under, x, right, left, below, above)
         push = colour * along_x + (x_weight * along_xx + y_weight * along_xy)
@@ -295,7 +295,7 @@ def _drawn(
     below: Any,
     above: Any,
 ) -> Any:
-    """How far a component of the flow is drawn to the neighbours' by the bonds to them."""
+    """Sum the pull of the neighbours' flow on a component, weighted by the coupling."""
     here = _lanes(rows, flow, y, width, x)
     after, before = _lanes(rows, flow, y, width, x + 1) - here, here - _lanes(rows, flow, y, width, x - 1)
     beside = right * after - left * before
@@ -305,7 +305,7 @@ def _drawn(
 
 @compiled
 def _part(rows: Array, y: int, width: int) -> None:
-    """Keep a row's system parted: half a sweep reads one half of it and does half of the work."""
+    """Store a row's system with even and odd pixels apart: half a sweep reads only one half."""
     made, even, odd = _made(0, width), _kept(0, y, width, 0), _kept(0, y, width, 1)
     for k in range(_PARTS * _half(width)):
         at = np.uint64(k)
@@ -314,9 +314,9 @@ def _part(rows: Array, y: int, width: int) -> None:
 
 @compiled
 def _relax(rows: Array, y: int, width: int, side: int) -> None:
-    """Half a sweep: every other pixel of a row, from its neighbours, which are of the other half."""
+    """Do half a sweep: relax every other pixel of a row from its neighbours, which are in the other half."""
     half = _half(width)
-    # A row has a pixel more at both ends, and the first one is of the first half.
+    # A row has one more pixel at both ends, and the first one is in the first half.
     first, count = 1 - side, (width + side) // 2
     before = _kept(_RIGHT, y, width, 1 - side)
     right, below = _kept(_RIGHT, y, width, side), _kept(_BELOW, y, width, side)

@@ -103,4 +103,5 @@ def _gray(colours: Array) -> Array:
 
 
 def _relit_gray(gray: Array, change: Array) -> Array:
-    return relit(gray[..., None], change)[..., 0]
+    lit: Array = relit(gray[..., None], change)[..., 0]
+    return lit

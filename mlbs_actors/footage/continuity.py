@@ -107,7 +107,7 @@ def rows_astray(flow: DenseFlow, camera: Array, scale: float) -> Array:
     places = np.stack([xs, ys], axis=-1).reshape(-1, 2).astype(np.float32) * np.float32(step)
     off = np.abs(motions.reshape(-1, 2) - homography_motion(camera, places)).max(axis=1)
     astray = (off > ASTRAY_PX * scale).reshape(height, width) | ~flow.backward_reliable[::STEP, ::STEP]
-    return astray.mean(axis=1, dtype=np.float32)
+    return np.asarray(astray.mean(axis=1), np.float32)
 
 
 def is_torn(rows: Array, before: Array) -> bool:

@@ -1,14 +1,14 @@
-"""A label-cost energy on pixels of twice the size, and what its solution leaves open on the original ones.
+"""Coarse-to-fine minimisation: a label-cost energy on pixels of twice the size, then a band of fine ones.
 
-The cost of a cut grows faster than its pixels. An energy is therefore first minimised over the labellings
+The cost of a cut grows faster than its number of pixels. So an energy is first minimised over the labellings
 in which every 2×2 block has one label, which is an energy of the same form on a quarter of the pixels; then
 only pixels near the outlines of that solution are labelled anew (the banded cut of Lombaert, Sun, Grady and
 Xu, ICCV 2005), every label once: a second sweep would move hardly a pixel. The tests bound how far the energy
 of the result lies above that of a cut of all pixels.
 
-An outline along blocks is not charged for where it lies but for the cheapest place within a pixel, to which
-the band can move it. Else the edges of the image that do not happen to lie between two blocks would be lost:
-outlines cost more on blocks than on pixels, and limbs are cut off, for good.
+An outline along blocks costs what the cheapest outline within a pixel of it costs, as the band can move it
+there. Otherwise image edges that do not coincide with block borders would be lost: outlines would cost more
+on blocks than on pixels, and limbs would be cut off for good.
 
 Differs from the paper, which cuts the whole grid.
 """
@@ -29,7 +29,7 @@ from mlbs_actors.messages import Array
 
 __all__ = ["band_around_outlines", "halved"]
 
-#: Largest unary cost of a block: what no sum of pair weights outweighs, and nine of which fit into 32 bits.
+#: Largest unary cost of a block: no sum of pair weights exceeds it, and nine of them fit into 32 bits.
 MAX_BLOCK_COST = 2**24
 
 
@@ -44,15 +44,15 @@ def halved(whole: LabelCostEnergy) -> LabelCostEnergy:
     Returns
     -------
     LabelCostEnergy
-        Of (⌈H/2⌉, ⌈W/2⌉) blocks; but for the outlines equal on every such labelling, up to the bound of a
-        block's cost.
+        Of (⌈H/2⌉, ⌈W/2⌉) blocks; but for outlines equal to the whole energy on every such labelling, up to
+        the bound of a block's cost.
     """
     return _energy_of_blocks(whole if whole.side == 2 else energy_of_pixels(whole))
 
 
 @compiled
 def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> tuple[Array, UndecidedEnergy, Array]:
-    """Open the pixels on both sides of an outline of a labelling of blocks.
+    """Reopen the pixels on both sides of an outline of a labelling of blocks.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> tuple[Array, 
     Returns
     -------
     labels : (H, W) int16
-        Of the pixels, ``UNDECIDED`` where they are open.
+        Of the pixels, ``UNDECIDED`` where they are reopened.
     rest : UndecidedEnergy
         Of those.
     start : (n,) intp
@@ -80,7 +80,7 @@ def band_around_outlines(whole: LabelCostEnergy, blocks: Array) -> tuple[Array, 
 
 @compiled
 def _opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[Array, Array]:
-    """The labels of the blocks' pixels, open beside the outlines; and which labels are elsewhere."""
+    """Return the labels of the blocks' pixels, undecided near outlines, and which labels are elsewhere."""
     rows, columns = blocks.shape
     labels = np.empty((height, width), np.int16)
     for y in range(height):
@@ -107,14 +107,14 @@ def _opened(blocks: Array, label_count: int, height: int, width: int) -> tuple[A
 
 @compiled
 def _energy_of_blocks(whole: LabelCostEnergy) -> LabelCostEnergy:
-    """:func:`halved` for cells of 1 or 2 px."""
+    """Apply :func:`halved` to cells of 1 or 2 px."""
     height, width = whole.weights.shape[:2]
     boxes = np.empty_like(whole.places)
     for label in range(len(boxes)):
         for edge in range(4):
             most = height if edge < 2 else width
             pixels = min(whole.places[label, edge] * whole.side, most)
-            # Blocks that lie in it with all their pixels; one that ends with the image holds its last block.
+            # Blocks with all their pixels inside; one at the end of the image contains its last block.
             begins = edge % 2 == 0
             boxes[label, edge] = (pixels + 1) // 2 if begins or pixels == most else pixels // 2
     sums = _summed_unary(whole, boxes)
@@ -125,7 +125,7 @@ def _energy_of_blocks(whole: LabelCostEnergy) -> LabelCostEnergy:
 
 @compiled
 def _summed_unary(whole: LabelCostEnergy, boxes: Array) -> Array:
-    """Sums over blocks of 2×2 pixels, made only where a label can be, in boxes of blocks."""
+    """Sum over blocks of 2×2 pixels, only where a label can be, in boxes of blocks."""
     most, unary, extras = np.int32(MAX_BLOCK_COST), whole.unary, whole.extras
     height, width = whole.weights.shape[:2]
     sums = np.empty((unary.shape[0], (height + 1) // 2, (width + 1) // 2), np.int32)
@@ -162,8 +162,8 @@ def _summed_unary(whole: LabelCostEnergy, boxes: Array) -> Array:
 
 @compiled
 def _halved_weights(weights: Array) -> Array:
-    """Pair weights (rows, columns, 4) int32 of blocks: those of their pixels, lowered to what the cheapest
-    straight outline costs that lies within a pixel of the blocks' edge."""
+    """Return pair weights (rows, columns, 4) int32 of blocks: those of their pixels, lowered to the cost of
+    the cheapest straight outline within a pixel of the blocks' edge."""
     height, width, _ = weights.shape
     rows, columns = (height + 1) // 2, (width + 1) // 2
     across, down = _outlines_along_blocks(weights)
@@ -174,16 +174,16 @@ def _halved_weights(weights: Array) -> Array:
 
 @compiled
 def _halve(weights: Array, across: Array, down: Array, pairs: Array, shares: Array, halved: Array) -> None:
-    """:func:`_halved_weights` by what :func:`_outlines_along_blocks` tells, with room for two rows of
-    diagonal pairs, int32, and two of the shares that are left to straight ones, ones of float64."""
+    """Apply :func:`_halved_weights` to the costs of :func:`_outlines_along_blocks`, with scratch for two rows
+    of diagonal pairs, int32, and two of the shares left to straight ones, ones of float64."""
     (height, width, _), (rows, columns, _) = weights.shape, halved.shape
-    # Diagonal pairs of blocks share one pair of pixels each; to the left of the first block is none.
+    # Diagonal neighbours share one pair of pixels; there is none to the left of the first block.
     diagonal, anti, beside, below = pairs[0], pairs[1], shares[0], shares[1]
     results = halved.reshape(-1)
     for v in range(rows):
         y, upright, own = 2 * v + 1, across[v], results[4 * columns * v : 4 * columns * (v + 1)]
         _diagonal_pairs(weights, y, diagonal, anti)
-        # Without a branch: this runs in vector registers. What costs nothing has no share to lose.
+        # Branch-free, hence vectorised. A pair of weight 0 has no share to lose.
         for u in range((width - 1) // 2):
             at, first = np.uint64(u + 1), np.uint64(2 * u)
             here = upright[first + np.uint64(1)]
@@ -208,8 +208,8 @@ def _halve(weights: Array, across: Array, down: Array, pairs: Array, shares: Arr
 
 @compiled
 def _outlines_along_blocks(weights: Array) -> tuple[Array, Array]:
-    """What an outline along one block costs: to the right of each column of pixels, (rows, 2 · columns + 1),
-    the last but one once more at the image's border; and below each row of pixels, (H + 1, columns)."""
+    """Return the cost of an outline along one block: to the right of each column of pixels, (rows,
+    2 · columns + 1), the last but one again at the image's border; and below each row, (H + 1, columns)."""
     height, width, _ = weights.shape
     rows, columns = (height + 1) // 2, (width + 1) // 2
     across, down = np.zeros((rows, 2 * columns + 1), np.int32), np.zeros((height + 1, columns), np.int32)
@@ -217,7 +217,7 @@ def _outlines_along_blocks(weights: Array) -> tuple[Array, Array]:
     under, flat = np.zeros(2 * columns, np.int32), weights.reshape(-1)
     for y in range(height):
         own, upright, level = flat[4 * width * y : 4 * width * (y + 1)], across[y // 2], down[y]
-        for x in range(width):  # one after the other: only so each is read once
+        for x in range(width):  # sequential, so that each is read once
             at, first = np.uint64(x), np.uint64(4 * x)
             diagonal, anti = own[first + np.uint64(2)], own[first + np.uint64(3)]
             onward[at], back[at] = own[first] + diagonal, anti
@@ -234,8 +234,8 @@ def _outlines_along_blocks(weights: Array) -> tuple[Array, Array]:
 
 @compiled
 def _diagonal_pairs(weights: Array, y: int, diagonal: Array, anti: Array) -> None:
-    """Weights from a block's last row of pixels to the blocks down right and down left, for each column; 0
-    where it has only one row."""
+    """Write the weights from a block's last row of pixels to the blocks down right and down left, for each
+    column; 0 where it has only one row."""
     height, width, _ = weights.shape
     diagonal[:] = 0
     anti[:] = 0

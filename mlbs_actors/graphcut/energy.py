@@ -1,8 +1,7 @@
-"""The energy of a labelling, of a whole image and of the pixels that are still open (§7).
+"""The energy of a labelling, of a whole image and of its undecided pixels (§7).
 
-E(L) = Σ_p U_p(l_p) + Σ_pq w_pq [l_p ≠ l_q] + Σ_k h_k δ_k(L), in integers of any unit. Where some pixels have
-their label for good, the others have an energy of their own, into whose unary terms those neighbours are
-folded.
+E(L) = Σ_p U_p(l_p) + Σ_pq w_pq [l_p ≠ l_q] + Σ_k h_k δ_k(L), in integers of any unit. Where some pixels are
+decided, the others have an energy of their own, into whose unary terms the decided neighbours are folded.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ __all__ = [
     "undecided_energy_of",
 ]
 
-#: Label of a pixel that has none yet.
+#: Label of a pixel that is not decided yet.
 UNDECIDED = -1
-#: Label of neighbours that do not have the same one.
+#: Label of neighbours that have different ones.
 _SEVERAL = -2
 
 #: (dy, dx) of the eight neighbours; entry k + 4 is the opposite of entry k.
@@ -41,20 +40,20 @@ class LabelCostEnergy(NamedTuple):
     Attributes
     ----------
     unary : (K, ⌈H / side⌉, ⌈W / side⌉) int32
-        Cost of each label at each pixel of a cell, at most 2²⁴ in size.
+        Cost of each label at each pixel of a cell, at most 2²⁴ in absolute value.
     weights : (H, W, 4) int32
         Potts weight to the neighbour at ``NEIGHBOUR_OFFSETS[k]``, k < 4, in 0 … 2²⁴; 0 where it would be
         outside the image. C-contiguous.
     label_costs : (K,) int64
         Cost of using a label at all, ≥ 0.
     places : (K, 4) int64
-        The box of cells that each label can have: first row, row past the last, first column, column past the
-        last. Its costs elsewhere are never read.
+        The box of cells in which each label is allowed: first row, row past the last, first column, column
+        past the last. Its costs elsewhere are never read.
     side : int
-        Of the square cells whose pixels share their unary costs.
+        Side of the square cells whose pixels share their unary costs.
     extras : (n, 4) int64
-        Label, row, column, and what is added to that label's unary cost at that pixel alone; the label can
-        be there.
+        Label, row, column, and an addition to that label's unary cost at that pixel alone; the label must be
+        allowed there.
     """
 
     unary: Array
@@ -66,7 +65,7 @@ class LabelCostEnergy(NamedTuple):
 
 
 class SparseUnaries(NamedTuple):
-    """Unary costs of the undecided pixels: label by label, the pixels that can have it and their costs.
+    """Unary costs of the undecided pixels in compressed form: label by label, pixels and their costs.
 
     Attributes
     ----------
@@ -83,7 +82,7 @@ class SparseUnaries(NamedTuple):
 
 
 class UndecidedEnergy(NamedTuple):
-    """The energy that is left on the n undecided pixels, up to a constant, in the unit of the whole.
+    """The energy of the n undecided pixels, up to a constant, in the unit of the whole.
 
     Attributes
     ----------
@@ -114,7 +113,7 @@ class UndecidedEnergy(NamedTuple):
 
 @compiled
 def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) -> UndecidedEnergy:
-    """Return the energy that is left where some pixels have their label.
+    """Return the energy of the undecided pixels.
 
     Parameters
     ----------
@@ -122,7 +121,7 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
     labels : (H, W) int16
         ``UNDECIDED`` where it is open.
     elsewhere : (K,) bool
-        Labels that the others hold.
+        Labels that decided pixels have.
 
     Returns
     -------
@@ -139,7 +138,7 @@ def undecided_energy(whole: LabelCostEnergy, labels: Array, elsewhere: Array) ->
 
 @compiled
 def energy_of_pixels(whole: LabelCostEnergy) -> LabelCostEnergy:
-    """Return the same energy with a unary cost for each pixel, (K, H, W)."""
+    """Expand an energy to a unary cost for each pixel, (K, H, W)."""
     height, width, side = whole.weights.shape[0], whole.weights.shape[1], whole.side
     boxes = whole.places * side
     spread = np.empty((whole.unary.shape[0], height, width), np.int32)
@@ -156,7 +155,7 @@ def energy_of_pixels(whole: LabelCostEnergy) -> LabelCostEnergy:
 
 
 class _Numbered(NamedTuple):
-    """Numbers of the undecided pixels.
+    """Numbering of the undecided pixels.
 
     Attributes
     ----------
@@ -164,9 +163,9 @@ class _Numbered(NamedTuple):
         Flat indices in the image, ascending.
     row, column : (n,) intp, (n,) int32
     before_row : (H + 1,) intp
-        How many of them come before each row.
+        How many of them precede each row.
     position : (H, W) int32
-        How many come before each pixel; that is the number of an undecided one.
+        How many precede each pixel; that is the number of an undecided one.
     """
 
     pixels: Array
@@ -177,16 +176,16 @@ class _Numbered(NamedTuple):
 
 
 class _Around(NamedTuple):
-    """What surrounds the undecided pixels.
+    """Neighbourhoods of the undecided pixels.
 
     Attributes
     ----------
     neighbour, weight : (n, 8) int32
         As of `UndecidedEnergy`.
     known : (n,) int16
-        The label of their decided neighbours, ``_SEVERAL`` if these differ.
+        The label of their decided neighbours, ``_SEVERAL`` if these have different ones.
     saved : (n,) int32
-        Sum of the weights to those.
+        Sum of the weights to those neighbours.
     """
 
     neighbour: Array
@@ -213,7 +212,7 @@ def _sparse_unaries(
 
 @compiled
 def _count_entries(whole: LabelCostEnergy, numbered: _Numbered, first: Array) -> None:
-    """Count the entries of each label into ``first``, zeros, one after the other."""
+    """Count the entries of each label into ``first``, zeros, as running totals."""
     places, side = whole.places, whole.side
     for label in range(len(places)):
         first[label + 1] = first[label]
@@ -235,7 +234,7 @@ def _write_entries(
             own = whole.unary[label, y // side]
             for i in range(_open_before(y, left, numbered), _open_before(y, right, numbered)):
                 total = own[cell_of[numbered.column[i]]]
-                # Up to a constant, agreeing with a neighbour of known label saves the weight.
+                # Up to a constant, agreeing with a decided neighbour saves the weight.
                 total -= saved[i] if known[i] == label else np.int32(0)
                 if known[i] == _SEVERAL:
                     total -= _saved_by(label, labels, whole.weights, y, numbered.column[i])
@@ -245,14 +244,14 @@ def _write_entries(
 
 @compiled
 def _open_before(y: int, x: int, numbered: _Numbered) -> int:
-    """How many undecided pixels come before a place in a row, or at its end."""
+    """Return how many undecided pixels precede a place in a row, or its end."""
     position = numbered.position
     return int(position[y, x] if x < position.shape[1] else numbered.before_row[y + 1])
 
 
 @compiled
 def _saved_by(label: int, labels: Array, weights: Array, y: int, x: int) -> int:
-    """Sum of the weights to a pixel's neighbours of one label."""
+    """Sum the weights to a pixel's neighbours of one label."""
     saved = 0
     for k in range(8):
         v, u = y + NEIGHBOUR_OFFSETS[k, 0], x + NEIGHBOUR_OFFSETS[k, 1]
@@ -263,7 +262,7 @@ def _saved_by(label: int, labels: Array, weights: Array, y: int, x: int) -> int:
 
 @compiled
 def cost_of_labels(unaries: SparseUnaries, labels: Array) -> Array:
-    """What each pixel pays for its label, (n,) int32, of labels (n,) intp that they can have."""
+    """Return the cost of each pixel's label, (n,) int32, for labels (n,) intp that they can have."""
     chosen = np.empty(labels.size, np.int32)
     for label in range(unaries.first.size - 1):
         for entry in range(unaries.first[label], unaries.first[label + 1]):
@@ -295,7 +294,7 @@ def _around(weights: Array, labels: Array, numbered: _Numbered) -> _Around:
     rows, columns, position = numbered.row, numbered.column, numbered.position
     neighbour, weight = np.empty((rows.size, 8), np.int32), np.empty((rows.size, 8), np.int32)
     known, saved = np.empty(rows.size, np.int16), np.empty(rows.size, np.int32)
-    # Flat unsigned indices, and no look for the border in the interior: half the time.
+    # Flat unsigned indices, and no border check in the interior, halve the time.
     label_of, position_of, weights_of = labels.reshape(-1), position.reshape(-1), weights.reshape(-1, 4)
     for i in range(rows.size):
         y, x = rows[i], columns[i]
@@ -313,7 +312,7 @@ def _around(weights: Array, labels: Array, numbered: _Numbered) -> _Around:
             if label == UNDECIDED and w > 0:
                 neighbour[i, k], weight[i, k] = position_of[other], w
                 continue
-            # Expansions look up no neighbour whose weight is 0.
+            # Expansions skip neighbours of weight 0.
             neighbour[i, k], weight[i, k] = -1, 0
             if w > 0:
                 if only == UNDECIDED:
@@ -332,7 +331,7 @@ def undecided_energy_of(rest: UndecidedEnergy, labels: Array) -> int:
     used = np.zeros(rest.label_costs.size, np.bool_)
     for p in range(labels.size):
         used[labels[p]] = True
-        for k in range(4):  # they name each pair once
+        for k in range(4):  # these list each pair once
             q = rest.neighbour[p, k]
             if q >= 0 and labels[q] != labels[p]:
                 total += rest.weight[p, k]

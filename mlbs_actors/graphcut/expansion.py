@@ -1,12 +1,12 @@
-"""One expansion: of some pixels, those that best take a label (§7).
+"""One expansion move: find the pixels that best take a label (§7).
 
-It is a minimum cut: of pixels alone by ``min_cut`` where all labels stay paid for (:func:`free_expansion`).
-Where one label could be got rid of, it is the better of two such cuts (:func:`freeing_expansion`); several
+It is a minimum cut: of pixels alone by ``min_cut`` where no label is freed (:func:`free_expansion`). Where
+one label could be freed of its cost, it is the better of two such cuts (:func:`freeing_expansion`); several
 need a general graph (:func:`paid_expansion`).
 
-Differs from the construction of Delong et al., in which one node a label cost has an edge to each of
-thousands of pixels: on such a star the Boykov–Kolmogorov algorithm crawls. Here the pixels of one image row
-meet in a row node first; the minimum is the same.
+Differs from the construction of Delong et al., in which the one node of a label cost has an edge to each of
+thousands of pixels, a star on which the Boykov–Kolmogorov algorithm is slow. Here the pixels of one image row
+are joined in a row node first; the minimum is the same.
 """
 
 from __future__ import annotations
@@ -29,29 +29,28 @@ __all__ = ["free_expansion", "freeing_expansion", "may_free", "paid_expansion", 
 def free_expansion(
     rest: UndecidedEnergy, labels: Array, alpha: int, nodes: Array, price: Array
 ) -> tuple[Array, np.int64, Array]:
-    """Find the pixels that best take a label, no label being freed of its cost.
+    """Find the pixels that best take a label if no label is freed of its cost.
 
     Parameters
     ----------
     rest : UndecidedEnergy
     labels : (n,) intp
-        The labelling to expand in.
+        The current labelling.
     alpha : int
         Label position.
     nodes : (m,) intp
         Positions of the pixels that may take it.
     price : (m,) int64
-        What alpha costs each of them more than its own label.
-
+        Cost of alpha less that of the pixel's own label.
     Returns
     -------
     moves : (m,) bool
         Which of the nodes take it.
     change : int
-        Of the energy; the cost of alpha itself is not in the graph: it is the same for all moves that move
-        anything.
+        Of the energy, without the cost of alpha itself: that is the same for all moves that move anything.
     left : (m,) int32
-        No set of nodes changes the energy by less than ``change`` and what of this is positive at its nodes.
+        Residual: no set of moves changes the energy by less than ``change`` plus the positive part of this at
+        its nodes.
     """
     graph = _move_graph(rest, labels, alpha, nodes, price)
     flow, moves = min_cut(graph.surplus, graph.neighbour, graph.capacity)
@@ -60,21 +59,21 @@ def free_expansion(
 
 @compiled
 def may_free(rest: UndecidedEnergy, labels: Array, nodes: Array, left: Array, paid: Array) -> bool:
-    """Whether it could pay to free labels of their cost; else :func:`free_expansion` found the best moves.
+    """Whether freeing labels of their cost could pay; else :func:`free_expansion` found the best moves.
 
     Parameters
     ----------
     rest, labels, nodes
         As for :func:`free_expansion`.
     left : (m,) int32
-        As it returns it.
+        As :func:`free_expansion` returns it.
     paid : (l,) int64
-        The labels, of which all pixels are among the nodes.
+        The labels that have all their pixels among the nodes.
 
     Returns
     -------
     bool
-        False if already what is left at its pixels makes up for the cost of each of them.
+        False if the residual at the pixels of each label already exceeds its cost.
     """
     missing = np.zeros(rest.label_costs.size, np.int64)
     missing[paid] = rest.label_costs[paid]
@@ -87,26 +86,26 @@ def may_free(rest: UndecidedEnergy, labels: Array, nodes: Array, left: Array, pa
 def freeing_expansion(
     rest: UndecidedEnergy, labels: Array, alpha: int, nodes: Array, price: Array, label: int
 ) -> tuple[Array, np.int64]:
-    """Find the pixels that best take a label, where one other label costs nothing any more without pixels.
+    """Find the pixels that best take a label if another one is freed of its cost by losing all pixels.
 
-    Either not all of that label's pixels move, or all do and the others follow as they like.
+    Either some of that label's pixels stay, or all move and the others follow at their best.
 
     Parameters
     ----------
     rest, labels, alpha, nodes, price
         As for :func:`free_expansion`.
     label : int
-        The other label, of which all pixels are among the nodes.
+        The other label, with all its pixels among the nodes.
 
     Returns
     -------
     moves : (m,) bool
     change : int
-        As :func:`free_expansion` returns them, with the label's cost if it is saved.
+        As :func:`free_expansion` returns it, less the label's cost if it is saved.
     """
     some, change, left = free_expansion(rest, labels, alpha, nodes, price)
     moves = labels[nodes] == label
-    if np.maximum(left[moves], 0).sum() >= rest.label_costs[label]:  # more than the others could pay back
+    if np.maximum(left[moves], 0).sum() >= rest.label_costs[label]:  # more than the others could make up for
         return some, change
     taken = labels.copy()
     change_of_all = -rest.label_costs[label]
@@ -128,14 +127,14 @@ def freeing_expansion(
 def paid_expansion(
     rest: UndecidedEnergy, labels: Array, alpha: int, nodes: Array, price: Array, paid: Array
 ) -> tuple[Array, int]:
-    """Find the pixels that best take a label, where labels that lose all their pixels cost nothing any more.
+    """Find the pixels that best take a label if labels without pixels are freed of their cost.
 
     Parameters
     ----------
     rest, labels, alpha, nodes, price
         As for :func:`free_expansion`.
     paid : (l,) int64
-        Those labels, of which all pixels are among the nodes (:func:`paid_for`).
+        Those labels, with all their pixels among the nodes (:func:`paid_for`).
 
     Returns
     -------
@@ -155,7 +154,7 @@ def paid_expansion(
 
 @compiled
 def paid_for(labels: Array, nodes: Array, kept: Array) -> Array:
-    """The nodes' labels that a move could free of their cost, ascending; ``kept`` as of
+    """Return the nodes' labels that a move could free of their cost, ascending; ``kept`` as of
     :func:`~mlbs_actors.graphcut.persistency.movable`."""
     paid = np.zeros(kept.size, np.bool_)
     for i in range(nodes.size):
@@ -164,14 +163,14 @@ def paid_for(labels: Array, nodes: Array, kept: Array) -> Array:
 
 
 class _MoveGraph(NamedTuple):
-    """The graph whose minimum cut is the best expansion; on the sink's side are the nodes that move.
+    """The graph of an expansion; the nodes on the sink's side of its minimum cut move.
 
-    What no cut can change is left out: the least of both choices at each pixel.
+    The lesser of both choices at each pixel is subtracted, as no cut can change it.
 
     Attributes
     ----------
     surplus : (m,) int32
-        What moving costs over staying.
+        Cost of moving less that of staying.
     neighbour : (m, 8) int32
         Neighbours among the nodes, −1 where there is none.
     capacity : (m, 8) int32
@@ -187,9 +186,9 @@ class _MoveGraph(NamedTuple):
 
 
 def _cut_with_label_costs(graph: _MoveGraph, groups: Sequence[tuple[Array, Array, int]]) -> tuple[int, Array]:
-    """The minimum cut where each group of nodes is charged for unless all of it is on the sink's side.
+    """Return the minimum cut where each group of nodes has a cost unless all of it is on the sink's side.
 
-    A group's nodes, their image rows and its cost are given. Its edges: member → row node → hub → sink.
+    A group is its nodes, their image rows and its cost. Its edges: member → row node → hub → sink.
     """
     surplus, neighbour, capacity, _ = graph
     general = maxflow.GraphInt(surplus.size, 4 * surplus.size)
@@ -237,7 +236,7 @@ def _move_graph(rest: UndecidedEnergy, labels: Array, alpha: int, nodes: Array, 
                 stay += apart
                 move += w if labels[q] != alpha else np.int32(0)
                 continue
-            # The first four neighbours name each pair once.
+            # The first four neighbours list each pair once.
             directed = apart if k < 4 else np.int32(0)
             neighbour[i, k], capacity[i, k] = local[q], w - directed
             stay += directed

@@ -1,7 +1,7 @@
-"""A labelling that is lowered by one expansion after the other (§7).
+"""The state of α-expansion: the labelling, and when each label was last expanded (§7).
 
-Differs from the paper: an expansion is tried again only where a pixel or a neighbour has changed since;
-the last one was the best there.
+Differs from the paper: an expansion is repeated only where a pixel or a neighbour has changed since; the last
+one was the best there.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["ExpansionState", "begin", "expand", "is_settled"]
 
 
 class ExpansionState(NamedTuple):
-    """A labelling of n undecided pixels, and when which expansion of it was tried.
+    """A labelling of n undecided pixels, and when each label was last expanded.
 
     Steps count the expansions that have changed the labelling; 0 is the start.
 
@@ -34,7 +34,7 @@ class ExpansionState(NamedTuple):
     ----------
     labels : (n,) intp
     chosen : (n,) int32
-        What each pixel pays for its label.
+        Cost of each pixel's label.
     used : (K,) int64
         How many pixels have each label.
     lost_at : (K,) int64
@@ -64,7 +64,7 @@ class ExpansionState(NamedTuple):
 
 @compiled
 def begin(rest: UndecidedEnergy, labels: Array) -> ExpansionState:
-    """Return the state before the first expansion of labels (n,) intp, which it goes on to change."""
+    """Return the state before the first expansion of labels (n,) intp, which are modified later."""
     count = rest.label_costs.size
     used = np.zeros(count, np.int64)
     for label in labels:
@@ -88,32 +88,32 @@ def is_settled(state: ExpansionState) -> bool:
 
 
 def expand(rest: UndecidedEnergy, state: ExpansionState, alphas: Array) -> None:
-    """Expand labels (k,) int64 in turn; one is left out if nothing has changed since its last expansion."""
-    turn = 0
+    """Expand labels (k,) int64 cyclically; skip one if nothing has changed since its last expansion."""
+    due_place = 0
     while True:
-        turn, nodes, price, paid = _expand_in_turn(rest, state, alphas, turn)
-        if turn == alphas.size:
+        due_place, nodes, price, paid = _expand_cyclically(rest, state, alphas, due_place)
+        if due_place == alphas.size:
             return
-        alpha = int(alphas[turn])
+        alpha = int(alphas[due_place])
         moves, change = paid_expansion(rest, state.labels, alpha, nodes, price, paid)
         _take(rest, state, alpha, nodes, price, moves, np.int64(change))
-        turn += 1
+        due_place += 1
 
 
 @compiled
-def _expand_in_turn(
-    rest: UndecidedEnergy, state: ExpansionState, alphas: Array, turn: int
+def _expand_cyclically(
+    rest: UndecidedEnergy, state: ExpansionState, alphas: Array, due_place: int
 ) -> tuple[int, Array, Array, Array]:
-    """Expand labels until one is due that could free several others of their costs.
+    """Expand labels until the next one could free several others of their costs.
 
     Returns
     -------
-    turn : int
+    due_place : int
         Position of that one; the number of labels if there is none.
     nodes, price, paid
         As :func:`~mlbs_actors.graphcut.expansion.paid_expansion` takes them.
     """
-    for due in range(turn, alphas.size):
+    for due in range(due_place, alphas.size):
         alpha = alphas[due]
         before = state.expanded_at[alpha]
         if before == state.step[0]:
@@ -122,7 +122,7 @@ def _expand_in_turn(
             state.expanded_at[alpha] = state.step[0]
             continue
         nodes, price, kept = movable(rest, state.labels, state.chosen, state.used, alpha)
-        # What must be bought anew is paid for by all its parts together.
+        # The cost of a label that is not used yet is shared by all parts of the move.
         if before >= 0 and (rest.label_costs[alpha] == 0 or state.used[alpha] > 0):
             worth = _worth_expanding(rest, state, alpha, nodes, kept)
             nodes, price = nodes[worth], price[worth]
@@ -145,7 +145,7 @@ def _take(
     rest: UndecidedEnergy, state: ExpansionState, alpha: int, nodes: Array, price: Array, moves: Array,
     change: np.int64,
 ) -> None:  # fmt: skip
-    """Give the nodes that move the label alpha, if that lowers the energy."""
+    """Give alpha to the nodes that move, if that lowers the energy."""
     if state.used[alpha] == 0:
         change += rest.label_costs[alpha]
     if change < 0:
@@ -170,8 +170,8 @@ def _take(
 
 @compiled
 def _nothing_new(rest: UndecidedEnergy, state: ExpansionState, alpha: int) -> bool:
-    """Whether nothing that a label could take has changed since its last expansion, nor what is beside it,
-    nor what it could free of its cost."""
+    """Whether nothing has changed since a label's last expansion at the pixels that it could take, beside
+    them, or in the labels that it could free of their cost."""
     before, used = state.expanded_at[alpha], state.used
     offered = np.zeros(used.size, np.int64)
     for p in rest.unaries.pixel[rest.unaries.first[alpha] : rest.unaries.first[alpha + 1]]:
@@ -190,13 +190,13 @@ def _nothing_new(rest: UndecidedEnergy, state: ExpansionState, alpha: int) -> bo
 def _worth_expanding(
     rest: UndecidedEnergy, state: ExpansionState, alpha: int, nodes: Array, kept: Array
 ) -> Array:
-    """Nodes (m,) bool whose connected part an expansion of alpha, which is paid for, could still improve.
+    """Select the nodes (m,) bool in components that an expansion of alpha, which is in use, could improve.
 
-    What an expansion gains is the sum over the connected parts of what it moves, if each label that it could
-    free of its cost lies in one part. A part gains nothing where no pixel of it or beside it has changed
-    since alpha's last expansion, and nothing where the very last change in and around it was to take all of
-    it from alpha: that was a best expansion too, which could have left any of it. Both hold for freeing a
-    label as well, unless it has lost pixels since: then it might not have been freed so easily.
+    The gain of an expansion is the sum over the connected components of the moved pixels, if each label that
+    it could free of its cost lies in one component. A component gains nothing if no pixel of it or beside it
+    has changed since alpha's last expansion, nor if the very last change in and around it was an expansion
+    that took all of it from alpha: that was optimal too, and could have left any of it. Both hold for freeing
+    a label as well, unless it has lost pixels since, which makes freeing it easier.
     """
     before, labels, used = state.expanded_at[alpha], state.labels, state.used
     open_node = np.zeros(labels.size, np.bool_)

@@ -1,8 +1,8 @@
-"""Whether a labelling is better without one of its labels (§7).
+"""Removal of labels: whether a labelling is better without one of its labels (§7).
 
-No expansion can share out the pixels of a label to several others. This is tried for every label whose cost
-and outline together outweigh what its pixels would pay for the cheapest of the others: expansions then start
-from there.
+No expansion can distribute the pixels of a label among several others. This is tried for every label whose
+cost and outline together exceed the extra cost of its pixels under the cheapest other labels; expansions then
+start from there.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ __all__ = ["removable_labels", "remove_labels"]
 
 
 def remove_labels(rest: UndecidedEnergy, state: ExpansionState) -> tuple[ExpansionState, bool]:
-    """Try to do without each label that has to be paid for, in ascending order.
+    """Try to remove each label that has a cost, in ascending order.
 
     Parameters
     ----------
     rest : UndecidedEnergy
     state : ExpansionState
-        That no expansion lowers.
+        One that no expansion lowers.
 
     Returns
     -------
@@ -50,12 +50,12 @@ def remove_labels(rest: UndecidedEnergy, state: ExpansionState) -> tuple[Expansi
 
 @compiled
 def removable_labels(rest: UndecidedEnergy, state: ExpansionState) -> Array:
-    """Find the labels that an energy might be lower without.
+    """Find the labels whose removal might lower the energy.
 
     Returns
     -------
     (K,) bool
-        Labels whose cost and outline, if saved, could make up for their evidence against the others.
+        Labels whose cost and outline, if saved, could exceed their advantage over the others.
     """
     unaries, labels, label_costs = rest.unaries, state.labels, rest.label_costs
     least = np.full(labels.size, 2**30, np.int32)
@@ -79,8 +79,8 @@ def removable_labels(rest: UndecidedEnergy, state: ExpansionState) -> Array:
 
 @compiled
 def _shared_out(rest: UndecidedEnergy, state: ExpansionState, label: int) -> tuple[Array, Array]:
-    """A labelling where each pixel of a label has the cheapest of the others in use, the lowest of several;
-    and which labels these pixels and those beside them then have."""
+    """Give each pixel of a label the cheapest of the others in use, the lowest of several; return that
+    labelling and which labels these pixels and their neighbours then have."""
     unaries, labels = rest.unaries, state.labels
     shared, least = labels.copy(), np.full(labels.size, 2**30, np.int32)
     for other in np.flatnonzero(rest.elsewhere | (state.used > 0)):

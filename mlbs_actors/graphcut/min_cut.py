@@ -1,18 +1,18 @@
 """Minimum cut of a graph of pixels by incremental breadth-first search (Goldberg, Hed, Kaplan, Tarjan and
 Werneck, ESA 2011).
 
-A tree of unsaturated edges grows from the sink, level by level. Where it meets a pixel that has something
-from the source, that flows along the path, and what a saturated edge cuts off looks for a new parent. The
-tree stays a breadth-first tree: a pixel never comes nearer to the sink again, and its parent lies one level
-nearer than it. So paths are short, and what is cut off needs only a neighbour of that level, and no look
-whether the way from there leads to the sink, as in the algorithm of Boykov and Kolmogorov. At the end the
-tree is the sink's side, and the smallest such set.
+A tree of unsaturated edges grows from the sink, level by level. Where it meets a pixel with excess from the
+source, that flows along the path, and nodes cut off by a saturated edge look for a new parent. The tree stays
+a breadth-first tree: a pixel never comes nearer to the sink again, and its parent lies one level nearer than
+it. So paths are short, and an orphan needs only a neighbour of that level, without the check of Boykov and
+Kolmogorov that the path from there leads to the sink. At the end the tree is the sink's side, and the
+smallest such set.
 
-Differs from the authors' program: no second tree grows from the source, as most pixels have an edge of their
-own from a terminal. And no edge is stored: pixels have eight neighbours, and the edge to the k-th is the
-opposite of that neighbour's edge to its own (k + 4 mod 8)-th. The few bytes a pixel matter: most of the
-time that a general graph takes goes into getting and filling its memory. Along a path every index waits for
-the one before, and a signed one also for the look whether it counts from the end: theirs are unsigned.
+Differs from the authors' program: no second tree grows from the source, as most pixels have a terminal edge
+of their own. And no edge is stored: pixels have eight neighbours, and the edge to the k-th is the reverse of
+that neighbour's edge to its own (k + 4 mod 8)-th. The size of a pixel matters: a general graph spends most of
+its time on allocating and filling memory. Along a path every index depends on the one before, and a signed
+one also on the check for negative values: hence unsigned indices.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from mlbs_actors.messages import Array
 
 __all__ = ["min_cut"]
 
-#: What a pixel's parent can be besides one of its eight neighbours: the sink, or lost.
+#: Values of a pixel's parent besides one of its eight neighbours: the sink, or lost.
 _TO_SINK, _LOST = 8, 9
-#: Edge k of pixel p has the number 8 p + k; the way back has k with this bit flipped.
+#: Edge k of pixel p has the number 8 p + k; its reverse has k with this bit flipped.
 _EDGE_BITS, _OPPOSITE = np.uint64(3), np.uint64(4)
 
 
@@ -37,12 +37,12 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
     Parameters
     ----------
     surplus : (n,) int32
-        Capacity from the source less that to the sink; afterwards what is left of it.
+        Capacity from the source less that to the sink; replaced by the residual.
     neighbour : (n, 8) int32
         Pixels that edges lead to: that of entry k has this one as its entry (k + 4) mod 8. −1 if there is
         none.
     residual : (n, 8) int32
-        Capacities of the edges, ≥ 0, and 0 where there is none; afterwards what is left of them.
+        Capacities of the edges, ≥ 0, and 0 where there is none; replaced by the residuals.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
     """
     count = surplus.size
     ends, room = neighbour.reshape(-1), residual.reshape(-1)
-    # Level in the tree, 1 beside the sink and 0 outside; the pixels that have yet to grow, by their levels.
+    # Level in the tree, 1 beside the sink and 0 outside; the pixels still to grow from, by their levels.
     level, parent = np.zeros(count, np.int32), np.full(count, _TO_SINK, np.int8)
     queue, waiting = np.empty(count + 1, np.int32), np.zeros(count, np.bool_)
     head, tail = 0, 0
@@ -67,7 +67,7 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
         while head != last:
             pixel = np.uint64(queue[head])
             head = head + 1 if head < count else 0
-            if level[pixel] > depth:  # it has come to lie deeper since
+            if level[pixel] > depth:  # its level has risen since
                 queue[tail] = pixel
                 tail = tail + 1 if tail < count else 0
                 continue
@@ -104,8 +104,8 @@ def min_cut(surplus: Array, neighbour: Array, residual: Array) -> tuple[np.int64
 def _send(
     amount: int, pixel: np.uint64, ends: Array, room: Array, parent: Array, surplus: Array, orphans: Array
 ) -> tuple[int, int]:
-    """Send up to an amount from a pixel of the tree to the sink: how much went, and how many pixels have lost
-    their parent by that; the one nearest to the sink is noted last."""
+    """Push up to an amount from a pixel of the tree to the sink; return how much arrived, and the number of
+    pixels orphaned by it, the one nearest to the sink last."""
     place = pixel
     while parent[place] != _TO_SINK:
         up = place << _EDGE_BITS | np.uint64(parent[place])
@@ -134,8 +134,8 @@ def _adopt(
     lost: int, depth: int, edges: tuple[Array, Array], tree: tuple[Array, Array], orphans: Array,
     growing: tuple[Array, Array], tail: int,
 ) -> int:  # fmt: skip
-    """Give each orphan, the last first, the parent that is nearest to the sink. If it lies deeper then, its
-    children are orphans too; if it would lie deeper than the tree, it leaves it."""
+    """Give each orphan, the last first, the parent that is nearest to the sink. If that raises its level, its
+    children are orphaned too; if it would exceed the tree's depth, it leaves the tree."""
     (ends, room), (level, parent), (queue, waiting) = edges, tree, growing
     while lost > 0:
         lost -= 1

@@ -1,19 +1,19 @@
-"""Decides most pixels of a label-cost energy before any graph is built, without changing a single optimum.
+"""Partial optimality: decides most pixels of a label-cost energy before any graph is built.
 
 For E(L) = Σ_p U_p(l_p) + Σ_pq w_pq [l_p ≠ l_q] + Σ_k h_k δ_k(L), let pixel p's best label b beat every other
-label by ``gap``. Whatever its neighbours are, giving p the label b changes the pair terms by at most
-W_p = Σ_q w_pq, so with *margin* = gap − W_p > 0 the label b is the better one, except that b may have to
-be bought for h_b. Hence
+label by ``gap``. Whatever its neighbours' labels, giving p the label b changes the pair terms by at most W_p
+= Σ_q w_pq, so with *margin* = gap − W_p > 0 the label b is better, except that b may not be in use and cost
+h_b. Hence:
 
 * a label b is **certain** when the margins of the pixels that prefer b add up to more than h_b: a labelling
   without b would gain by giving all of them b at once, so every optimum uses b;
 * a pixel of positive margin whose best label is certain has that label in every optimum: it is **decided**.
   (One pixel whose margin exceeds h_b makes b certain by itself, so no second rule is needed.)
 
-A decided pixel q of label d lowers its neighbours' bar: U_p(d) and W_p both fall by w_pq, as the pair term
-with a known label is a unary term. The test is repeated along a queue until nothing more can be decided.
+A decided pixel q of label d lowers its neighbours' threshold: U_p(d) and W_p both fall by w_pq, as the pair
+term with a decided label is a unary term. The test is repeated along a queue until nothing more is decided.
 
-What is left is an energy on the undecided pixels alone, with the decided neighbours folded into the unary
+What remains is an energy on the undecided pixels alone, with the decided neighbours folded into the unary
 terms and the certain labels free of charge; its optima are those of the whole. Nor does an expansion move on
 the whole image need a decided pixel: put back in the order of their decision, the decided pixels lower the
 energy at each step. So where no expansion on the rest lowers the energy, none on the whole does.
@@ -53,7 +53,7 @@ def prune(whole: LabelCostEnergy) -> tuple[Array, UndecidedEnergy]:
     labels : (H, W) int16
         Label position of the decided pixels, ``UNDECIDED`` elsewhere.
     rest : UndecidedEnergy
-        The energy that is left.
+        The energy of the others.
     """
     labels, certain = _decide(whole)
     return labels, undecided_energy(whole, labels, certain)
@@ -61,16 +61,16 @@ def prune(whole: LabelCostEnergy) -> tuple[Array, UndecidedEnergy]:
 
 @compiled
 def _decide(whole: LabelCostEnergy) -> tuple[Array, Array]:
-    """Labels, and which of them are certain."""
+    """Return labels, and which of them are certain."""
     unary, places, weights, label_costs = whole.unary, whole.places, whole.weights, whole.label_costs
     label_count, height, width = unary.shape
     best = np.zeros((height, width), np.int32)
-    # Beyond every cost: there may be no other label.
+    # Larger than every cost, in case there is no other label.
     least = np.full((height, width), 2**29, np.int32)
     second = np.full((height, width), 2**29, np.int32)
     folded = np.empty_like(unary)
     _compare_costs(unary, places, folded, best, least, second)
-    # What the neighbours that are not decided could pay; the margin is gap − open weight.
+    # The sum of weights to undecided neighbours; the margin is gap − open weight.
     open_weight = np.zeros((height, width), np.int32)
     _sum_weights(weights, open_weight)
 
@@ -132,13 +132,13 @@ def _decide(whole: LabelCostEnergy) -> tuple[Array, Array]:
 def _compare_costs(
     unary: Array, places: Array, folded: Array, best: Array, least: Array, second: Array
 ) -> None:
-    """Copy the costs of labels where they can be, and find the label of the least, that, and the second."""
+    """Copy the costs of labels where they are allowed; find the cheapest label and the two least costs."""
     for label in range(len(places)):
         top, bottom, left, right = places[label]
         for y in range(top, bottom):
             costs, copied = unary[label, y], folded[label, y]
             best_of, least_of, second_of = best[y], least[y], second[y]
-            for x in range(left, right):  # without a branch: this runs in vector registers
+            for x in range(left, right):  # branch-free, hence vectorised
                 at = np.uint64(x)
                 cost, lowest = costs[at], least_of[at]
                 copied[at] = cost
@@ -149,7 +149,7 @@ def _compare_costs(
 
 @compiled
 def _sum_weights(weights: Array, total: Array) -> None:
-    """Add up the weights to all neighbours of each pixel, (H, W) int32, into zeros."""
+    """Add the weights to all neighbours of each pixel, (H, W) int32, to zeros."""
     height, width = total.shape
     flat = weights.reshape(-1)
     for y in range(height):
@@ -159,7 +159,7 @@ def _sum_weights(weights: Array, total: Array) -> None:
             own[np.uint64(x)] += (
                 flat[at] + flat[at + np.uint64(1)] + flat[at + np.uint64(2)] + flat[at + np.uint64(3)]
             )
-        for k in range(4):  # outside the image they are 0
+        for k in range(4):  # they are 0 outside the image
             down, right = NEIGHBOUR_OFFSETS[k]
             if y + down == height:
                 continue
@@ -174,17 +174,17 @@ def movable(
 ) -> tuple[Array, Array, Array]:
     """Find the pixels that a best expansion of ``alpha`` may take, and the labels that it leaves in use.
 
-    A pixel is left out when taking it costs more than its neighbours, those that can be at alpha, and the
-    release of its own label can ever pay back: every move is better without it. Its neighbours then have one
-    less to count on and its label stays in use, so the test is repeated.
+    A pixel is left out when taking it costs more than its neighbours that can be at alpha, and the release of
+    its own label, can ever make up for: every move is better without it. Its neighbours then have one less to
+    count on and its label stays in use, so the test is repeated.
 
     Parameters
     ----------
     rest : UndecidedEnergy
     labels : (n,) intp
-        The labelling to expand in.
+        The current labelling.
     chosen : (n,) int32
-        What each pixel pays for its label.
+        Cost of each pixel's label.
     used : (K,) int64
         How many pixels have each label.
     alpha : int
@@ -195,23 +195,23 @@ def movable(
     pixels : (m,) intp
         Positions 0 … n−1, ascending.
     price : (m,) int64
-        What alpha costs each of them more than its own label.
+        Cost of alpha less that of the pixel's own label.
     kept : (K,) bool
-        Labels that keep a pixel in every best move, or cost nothing; alpha's own entry has no meaning.
+        Labels that keep a pixel in every best move, or have no cost; alpha's own entry is meaningless.
     """
     own = slice(rest.unaries.first[alpha], rest.unaries.first[alpha + 1])
     candidates, costs = rest.unaries.pixel[own], rest.unaries.cost[own]
     neighbour, weight = rest.neighbour, rest.weight
-    # What is saved if none of a label's pixels stays; 0 as soon as one does.
-    offered = np.zeros(used.size, np.int64)
+    # Saved if none of a label's pixels stays; 0 as soon as one does.
+    in_rest = np.zeros(used.size, np.int64)
     for p in candidates:
-        offered[labels[p]] += 1
-    refund = np.where(offered == used, rest.label_costs, 0)
-    # The labels if all move that still may.
+        in_rest[labels[p]] += 1
+    refund = np.where(in_rest == used, rest.label_costs, 0)
+    # The labels if all pixels that still can move.
     moved = labels.copy()
     price, pixels = np.empty(candidates.size, np.int64), np.empty(candidates.size, np.intp)
     count = 0
-    for i in range(candidates.size):  # a first look, as if all neighbours were at alpha
+    for i in range(candidates.size):  # an optimistic first test, as if all neighbours were at alpha
         p = candidates[i]
         label, cost = labels[p], np.int64(costs[i]) - chosen[p]
         if label == alpha:
@@ -243,7 +243,7 @@ def movable(
                 continue
             pixels[left], price[left] = p, cost
             left += 1
-        # A round that leaves out few is not worth another; stopping early only makes the graph larger.
+        # Stop after a round that leaves out few: that only makes the graph larger.
         if 4 * (count - left) <= count:
             return pixels[:left], price[:left], refund == 0
         count = left

@@ -1,5 +1,5 @@
-"""Compiled loops: how they are made and kept, and what several of them share.
+"""Compiled kernels: the decorators, where machine code is kept, and functions for other kernels to call.
 
-``jit`` is the decorator, ``machine_code`` the place on disk. ``interpolation``, ``image_rows``, ``fast_log``
-and ``simd`` (vector registers) are for other kernels to call.
+``jit`` has the decorators, ``machine_code`` the folder on disk. ``interpolation``, ``image_rows``,
+``fast_log`` and ``simd`` (vector registers) are building blocks.
 """

@@ -1,4 +1,4 @@
-"""The natural logarithm of a row of pixels, in vector registers: a quarter of the time of the library's.
+"""Vectorised natural logarithm of a row of pixels, in a quarter of the library's time.
 
 A float is m·2^e with 1 ≤ m < 2, so log x = (e + log₂ m)·log 2; log₂ m is a polynomial fitted at Chebyshev
 points.
@@ -23,7 +23,7 @@ _LOG_2 = np.float32(np.log(2.0))
 
 @compiled
 def row_log(values: Array, logs: Array) -> None:
-    """Logarithms within 3e-5 of exact.
+    """Compute logarithms within 3e-5 of exact.
 
     Parameters
     ----------

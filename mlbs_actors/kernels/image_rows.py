@@ -1,4 +1,4 @@
-"""Rows of an image for vector registers: one channel at a time, and a border, so that no pixel is special."""
+"""Image rows prepared for vector registers: one plane per channel, with a border instead of special cases."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ __all__ = ["padded_part", "padded_planes", "read_row", "row_room"]
 
 @compiled
 def padded_planes(image: Array) -> Array:
-    """:func:`padded_part` of a whole image."""
+    """Apply :func:`padded_part` to a whole image."""
     return padded_part(image, 0, 0, image.shape[1], image.shape[0])
 
 
 @compiled
 def padded_part(image: Array, left: int, top: int, width: int, height: int) -> Array:
-    """The channels of a part of a C-contiguous image (H, W, 3), with the part's border once more around it:
-    (3, height + 2, width + 2).
+    """Split a part of a C-contiguous image (H, W, 3) into channels, its border repeated: (3, height + 2,
+    width + 2).
 
-    Behind them is room, so that a register may be read that begins in the last row.
+    The array has spare room at the end, so that a whole register can be read from the last row.
     """
     size = 3 * (height + 2) * (width + 2)
     planes = np.empty(size + LANES, np.uint8)[:size].reshape(3, height + 2, width + 2)
@@ -44,16 +44,16 @@ def padded_part(image: Array, left: int, top: int, width: int, height: int) -> A
 
 @compiled
 def row_room(width: int) -> Array:
-    """Room for :func:`read_row`: (5, whole registers), float32."""
+    """Return the buffer of :func:`read_row`: (5, whole registers), float32."""
     return np.zeros((5, -(-width // LANES) * LANES), np.float32)
 
 
 @compiled
 def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room: Array) -> None:
-    """Bilinear colours of a part of an image's row, each less than 1 px off its pixel, held inside the image.
+    """Interpolate colours in a part of an image's row, each less than 1 px off its pixel, inside the image.
 
-    All nine neighbours are weighed, most of them by 0: without a branch, and in the order of the row, this
-    takes a tenth of the time of reading the four that count.
+    All nine neighbours are weighted, most of them by 0: branch-free, and in the order of the row, this takes
+    a tenth of the time of reading the four that count.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room:
         :func:`padded_planes`.
     y : int
     residual : (h, w, 2) float32
-        How far (x, y) off, of all rows.
+        Offset (x, y) from the pixel, of all rows.
     first, end : int
         The part; it is read in whole registers.
     room : Array
@@ -91,7 +91,7 @@ def read_row(planes: Array, y: int, residual: Array, first: int, end: int, room:
 
 @inlined
 def _weighed(flat: Array, at: np.uint64, before: Lanes, here: Lanes, after: Lanes) -> Lanes:
-    """Sum of some lanes of an image, of the next ones and of those after these, by their shares."""
+    """Sum lanes of an image, the next ones and those after these, by their weights."""
     one, two = np.uint64(1), np.uint64(2)
     weighed: Lanes = (
         before * load(flat, at, LANES) + here * load(flat, at + one, LANES)

@@ -1,4 +1,4 @@
-"""Flow and maps of a frame's cells, read at places between them."""
+"""Bilinear interpolation of flow and maps of a frame's cells."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mlbs_actors.messages import Array
 
 __all__ = ["sample_flow", "sample_map"]
 
-#: Flow is read at places in whole parts of a pixel, as OpenCV's ``remap`` does with two channels.
+#: Fractions of a pixel are rounded to multiples of this, as OpenCV's ``remap`` does with two channels.
 PARTS = 32
 
 _ONE, _HALF = np.float32(1), np.float32(0.5)
@@ -17,7 +17,7 @@ _ONE, _HALF = np.float32(1), np.float32(0.5)
 
 @compiled
 def sample_flow(flow: Array, points: Array, side: int) -> Array:
-    """Read flow vectors at positions in the frame, bilinearly.
+    """Interpolate flow vectors at positions in the frame.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def sample_flow(flow: Array, points: Array, side: int) -> Array:
     Returns
     -------
     (n, c) float32
-        Beyond the outermost pixels' centres theirs.
+        Constant beyond the centres of the outermost pixels.
     """
     height, width, channels = flow.shape
     step = np.float32(side)
@@ -53,7 +53,7 @@ def sample_flow(flow: Array, points: Array, side: int) -> Array:
 
 @compiled
 def sample_map(values: Array, points: Array, side: int) -> Array:
-    """Bilinear values of a map (h, w) float32, (n,) float32; otherwise as :func:`sample_flow`."""
+    """Interpolate a map (h, w) float32, (n,) float32; otherwise as :func:`sample_flow`."""
     height, width = values.shape
     step = np.float32(side)
     sampled = np.empty(len(points), np.float32)
@@ -71,5 +71,5 @@ def sample_map(values: Array, points: Array, side: int) -> Array:
 
 @inlined
 def _beside(place: int, count: int) -> tuple[int, int]:
-    """A place and the next one, as far as there are such."""
+    """Return an index and the next one, both clipped."""
     return min(max(place, 0), count - 1), min(max(place + 1, 0), count - 1)

@@ -1,8 +1,8 @@
-"""Where the machine code of compiled kernels is kept.
+"""The folder in which the machine code of compiled kernels is kept.
 
-Numba compiles a kernel again when its own module changes, but not when a function or constant that it takes
-from another module does. So all machine code lies in a folder named after a digest of the whole package: any
-change of it starts an empty one.
+Numba compiles a kernel again when its own module changes, but not when a function or constant imported from
+another module does. So the folder is named after a digest of the whole package: any change of it starts an
+empty one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["has_machine_code", "machine_code_folder"]
 _PACKAGE = Path(__file__).parents[1]
 _FOLDERS = "kernels-*"
 
-#: Folders that are kept: of the newest versions of the package.
+#: Folders that are kept, for the newest versions of the package.
 _KEPT = 3
 
 
@@ -31,7 +31,7 @@ def has_machine_code() -> bool:
 
 @functools.cache
 def machine_code_folder() -> Path:
-    """Folder of this version's machine code: beside the package, or in the user's cache if that is read-only.
+    """Return the folder of this version: beside the package, or in the user's cache if that is read-only.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def machine_code_folder() -> Path:
 
 
 def _digest(package: Path) -> str:
-    """Digest of the names and contents of all modules of a package."""
+    """Hash the names and contents of all modules of a package."""
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         digest.update(f"{path.relative_to(package)}\n".encode())
@@ -64,7 +64,7 @@ def _digest(package: Path) -> str:
 
 
 def _remove_old(parent: Path) -> None:
-    """Keep the newest folders only. A process that still uses another one compiles anew what it lacks."""
+    """Keep the newest folders only. A process that still uses another one recompiles what it lacks."""
     by_age = sorted(parent.glob(_FOLDERS), key=lambda folder: folder.stat().st_mtime)
     for folder in by_age[:-_KEPT]:
         shutil.rmtree(folder, ignore_errors=True)

@@ -1,13 +1,13 @@
-"""Numbers side by side in one vector register, for kernels of many short rows.
+"""Explicit SIMD: float32 lanes of one vector register, for kernels of many short rows.
 
-LLVM puts a loop into vector registers by itself, but it asks before each whether what is written overlaps
-what is read, gives up where too many rows are read, and does what is left over of a short row one by one.
-With these types a kernel tells itself what is done side by side, and what is in between stays in registers.
-Each operation is that of IEEE 754 in every lane: the result is that of a loop over single numbers. Only what
-:func:`multiply_add` gives can depend on the processor, by its last bit.
+LLVM vectorises loops by itself, but first tests at run time whether outputs overlap inputs, gives up where
+too many rows are read, and processes the rest of a short row one by one. With these types a kernel states
+itself what is done in parallel, and intermediate values stay in registers. Each operation is that of IEEE 754
+in every lane, so the result is that of a scalar loop. Only :func:`multiply_add` can depend on the processor,
+by its last bit.
 
-In kernels, lanes of the same count can be added, subtracted, multiplied and divided. What is no such call
-does not compile: an array that is not flat and contiguous, say.
+In kernels, lanes of the same count can be added, subtracted, multiplied and divided. Any other call, such as
+on an array that is not flat and contiguous, does not compile.
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ __all__ = [
     "truncated",
 ]
 
-#: Numbers of lanes that there are: half a register of the widest kind, and one.
+#: The two lane counts: half a register of the widest kind, and a whole one.
 COUNTS = (8, 16)
-#: Of a register of the widest kind: so much of a row is done at once.
+#: Lanes of a register of the widest kind: rows are processed in steps of this.
 LANES = 16
 
-#: Decorator of a function that only kernels can call: it tells its result's type, and makes its instructions;
-#: without a type there is no such function.
+#: Decorator of a function that only kernels can call: it returns the result's type and a builder of its
+#: instructions, or None if the arguments do not fit.
 _in_kernels: Any = intrinsic(prefer_literal=True)
 
 _FLOAT, _INT = ir.FloatType(), ir.IntType(32)
-#: What lanes are loaded from, and the instruction that makes float32 of it.
+#: Element types that lanes are loaded from, and the instruction that converts them to float32.
 _WIDENED: dict[Any, str | None] = {types.float32: None, types.uint8: "uitofp", types.int16: "sitofp"}
-#: Makes the instructions, from Numba's context, LLVM's builder, the signature and the values.
+#: Builds the instructions, from Numba's context, LLVM's builder, the signature and the values.
 _Build = Callable[[Any, Any, Any, Any], Any]
 
 
 class Lanes(types.Type):
-    """Numba's type of some float32 side by side."""
+    """Numba's type of some float32 lanes."""
 
     def __init__(self, count: int) -> None:
         super().__init__(name=f"Lanes({count})")
@@ -72,7 +72,7 @@ def _register(lanes: Lanes) -> ir.VectorType:
 
 
 def _use(operation: Callable[..., Any], instruction: str) -> None:
-    """Let kernels use an operator on lanes."""
+    """Define an operator on lanes in kernels."""
 
     @_in_kernels
     def each(typing: Any, one: Any, other: Any) -> Any:
@@ -97,7 +97,7 @@ _use(operator.truediv, "fdiv")
 
 @_in_kernels
 def load(typing: Any, array: Any, at: Any, count: Any) -> Any:
-    """Some numbers of an array of float32, int16 or uint8 from a place (uint64) on; there must be as many."""
+    """Load lanes from an array of float32, int16 or uint8 at an index (uint64); it must have as many."""
     if not (_is_flat(array) and _is_count(count) and array.dtype in _WIDENED):
         return None
     lanes, widened = Lanes(count.literal_value), _WIDENED[array.dtype]
@@ -113,7 +113,7 @@ def load(typing: Any, array: Any, at: Any, count: Any) -> Any:
 
 @_in_kernels
 def store(typing: Any, array: Any, at: Any, lanes: Any) -> Any:
-    """Write lanes into an array of float32 from a place (uint64) on; there must be room for all."""
+    """Store lanes into an array of float32 at an index (uint64); there must be room for all."""
     if (
         not (_is_flat(array) and array.mutable and isinstance(lanes, Lanes))
         or array.dtype is not types.float32
@@ -143,7 +143,7 @@ def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any, vector: i
 
 @_in_kernels
 def broadcast(typing: Any, value: Any, count: Any) -> Any:
-    """The same float32 in all lanes."""
+    """Copy one float32 to all lanes."""
     if not (value is types.float32 and _is_count(count)):
         return None
     lanes = Lanes(count.literal_value)
@@ -158,7 +158,7 @@ def broadcast(typing: Any, value: Any, count: Any) -> Any:
 
 @_in_kernels
 def sum_of_lanes(typing: Any, value: Any) -> Any:
-    """Sum of all lanes: that of every fourth one after the other, then of these four by pairs."""
+    """Sum all lanes: every fourth one sequentially, then these four by pairs."""
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
         numbers, add = values[0], builder.fadd
@@ -172,12 +172,12 @@ def sum_of_lanes(typing: Any, value: Any) -> Any:
 
 
 def _taken(builder: Any, one: Any, other: Any, places: Sequence[int]) -> Any:
-    """Those lanes of two side by side."""
+    """Select lanes of two vectors."""
     return builder.shuffle_vector(one, other, ir.Constant(ir.VectorType(_INT, len(places)), list(places)))
 
 
 def _of_each(name: str) -> _Build:
-    """Build LLVM's function of this name, of one or two numbers, in each lane."""
+    """Build LLVM's function of this name, of one or two arguments, in each lane."""
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
         kind = values[0].type
@@ -191,31 +191,31 @@ def _of_each(name: str) -> _Build:
 
 @_in_kernels
 def square_root(typing: Any, value: Any) -> Any:
-    """Square roots."""
+    """Take square roots."""
     return value(value), _of_each("sqrt")
 
 
 @_in_kernels
 def absolute(typing: Any, value: Any) -> Any:
-    """Absolute values."""
+    """Take absolute values."""
     return value(value), _of_each("fabs")
 
 
 @_in_kernels
 def multiply_add(typing: Any, one: Any, other: Any, added: Any) -> Any:
-    """Products of two numbers and a third one, rounded once where the processor can."""
+    """Multiply and add, rounded once where the processor can."""
     return one(one, other, added), _of_each("fmuladd")
 
 
 @_in_kernels
 def maximum(typing: Any, one: Any, other: Any) -> Any:
-    """The larger ones of two numbers; of a pair of which one is NaN, the other."""
+    """Return the larger of two numbers; if one is NaN, the other."""
     return one(one, other), _of_each("maxnum")
 
 
 @_in_kernels
 def minimum(typing: Any, one: Any, other: Any) -> Any:
-    """The smaller ones of two numbers, the second of a pair of which one is NaN: a single instruction."""
+    """Return the smaller of two numbers; if one is NaN, the second: a single instruction."""
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
         return builder.select(builder.fcmp_ordered("<", *values), *values)
@@ -225,19 +225,19 @@ def minimum(typing: Any, one: Any, other: Any) -> Any:
 
 @_in_kernels
 def truncated(typing: Any, value: Any) -> Any:
-    """Numbers rounded towards 0."""
+    """Round towards 0."""
     return value(value), _of_each("trunc")
 
 
 @_in_kernels
 def rounded(typing: Any, value: Any) -> Any:
-    """Numbers rounded to the nearest whole one, halves to the even one."""
+    """Round to the nearest integer, halves to even."""
     return value(value), _of_each("rint")
 
 
 @_in_kernels
 def exp2_of_whole(typing: Any, exponent: Any) -> Any:
-    """Two to the power of whole numbers from -126 to 127: a float's bits hold its exponent."""
+    """Raise two to integers from -126 to 127, by the bits of the exponent."""
 
     def build(context: Any, builder: Any, called: Any, values: Any) -> Any:
         whole = ir.VectorType(_INT, exponent.count)

@@ -2,5 +2,5 @@
 
 Read in this order: ``layer`` (the terms of its posterior, and the step), ``layer_state``, ``object_regions``
 (where an object is evaluated), ``posterior_terms`` (the sum of the terms), ``photometric`` and
-``trajectory_distance`` (two of them), ``learning`` (what it may learn), ``points_in_box``.
+``trajectory_distance`` (two of them), ``learning`` (where it may learn), ``points_in_box``.
 """

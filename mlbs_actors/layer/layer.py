@@ -3,31 +3,31 @@
 :meth:`Layer.step` is called once a frame: it finishes frame t−1 with the published labels, then predicts and
 evaluates frame t. The layer works on the region of its object (:mod:`mlbs_actors.layer.object_regions`). The
 background's is the frame: it moves and learns all of it, but is evaluated only where an object can be.
-Elsewhere its cost is the offset of all costs, its colours say nothing and have no samples.
+Elsewhere its cost is the offset of all costs, and its colours have no samples.
 
 The negative logarithm of a pixel's unnormalised posterior is a weighted sum of five terms (weights in
 :class:`~mlbs_actors.config.PosteriorConfig`, nats), cut to 0 … 15.9:
 
-* appearance: the kernel density of the pixel's colour, sent apart from the others, because what a layer does
-  not know is judged by what the others know (:mod:`mlbs_actors.appearance.fusion`).
+* appearance: the kernel density of the pixel's colour, sent apart from the others, because colours that a
+  layer does not know are judged by the layers that do (:mod:`mlbs_actors.appearance.fusion`).
 * motion, −log(ε + (1 − ε) exp(−½ d²)): d² the squared distance of the dense flow from the layer's motion
   field in units of the field's marginal variance plus the flow's own; 0 where the flow is unreliable or
   where the camera's motion explains the image too.
 * photometric, for an object: by how much its own motion explains the image better than the camera's
-  (:mod:`mlbs_actors.layer.photometric`). It says nothing where the image is smooth.
+  (:mod:`mlbs_actors.layer.photometric`); 0 where the image is smooth.
 * away, for an object: 0 near its own trajectories and in the gaps between them, rising to 1 further off.
-* prior, −log of the last posterior warped by the layer's own motion, of which the published map is half:
-  neutral (0.5 by default) in a new-born layer and where the source is outside the layer's old region, at
-  least 0.1 for an object and 0.5 for the background.
+* prior, −log of the last posterior (see :func:`~mlbs_actors.layer.posterior_terms.finished_posterior`) warped
+  by the layer's own motion: neutral (0.5 by default) in a new-born layer and where the source is outside the
+  layer's old region, at least 0.1 for an object and 0.5 for the background.
 
 Outside its region an object costs 15.9 nats. A layer learns only where its label is sure
 (:mod:`mlbs_actors.layer.learning`).
 
 Differs from the paper: the motion, photometric and away terms are not in it; the prior has a floor, so that
-it can be overruled, and a layer is weighed by its own confidence, pixel by pixel (the authors' program makes
+it can be overruled, and a layer is weighted by its own confidence, pixel by pixel (the authors' program makes
 *all* layers uniform where one has few samples, and never uses its prior); no layer but the background is
-evaluated on the whole frame, and it only where it has a rival. A layer that wakes after a sleep
-keeps its id, not its samples: only its place is known, not the path of its pixels.
+evaluated on the whole frame, and the background only where it has a rival. A layer that wakes keeps its id,
+not its samples: only its place is known, not the path of its pixels.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from mlbs_actors.footage.light import relit
 from mlbs_actors.layer.layer_state import LayerState
 from mlbs_actors.layer.learning import object_support, trusted_background
 from mlbs_actors.layer.object_regions import contested, median_of_motions, object_region
-from mlbs_actors.layer.photometric import photometric_advantage
+from mlbs_actors.layer.photometric import PhotometricRules, photometric_advantage
 from mlbs_actors.layer.posterior_terms import (
     Prediction,
     finished_posterior,
@@ -72,23 +72,23 @@ from mlbs_actors.segmentation.region_groups import slices_in
 
 __all__ = ["OUTSIDE_COST", "Layer"]
 
-#: What an object costs outside its region, units of ``COST_STEP``.
+#: Cost of an object outside its region, units of ``COST_STEP``.
 OUTSIDE_COST = 255
 
 
 class _Places(NamedTuple):
-    """Where a layer works on a frame.
+    """Where a layer works in a frame.
 
     Attributes
     ----------
     side : int
         Of a cell, px.
     home : Region
-        Where it moves and remembers: the frame for the background, else ``region``.
+        Where it has motion and samples: the frame for the background, else ``region``.
     region : Region
         Where it is evaluated.
     needed : (h, w) bool
-        Cells of the region that are.
+        Cells of the region to evaluate.
     """
 
     side: int
@@ -102,17 +102,16 @@ class Layer:
 
     Parameters
     ----------
-    config : Config
     layer : int
         Its id.
     kind : {"background", "object", "other"}
     state : LayerState, optional
-        To go on from a snapshot; new-born by default.
+        To continue from a snapshot; new-born by default.
 
     Attributes
     ----------
     field : MotionField or None
-        How it moved in the last frame.
+        Its motion in the last frame.
     """
 
     def __init__(self, config: Config, layer: int, kind: LayerKind, state: LayerState | None = None) -> None:
@@ -131,7 +130,7 @@ class Layer:
             Of frame t.
         frame : (H, W, 3) uint8
         previous : Segmentation or None
-            Published result of t−1; None for the first frame. Of another epoch it does not count.
+            Published result of t−1; None for the first frame. One of another epoch is ignored.
 
         Returns
         -------
@@ -140,7 +139,7 @@ class Layer:
         Raises
         ------
         LayerError
-            If the layer has no part in the frame, or another frame is its next one.
+            If the layer is not live in the frame, or another frame is its next one.
         """
         own = evidence.of(self.layer)
         if own.last_frame != self.state.last_frame:
@@ -166,7 +165,7 @@ class Layer:
         return self._posterior(stage_ms)
 
     def appearance(self) -> LayerAppearance:
-        """Return what is remembered at the frame evaluated last; nothing is changed."""
+        """Return the remembered colours at the frame evaluated last, without changing anything."""
         state = self.state
         shape = (state.home.height, state.home.width)
         colours = spread_over_cells(median_colours(state.model), state.cell, shape)
@@ -183,8 +182,8 @@ class Layer:
         Returns
         -------
         (h, w) float32
-            The layer's normalised posterior of that frame on its region, in [0, 1]; empty if the layer had no
-            part in it.
+            The layer's normalised posterior of that frame on its region, in [0, 1]; empty if the layer was
+            not live in it.
         """
         state = self.state
         if previous is None or previous.evaluated_frame != state.last_frame:
@@ -199,7 +198,7 @@ class Layer:
 
     def _places(self, own: LayerEvidence, evidence: FrameEvidence, previous: Segmentation | None) -> _Places:
         weights, side = self.config.posterior, self._side(evidence.shape)
-        margins = (weights.region_margin_px, weights.covered_margin_px)
+        margins = (weights.region_margin_px, weights.covered_margin_px, weights.covered_px)
         if self._is_background:
             region, needed = contested(evidence, previous, margins, side)
             height, width = evidence.shape
@@ -209,7 +208,7 @@ class Layer:
         return _Places(side, region, region, np.ones((cells.height, cells.width), np.bool_))
 
     def _motion_field(self, own: LayerEvidence, evidence: FrameEvidence, home: Region) -> MotionField:
-        """Infer how the layer moves; where no trajectory tells, the background moves as the camera does, and
+        """Infer how the layer moves; without trajectories the background moves as the camera does, and
         an object by the median of its trajectories, or as before."""
         parameters = MotionParameters.configured(self.config, evidence.shape, self._side(evidence.shape))
         shape, corner = (home.height, home.width), (home.x, home.y)
@@ -240,7 +239,7 @@ class Layer:
         carried, carried_in_region = motions, motion
         if not config.appearance.warp:
             carried, carried_in_region = np.zeros_like(motions), np.zeros_like(motion)
-        # The appearance moves along and is compared with the frame's colours.
+        # The appearance moves along and is compared with the frame's colours;
         opened = np.zeros(image.shape[:2], np.bool_)
         opened[part] = needed
         density = AppearanceParameters.configured(config, self.kind, side)
@@ -251,7 +250,7 @@ class Layer:
             needed,
             config.posterior.appearance_cap,
         )
-        # So does the last posterior: the prior.
+        # so does the last posterior, which is the prior.
         before = in_cells(state.region, state.cell)
         prior = warp_map(last_posterior, before, cells, carried_in_region, needed)
 
@@ -268,7 +267,7 @@ class Layer:
                 side,
                 ((cells.x, cells.y), (before.x, before.y)),
                 prior[0] >= np.float32(0.5),
-                np.float32(config.posterior.photometric_cap),
+                PhotometricRules.configured(config.posterior),
             )
         variance = np.ascontiguousarray(field.dense_variance(side)[part])
         prediction = Prediction(cells, side, needed, motion, variance, prior, away, advantage)
@@ -317,5 +316,5 @@ def _relit(state: LayerState, light: Array) -> LayerState:
 
 
 def _median_motion(own: LayerEvidence, otherwise: Array) -> Array:
-    """Median of a layer's backward motions, (2,) px; something else where it has no trajectories."""
+    """Return the median of a layer's backward motions, (2,) px; a default where it has no trajectories."""
     return np.array(median_of_motions(own.motions)) if len(own.motions) else otherwise

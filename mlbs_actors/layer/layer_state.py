@@ -1,4 +1,4 @@
-"""What a layer carries from one frame to the next."""
+"""The state of a layer between two frames."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ __all__ = ["LayerState"]
 
 @dataclass(slots=True)
 class LayerState:
-    """Everything that steers the layer's next frame.
+    """Everything that determines the layer's next frame.
 
     Attributes
     ----------
     last_frame : int
         Frame evaluated last, −1 before the first.
     home : Region
-        Where it remembers colours: the frame for the background, else ``region``.
+        Where it has samples: the frame for the background, else ``region``.
     region : Region
         Where it was evaluated.
     cell : int
-        Side of the cells of which all these arrays are made, px.
+        Side of the cells of all these arrays, px.
     model : AppearanceModel
         Samples at ``last_frame``, without that frame's own colours, cell by cell of ``home``.
     cost : (rows, columns) uint8
         Unnormalised posterior of ``last_frame`` without the colours, as sent to the segmenter.
     log_ratio : (rows, columns) int8
     samples : (rows, columns) uint8
-        What the colours said, as sent to the segmenter.
+        The colours' part, as sent to the segmenter.
     image : (home's rows, home's columns, 3) uint8
         Mean colours of that frame, to learn from once its labels are known.
     velocity : (2,) float32
@@ -55,7 +55,7 @@ class LayerState:
 
     @staticmethod
     def beginning(sample_count: int) -> LayerState:
-        """Before the first frame, with room for so many samples a cell."""
+        """Return the state before the first frame, with room for ``sample_count`` samples a cell."""
         nowhere = Region(0, 0, 0, 0)
         return LayerState(
             last_frame=-1,

@@ -1,7 +1,7 @@
-"""Where a layer may learn the colours that it won, and how far an object reaches from its trajectories (§6).
+"""Where a layer may learn the colours that it won, and how far an object extends from its trajectories (§6).
 
-A pixel that is labelled wrongly once, and learnt, would be taken for the layer's own ever after; so only
-cells are learnt whose label is sure. Not in the paper.
+A pixel that is labelled wrongly once, and learnt, would be attributed to the layer ever after; so only cells
+whose label is certain are learnt. Not in the paper.
 """
 
 from __future__ import annotations
@@ -29,12 +29,11 @@ def object_support(
 ) -> tuple[Array, Array]:
     """Find where an object may learn, and how far its cells are from its trajectories.
 
-    What is labelled wrongly near an outline must not be learnt: an object learns close to its own
-    trajectories, where the camera's motion fails to explain the image.
+    Wrong labels near an outline must not be learnt: an object learns close to its own trajectories, where the
+    camera's motion fails to explain the image.
 
     Parameters
     ----------
-    config : Config
     evidence : FrameEvidence
     own : LayerTracks
         Which trajectories are the object's.
@@ -73,7 +72,7 @@ def _object_support(
     close, learn = np.float32(lengths[0]), np.float32(lengths[1])
     near, fade = np.float32(lengths[2]), np.float32(lengths[3])
     trusted, away = np.empty((height, width), np.bool_), np.empty((height, width), np.float32)
-    # Distances are told for 2×2 cells of the frame at once.
+    # Distances are computed for 2×2 cells of the frame at once.
     coarse, first_column, first_row = 2 * side, left // 2, top // 2
     columns, rows = -(-(left + width) // 2) - first_column, -(-(top + height) // 2) - first_row
     occupied = occupied_cells(positions[:start], coarse, first_column, first_row, columns, rows)
@@ -100,7 +99,7 @@ def _object_support(
 def trusted_background(
     config: Config, evidence: LayerEvidence, frame_evidence: FrameEvidence, side: int
 ) -> Array:
-    """Cells of the frame in which the background may learn, bool.
+    """Find the cells of the frame in which the background may learn, bool.
 
     Near an object it learns beside its own trajectories only, or where nothing moves against the camera.
     """
@@ -110,8 +109,8 @@ def trusted_background(
     trusted = np.ones((whole.height, whole.width), np.bool_)
     end = frame_evidence.tracks_of(evidence.layer).end  # the background is the first of all layers
     own, objects = frame_evidence.positions[:end], frame_evidence.positions[end:]
-    # A cell is judged up to this far from the objects, by own trajectories up to this far from it. Distances
-    # are told for 2×2 cells at once: the lead of own trajectories is then "in a nearer one of these".
+    # A cell is judged up to this far from the objects, by own trajectories up to this far from it. With
+    # distances of 2×2 cells, own trajectories are nearer if they are nearer by at least one such block.
     coarse = 2 * side
     near = in_cells(
         aligned(_surroundings(objects, 2.0 * weights.keep_off_px * scale, shape), coarse, shape), coarse
@@ -140,7 +139,7 @@ def _judged(
     own: Array, others: Array, unexplained: Array, least: float, keep_off: np.float32, learn: np.float32,
     beside: np.float32,
 ) -> Array:  # fmt: skip
-    """Where the background may learn near objects; the distances are of four cells each."""
+    """Find where the background may learn near objects; a distance is that of a block of four cells."""
     trusted: Array = np.empty(unexplained.shape, np.bool_)
     for y in range(trusted.shape[0]):
         for x in range(trusted.shape[1]):
@@ -151,7 +150,7 @@ def _judged(
 
 
 def _surroundings(positions: Array, margin: float, shape: tuple[int, int]) -> Region:
-    """Box of some trajectories with a margin, inside the frame."""
+    """Return the box of some trajectories with a margin, inside the frame."""
     if not len(positions):
         return Region(0, 0, 0, 0)
     return Region(*box_within(*bounds(positions), margin, *shape))

@@ -1,14 +1,14 @@
-"""Where the objects are looked for in a frame: the one rule by which every part of the engine knows it.
+"""Where the objects are searched for in a frame: the one rule that every part of the engine applies.
 
 An object is evaluated inside its *region* only: the box of its trajectories and of its pixels in the last
-published map, moved by its own motion, with a margin. It is wide around what can turn out to be far larger:
-an object that is new, enters at the frame's border, or comes back from behind something, where trajectories
-get lost. An object in full view, whose trajectories cover its pixels, needs a sixth of it, and more where
-parts of it, legs say, move otherwise than the whole.
+published map, moved by its own motion, with a margin. The margin is wide for objects that may be far larger
+than known: those that are new, enter at the frame's border, or come back from behind something, where
+trajectories get lost. An object in full view, whose trajectories cover its pixels, needs a sixth of it, and
+more where parts of it, such as legs, move differently from the whole.
 
-What lies outside every object's region is background without a question, so that the background's own
-posterior matters inside these regions only. The regions follow from what every layer is sent, so that the
-layers agree on them without another message.
+Outside every object's region all is background, so the background's own posterior matters inside these
+regions only. The regions follow from the evidence that every layer is sent, so that the layers agree on them
+without another message.
 
 Differs from the paper, in which every layer is evaluated on the whole frame.
 """
@@ -39,15 +39,15 @@ __all__ = [
     "object_region",
 ]
 
-#: Pixels for each trajectory, of a 640×480 frame, up to which an object's trajectories cover it.
-_COVERED_PX = 100.0
+#: See :func:`object_region`.
+Margins = tuple[float, float, float]
 
 
 def object_region(
     own: LayerEvidence,
     shape: tuple[int, int],
     previous: Segmentation | None,
-    margins_px: tuple[float, float],
+    margins_px: Margins,
     cell: int,
 ) -> Region:
     """Find the region of one object in frame t.
@@ -60,16 +60,17 @@ def object_region(
         Size of the frame, px.
     previous : Segmentation or None
         Published result of t−1.
-    margins_px : (float, float)
+    margins_px : Margins
         Margins around trajectories and pixels, px of a 640×480 frame: of any object, and of one in full view,
-        to which comes by how much one of its trajectories leaves the median of its motions.
+        to which the largest deviation from its median motion is added; and most pixels per trajectory at
+        which an object's trajectories cover it, px² of such a frame.
     cell : int
-        The region is made of whole cells of this side, px.
+        The region consists of whole cells of this side, px.
 
     Returns
     -------
     Region
-        Inside the frame, and empty for an object without trajectories and pixels.
+        Inside the frame; empty for an object without trajectories and pixels.
     """
     summaries = previous.layers if previous is not None else ()
     known = _known_pixels(next((one for one in summaries if one.layer == own.layer), None))
@@ -82,7 +83,7 @@ def object_region(
 
 
 def _known_pixels(one: LayerSummary | None) -> tuple[float, ...]:
-    """Number, box and velocity of an object's pixels in the last map."""
+    """Return number, box and velocity of an object's pixels in the last map."""
     if one is None:
         return 0, 0, 0, 0, 0, 0, 0
     return one.area, *one.region.box, *one.velocity
@@ -90,10 +91,10 @@ def _known_pixels(one: LayerSummary | None) -> tuple[float, ...]:
 
 @compiled
 def _region_of_object(
-    pixels: Array, positions: Array, motions: Array, margins_px: tuple[float, float], scale: float, cell: int,
+    pixels: Array, positions: Array, motions: Array, margins_px: Margins, scale: float, cell: int,
     height: int, width: int,
 ) -> tuple[int, int, int, int]:  # fmt: skip
-    """Box (left, top, width, height) of :func:`object_region`, px, from :func:`_known_pixels`."""
+    """Compute box (left, top, width, height) of :func:`object_region`, px, from :func:`_known_pixels`."""
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     move_x, move_y = pixels[5], pixels[6]
     if len(positions):
@@ -111,14 +112,14 @@ def _region_of_object(
     inside = (
         pixels[1] > 0 and pixels[2] > 0 and pixels[1] + pixels[3] < width and pixels[2] + pixels[4] < height
     )
-    in_full_view = pixels[0] and inside and pixels[0] <= len(positions) * _COVERED_PX * scale**2
+    in_full_view = pixels[0] and inside and pixels[0] <= len(positions) * margins_px[2] * scale**2
     margin = scale * margins_px[0]
     if in_full_view:
         margin = min(margin, scale * margins_px[1] + _farthest(motions, -move_x, -move_y))
     x, y, wide, high = box_within(left, top, right, bottom, margin, height, width)
     if wide * high == 0:
         return x, y, wide, high
-    # Of whole cells, which end at the frame's border.
+    # Whole cells, which end at the frame's border.
     end_x, end_y = min(-(-(x + wide) // cell) * cell, width), min(-(-(y + high) // cell) * cell, height)
     x, y = x // cell * cell, y // cell * cell
     return x, y, end_x - x, end_y - y
@@ -126,13 +127,13 @@ def _region_of_object(
 
 @compiled
 def median_of_motions(motions: Array) -> tuple[float, float]:
-    """Median of some motions (n ≥ 1, 2), px: of x and of y."""
+    """Return the median of some motions (n ≥ 1, 2), px: of x and of y."""
     return np.median(motions[:, 0]), np.median(motions[:, 1])
 
 
 @compiled
 def _farthest(motions: Array, x: float, y: float) -> float:
-    """By how much one of some motions differs most from another one, in x or in y, px."""
+    """Return the largest deviation of some motions from a given one, in x or in y, px."""
     most = np.float32(0)
     for one in range(len(motions)):
         most = max(most, abs(motions[one, 0] - np.float32(x)), abs(motions[one, 1] - np.float32(y)))
@@ -141,7 +142,7 @@ def _farthest(motions: Array, x: float, y: float) -> float:
 
 @compiled
 def bounds(positions: Array) -> tuple[float, float, float, float]:
-    """Least x and y, largest x and y of some positions (n ≥ 1, 2)."""
+    """Return least x and y, largest x and y of some positions (n ≥ 1, 2)."""
     x, y = positions[:, 0], positions[:, 1]
     return x.min(), y.min(), x.max(), y.max()
 
@@ -150,7 +151,7 @@ def bounds(positions: Array) -> tuple[float, float, float, float]:
 def box_within(
     left: float, top: float, right: float, bottom: float, margin: float, height: int, width: int
 ) -> tuple[int, int, int, int]:
-    """Left, top, width and height of the pixels around some bounds with a margin, inside a frame, px."""
+    """Return left, top, width and height of the pixels in some bounds with a margin, inside a frame, px."""
     x, y = _within(floor(left - margin), width), _within(floor(top - margin), height)
     end_x, end_y = _within(ceil(right + margin) + 1, width), _within(ceil(bottom + margin) + 1, height)
     return x, y, end_x - x, end_y - y
@@ -162,9 +163,9 @@ def _within(place: int, length: int) -> int:
 
 
 def contested(
-    evidence: FrameEvidence, previous: Segmentation | None, margins_px: tuple[float, float], cell: int = 1
+    evidence: FrameEvidence, previous: Segmentation | None, margins_px: Margins, cell: int = 1
 ) -> tuple[Region, Array]:
-    """Where a pixel can be an object's: the union of the objects' regions.
+    """Find where a pixel can be an object's: the union of the objects' regions.
 
     Parameters
     ----------
@@ -177,7 +178,7 @@ def contested(
     Returns
     -------
     box : Region
-        Around it and one pixel more on each side, as far as the frame goes; of whole cells, px.
+        Around it with a margin of one pixel, clipped to the frame; of whole cells, px.
     inside : (rows, columns) bool
         Which of the box's cells are in it.
     """
@@ -196,10 +197,10 @@ def contested(
 
 @compiled
 def _contested(
-    pixels: Array, positions: Array, motions: Array, counts: Array, margins_px: tuple[float, float],
+    pixels: Array, positions: Array, motions: Array, counts: Array, margins_px: Margins,
     scale: float, cell: int, shape: tuple[int, int],
 ) -> tuple[tuple[int, int, int, int], Array]:  # fmt: skip
-    """Find the box and its cells; the objects' trajectories are the last of all."""
+    """Find the box and its cells; the objects' trajectories come last in the arrays."""
     height, width = shape
     regions = np.empty((len(pixels), 4), np.int64)
     left, top, right, bottom = width, height, 0, 0

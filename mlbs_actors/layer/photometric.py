@@ -1,42 +1,67 @@
-"""Which motion explains the image: an object's own, or the camera's.
+"""Which motion explains the image better: an object's own, or the camera's.
 
-Not in the paper. Both motions move the last frame into the new one; what they leave unexplained is compared
-over a small window. In smooth places both explain it, and nothing is said; on texture the right one wins,
-which takes back ground that an object once was thought to own, and holds an object together between its
-trajectories.
+Not in the paper. Both motions move the last frame into the new one; their errors are compared over a small
+window. In smooth places both explain the image, and the term is 0; on texture the right one wins, which
+recovers ground that was once attributed to an object, and holds an object together between its trajectories.
 
-Either motion is believed only where it explains the image well in itself: a limb obeys neither. An object's
-own is also believed only where it leads back to pixels that were the object's: ground that it has just
+Either motion is trusted only where it explains the image well in itself: a limb obeys neither. An object's
+own is also trusted only where it leads back to pixels that were the object's: ground that it has just
 uncovered has no past that could explain it, but over smooth ground any motion seems to.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from mlbs_actors.config import PosteriorConfig
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.camera import homography_of_cells
 
-__all__ = ["photometric_advantage"]
+__all__ = ["PhotometricRules", "photometric_advantage"]
 
-#: Where (x, y) an image begins in the frame.
+#: Position (x, y) of an image's corner in the frame.
 Corner = tuple[int, int]
-#: Side of the window over which a motion is judged.
+#: Side of the window over which motions are compared.
 WINDOW = 3
-#: Bounds of what is taken for noise, grey levels: lower than those of the camera's evidence, for the means of
-#: cells are less noisy.
-LEAST_NOISE, MOST_NOISE = 1.5, 3.0
-#: Error from which on a motion is not believed at all, and from one less on altogether, × noise.
-OWN_BELIEVED, CAMERA_BELIEVED = 4.0, 2.5
+
+
+class PhotometricRules(NamedTuple):
+    """Parameters of how far a motion is trusted.
+
+    Attributes
+    ----------
+    largest : float32
+        Bound of the advantage in either direction, × noise.
+    least_noise, most_noise : float32
+        Bounds of the noise estimate, grey levels: lower than those of the camera's evidence, as the means of
+        cells are less noisy.
+    own, camera : float32
+        Error at which a motion is not trusted at all, × noise; from one less on it is trusted fully.
+    """
+
+    largest: np.float32
+    least_noise: np.float32
+    most_noise: np.float32
+    own: np.float32
+    camera: np.float32
+
+    @staticmethod
+    def configured(config: PosteriorConfig) -> PhotometricRules:
+        """Return the rules of a configuration."""
+        noise = config.photometric_least_noise, config.photometric_most_noise
+        rules = config.photometric_cap, *noise, config.own_believed, config.camera_believed
+        return PhotometricRules(*map(np.float32, rules))
 
 
 @compiled
 def photometric_advantage(
     before: Array, now: Array, motion: Array, camera: Array, side: int, corners: tuple[Corner, Corner],
-    own: Array, largest: np.float32,
+    own: Array, rules: PhotometricRules,
 ) -> Array:  # fmt: skip
-    """By how much an object's motion explains the image better than the camera's.
+    """Measure by how much an object's motion explains the image better than the camera's.
 
     Parameters
     ----------
@@ -52,18 +77,17 @@ def photometric_advantage(
         Where ``now`` and ``before`` begin in the frame, in their pixels.
     own : (h, w) bool
         Where the object's motion leads back to its own pixels.
-    largest : float32
-        Most that it can be, either way.
+    rules : PhotometricRules
 
     Returns
     -------
     (h, w) float32
-        In units of the noise, which is the median error of the camera's motion, between ``LEAST_NOISE`` and
-        ``MOST_NOISE`` grey levels; 0 where either motion leads out of ``before``.
+        In units of the noise, which is the median error of the camera's motion, within bounds; 0 where
+        either motion leads out of ``before``.
     """
     if before.size == 0 or now.size == 0:
         return np.zeros(own.shape, np.float32)
-    # Zeros are what comes from outside: a border around, and one more behind for a source on it.
+    # A border of zeros stands for the outside, one pixel wider below and on the right for interpolation.
     last = np.zeros((before.shape[0] + 3, before.shape[1] + 3), np.uint8)
     newest = np.empty(now.shape[:2], np.uint8)
     _write_grey(before, last, 1)
@@ -73,12 +97,12 @@ def photometric_advantage(
         last, newest, motion, homography_of_cells(camera, side), corners, known
     )
     own_sums, camera_sums = _window_sums(own_misfit), _window_sums(camera_misfit)
-    return _compared(own_sums, camera_sums, _noise(camera_sums), own, known, largest)
+    return _compared(own_sums, camera_sums, _noise(camera_sums, rules), own, known, rules)
 
 
 @compiled
 def _write_grey(image: Array, grey: Array, border: int) -> None:
-    """Brightness of BGR pixels, rounded as cv2 does, inside an image with a border above and on the left."""
+    """Write the brightness of BGR pixels, rounded as cv2 does, into an image with a border above and left."""
     colours = image.reshape(-1)
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
@@ -97,11 +121,11 @@ def _misfits(
     corners: tuple[Corner, Corner],
     known: Array,
 ) -> tuple[Array, Array]:
-    """By how much each pixel differs from where either motion takes it from, and whether both are known."""
+    """Compute each pixel's difference from its source under either motion, and whether both are known."""
     corner, last_corner = corners
     height, width = newest.shape
     bottom, right = last.shape[0] - 4, last.shape[1] - 4
-    # In one row each: from one short row to the next it takes as long as the row itself.
+    # In one row each: the step to the next short row takes as long as the row itself.
     sources, moves = np.empty((4, newest.size), np.float32), motion.reshape(-1)
     own_x, own_y, camera_x, camera_y = sources[0], sources[1], sources[2], sources[3]
     inside, cells = known.reshape(-1), newest.reshape(-1)
@@ -126,7 +150,7 @@ def _misfits(
 
 @compiled
 def _quads(image: Array) -> Array:
-    """All that is interpolated from a pixel on: its byte, and those of the pixels right, below and both."""
+    """Pack what a pixel's interpolation needs: its byte and those of the pixels right, below and both."""
     quads, shift = np.zeros(image.shape, np.uint32), np.uint32(8)
     for y in range(image.shape[0] - 1):
         row, below, result = image[y], image[y + 1], quads[y]
@@ -140,14 +164,14 @@ def _quads(image: Array) -> Array:
 
 @compiled
 def _misfit(quads: Array, newest: Array, source_x: Array, source_y: Array) -> Array:
-    """Absolute difference of pixels to their sources in the bordered last image, interpolated bilinearly.
+    """Difference pixels and their sources in the bordered last image, interpolated bilinearly.
 
-    Of the sources only their parts of a pixel are left.
+    The sources are reduced to their fractions.
     """
     flat, stride, byte = quads.reshape(-1), np.int32(quads.shape[1]), np.int32(255)
     outside, right, bottom = np.float32(-1), np.float32(quads.shape[1] - 3), np.float32(quads.shape[0] - 3)
     around, misfit = np.empty(newest.size, np.int32), np.empty(newest.size, np.int32)
-    # Loops without a branch run in vector registers: out of the image a source stays on its border.
+    # Loops without a branch are vectorised: a source outside the image is clamped to its border.
     for i in range(newest.size):
         x = min(source_x[i], right) if source_x[i] > outside else outside
         y = min(source_y[i], bottom) if source_y[i] > outside else outside
@@ -169,7 +193,7 @@ def _misfit(quads: Array, newest: Array, source_x: Array, source_y: Array) -> Ar
 
 @compiled
 def _window_sums(values: Array) -> Array:
-    """Sums of whole numbers over the window, the image mirrored at its border."""
+    """Sum integers over the window, the image mirrored at its border."""
     height, width = values.shape
     result, sums = np.empty(values.shape, np.int32), np.empty(width + 2, np.int32)
     inner = sums[1:-1]
@@ -186,10 +210,9 @@ def _window_sums(values: Array) -> Array:
 
 
 @compiled
-def _noise(sums: Array) -> np.float32:
-    """Median of every fourth window's mean, between the noise's bounds; counted by value, for what is above
-    them all is one."""
-    top = np.int32(np.ceil(MOST_NOISE * WINDOW**2))
+def _noise(sums: Array, rules: PhotometricRules) -> np.float32:
+    """Return the median of every fourth window's mean, clipped to the noise's bounds, by a counting sort."""
+    top = np.int32(np.ceil(rules.most_noise * WINDOW**2))
     counts, total = np.zeros(top + 1, np.int64), 0
     for y in range(0, sums.shape[0], 2):
         for x in range(0, sums.shape[1], 2):
@@ -203,16 +226,16 @@ def _noise(sums: Array) -> np.float32:
         value += 1
     ninth = np.float32(1 / WINDOW**2)
     median: np.float32 = np.float32(0.5) * (np.float32(lower) * ninth + np.float32(value - 1) * ninth)
-    return min(max(median, np.float32(LEAST_NOISE)), np.float32(MOST_NOISE))
+    return min(max(median, rules.least_noise), rules.most_noise)
 
 
 @compiled
 def _compared(
-    own_sums: Array, camera_sums: Array, noise: np.float32, own: Array, known: Array, largest: np.float32
+    own_sums: Array, camera_sums: Array, noise: np.float32, own: Array, known: Array, rules: PhotometricRules
 ) -> Array:
     zero, one, ninth = np.float32(0), np.float32(1), np.float32(1 / WINDOW**2)
     advantage = np.empty(known.shape, np.float32)
-    for y in range(known.shape[0]):  # without a branch: this runs in vector registers
+    for y in range(known.shape[0]):  # branch-free, hence vectorised
         own_row, camera_row, row = own_sums[y], camera_sums[y], advantage[y]
         its_own, seen = own[y], known[y]
         for x in range(row.size):
@@ -220,8 +243,8 @@ def _compared(
                 np.float32(own_row[x]) * ninth / noise,
                 np.float32(camera_row[x]) * ninth / noise,
             )
-            lead = min(max(by_camera - by_own, -largest), largest)
-            own_believed = np.float32(OWN_BELIEVED) - by_own if its_own[x] else zero
-            believed = own_believed if lead > zero else np.float32(CAMERA_BELIEVED) - by_camera
+            lead = min(max(by_camera - by_own, -rules.largest), rules.largest)
+            own_believed = rules.own - by_own if its_own[x] else zero
+            believed = own_believed if lead > zero else rules.camera - by_camera
             row[x] = lead * min(max(believed, zero), one) if seen[x] else zero
     return advantage

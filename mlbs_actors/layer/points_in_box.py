@@ -1,7 +1,7 @@
-"""Which of many points lie in a box: a frame has thousands of trajectories, an object some tens of them.
+"""The points in a box: a frame has thousands of trajectories, an object some tens of them.
 
-Where points lie nobody can foretell; so there is no branch for each. All are compared in vector registers
-first, and then eight at a time are passed over where none is inside.
+A branch for each point would be mispredicted. So all are compared first, vectorised, and then skipped eight
+at a time where none is inside.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""The kernels of a layer's posterior: its cost without the colours, and its share of a finished frame (§6).
+"""Kernels of a layer's posterior: its cost without the colours, and its posterior of a finished frame (§6).
 
-Each is one pass over the cells that are needed.
-:mod:`mlbs_actors.layer.layer` says what the terms are. Motion and prior are functions of one number each and
-read from tables, 0.003 nats from exact before they are weighed.
+Each is one pass over the cells to evaluate. :mod:`mlbs_actors.layer.layer` defines the terms. Motion and
+prior are functions of one number each and read from tables, within 0.003 nats before they are weighted.
 """
 
 from __future__ import annotations
@@ -44,13 +43,13 @@ _PRIOR_STEPS = 4096
 
 
 def uncontested_cost(config: Config) -> int:
-    """Cost of the background where no object can be: the offset alone, in units of ``COST_STEP``."""
+    """Return the background's cost where no object can be: the offset alone, in units of ``COST_STEP``."""
     return min(round(config.posterior.offset / COST_STEP), 255)
 
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What a layer expects of a frame, and what speaks for or against it besides the colours.
+    """A layer's prediction of a frame, and all cues besides the colours.
 
     Attributes
     ----------
@@ -67,8 +66,8 @@ class Prediction:
     prior : two (h, w) float32
         The last posterior as :func:`~mlbs_actors.appearance.warp.warp_map` returns it.
     away, advantage : (h, w) float32
-        What an object has besides: how far off its trajectories each cell is, in [0, 1], and by how much its
-        motion explains the image better than the camera's, × noise. 0 for the background.
+        For an object: how far from its trajectories each cell is, in [0, 1], and by how much its motion
+        explains the image better than the camera's, × noise. 0 for the background.
     """
 
     cells: Region
@@ -82,11 +81,10 @@ class Prediction:
 
 
 def posterior_cost(config: Config, kind: LayerKind, evidence: FrameEvidence, prediction: Prediction) -> Array:
-    """Sum a layer's weighted terms but the colours.
+    """Sum a layer's weighted terms without the colours.
 
     Parameters
     ----------
-    config : Config
     kind : {"background", "object", "other"}
     evidence : FrameEvidence
         Camera and dense flow of the frame.
@@ -95,7 +93,7 @@ def posterior_cost(config: Config, kind: LayerKind, evidence: FrameEvidence, pre
     Returns
     -------
     (h, w) uint8
-        Units of ``COST_STEP``; the offset alone where it was not needed.
+        Units of ``COST_STEP``; the offset alone where not needed.
     """
     weights, scale = config.posterior, length_scale(*evidence.shape)
     numbers = _Weights(
@@ -121,7 +119,7 @@ def posterior_cost(config: Config, kind: LayerKind, evidence: FrameEvidence, pre
 
 
 class _Weights(NamedTuple):
-    """Numbers of :func:`posterior_cost`, lengths in px, where the configuration has no other unit."""
+    """Parameters of :func:`posterior_cost`, lengths in px, as float32."""
 
     side: np.float32
     distance: np.float32
@@ -133,14 +131,14 @@ class _Weights(NamedTuple):
 
 
 def _cost_tables(config: Config, kind: LayerKind) -> tuple[Array, Array, Array]:
-    """Weight of the motion term by how little the camera explains, the term by d², and the prior's term."""
+    """Tabulate the motion term's weight by the camera's error, that term by d², and the prior's term."""
     weights, background = config.posterior, kind == "background"
     return _tables(
         config.layers.unexplained_noise,
         weights.motion,
         weights.motion_floor if background else weights.object_motion_floor,
         weights.prior,
-        # Background that was hidden has been there all the same: for it the floor is the neutral value.
+        # Background that was hidden was there all the same: for it the floor is the neutral value.
         weights.neutral_prior if background else weights.prior_floor,
     )
 
@@ -149,12 +147,12 @@ def _cost_tables(config: Config, kind: LayerKind) -> tuple[Array, Array, Array]:
 def _tables(
     unexplained_noise: float, motion: float, motion_floor: float, prior: float, prior_floor: float
 ) -> tuple[Array, Array, Array]:
-    heard = np.clip(2.0 * UNEXPLAINED_STEP / unexplained_noise * np.arange(256) - 1.0, 0.0, 1.0)
+    reliance = np.clip(2.0 * UNEXPLAINED_STEP / unexplained_noise * np.arange(256) - 1.0, 0.0, 1.0)
     distances = np.arange(32 * _DISTANCE_STEPS + 1) / _DISTANCE_STEPS
     disagreement = -np.log(motion_floor + (1.0 - motion_floor) * np.exp(-0.5 * distances))
     surprise = -np.log(np.maximum(np.arange(_PRIOR_STEPS + 1) / _PRIOR_STEPS, prior_floor))
     return (
-        heard.astype(np.float32) * np.float32(motion),
+        reliance.astype(np.float32) * np.float32(motion),
         disagreement.astype(np.float32),
         (prior * surprise).astype(np.float32),
     )
@@ -166,9 +164,9 @@ def _summed_terms(
     prior: tuple[Array, Array], cues: tuple[Array, Array], tables: tuple[Array, Array, Array],
     weights: _Weights,
 ) -> Array:  # fmt: skip
-    """Sum the terms of :func:`posterior_cost`; the maps in ``seen`` are the whole frame's."""
+    """Sum the terms of :func:`posterior_cost`; the maps in ``seen`` are those of the whole frame."""
     (motion, variance), (flow, reliable, unexplained), (left, top) = field, seen, corner
-    (prior_value, share), (away, advantage), (heard, disagreement, surprise) = prior, cues, tables
+    (prior_value, share), (away, advantage), (reliance, disagreement, surprise) = prior, cues, tables
     cost = np.full(needed.shape, weights.uncontested)
     one, half, step = np.float32(1), np.float32(0.5), np.float32(COST_STEP)
     height, width = needed.shape
@@ -184,7 +182,7 @@ def _summed_terms(
                 miss_y = flows[x, 1] - weights.side * motion[y, x, 1]
                 distance = (miss_x * miss_x + miss_y * miss_y) / (variance[y, x] + weights.flow_variance)
                 place = min(distance * np.float32(_DISTANCE_STEPS), np.float32(disagreement.size - 1))
-                nats += heard[errors[x]] * disagreement[int(place + half)]
+                nats += reliance[errors[x]] * disagreement[int(place + half)]
             believed = min(prior_value[y, x] + (one - share[y, x]) * weights.neutral_prior, one)
             nats += surprise[int(believed * np.float32(_PRIOR_STEPS) + half)]
             quanta = min(max(np.rint(nats / step), np.float32(0)), np.float32(255))
@@ -193,7 +191,7 @@ def _summed_terms(
 
 
 def quantised_colours(log_density: Array, count: Array, needed: Array, largest: float) -> tuple[Array, Array]:
-    """What the colours say of the cells that are needed, as it is sent.
+    """Quantise the colours' part of the posterior for sending.
 
     Parameters
     ----------
@@ -203,14 +201,14 @@ def quantised_colours(log_density: Array, count: Array, needed: Array, largest: 
         Samples behind it.
     needed : (h, w) bool
     largest : float
-        Most that a ratio can be, nats.
+        Bound of the ratio, nats.
 
     Returns
     -------
     log_ratio : (h, w) int8
-        log of the density over the uniform one, in units of ``RATIO_STEP``; 0 where nothing is known.
+        log of the density over the uniform one, in units of ``RATIO_STEP``; 0 where there are no samples.
     samples : (h, w) uint8
-        0 where it is not needed.
+        0 where not needed.
     """
     log_ratio, samples = np.zeros(needed.shape, np.int8), np.zeros(needed.shape, np.uint8)
     _quantise_colours(log_density, count, needed, np.float32(largest), log_ratio, samples)
@@ -221,7 +219,7 @@ def quantised_colours(log_density: Array, count: Array, needed: Array, largest: 
 def _quantise_colours(
     log_density: Array, count: Array, needed: Array, largest: np.float32, log_ratio: Array, samples: Array
 ) -> None:
-    """:func:`quantised_colours` into zeros."""
+    """Fill zeros as :func:`quantised_colours`."""
     for y in range(needed.shape[0]):
         for x in range(needed.shape[1]):
             if needed[y, x] and count[y, x] > 0:
@@ -238,11 +236,10 @@ def finished_posterior(
     cells: Region,
     won: Array,
 ) -> Array:
-    """Return a layer's normalised posterior of a finished frame, of which the published map is half.
+    """Return a layer's posterior of a finished frame: the mean of its normalised one and the published map.
 
     Parameters
     ----------
-    config : Config
     sent : cost (h, w) uint8, log_ratio (h, w) int8, samples (h, w) uint8
         As the layer sent them to the segmenter.
     published : Segmentation
@@ -250,8 +247,8 @@ def finished_posterior(
     cells : Region
         The layer's region, in units of cells.
     won : (h, w) uint8
-        Its share of each cell in the published map, 255 = all: the better half of the knowledge, having seen
-        the outlines.
+        Its share of each cell in the published map, 255 = all; that map is the better estimate, as it has
+        seen the outlines.
 
     Returns
     -------
@@ -275,7 +272,7 @@ def _finished_posterior(
     sent: tuple[Array, Array, Array], published: tuple[Array, Array], corner: tuple[int, int], won: Array,
     tables: tuple[Array, Array, Array], strength: np.float32,
 ) -> Array:  # fmt: skip
-    """Evaluate :func:`finished_posterior`; log r and log f come by their bits."""
+    """Evaluate :func:`finished_posterior`; log r and log f come as unsigned bytes."""
     (cost, log_ratio, samples), (fallback, normaliser), (left, top) = sent, published, corner
     trust, ratio_of, likelihood = tables
     posterior = np.empty(cost.shape, np.float32)

@@ -1,8 +1,8 @@
-"""How far cells lie from the trajectories of some layers: an object is where its trajectories are.
+"""Distance of cells from the trajectories of some layers: an object is where its trajectories are.
 
-Distances are made of steps to the next cell, across a corner and in a knight's move, of the lengths that cv2
-gives them (Borgefors 1986), within 2 % of exact. cv2 takes as long for one; an object needs four of them that
-hang on each other, which are one kernel here.
+Distances are sums of steps to the next cell, across a corner and in a knight's move, of the lengths that cv2
+uses (Borgefors 1986), within 2 % of exact. cv2 takes as long for one map; an object needs four that depend on
+each other, which are one kernel here.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ __all__ = ["closed_distance", "occupied_cells", "occupy", "to_occupied", "trajec
 
 #: Lengths of the steps, cells.
 _STRAIGHT, _DIAGONAL, _KNIGHT = np.float32(1), np.float32(1.4), np.float32(2.1969)
-#: Infinite cells around all others, so that no step asks for the border.
+#: Padding of infinite cells, so that no step checks for the border.
 _BORDER = 2
 
 
 def trajectory_distance(positions: Array, cells: Region, side: int) -> Array:
-    """Distance of cells to the nearest one that has a trajectory.
+    """Compute the distance of cells to the nearest one with a trajectory.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def trajectory_distance(positions: Array, cells: Region, side: int) -> Array:
 
 @compiled
 def occupied_cells(positions: Array, side: int, left: int, top: int, width: int, height: int) -> Array:
-    """In which cells of a region, in units of cells, some positions lie: (h, w) bool."""
+    """Mark the cells of a region, in units of cells, that contain a position: (h, w) bool."""
     occupied = np.zeros((height, width), np.bool_)
     occupy(occupied, positions, side, left, top)
     return occupied
@@ -52,7 +52,7 @@ def occupied_cells(positions: Array, side: int, left: int, top: int, width: int,
 
 @compiled
 def occupy(occupied: Array, positions: Array, side: int, left: int, top: int) -> None:
-    """Add those of other positions to :func:`occupied_cells`."""
+    """Add other positions to the result of :func:`occupied_cells`."""
     x, y, height, width = side * left, side * top, side * occupied.shape[0], side * occupied.shape[1]
     for point in points_in_box(positions, x, y, x + width, y + height):
         column = (np.int64(np.rint(positions[point, 0])) - x) // side
@@ -62,7 +62,7 @@ def occupy(occupied: Array, positions: Array, side: int, left: int, top: int) ->
 
 @compiled
 def to_occupied(occupied: Array, side: int) -> Array:
-    """Distance of cells of this side to the nearest of some: (h, w) float32, px; infinite without any."""
+    """Compute the distance of cells to the nearest occupied one: (h, w) float32, px; infinite if none is."""
     height, width = occupied.shape
     cells = np.full((height + 2 * _BORDER, width + 2 * _BORDER), np.float32(np.inf))
     for y in range(height):
@@ -80,7 +80,7 @@ def to_occupied(occupied: Array, side: int) -> Array:
 
 @inlined
 def _stepped(cells: Array, y: int, x: int, towards: int) -> np.float32:
-    """A cell after steps to it from those before or after it, in the order of rows and columns."""
+    """Return a cell's distance by steps from those before or after it, in the order of rows and columns."""
     near, further = cells[y + towards], cells[y + 2 * towards]
     straight = min(near[x], cells[y, x + towards]) + _STRAIGHT
     diagonal = min(near[x - 1], near[x + 1]) + _DIAGONAL
@@ -90,14 +90,14 @@ def _stepped(cells: Array, y: int, x: int, towards: int) -> np.float32:
 
 @compiled
 def closed_distance(distance: Array, radius: np.float32, side: int) -> Array:
-    """Distance to the morphological closing of a set, from the distance to the set itself.
+    """Compute the distance to the morphological closing of a set, from the distance to the set itself.
 
     Parameters
     ----------
     distance : (h, w) float32
         Of cells, px; infinite everywhere if the set is empty.
     radius : float32
-        Gaps of up to twice this that are enclosed by the set belong to it, px.
+        Gaps of up to twice this between parts of the set are closed, px.
     side : int
         Of a cell, px.
 
@@ -106,7 +106,7 @@ def closed_distance(distance: Array, radius: np.float32, side: int) -> Array:
     (h, w) float32
         px.
     """
-    # Past the region's border the set is taken to go on: an object that leaves the frame stays whole.
+    # The set is taken to continue past the region's border: an object that leaves the frame stays whole.
     outside = to_occupied(distance > radius, 1)
     closed = to_occupied(outside > np.float32(radius / side), side)
     nearest: Array = np.minimum(distance, closed)

@@ -21,10 +21,10 @@ Differs from the paper:
   fields are equally far from the truth (0.050 and 0.048 px on average at 0.03 px/frame per px).
 * Evidence is robust: after a plain solve, weights are set to Geman and McClure's (c²/(c²+r²))², r the
   distance of a trajectory from the field, and the field is solved again, ``robust_rounds`` times.
-* Smoothness acts on the deviation from the prior mean. For a constant prior that is the paper's model; for
-  the camera's motion it leaves zoom and rotation unpunished and lets them reach where no trajectory is.
+* Smoothness acts on the deviation from the prior mean. For a constant prior that is the paper's model; with
+  the camera's motion as prior, zoom and rotation are not penalised and extend to where no trajectory is.
 * ε is a weak prior, without which A would be singular for a layer without trajectories: spread over all
-  nodes, it weighs as much as a single measurement of standard deviation ``prior_std_px``. Such a layer gets
+  nodes, it has the weight of a single measurement of standard deviation ``prior_std_px``. Such a layer gets
   the prior mean itself.
 * The variances are computed exactly on a coarser grid of the same model, ``variance_spacing_px``, and stated
   for the nodes of the mean's grid: the variance of a point has no limit as a grid is refined, every halving
@@ -52,7 +52,7 @@ __all__ = ["MotionField", "MotionParameters", "motion_field"]
 
 @dataclass(frozen=True, slots=True)
 class MotionParameters:
-    """What the motion field hangs on.
+    """Parameters of a motion field.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class MotionParameters:
         Standard deviation of the prior of the field as a whole, px/frame.
     robust_px : float
         c, the residual at which a trajectory keeps a quarter of its weight, px/frame; raised to three robust
-        standard deviations of the residuals where these spread wider.
+        standard deviations of the residuals if that is more.
     robust_rounds : int
         Solves after the first, plain one.
     """
@@ -83,10 +83,10 @@ class MotionParameters:
 
     @classmethod
     def configured(cls, config: Config, shape: tuple[int, int], side: int) -> MotionParameters:
-        """Return those of a configuration, for (H, W) frames with cells of ``side`` px."""
+        """Take the parameters from a configuration, for (H, W) frames with cells of ``side`` px."""
         scale = length_scale(*shape)
         return cls(
-            # A whole number of cells, so that a cell's mean is the field in its middle.
+            # A whole number of cells, so that a cell's mean is the field at its centre.
             spacing_px=side * max(1, round(config.motion.grid_px * scale / side)),
             variance_spacing_px=side * max(1, round(config.motion.variance_grid_px * scale / side)),
             smoothness_std_px=config.motion.smoothness_std_px,
@@ -111,7 +111,7 @@ class MotionField:
         px.
     variance : (vh, vw) float32
         Marginal variance of either component of a node of the mean's grid, px², computed at the nodes of
-        ``variance_spacing`` (see the module's notes for its error).
+        ``variance_spacing`` (see the module's docstring for its error).
     variance_spacing : int
         px.
     point_weights : (n,) float32
@@ -151,16 +151,16 @@ def motion_field(
     Parameters
     ----------
     positions : (n, 2) float
-        Positions (x, y) at frame t, px. Points outside the region are left out.
+        Positions (x, y) at frame t, px. Points outside the region are ignored.
     motions : (n, 2) float
         Their backward motions t → t−1, px/frame.
     shape : (h, w)
         Size of the region, px.
     prior_mean : (2,) or (gh, gw, 2) float
-        Prior motion, one for all or at each node of ``spacing_px`` (for example the camera's), px/frame.
+        Prior motion, one for all or at each node of ``spacing_px`` (such as the camera's), px/frame.
     parameters : MotionParameters
     corner : (x, y)
-        Of the region, px.
+        Top left of the region, px.
 
     Returns
     -------
@@ -210,7 +210,7 @@ def motion_field(
         deviation = deviation_for(weights)
     mean[:] = (prior + deviation).transpose(1, 2, 0)
     point_weights[inside] = weights
-    # diag(A⁻¹) of the same model on the variance's grid.
+    # diag(A⁻¹) of the same model on the grid of the variance.
     taps = bilinear_taps(points, *variance_grid, parameters.variance_spacing_px)
     spread_prior = 1.0 / (parameters.prior_std_px**2 * variance.size)
     evidence = lump(*taps, precision * weights, measured, spread_prior, variance_grid)

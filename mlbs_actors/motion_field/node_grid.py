@@ -1,7 +1,7 @@
-"""The grid of nodes of a motion field: where they lie, how points share in them, and their values at pixels.
+"""The grid of nodes of a motion field, and bilinear interpolation between nodes, points and pixels.
 
-A node lies at the centre of its cell of ``spacing``² pixels. A point shares in the four nodes around it, and
-a pixel is read off them, bilinearly.
+A node lies at the centre of its cell of ``spacing``² pixels. A point has shares in the four nodes around it,
+and a pixel is interpolated from them.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ __all__ = [
 
 @compiled
 def grid_shape(shape: tuple[int, int], spacing: int) -> tuple[int, int]:
-    """Rows and columns of the nodes of an (h, w) region."""
+    """Return the rows and columns of nodes of an (h, w) region."""
     return -(-shape[0] // spacing), -(-shape[1] // spacing)
 
 
 def node_positions(shape: tuple[int, int], spacing: int) -> Array:
-    """Where the nodes of a region lie.
+    """Return the positions of the nodes of a region.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def node_positions(shape: tuple[int, int], spacing: int) -> Array:
     Returns
     -------
     (⌈h/spacing⌉, ⌈w/spacing⌉, 2) float32
-        Region-local (x, y) of each node, the centre of its cell, px. The last ones may lie past the border.
+        Region-local (x, y) of each node, px. The last ones may lie past the border.
     """
     rows, columns = grid_shape(shape, spacing)
     nodes = np.empty((rows, columns, 2), np.float32)
@@ -51,9 +51,9 @@ def node_positions(shape: tuple[int, int], spacing: int) -> Array:
 
 @compiled
 def to_pixels(values: Array, spacing: int, height: int, width: int) -> Array:
-    """The nodes' values (gh, gw, c) at the pixels of an (h, w) region, (h, w, c), bilinear, float32.
+    """Interpolate nodes' values (gh, gw, c) at the pixels of an (h, w) region, (h, w, c), bilinear, float32.
 
-    Past the outer nodes they go on as they are.
+    Values are constant past the outer nodes.
     """
     rows, columns, components = values.shape
     pixels = np.empty((height, width, components), np.float32)
@@ -81,7 +81,7 @@ def to_pixels(values: Array, spacing: int, height: int, width: int) -> Array:
 
 @compiled
 def _pixel_taps(length: int, nodes: int, spacing: int) -> tuple[Array, Array, Array]:
-    """The two nodes along one axis that each pixel lies between, and the share of the second."""
+    """Return the two nodes along one axis that each pixel lies between, and the share of the second."""
     first, second = np.empty(length, np.int64), np.empty(length, np.int64)
     share = np.empty(length, np.float32)
     for i in range(length):
@@ -94,7 +94,7 @@ def _pixel_taps(length: int, nodes: int, spacing: int) -> tuple[Array, Array, Ar
 
 @compiled
 def bilinear_taps(points: Array, rows: int, columns: int, spacing: int) -> tuple[Array, Array]:
-    """Indices (n, 4) of the nodes around each point, and the point's shares (n, 4) in them; they sum to 1."""
+    """Return the indices (n, 4) of the nodes around each point and its shares (n, 4) in them, of sum 1."""
     nodes, shares = np.empty((points.shape[0], 4), np.int64), np.empty((points.shape[0], 4))
     for point in range(points.shape[0]):
         u = min(max((np.float64(points[point, 0]) + 0.5) / spacing - 0.5, 0.0), columns - 1.0)
@@ -111,7 +111,7 @@ def bilinear_taps(points: Array, rows: int, columns: int, spacing: int) -> tuple
 
 @compiled
 def point_misfit(values: Array, field: Array, nodes: Array, shares: Array) -> Array:
-    """Points' values (n, 2) less those of a (2, gh, gw) field."""
+    """Return points' values (n, 2) less those of a (2, gh, gw) field."""
     flat, count = field.reshape(-1), field.shape[1] * field.shape[2]
     misfit = np.empty((values.shape[0], 2))
     for point in range(values.shape[0]):
@@ -137,7 +137,7 @@ def lump(
     precisions : (n,) float64
         Of the points.
     measured : (n, 2)
-        What they measured.
+        The measurements.
     prior_precision : float
         Of every node.
     shape : (gh, gw)
@@ -146,7 +146,7 @@ def lump(
     Returns
     -------
     (3, gh, gw) float64
-        Precision, and that times what was measured.
+        Precision, and precision times measurement in x and y.
     """
     total = np.zeros((3, shape[0] * shape[1]))
     total[0] = prior_precision

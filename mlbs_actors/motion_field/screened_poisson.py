@@ -6,8 +6,7 @@ of the Gaussian Markov random field of :mod:`mlbs_actors.motion_field.field`.
 
 With the nodes numbered along the grid's shorter side, all its elements, and those of its Cholesky factor, lie
 within that side's length w of the diagonal: LAPACK factorises it in O(long side · w³). The marginal
-variances, which loopy message passing would not give, are the diagonal of A⁻¹, exactly, by selected
-inversion.
+variances, which loopy message passing would not give exactly, are the diagonal of A⁻¹, by selected inversion.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ __all__ = ["factorised", "inverse_diagonal", "solved"]
 
 
 def factorised(screening: Array, edge: float) -> Array:
-    """Return the Cholesky factor C of A = C Cᵀ.
+    """Compute the Cholesky factor C of A = C Cᵀ.
 
     Parameters
     ----------
@@ -73,7 +72,7 @@ def solved(factor: Array, right: Array) -> Array:
 
 
 def inverse_diagonal(factor: Array, shape: tuple[int, int]) -> Array:
-    """Return the diagonal of A⁻¹.
+    """Compute the diagonal of A⁻¹.
 
     With A = L D Lᵀ, the elements of Z = A⁻¹ that the diagonal needs lie within w of it, too (Takahashi, Fagan
     and Chen 1973): Z_ij = −Σ_k Z_ik L_kj for j < i ≤ j + w and Z_jj = 1/D_j − Σ_k Z_jk L_kj, for
@@ -100,15 +99,15 @@ def inverse_diagonal(factor: Array, shape: tuple[int, int]) -> Array:
 
 
 def _along_shorter_side(values: Array) -> Array:
-    """A map whose rows are the grid's shorter side."""
+    """Orient a map so that its rows are the grid's shorter side."""
     return values if values.shape[0] >= values.shape[1] else np.ascontiguousarray(values.T)
 
 
 @compiled
 def _banded(screening: Array, edge: float) -> Array:
-    """A in LAPACK's lower banded form, of a grid whose rows are its shorter side."""
+    """Return A in LAPACK's lower banded form, of a grid whose rows are its shorter side."""
     rows, width = screening.shape
-    band = np.zeros((rows * width, width + 1)).T  # in Fortran's order, as LAPACK takes it
+    band = np.zeros((rows * width, width + 1)).T  # Fortran order, as LAPACK takes it
     for v in range(rows):
         for u in range(width):
             node = v * width + u
@@ -117,17 +116,17 @@ def _banded(screening: Array, edge: float) -> Array:
             if u + 1 < width:
                 band[1, node] = -edge
             if v + 1 < rows:
-                band[width, node] = -edge  # the very element beside the diagonal where a row is one node
+                band[width, node] = -edge  # the same element where a row has one node
     return band
 
 
 @compiled
 def _inverse_diagonal(lower: Array, pivots: Array) -> Array:
-    """Diagonal of (L D Lᵀ)⁻¹; row j of ``lower`` (n, w + 1) holds L's elements (j, j) … (j + w, j)."""
+    """Compute the diagonal of (L D Lᵀ)⁻¹; row j of ``lower`` (n, w + 1) holds L's (j, j) … (j + w, j)."""
     size, width = lower.shape[0], lower.shape[1] - 1
     # inverse[i, width + k] is Z's element (i, i + k), on both sides of the diagonal.
     inverse = np.zeros((size + width, 2 * width + 1))
-    # Places in a flat array, without a sign: thousands of slices of a dozen elements would take longer.
+    # Unsigned offsets into a flat array: thousands of slices of a dozen elements would take longer.
     flat, column, line = inverse.reshape(-1), np.empty(width), np.uint64(2 * width + 1)
     diagonal = np.empty(size)
     for node in range(size - 1, -1, -1):

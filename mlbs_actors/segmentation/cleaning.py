@@ -1,10 +1,10 @@
-"""Specks and pinholes of a label map (§7; the authors' program cleans the map it learns from).
+"""Removal of specks and holes from a label map (§7; the authors' program cleans the map it learns from).
 
 Components are found by their runs (:mod:`mlbs_actors.segmentation.label_runs`).
 
-Differs from the authors' program, which publishes the raw map and learns from the cleaned one: here they
-are the same map. A component smaller than the limit goes to the neighbour with the longest common border;
-the largest component of a label is never a speck, so a small far object survives.
+Differs from the authors' program, which publishes the raw map and learns from the cleaned one: here they are
+the same map. A component smaller than the limit goes to the neighbour with the longest common border; the
+largest component of a label is never a speck, so a small distant object survives.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ def clean_labels(labels: Array, box: tuple[int, int, int, int], speck_px: float,
     bottom, right = top + height, left + width
     cleaned = labels[top:bottom, left:right]
     rows, starts, ends, of_run = label_runs(cleaned, False)
-    # The background goes on where it meets a side that is not the frame's.
+    # The background continues past any side that is not the frame's.
     beyond = (left > 0, top > 0, right < labels.shape[1], bottom < labels.shape[0])
     label_of, areas = _measured(cleaned, rows, starts, ends, of_run, beyond, labels.size - cleaned.size)
     largest = np.full(label_of.max() + 1, -1)
     for one in range(areas.size):
         if largest[label_of[one]] < 0 or areas[one] > areas[largest[label_of[one]]]:
             largest[label_of[one]] = one
-    # Specks first: they must not become holes of what is filled.
+    # Specks first: they must not become part of a hole.
     for label in range(largest.size - 1, -1, -1):
         limit = hole_px if label == BACKGROUND else speck_px
         for one in range(areas.size):
@@ -58,7 +58,7 @@ def _measured(
     labels: Array, rows: Array, starts: Array, ends: Array, of_run: Array,
     beyond: tuple[bool, bool, bool, bool], area_beyond: int,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Label and area of each component; ``beyond`` says where more follows: left, top, right, bottom."""
+    """Return label and area of each component; ``beyond`` flags open sides: left, top, right, bottom."""
     height, width = labels.shape
     count = of_run.max() + 1
     label_of, areas = np.zeros(count, np.int64), np.zeros(count, np.int64)
@@ -81,7 +81,7 @@ def _measured(
 
 @compiled
 def _give_away(labels: Array, rows: Array, starts: Array, ends: Array) -> None:
-    """Give a component to the label that most of the pixels around it have, the lowest of several."""
+    """Give a component the label of most of the pixels around it, the lowest of several."""
     top, bottom = max(rows[0] - 1, 0), min(rows[-1] + 2, labels.shape[0])
     left, right = max(starts.min() - 1, 0), min(ends.max() + 1, labels.shape[1])
     inside = np.zeros((bottom - top, right - left), np.bool_)

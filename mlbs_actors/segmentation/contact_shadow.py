@@ -1,9 +1,9 @@
 """Contact shadows: the strip between an object and the ground that no light reaches.
 
-Not in the paper. There, as between the wheels of a car, nothing is left of the ground's colour
-(:mod:`mlbs_actors.segmentation.shadows`), and black tyres and bumpers look alike. The place decides: a flat
-smooth dark strip at an object's foot that rests on the ground. Feet of one object stand at different heights
-of the picture, so each piece of it is looked at by itself.
+Not in the paper. There, as between the wheels of a car, the ground's colour is lost
+(:mod:`mlbs_actors.segmentation.shadows`), and black tyres and bumpers look alike. Position decides: a flat,
+smooth, dark strip at the foot of an object that stands on the ground. Feet of one object are at different
+heights in the picture, so each piece of it is examined by itself.
 """
 
 from __future__ import annotations
@@ -11,26 +11,20 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from mlbs_actors.config import SegmentationConfig
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import BACKGROUND, Array, Region
 from mlbs_actors.segmentation.label_runs import label_runs
 from mlbs_actors.segmentation.region_groups import grown, slices_in
-from mlbs_actors.segmentation.shadows import CHANNEL_NOISE, CHANNEL_SPREAD, Darkening
+from mlbs_actors.segmentation.shadows import Darkening
 
 __all__ = ["contact_shadow"]
 
-#: Log darkening of a contact shadow, and its steepest mean gradient over 5×5 px, grey levels/px of 640×480.
-CONTACT_DARK, CONTACT_SMOOTH = -0.7, 6.0
-#: It is at least this wide, in heights of its object, and so near above the ground, px of 640×480.
-CONTACT_WIDTH, CONTACT_GAP_PX = 0.3, 6.0
-#: Its edges, which are neither smooth nor flat, reach so far, px of a 640×480 frame.
-CONTACT_EDGE_PX = 4.0
-
 
 def contact_shadow(
-    labels: Array, frame: Array, dark: Darkening, side: int, scale: float, rise: float
+    labels: Array, frame: Array, dark: Darkening, side: int, scale: float, config: SegmentationConfig
 ) -> Array:
-    """The dark strip between an object's foot and the ground, as far as the label map gives it to the object.
+    """Find the dark strip between an object's foot and the ground that the label map gives to the object.
 
     Parameters
     ----------
@@ -44,26 +38,25 @@ def contact_shadow(
     side : int
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
-    rise : float
-        How high it may reach, as a share of the height of its piece of the object.
 
     Returns
     -------
     (h, w) bool
     """
-    unlit = _unlit(dark.mean, dark.spread, dark.brightness)
+    limits = map(np.float32, (config.contact_dark, config.channel_spread, config.channel_noise))
+    unlit = _unlit(dark.mean, dark.spread, dark.brightness, *limits)
     found = np.zeros(labels.shape, np.bool_)
     if not unlit.any():
         return found
     runs = label_runs(labels, True)
     pieces = _unlit_pieces(labels, *runs, unlit, side)
-    edge = 2 * int(CONTACT_EDGE_PX * scale) + 1
+    edge = 2 * int(config.contact_edge_px * scale) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge))
-    steepest, gap = np.float32(CONTACT_SMOOTH / scale), CONTACT_GAP_PX * scale
+    steepest, gap = np.float32(config.contact_smooth / scale), config.contact_gap_px * scale
     for piece, x, y, width, height in pieces.tolist():
-        feet, least = Region(x, y + height // 2, width, height - height // 2), CONTACT_WIDTH * height
+        feet, least = Region(x, y + height // 2, width, height - height // 2), config.contact_width * height
         body, above, foot, (left, top, right, bottom) = _foot(
-            labels, runs, piece, feet.box, unlit, side, rise * height, least
+            labels, runs, piece, feet.box, unlit, side, config.contact_shadow * height, least
         )
         if right <= left:
             continue
@@ -74,10 +67,11 @@ def contact_shadow(
 
 
 @compiled
-def _unlit(mean: Array, spread: Array, brightness: Array) -> Array:
-    """What is much darker than the ground, and alike in all channels."""
+def _unlit(
+    mean: Array, spread: Array, brightness: Array, darkest: np.float32, widest: np.float32, noise: np.float32
+) -> Array:
+    """Mark pixels much darker than the ground, and equally so in all channels."""
     unlit = np.empty(mean.shape, np.bool_)
-    darkest, widest, noise = np.float32(CONTACT_DARK), np.float32(CHANNEL_SPREAD), np.float32(CHANNEL_NOISE)
     for y in range(mean.shape[0]):
         for x in range(mean.shape[1]):
             tolerance = widest + noise / brightness[y, x]
@@ -89,12 +83,12 @@ def _unlit(mean: Array, spread: Array, brightness: Array) -> Array:
 def _unlit_pieces(
     labels: Array, rows: Array, starts: Array, ends: Array, component: Array, unlit: Array, side: int
 ) -> Array:
-    """The components of objects that have a pixel without light in their lower half: number, x, y, width and
-    height of each, (n, 5)."""
+    """Return number, x, y, width and height, (n, 5), of the objects' components that have an unlit pixel in
+    their lower half."""
     count = component.max() + 1
     left, right = np.full(count, labels.shape[1]), np.zeros(count, np.int64)
     top, bottom = np.full(count, labels.shape[0]), np.zeros(count, np.int64)
-    lowest = np.full(count, -1)  # row without light
+    lowest = np.full(count, -1)  # the lowest unlit row
     for run in range(rows.size):
         y = rows[run]
         if labels[y, starts[run]] == BACKGROUND:
@@ -122,9 +116,9 @@ def _foot(
     labels: Array, runs: tuple[Array, Array, Array, Array], piece: int, box: tuple[int, int, int, int],
     unlit: Array, side: int, highest: float, least: float,
 ) -> tuple[Array, Array, Array, tuple[int, int, int, int]]:  # fmt: skip
-    """In a box around the lower half of a piece: the piece; how many px it is down to the first that is no
-    object's, over H if the frame ends first; what of the piece has no light and is at most so high above the
-    ground; and the box (left, top, right, bottom) of what of that is at least so wide, empty if none is."""
+    """Crop to the lower half of a piece. Return the piece; the distance in px down to the first pixel of no
+    object, over H if the frame ends first; the unlit pixels close enough to the ground; and the box (left,
+    top, right, bottom) of those in wide enough runs, empty if there are none."""
     (rows, starts, ends, component), (left, top, width, height) = runs, box
     body = np.zeros((height, width), np.bool_)
     for run in range(rows.size):
@@ -154,7 +148,7 @@ def _foot(
 
 @compiled
 def _wide(mask: Array, least: float) -> Array:
-    """What of a mask lies in horizontal runs of at least so many px, rounded down to an odd number."""
+    """Keep the horizontal runs of a mask of at least this length, px, rounded down to an odd number."""
     wide = np.zeros(mask.shape, np.bool_)
     length = 2 * max(1, int(least / 2)) + 1
     for y in range(mask.shape[0]):
@@ -168,7 +162,7 @@ def _wide(mask: Array, least: float) -> Array:
 
 
 def _steepness(frame: Array, box: Region) -> Array:
-    """Mean gradient over 5×5 px in a box, grey levels/px."""
+    """Average the gradient over 5×5 px in a box, grey levels/px."""
     around = grown(box, 3, frame.shape)
     gray = cv2.cvtColor(frame[around.slices], cv2.COLOR_BGR2GRAY).astype(np.float32)
     slopes = (cv2.Sobel(gray, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
@@ -180,9 +174,9 @@ def _resting(
     foot: Array, above: Array, slopes: Array, left: int, top: int, steepest: np.float32, least: float,
     gap: float,
 ) -> Array:  # fmt: skip
-    """What of a foot is flat and wide and connected, corners included, with what is so near to the ground.
+    """Keep the flat, wide parts of a foot that are connected, also by corners, to pixels near the ground.
 
-    0 or 1, uint8; the slopes are those of a box in it, and beyond that nothing is wide enough.
+    0 or 1, uint8; the slopes are those of a box in it, beyond which nothing is wide enough.
     """
     height, width = slopes.shape
     flat = np.empty((height, width), np.bool_)
@@ -215,8 +209,8 @@ def _resting(
 
 @compiled
 def _take_strip(grown_core: Array, foot: Array, body: Array, found: Array, left: int, top: int) -> None:
-    """Add what of the foot the strip's edges reach, and what of the body is under that, down to the ground:
-    the shadow's lighter rim. The foot's box begins at (left, top) of what is found."""
+    """Add the foot's pixels within reach of the strip's edges, and the body below them down to the ground,
+    the shadow's lighter rim. The foot's box begins at (left, top) of ``found``."""
     height, width = foot.shape
     over = np.zeros(width, np.bool_)
     for y in range(height):

@@ -1,4 +1,4 @@
-"""What an outline costs between two pixels: little where the image has an edge (§7).
+"""Contrast-sensitive cost of an outline between two pixels: low where the image has an edge (§7).
 
 Differs from the paper: its pair factor q_ij = ±1 makes the pair term submodular only where its logarithm is
 positive. Here it is a contrast-sensitive Potts weight w ≥ 0, as in the authors' program, with the two
@@ -25,7 +25,7 @@ COST_QUANTUM = 1.0 / 1024.0
 
 @functools.lru_cache(maxsize=16)
 def weights_by_distance(strength: float, scale: float) -> Array:
-    """Return the weights by squared colour distance, which is an integer, (2, n) int32.
+    """Tabulate the weights by squared colour distance, which is an integer.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def weights_by_distance(strength: float, scale: float) -> Array:
     Returns
     -------
     (2, n) int32
-        Straight ones, then diagonal ones; the last, for all distances from there on, is 0. ``COST_QUANTUM``.
+        Straight ones, then diagonal ones; the last entry, for all larger distances, is 0. ``COST_QUANTUM``.
     """
     reach = scale * math.log(max(1.0, 2.0 * strength / COST_QUANTUM))
     straight = strength * np.exp(-np.arange(int(min(reach, 3 * 255**2)) + 1) / scale)
@@ -48,21 +48,21 @@ def weights_by_distance(strength: float, scale: float) -> Array:
 
 @compiled
 def contrast_weights(image: Array, box: tuple[int, int, int, int], table: Array) -> Array:
-    """Return contrast-sensitive Potts weights: strength · exp(−|ΔRGB|² / scale), diagonals divided by √2.
+    """Compute contrast-sensitive Potts weights: strength · exp(−|ΔRGB|² / scale), diagonals divided by √2.
 
     Parameters
     ----------
     image : (H, W, 3) uint8
         C-contiguous; the order of the channels does not matter.
     box : (left, top, width, height)
-        The part of it that is looked at.
+        The part to evaluate.
     table : (2, n) int32
         Of :func:`weights_by_distance`.
 
     Returns
     -------
     (height, width, 4) int32
-        To the neighbour at ``NEIGHBOUR_OFFSETS[k]``, k < 4; 0 where it would be outside. Units of
+        To the neighbour at ``NEIGHBOUR_OFFSETS[k]``, k < 4; 0 where that is outside. Units of
         ``COST_QUANTUM``.
     """
     left, top, width, height = box
@@ -73,12 +73,12 @@ def contrast_weights(image: Array, box: tuple[int, int, int, int], table: Array)
 
 @compiled
 def _weigh(planes: Array, table: Array, distances: Array, weights: Array) -> None:
-    """Weights from an image's padded planes, with room for the distances of a row, (4, w) int32."""
+    """Compute the weights from an image's padded planes, with scratch for a row's distances, (4, w) int32."""
     height, width, last = weights.shape[0], weights.shape[1], np.int32(table.shape[1] - 1)
     beside, below, diagonal, anti = distances[0], distances[1], distances[2], distances[3]
     results = weights.reshape(-1)
     for y in range(height):
-        for k in range(4):  # without a branch: this runs in vector registers
+        for k in range(4):  # branch-free, hence vectorised
             down, right = NEIGHBOUR_OFFSETS[k]
             distance = distances[k]
             blues, greens, reds = planes[0, y + 1], planes[1, y + 1], planes[2, y + 1]

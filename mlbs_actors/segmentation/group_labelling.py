@@ -1,4 +1,4 @@
-"""Labels the proposals of a group of regions, cleans them, and measures what each layer has won (§7).
+"""Labels one group of overlapping proposals: unaries, graph cut, cleaning, statistics of each layer (§7).
 
 Proposals (:mod:`mlbs_actors.segmentation.proposals`) that touch are labelled together: an energy of their
 cells and pixels, its graph cut, specks and holes, contact shadows.
@@ -35,7 +35,7 @@ __all__ = ["LayerStatistics", "Proposals", "Scene", "label_proposals"]
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What all groups of a frame have in common.
+    """Inputs that all groups of a frame share.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Scene:
 
 
 class Proposals(NamedTuple):
-    """What the layers of a group of regions may win, and what it costs them.
+    """Boxes of cells that the layers of a group may win, and their costs there.
 
     Attributes
     ----------
@@ -69,11 +69,11 @@ class Proposals(NamedTuple):
     boxes : (K, 4) int64
         Of :func:`~mlbs_actors.segmentation.proposals.proposal_boxes`.
     tracks : (K, 2) int64
-        Which trajectories are each layer's: the first one, and the one past the last.
+        First trajectory of each layer, and the one past its last.
     ids : (K,) uint16
         Of the layers, the background first.
     corner : (x, y)
-        Where ``cost`` begins in the frame, cells.
+        Position of ``cost`` in the frame, cells.
     side : int
         Of a cell, px.
     """
@@ -88,12 +88,12 @@ class Proposals(NamedTuple):
 
 
 class LayerStatistics(NamedTuple):
-    """What each layer has won in a label map.
+    """Pixels that each layer has won in a label map.
 
     Attributes
     ----------
     bounds : (K, 4) int64
-        Least x and y and largest x and y, px of the frame; without a meaning for a layer without pixels.
+        Least x and y and largest x and y, px of the frame; meaningless for a layer without pixels.
     sums : (K, 3) int64
         Number of its pixels, 0 for the background; sums of their x and y.
     likelihood : (K,) float64
@@ -115,9 +115,9 @@ def label_proposals(
     scene : Scene
     proposals : Proposals
     published : (H, W) uint16
-        The label map, filled in there; background elsewhere.
+        The label map, filled in here; background elsewhere.
     stage_ms : dict of str to float
-        What this takes is added to "cut" and "cleaning".
+        The time is added to "cut" and "cleaning".
 
     Returns
     -------
@@ -134,15 +134,13 @@ def label_proposals(
         cells = Region(proposals.corner[0] + box.x, proposals.corner[1] + box.y, box.width, box.height)
         pixels = in_pixels(cells, side, shape)
         dark = None if scene.ground is None else darkening(scene.means, scene.ground, cells, 1.0 / side)
-        labelling = minimise(_energy(scene, proposals, own, box, pixels, dark))
+        labelling = minimise(_energy(scene, proposals, own, box, pixels, dark), config.most_cut_whole)
         published[pixels.slices] = proposals.ids[own][labelling]
         cut = perf_counter()
         clean_labels(published, pixels.box, config.speck_px * scale**2, config.hole_px * scale**2)
         labels = published[pixels.slices].copy()
         if dark is not None and config.contact_shadow > 0:
-            strip = contact_shadow(
-                labels, scene.frame[pixels.slices], dark, side, scale, config.contact_shadow
-            )
+            strip = contact_shadow(labels, scene.frame[pixels.slices], dark, side, scale, config)
             labels[strip] = BACKGROUND
             published[pixels.slices] = labels
         _measure(labels, proposals, own, (box.x, box.y), statistics)
@@ -152,8 +150,8 @@ def label_proposals(
 
 
 def _touching(proposals: Proposals) -> Iterator[tuple[Array, Region]]:
-    """Layers whose proposals touch, the background first, (k,) int64, and a box around them, in the cells of
-    ``cost``."""
+    """Yield layers whose proposals touch, the background first, (k,) int64, and a box around them, in the
+    cells of ``cost``."""
     _, rows, columns = proposals.cost.shape
     corners = np.ascontiguousarray(proposals.boxes[1:, [2, 0, 3, 1]])
     group = merge_boxes(corners, rows, columns)
@@ -166,11 +164,12 @@ def _touching(proposals: Proposals) -> Iterator[tuple[Array, Region]]:
 def _energy(
     scene: Scene, proposals: Proposals, own: Array, box: Region, pixels: Region, dark: Darkening | None
 ) -> LabelCostEnergy:
-    """The energy of the labellings of a box, in ``COST_QUANTUM``."""
+    """Set up the energy of the labellings of a box, in ``COST_QUANTUM``."""
     config, side, shape = scene.config, proposals.side, scene.frame.shape[:2]
     costs, places = proposed_costs(proposals.cost, own, box.box, proposals.boxes)
     if dark is not None and config.shadow > 0:
-        discount_shadows(costs, places, shadow_likelihood(dark), np.float32(config.shadow / COST_QUANTUM))
+        likelihood = shadow_likelihood(dark, config)
+        discount_shadows(costs, places, likelihood, np.float32(config.shadow / COST_QUANTUM))
     pull = round(2.0 * config.track_cost / COST_QUANTUM)
     pulls = track_pulls(
         scene.positions, proposals.tracks[own], places * side, (pixels.x, pixels.y), shape, pull
@@ -186,7 +185,7 @@ def _energy(
 def _measure(
     labels: Array, proposals: Proposals, own: Array, corner: tuple[int, int], statistics: LayerStatistics
 ) -> None:
-    """Add what some layers have won in a box of cells, which begins at a corner of ``cost``."""
+    """Add the pixels that some layers have won in a box of cells, which begins at a corner of ``cost``."""
     (left, top), side = corner, proposals.side
     corner_x, corner_y = (proposals.corner[0] + left) * side, (proposals.corner[1] + top) * side
     position = np.zeros(proposals.ids[own].max() + 1, np.int64)

@@ -1,4 +1,4 @@
-"""Stretches of one label in a row of a label map: there are few of them, and they make up its components."""
+"""Runs of one label in the rows of a label map, and the components that they form."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""What of its region a layer could win: only there the energy of the labels is minimised (§7).
+"""Proposals: bounding boxes within which a layer can win pixels; the cut is restricted to them (§7).
 
-An object's region leaves room for where it may have moved to, and for parts of it that no trajectory has told
-of yet: of five of its cells four are the background's, by far. A layer's proposal is the box around the cells
-where it costs less than the background or has a trajectory: inside it contrast can give an object what it
-does not lead in, beyond it that has not made label maps better. What no proposal holds is the background's.
+An object's region leaves room for its motion, and for parts of it that have no trajectory yet: four of five
+of its cells clearly belong to the background. A layer's proposal is the box around the cells where it costs
+less than the background or has a trajectory: inside it contrast can give an object cells where it does not
+cost least; larger boxes have not made label maps better. Outside all proposals is background.
 
 Differs from the paper, which labels the whole frame with all layers at once.
 """
@@ -37,17 +37,17 @@ def proposal_boxes(
     positions : (n, 2) float32
         Trajectories, px of the frame.
     tracks : (K, 2) int64
-        Which of them are each layer's: the first one, and the one past the last.
+        First trajectory of each layer, and the one past its last.
     corner : (x, y)
-        Where the costs' box begins in the frame, cells.
+        Position of the costs' box in the frame, cells.
     side : int
         Of a cell, px.
 
     Returns
     -------
     (K, 4) int64
-        First row, row past the last, first column, column past the last: of the background its place, of any
-        other layer inside its place, and without a cell if it leads nowhere.
+        First row, row past the last, first column, column past the last: for the background its place, for
+        any other layer inside its place, and empty if it costs least nowhere and has no trajectory.
     """
     found = np.zeros_like(places)
     found[0] = places[0]

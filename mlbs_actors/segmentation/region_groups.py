@@ -1,9 +1,9 @@
-"""Groups of object regions that no pixel pair connects: each is a labelling problem of its own (§7).
+"""Groups of object regions without pixel pairs between them: each is an independent labelling problem (§7).
 
 A layer other than the background owns nothing outside its region, so two objects can be neighbours only where
 their regions touch. Boxes around the regions, grown by the reach of a pixel pair and merged while any two
-overlap, hence split the energy into a sum without common terms, as each label is paid for on its own and the
-background is free. Outside all boxes every pixel is background.
+overlap, hence split the energy into independent sums: each label cost belongs to one group and the background
+is free. Outside all boxes every pixel is background.
 
 Differs from the paper, which labels the whole frame with all layers at once.
 """
@@ -28,7 +28,7 @@ class RegionGroup:
     Attributes
     ----------
     box : Region
-        Around all of them and one pixel more on each side, as far as the frame goes.
+        Around all of them with a margin of one pixel, clipped to the frame.
     members : tuple of int
         Their positions in the given sequence, ascending.
     """
@@ -72,10 +72,10 @@ def merge_boxes(corners: Array, height: int, width: int) -> Array:
     Parameters
     ----------
     corners : (n, 4) int64
-        Left, top, right and bottom; those of the first of a group become the group's, the others' have no
-        meaning then.
+        Left, top, right and bottom; those of the first of a group become the group's, the others' become
+        meaningless.
     height, width : int
-        Of the frame, in which they stay.
+        Of the frame, to which they are clipped.
 
     Returns
     -------
@@ -105,12 +105,12 @@ def merge_boxes(corners: Array, height: int, width: int) -> Array:
 
 
 def slices_in(region: Region, box: Region) -> tuple[slice, slice]:
-    """Row and column slices that cut a region out of an array of the box around it."""
+    """Return row and column slices that cut a region out of an array of the box around it."""
     return Region(region.x - box.x, region.y - box.y, region.width, region.height).slices
 
 
 def grown(box: Region, reach: int, shape: tuple[int, ...]) -> Region:
-    """The box and what a filter of this reach needs around it."""
+    """Grow a box by the reach of a filter, inside the frame."""
     x, y = max(box.x - reach, 0), max(box.y - reach, 0)
     right, bottom = min(box.x + box.width + reach, shape[1]), min(box.y + box.height + reach, shape[0])
     return Region(x, y, right - x, bottom - y)

@@ -2,12 +2,12 @@
 
 E(L) = Σ_i −log P_post(l_i) + Σ_i tracks(l_i) + Σ_i shadow(l_i) + Σ_(i,j) w_ij [l_i ≠ l_j] + Σ_k h_k δ_k(L)
 
-Differs from the paper: the trajectories' own data cost (there for new layers) is always there, not only where
-samples are missing: trajectory labels decide, contrast draws the outline, appearance repairs. Cast shadows,
-which move with an object, are told from it (:mod:`mlbs_actors.segmentation.shadows`). The published map is
-the cleaned one (specks, pinholes and contact shadows removed), and it is the one the layers learn from. A
-layer other than the background can own nothing outside its region, so regions near each other are looked at
-together and by themselves (:mod:`mlbs_actors.segmentation.region_groups`); in them the layers' proposals
+Differs from the paper: the trajectories' own data cost (there for new layers only) is always added, not only
+where samples are missing: trajectory labels decide, contrast draws the outline, appearance repairs. Cast
+shadows, which move with an object, are separated from it (:mod:`mlbs_actors.segmentation.shadows`). The
+published map is the cleaned one (specks, holes and contact shadows removed), and the layers learn from it. A
+layer other than the background can own nothing outside its region, so nearby regions form independent groups
+(:mod:`mlbs_actors.segmentation.region_groups`); in them the layers' proposals
 (:mod:`mlbs_actors.segmentation.proposals`) are labelled (:mod:`mlbs_actors.segmentation.group_labelling`).
 """
 
@@ -41,7 +41,7 @@ __all__ = ["Segmenter", "SegmenterState"]
 
 @dataclass(slots=True)
 class SegmenterState:
-    """Everything that steers the segmenter's next frame.
+    """Everything that determines the segmenter's next frame.
 
     Attributes
     ----------
@@ -73,9 +73,8 @@ class Segmenter:
 
     Parameters
     ----------
-    config : Config
     state : SegmenterState, optional
-        To go on from a snapshot; a new stream by default.
+        To continue from a snapshot; a new stream by default.
     """
 
     def __init__(self, config: Config, state: SegmenterState | None = None) -> None:
@@ -119,8 +118,9 @@ class Segmenter:
         side = posteriors[0].cell
         means, ground = mean_of_cells(frame, side), None
         if settings.shadow > 0 or settings.contact_shadow > 0:
-            ground = ground_colour(means, evidence, self.state.labels, length_scale(*evidence.shape))
-        # Read-only here as between processes: kernels are compiled for one kind of memory.
+            scale = length_scale(*evidence.shape)
+            ground = ground_colour(means, evidence, self.state.labels, scale, settings)
+        # Read-only as between processes: kernels are compiled separately for writable arrays.
         image = np.ascontiguousarray(frame).view()
         image.setflags(write=False)
         scene = Scene(settings, image, evidence.positions, means, ground)
@@ -195,7 +195,7 @@ class Segmenter:
         result: _Maps,
         stage_ms: dict[str, float],
     ) -> list[LayerSummary]:
-        """Fill in one group's cells of the maps, in which only the background and its members live."""
+        """Fill in one group's cells of the maps, where only the background and its members are possible."""
         start = perf_counter()
         side, corner = members[0].cell, (cells.x, cells.y)
         weight, half = self.config.posterior.appearance, self.config.appearance.half_confidence_samples
@@ -213,7 +213,7 @@ class Segmenter:
 
 @dataclass(frozen=True, slots=True)
 class _Maps:
-    """The arrays of a `Segmentation`."""
+    """The maps of a `Segmentation`."""
 
     labels: Array
     normaliser: Array
@@ -221,12 +221,12 @@ class _Maps:
 
     @classmethod
     def of_background(cls, shape: tuple[int, int], grid: tuple[int, int]) -> _Maps:
-        """What holds where no object has a say, of so many pixels and cells."""
+        """Return the maps of a frame without objects, for this many pixels and cells."""
         return cls(np.zeros(shape, np.uint16), np.full(grid, 255, np.uint8), np.zeros(grid, np.int8))
 
 
 def _summaries(statistics: LayerStatistics, posteriors: list[LayerPosterior]) -> list[LayerSummary]:
-    """Summaries of the layers that have won a pixel."""
+    """Summarise the layers that have won a pixel."""
     rows = []
     measured = (one.tolist() for one in statistics)
     for one, bounds, sums, likelihood in zip(posteriors, *measured, strict=True):
@@ -248,7 +248,7 @@ def _summaries(statistics: LayerStatistics, posteriors: list[LayerPosterior]) ->
 
 
 def _slowest(posteriors: list[LayerPosterior]) -> dict[str, float]:
-    """The layers work side by side: of each stage the slowest counts."""
+    """Return each stage's time in the slowest layer, as layers run in parallel."""
     stages: dict[str, float] = {}
     for one in posteriors:
         for stage, duration in one.stage_ms.items():

@@ -1,9 +1,9 @@
-"""Cast shadows: they move with an object and are none of it.
+"""Cast shadows: they move with an object but are not part of it.
 
-Not in the paper. A shadow is ground with less light: its colour is the ground's, darker by a like factor in
-all channels. The ground's colour is taken from what lies around the objects in the same frame, so that it
-needs no memory: near a moving object the ground has often never been seen without its shadow. Where no light
-reaches nothing is left of it: there the place decides (:mod:`mlbs_actors.segmentation.contact_shadow`).
+Not in the paper. A shadow is ground with less light: its colour is the ground's, darkened by a similar factor
+in all channels. The ground's colour is estimated around the objects in the same frame, without memory: near a
+moving object the ground has often never been seen without its shadow. Where no light reaches the ground, its
+colour is lost and position decides (:mod:`mlbs_actors.segmentation.contact_shadow`).
 """
 
 from __future__ import annotations
@@ -14,50 +14,33 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from mlbs_actors.config import SegmentationConfig
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.layer.trajectory_distance import trajectory_distance
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 
-__all__ = [
-    "CHANNEL_NOISE",
-    "CHANNEL_SPREAD",
-    "Darkening",
-    "darkening",
-    "ground_colour",
-    "shadow_likelihood",
-]
+__all__ = ["Darkening", "darkening", "ground_colour", "shadow_likelihood"]
 
-#: The ground's colour is found on the frame shrunk by this.
+#: The ground's colour is estimated on the frame shrunk by this factor.
 SHRINK = 4
-#: Pixels this near to an object's trajectory may be the object itself, px of a 640×480 frame.
-NEAR_PX = 16.0
-#: How far the blur of the picture looks, px.
+#: Reach of the blur of the picture, px.
 BLUR_REACH = 4
 #: Side of the square around a shrunk pixel in which last frame's map must show no object either.
 GROWN = 3
-#: Standard deviation over which ground is looked for, twice shrunk px; where there is none, twice that, so
-#: often.
-REACH, DOUBLINGS = 1.5, 4
-#: Least share of ground within a reach, of four pixels.
-LEAST_GROUND = 4 * 0.05
-#: Log darkening at which a shadow begins, over which that is certain, and the same for the darkest.
-LIGHTEST, LIGHTEST_RAMP, DARKEST, DARKEST_RAMP = -0.10, 0.15, -2.2, 0.3
-#: Log darkening may differ by this between the channels, and by so many grey levels more in the dark.
-CHANNEL_SPREAD, CHANNEL_NOISE = 0.25, 6.0
-#: Variance of the ground's log colour above which nothing is said.
-GROUND_VARIANCE = 0.04
-#: What stands for it where there is no ground within any reach.
+#: Where there is no ground within the reach, the reach is doubled, this many times.
+DOUBLINGS = 4
+#: Variance of the ground where there is no ground within any reach.
 NO_GROUND = 1e3
 
 
 @dataclass(frozen=True, slots=True)
 class Darkening:
-    """How each pixel's colour differs from that of the ground near it, in one box of a picture.
+    """Difference of each pixel's colour from that of the ground near it, in one box of a picture.
 
     Attributes
     ----------
     mean : (h, w) float32
-        Logarithm of colour over ground's colour, mean of the channels.
+        Logarithm of the colour's ratio to the ground's, mean of the channels.
     spread : (h, w) float32
         Its range over the channels.
     brightness : (h, w) float32
@@ -72,8 +55,10 @@ class Darkening:
     variance: Array
 
 
-def ground_colour(picture: Array, evidence: FrameEvidence, previous: Array, scale: float) -> Array | None:
-    """The colour of the ground near each pixel, from what is no object's.
+def ground_colour(
+    picture: Array, evidence: FrameEvidence, previous: Array, scale: float, config: SegmentationConfig
+) -> Array | None:
+    """Estimate the colour of the ground near each pixel from pixels of no object.
 
     Parameters
     ----------
@@ -98,11 +83,11 @@ def ground_colour(picture: Array, evidence: FrameEvidence, previous: Array, scal
         return None
     size = (max(1, width // SHRINK), max(1, height // SHRINK))
     colour = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    free: Array = trajectory_distance(positions, Region(0, 0, *size), SHRINK) >= NEAR_PX * scale
+    free: Array = trajectory_distance(positions, Region(0, 0, *size), SHRINK) >= config.ground_px * scale
     if previous.size:
         shown = cv2.resize(previous, size, interpolation=cv2.INTER_NEAREST) > BACKGROUND
         free &= cv2.dilate(shown.view(np.uint8), np.ones((GROWN, GROWN), np.uint8)) == 0
-    return _spread_into_objects(colour, free)
+    return _spread_into_objects(colour, free, config)
 
 
 def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darkening:
@@ -127,26 +112,27 @@ def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darken
     return Darkening(*_compared(smooth, ground, box.y, box.x, picture.shape[:2], _LOG))
 
 
-def shadow_likelihood(dark: Darkening) -> Array:
-    """How much each pixel looks like the ground near it with less light.
-
-    Parameters
-    ----------
-    dark : Darkening
+def shadow_likelihood(dark: Darkening, config: SegmentationConfig) -> Array:
+    """Rate how much each pixel looks like the ground near it with less light.
 
     Returns
     -------
     (h, w) float32
         0 = no shadow … 1 = darker ground.
     """
-    likelihood: Array = _shadow_likelihood(dark.mean, dark.spread, dark.brightness, dark.variance)
+    lightest = config.shadow_lightest, config.shadow_lightest_ramp
+    darkest = config.shadow_darkest, config.shadow_darkest_ramp
+    most = config.channel_spread, config.channel_noise, config.ground_variance
+    likelihood: Array = _shadow_likelihood(
+        dark.mean, dark.spread, dark.brightness, dark.variance, lightest, darkest, most
+    )
     return likelihood
 
 
 @functools.lru_cache(maxsize=16)
 def _blur_weights(blur: float) -> Array:
-    """Weights of a Gaussian of this standard deviation, at most 1 px, as OpenCV smooths 8-bit pictures with
-    it: (2 · 4 + 1,) int32, parts of 256."""
+    """Return the weights of a Gaussian of this standard deviation, at most 1 px, as OpenCV smooths 8-bit
+    pictures: (2 · 4 + 1,) int32, parts of 256."""
     flat = np.zeros((1, 4 * BLUR_REACH + 1), np.uint8)
     flat[0, 2 * BLUR_REACH] = 255
     smooth = cv2.GaussianBlur(np.repeat(flat, 4 * BLUR_REACH + 1, axis=0), (0, 0), blur)
@@ -157,13 +143,13 @@ def _blur_weights(blur: float) -> Array:
 
 @compiled
 def _smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) -> Array:
-    """A box of a picture (h, w, 3) uint8, smoothed; past the picture's border it is mirrored at that."""
+    """Smooth a box of a picture (h, w, 3) uint8; the picture is mirrored at its border."""
     left, top, width, height = box
     middle = weights.size // 2
     reach = middle
     while reach > 0 and weights[middle - reach] == 0:
         reach -= 1
-    # Of a row of pixels those inside the picture first: that runs in vector registers.
+    # The pixels of a row inside the picture first: that loop is vectorised.
     first, last = max(reach - left, 0), min(picture.shape[1] + reach - left, width + 2 * reach)
     column, row = np.empty(3 * (width + 2 * reach), np.int32), np.empty(3 * width, np.int32)
     smooth = np.empty((height, width, 3), np.uint8)
@@ -193,28 +179,31 @@ def _smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) ->
 
 @compiled
 def _mirrored(at: int, length: int) -> int:
-    """A place of a row, mirrored at the row's first and last pixel."""
+    """Mirror an index at the first and last pixel of a row."""
     while length > 1 and not 0 <= at < length:
         at = -at if at < 0 else 2 * length - 2 - at
     return at if length > 1 else 0
 
 
 @compiled
-def _shadow_likelihood(mean: Array, spread: Array, brightness: Array, variance: Array) -> Array:
+def _shadow_likelihood(
+    mean: Array, spread: Array, brightness: Array, variance: Array, lightest: tuple[float, float],
+    darkest: tuple[float, float], most: tuple[float, float, float],
+) -> Array:  # fmt: skip
     likelihood = np.empty(mean.shape, np.float32)
     for y in range(mean.shape[0]):
         for x in range(mean.shape[1]):
-            tolerance = CHANNEL_SPREAD + CHANNEL_NOISE / brightness[y, x]
-            value = min(max((LIGHTEST - mean[y, x]) / LIGHTEST_RAMP, 0.0), 1.0)
-            value *= min(max((mean[y, x] - DARKEST) / DARKEST_RAMP, 0.0), 1.0)
+            tolerance = most[0] + most[1] / brightness[y, x]
+            value = min(max((lightest[0] - mean[y, x]) / lightest[1], 0.0), 1.0)
+            value *= min(max((mean[y, x] - darkest[0]) / darkest[1], 0.0), 1.0)
             value *= min(max(2.0 - 2.0 * spread[y, x] / tolerance, 0.0), 1.0)
-            value *= min(max(2.0 - variance[y, x] / GROUND_VARIANCE, 0.0), 1.0)
+            value *= min(max(2.0 - variance[y, x] / most[2], 0.0), 1.0)
             likelihood[y, x] = value
     return likelihood
 
 
-def _spread_into_objects(colour: Array, free: Array) -> Array:
-    """Mean log colour and its variance, (h / 2, w / 2, 4) float32, of the free pixels within a reach."""
+def _spread_into_objects(colour: Array, free: Array, config: SegmentationConfig) -> Array:
+    """Return mean log colour and its variance, (h / 2, w / 2, 4) float32, of the free pixels in reach."""
     weighted = [_moments(colour, free, _LOG)]
     for _ in range(DOUBLINGS):
         weighted.append(cv2.pyrDown(weighted[-1]))
@@ -223,13 +212,14 @@ def _spread_into_objects(colour: Array, free: Array) -> Array:
     for level in reversed(weighted):
         if ground.shape[:2] != level.shape[:2]:
             ground = cv2.pyrUp(ground, dstsize=level.shape[1::-1])
-        _take_where_found(cv2.GaussianBlur(level, (0, 0), REACH), ground)
+        smooth = cv2.GaussianBlur(level, (0, 0), config.ground_reach)
+        _take_where_found(smooth, ground, 4 * config.ground_share)  # of four pixels
     return ground
 
 
 @compiled
 def _moments(colour: Array, free: Array, log_of: Array) -> Array:
-    """Sums of log colour, its square and 1 over the free pixels of 2×2: (⌈h/2⌉, ⌈w/2⌉, 7) float32."""
+    """Sum log colour, its square and 1 over the free pixels of 2×2: (⌈h/2⌉, ⌈w/2⌉, 7) float32."""
     height, width = free.shape
     moments = np.zeros(((height + 1) // 2, (width + 1) // 2, 7), np.float32)
     for y in range(height):
@@ -245,13 +235,13 @@ def _moments(colour: Array, free: Array, log_of: Array) -> Array:
 
 
 @compiled
-def _take_where_found(moments: Array, ground: Array) -> None:
-    """Put mean log colour and variance into ``ground`` where there is enough of it within the reach."""
+def _take_where_found(moments: Array, ground: Array, least_share: float) -> None:
+    """Write mean log colour and variance into ``ground`` where there is enough of it within the reach."""
     height, width, _ = ground.shape
     for y in range(height):
         for x in range(width):
             share = moments[y, x, 6]
-            if share > LEAST_GROUND:
+            if share > least_share:
                 variance = np.float32(0.0)
                 for c in range(3):
                     mean = moments[y, x, c] / share
@@ -264,7 +254,7 @@ def _take_where_found(moments: Array, ground: Array) -> None:
 def _compared(
     smooth: Array, ground: Array, top: int, left: int, frame_shape: tuple[int, int], log_of: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """The fields of `Darkening` in a box; the ground is interpolated bilinearly."""
+    """Compute the fields of `Darkening` in a box; the ground is interpolated bilinearly."""
     height, width, _ = smooth.shape
     mean, spread = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     brightness, variance = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
@@ -297,7 +287,7 @@ def _compared(
 
 @compiled
 def _between(pixel: int, ratio: float, count: int) -> tuple[int, int, float]:
-    """The two pixels of a shrunk row of ``count`` next to a pixel of the row, and the share of the second."""
+    """Return the two pixels of a shrunk row next to a pixel of the row, and the second's share."""
     place = min(max((pixel + 0.5) * ratio - 0.5, 0.0), count - 1.0)
     first = int(place)
     return first, min(first + 1, count - 1), place - first

@@ -1,8 +1,8 @@
-"""What each label costs at a pixel, as the graph cut takes it: the first three terms of its energy (§7).
+"""Unary costs of the graph cut: the first three terms of its energy (§7).
 
-The costs of the layers' posteriors, the trajectories' own data cost, and what a cast shadow takes away, in
-quanta of the cut and for each label where it may be (:mod:`mlbs_actors.segmentation.segmenter` says how these
-differ from the paper).
+The costs of the layers' posteriors, the trajectories' own data cost, and the discount for cast shadows, in
+quanta of the cut and for each label where it is allowed (:mod:`mlbs_actors.segmentation.segmenter` says how
+they differ from the paper).
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ def proposed_costs(
     Returns
     -------
     costs : (k, height, width) int32
-        Of a pixel, ``COST_QUANTUM``; only made where a layer has a proposal, outside which it owns nothing.
+        Of a pixel, ``COST_QUANTUM``; valid only where a layer has a proposal, outside which it owns nothing.
     places : (k, 4) int64
-        Where that is: first row, row past the last, first column, column past the last.
+        That box: first row, row past the last, first column, column past the last.
     """
     left, top, width, height = box
     costs, places = np.empty((own.size, height, width), np.int32), np.empty((own.size, 4), np.int64)
@@ -59,10 +59,10 @@ def proposed_costs(
 def track_pulls(
     positions: Array, tracks: Array, places: Array, corner: tuple[int, int], shape: tuple[int, int], pull: int
 ) -> Array:
-    """The trajectories' data cost: −c for their own label at their pixel, +c for every other.
+    """Compute the trajectories' data cost: −c for their own label at their pixel, +c for every other.
 
-    Up to a constant, which does not matter, that is −2c for their own: label, row, column, cost of each that
-    lies in its label's place, which is given in pixels.
+    Up to a constant that is −2c for their own: label, row, column and cost of each that lies in its label's
+    place, which is given in pixels.
     """
     pulls = np.empty(((tracks[:, 1] - tracks[:, 0]).sum(), 4), np.int64)
     count = 0
@@ -70,7 +70,7 @@ def track_pulls(
         own = positions[tracks[label, 0] : tracks[label, 1]]
         top, bottom = places[label, 0] + corner[1], places[label, 1] + corner[1]
         left, right = places[label, 2] + corner[0], places[label, 3] + corner[0]
-        # What lies outside the frame has the pull at its border.
+        # A trajectory outside the frame pulls at its border.
         inside = points_in_box(
             own,
             left if left > 0 else -np.inf,
@@ -88,7 +88,7 @@ def track_pulls(
 
 @compiled
 def discount_shadows(costs: Array, places: Array, shadow: Array, strength: np.float32) -> None:
-    """Take away, as far as a cell is a shadow, what an object has over the background, and a little more."""
+    """Discount what an object costs less than the background in a shadow, and a little more."""
     for label in range(1, costs.shape[0]):
         top, bottom, left, right = places[label]
         for y in range(top, bottom):

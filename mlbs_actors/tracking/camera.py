@@ -1,9 +1,9 @@
 """The camera's own motion between two frames: a homography fitted to background trajectories.
 
-The paper has no camera model. Here trajectories are compared by what the camera's motion leaves of theirs, so
-that a roll or a zoom, whose motion differs from place to place, does not look like objects. A homography does
-not explain parallax. Where a camera drives through a scene, :mod:`mlbs_actors.tracking.epipolar` does;
-elsewhere parallax stays in the residuals and is the clustering's business.
+The paper has no camera model. Here trajectories are compared by their residuals against the camera's motion,
+so that a roll or a zoom, whose motion differs from place to place, does not look like objects. A homography
+does not explain parallax. Where a camera drives through a scene, :mod:`mlbs_actors.tracking.epipolar` does;
+elsewhere parallax stays in the residuals for the clustering to judge.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from mlbs_actors.config import TrajectoriesConfig
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
@@ -24,16 +25,8 @@ __all__ = [
     "homography_of_cells",
 ]
 
-#: Reprojection error of an inlier, px.
-INLIER_PX = 1.0
-#: Bounds of what is taken for noise between two frames, grey levels. Where the median difference is larger,
-#: the camera model fails or the scene is full of fine texture; a smooth object differs by less than that.
-LEAST_NOISE, MOST_NOISE = 2.0, 3.5
-#: Fewer points than this do not determine a homography that can be trusted; a translation is used.
-LEAST_POINTS = 12
 
-
-def camera_homography(positions: Array, motions: Array, scale: float) -> Array:
+def camera_homography(positions: Array, motions: Array, scale: float, config: TrajectoriesConfig) -> Array:
     """Fit the background's backward motion by RANSAC (seeded inside OpenCV) and least squares.
 
     Parameters
@@ -52,8 +45,9 @@ def camera_homography(positions: Array, motions: Array, scale: float) -> Array:
         determine more.
     """
     matrix = None
-    if len(positions) >= LEAST_POINTS:
-        matrix, _ = cv2.findHomography(positions, positions + motions, cv2.RANSAC, INLIER_PX * scale)
+    if len(positions) >= config.camera_tracks:
+        inlier = config.camera_inlier_px * scale
+        matrix, _ = cv2.findHomography(positions, positions + motions, cv2.RANSAC, inlier)
     if matrix is None or not np.isfinite(matrix).all() or not 0.5 < _enlargement(matrix) < 2.0:
         matrix = np.eye(3)
         if len(positions):
@@ -62,14 +56,14 @@ def camera_homography(positions: Array, motions: Array, scale: float) -> Array:
 
 
 def _enlargement(matrix: Array) -> float:
-    """How much larger a homography (3, 3) makes areas, but for its perspective."""
+    """Return the factor by which a homography (3, 3) enlarges areas, its perspective aside."""
     (xx, xy, _), (yx, yy, _), _ = matrix.tolist()
     return float(xx * yy - xy * yx)
 
 
 @compiled
 def homography_motion(matrix: Array, positions: Array) -> Array:
-    """Backward motion that a homography gives each point.
+    """Return the backward motion of each point under a homography.
 
     Parameters
     ----------
@@ -136,7 +130,9 @@ class CameraEvidence:
     advantage: Array
 
 
-def camera_evidence(previous: Array, current: Array, matrix: Array, flow: Array, side: int) -> CameraEvidence:
+def camera_evidence(
+    previous: Array, current: Array, matrix: Array, flow: Array, side: int, config: TrajectoriesConfig
+) -> CameraEvidence:
     """Compare the frame before, moved by the camera's motion and by the dense flow, with the new frame.
 
     Parameters
@@ -153,8 +149,9 @@ def camera_evidence(previous: Array, current: Array, matrix: Array, flow: Array,
     Returns
     -------
     CameraEvidence
-        The noise is the median difference to the camera's motion, between ``LEAST_NOISE`` and ``MOST_NOISE``
-        grey levels. Both are 0 where the camera's motion leads out of frame t−1.
+        The noise is the median difference to the camera's motion, within bounds: where that is larger, the
+        camera model fails or the scene is full of fine texture; a smooth object differs by less. Both are 0
+        where the camera's motion leads out of frame t−1.
     """
     mapping = homography_of_cells(matrix, side)
     height, width = current.shape
@@ -169,17 +166,17 @@ def camera_evidence(previous: Array, current: Array, matrix: Array, flow: Array,
         cv2.boxFilter(difference, cv2.CV_32F, (5, 5))
         for difference in _differences(current, by_camera, by_flow, mapping)
     )
-    noise = np.float32(min(max(_median_error(camera_error), LEAST_NOISE), MOST_NOISE))
+    noise = np.float32(min(max(_median_error(camera_error), config.least_noise), config.most_noise))
     return CameraEvidence(*_in_noise(camera_error, flow_error, noise))
 
 
 @compiled
 def _flow_sources(flow: Array, side: np.float32) -> Array:
-    """x and y of where each pixel comes from, (h, w, 2) float32, cells."""
+    """Compute x and y of where each pixel comes from, (h, w, 2) float32, cells."""
     height, width = flow.shape[:2]
     sources, one = np.empty((height, width, 2), np.float32), np.uint64(1)
     for y in range(height):
-        moved, place = flow[y].reshape(-1), sources[y].reshape(-1)  # in vector registers when flat
+        moved, place = flow[y].reshape(-1), sources[y].reshape(-1)  # flat, so that it is vectorised
         for x in range(width):
             at = np.uint64(2 * x)
             place[at] = np.float32(np.int32(x)) + moved[at] / side
@@ -189,7 +186,7 @@ def _flow_sources(flow: Array, side: np.float32) -> Array:
 
 @compiled
 def _median_error(error: Array) -> float:
-    """Median of every fourth pixel, which tells as much; means over 25 whole numbers are counted by value."""
+    """Estimate the median from every fourth pixel; means over 25 integers are counted by value."""
     counts, values = np.zeros(25 * 255 + 1, np.int32), np.zeros(25 * 255 + 1, np.float32)
     total = 0
     for y in range(0, error.shape[0], 2):
@@ -210,7 +207,7 @@ def _median_error(error: Array) -> float:
 
 @compiled
 def _in_noise(camera_error: Array, flow_error: Array, noise: np.float32) -> tuple[Array, Array]:
-    """What the camera leaves unexplained and what the flow explains better, × noise."""
+    """Return the camera's error and the flow's advantage over it, × noise."""
     unexplained, advantage = np.empty_like(camera_error), np.empty_like(camera_error)
     for y in range(camera_error.shape[0]):
         for x in range(camera_error.shape[1]):
@@ -221,11 +218,11 @@ def _in_noise(camera_error: Array, flow_error: Array, noise: np.float32) -> tupl
 
 @compiled
 def _differences(current: Array, one: Array, other: Array, mapping: Array) -> Array:
-    """Absolute differences of a grey frame to two others, (2, h, w) uint8; 0 where the mapping leads out."""
+    """Return absolute differences of a grey frame to two others, (2, h, w) uint8; 0 where it maps outside."""
     height, width = current.shape
     differences = np.zeros((2, height, width), np.uint8)
     for y in range(height):
-        # Where in the row x, y and the remaining width and height of the source are not negative.
+        # In the row: where x, y and the remaining width and height of the source are not negative.
         left, right = 0.0, width - 1.0
         for axis, length in ((0, width - 1.0), (1, height - 1.0)):
             slope, start = mapping[axis, 0], mapping[axis, 1] * y + mapping[axis, 2]

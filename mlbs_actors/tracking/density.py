@@ -1,9 +1,9 @@
-"""How many trajectories the squares of a frame take.
+"""The bound on the number of trajectories in each square of a frame.
 
-Of a large mover few tell as much as many, and a small one reaches into several squares. So where a square is
-full none begin (:mod:`mlbs_actors.tracking.seeding`). Yet they come together afterwards: what moves alike is
-carried into the same places, above all in objects that stay for long, whose trajectories would double within
-a thousand frames. So of those that remember all they can no more than that stay in a square.
+A few trajectories describe a large mover as well as many do, and a small one reaches into several squares. So
+none begin in a square that is full (:mod:`mlbs_actors.tracking.seeding`). Yet they gather afterwards: what
+moves alike is carried into the same places, above all in objects that stay for long, whose trajectories would
+double within a thousand frames. So of those with a full history no more than the bound stay in a square.
 
 Differs from the paper, which has no such bound.
 """
@@ -15,30 +15,29 @@ import numpy as np
 from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.messages import Array
 
-__all__ = ["MOST_IN_SQUARE", "SQUARE", "cell_of", "room_left", "within_room"]
+__all__ = ["SQUARE", "cell_of", "room_left", "within_room"]
 
-#: A square of the flow's grid with this side takes so many trajectories, about half of what the dense grid of
-#: seeds has in it.
-SQUARE, MOST_IN_SQUARE = 8, 7
+#: Side of a square, cells.
+SQUARE = 8
 
 
 @inlined
 def cell_of(positions: Array, point: int, shape: tuple[int, int], side: int) -> tuple[int, int]:
-    """Row and column of the cell where a point is, or the nearest."""
+    """Return row and column of the cell where a point is, or of the nearest."""
     x = min(max(int(positions[point, 0] / side), 0), shape[1] - 1)
     y = min(max(int(positions[point, 1] / side), 0), shape[0] - 1)
     return y, x
 
 
 @compiled
-def _room_in_squares(shape: tuple[int, int]) -> Array:
-    """What each square of a frame of (h, w) cells takes while it is empty, (⌈h/8⌉, ⌈w/8⌉) int64."""
-    return np.full((-(-shape[0] // SQUARE), -(-shape[1] // SQUARE)), MOST_IN_SQUARE)
+def _room_in_squares(shape: tuple[int, int], most: int) -> Array:
+    """Return the bound of each square of a frame of (h, w) cells, (⌈h/8⌉, ⌈w/8⌉) int64."""
+    return np.full((-(-shape[0] // SQUARE), -(-shape[1] // SQUARE)), most)
 
 
 @compiled
-def room_left(positions: Array, shape: tuple[int, int], side: int) -> Array:
-    """How many more trajectories each square takes, (⌈h/8⌉, ⌈w/8⌉) int64; below 0 where too many are.
+def room_left(positions: Array, shape: tuple[int, int], side: int, most: int) -> Array:
+    """Count how many more trajectories each square takes, (⌈h/8⌉, ⌈w/8⌉) int64; negative if overfull.
 
     Parameters
     ----------
@@ -48,8 +47,10 @@ def room_left(positions: Array, shape: tuple[int, int], side: int) -> Array:
         (h, w) of the frame, cells.
     side : int
         Of its cells, px.
+    most : int
+        Bound of a square.
     """
-    room = _room_in_squares(shape)
+    room = _room_in_squares(shape, most)
     for point in range(positions.shape[0]):
         y, x = cell_of(positions, point, shape, side)
         room[y // SQUARE, x // SQUARE] -= 1
@@ -57,9 +58,10 @@ def room_left(positions: Array, shape: tuple[int, int], side: int) -> Array:
 
 
 @compiled
-def within_room(positions: Array, ages: Array, oldest: int, shape: tuple[int, int], side: int) -> Array:
-    """Which trajectories stay: the young ones, and of those that remember all they can the first in each
-    square.
+def within_room(
+    positions: Array, ages: Array, oldest: int, shape: tuple[int, int], side: int, most: int
+) -> Array:
+    """Select the trajectories that stay: all young ones, and in each square the first with a full history.
 
     Parameters
     ----------
@@ -67,18 +69,20 @@ def within_room(positions: Array, ages: Array, oldest: int, shape: tuple[int, in
         Those that began first come first, px.
     ages : (n,) int32
     oldest : int
-        Age at which a trajectory remembers all it can.
+        Age at which a trajectory's history is full.
     shape : (int, int)
         (h, w) of the frame, cells.
     side : int
         Of its cells, px.
+    most : int
+        As for :func:`room_left`.
 
     Returns
     -------
     (m,) intp
         Ascending.
     """
-    room, stays, count = _room_in_squares(shape), np.empty(ages.size, np.intp), 0
+    room, stays, count = _room_in_squares(shape, most), np.empty(ages.size, np.intp), 0
     for point in range(ages.size):
         if ages[point] == oldest:
             y, x = cell_of(positions, point, shape, side)

@@ -1,10 +1,10 @@
-"""What a static scene of many depths looks like to a camera that drives into it.
+"""Epipolar geometry: how a static scene of many depths moves when the camera drives into it.
 
 The paper has no camera model. A homography (:mod:`mlbs_actors.tracking.camera`) fails when a vehicle drives
 down a street: each house, parked car and road marking moves in its own way, all are discontinuous at their
 borders, and all would be objects. One epipolar geometry explains them, with a depth for each point. It also
-explains much that moves: a car that comes towards the camera looks like something nearer. So it is asked only
-where nothing else will do (:func:`forward_motion`), and what it cannot tell from the scene stays background.
+explains much that moves: a car that comes towards the camera looks like something nearer. So it is used only
+where nothing else works (:func:`forward_motion`); what it cannot distinguish from the scene is background.
 """
 
 from __future__ import annotations
@@ -14,16 +14,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from mlbs_actors.config import length_scale
+from mlbs_actors.config import TrajectoriesConfig, length_scale
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.camera import INLIER_PX, LEAST_POINTS, homography_motion
+from mlbs_actors.tracking.camera import homography_motion
 
 __all__ = ["EpipolarGeometry", "explains", "forward_motion", "static_motion"]
 
-#: The camera drives forwards if at most this share of the points obeys its homography, at least that share
-#: one epipolar geometry, and at least that share moves in it as static points do.
-MOST_PLANAR, LEAST_EPIPOLAR, LEAST_STATIC = 0.6, 0.7, 0.5
-#: How sure to be that the best geometry was found, and most samples drawn for it.
+#: Confidence that the best geometry was found, and most samples drawn for it.
 CONFIDENCE, MOST_SAMPLES = 0.999, 2000
 
 
@@ -45,13 +42,13 @@ class EpipolarGeometry:
 
 
 def forward_motion(
-    positions: Array, motions: Array, homography: Array, shape: tuple[int, int]
+    positions: Array, motions: Array, homography: Array, shape: tuple[int, int], config: TrajectoriesConfig
 ) -> EpipolarGeometry | None:
-    """Epipolar geometry of a camera that drives forwards through a scene of many depths.
+    """Estimate the epipolar geometry of a camera that drives forwards through a scene of many depths.
 
-    It is told from all else by three things together: the homography fails for a great part of the frame,
-    static points in one epipolar geometry explain it, and the epipole is in the frame. A camera that turns or
-    moves sideways has it far outside, and there whatever moves along with the parallax would look static.
+    Three signs together identify it: the homography fails for a great part of the frame, static points in one
+    epipolar geometry explain it, and the epipole is in the frame. A camera that pans or moves sideways has it
+    far outside, and there anything that moves along with the parallax would look static.
 
     Parameters
     ----------
@@ -67,19 +64,19 @@ def forward_motion(
     EpipolarGeometry or None
         None if the camera does not drive.
     """
-    if len(positions) < 2 * LEAST_POINTS:
+    if len(positions) < 2 * config.camera_tracks:
         return None
-    if explains(homography, positions, motions, shape):
+    if explains(homography, positions, motions, shape, config):
         return None
-    inlier = INLIER_PX * length_scale(*shape)
+    inlier = config.camera_inlier_px * length_scale(*shape)
     points = positions.astype(np.float64)
     try:
         matrix, inliers = cv2.findFundamentalMat(
             points, points + motions, cv2.USAC_MAGSAC, inlier, CONFIDENCE, MOST_SAMPLES
         )
-    except cv2.error:  # where few points move at random OpenCV can end with no matrix, and does not expect it
+    except cv2.error:  # with few points in random motion OpenCV may find no matrix, and fail on that
         return None
-    if matrix is None or matrix.shape != (3, 3) or inliers.mean() < LEAST_EPIPOLAR:
+    if matrix is None or matrix.shape != (3, 3) or inliers.mean() < config.least_epipolar:
         return None
     before, _, after = np.linalg.svd(matrix)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -89,29 +86,32 @@ def forward_motion(
     geometry = EpipolarGeometry(matrix, *epipoles)
     # A camera that drives backwards has the same epipolar lines, but its points come from farther out.
     error = np.hypot(*(motions - static_motion(geometry, positions, motions)).T)
-    return geometry if (error < inlier).mean() >= LEAST_STATIC else None
+    return geometry if (error < inlier).mean() >= config.least_static else None
 
 
-def explains(homography: Array, positions: Array, motions: Array, shape: tuple[int, int]) -> bool:
-    """Whether a homography explains more than ``MOST_PLANAR`` of some points' backward motions.
+def explains(
+    homography: Array, positions: Array, motions: Array, shape: tuple[int, int], config: TrajectoriesConfig
+) -> bool:
+    """Whether a homography explains more than ``most_planar`` of some backward motions.
 
     Parameters
     ----------
     homography : (3, 3) float64
     positions, motions : (n, 2) float32
-        px; of none it explains nothing.
+        px; without any, False.
     shape : (int, int)
         (H, W) of the frame.
     """
     error = np.hypot(*(motions - homography_motion(homography, positions)).T)
-    return bool((error < INLIER_PX * length_scale(*shape)).sum() > MOST_PLANAR * len(positions))
+    obeying = error < config.camera_inlier_px * length_scale(*shape)
+    return bool(obeying.sum() > config.most_planar * len(positions))
 
 
 def static_motion(geometry: EpipolarGeometry, positions: Array, motions: Array) -> Array:
-    """The motion of a static point, of whatever depth, that is nearest to each motion seen.
+    """Return the motion of a static point, at any depth, that is nearest to each motion observed.
 
     A far point moves with the camera's rotation alone, which carries the epipole along; the nearer it is, the
-    closer to the epipole it has been before. An object that is driven away from does neither.
+    closer to the epipole it was before. An object that the camera drives away from does neither.
 
     Parameters
     ----------

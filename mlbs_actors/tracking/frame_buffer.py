@@ -1,4 +1,4 @@
-"""Frames that have been tracked and wait for their labels: at the start, and with a look-ahead (§4).
+"""Frames that are tracked and held until they can be labelled: at the start, and with look-ahead (§4).
 
 Differs from the paper: its program labels a frame with clusters of four frames later and says nothing of
 the first ones. Here every frame gets its labels backwards along the trajectories that pass through it.
@@ -13,20 +13,21 @@ import cv2
 import numpy as np
 
 from mlbs_actors.clustering.label_index import UNLABELLED, label_places
+from mlbs_actors.config import TrajectoriesConfig
 from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.footage.light import unchanged
 from mlbs_actors.kernels.interpolation import sample_flow, sample_map
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import BACKGROUND, UNEXPLAINED_STEP, Array, FrameStatus
 from mlbs_actors.tracking.camera import CameraEvidence, camera_evidence
-from mlbs_actors.tracking.trajectories import EVIDENCE_BOUNDS, TrajectoryState
+from mlbs_actors.tracking.trajectories import TrajectoryState
 
 __all__ = ["HeldFrame", "by_layer", "first_frame", "held_frame", "no_picture", "relabelled"]
 
 
 @dataclass(frozen=True, slots=True)
 class HeldFrame:
-    """A frame that has been tracked and waits for its labels.
+    """A frame that has been tracked and is held until it can be labelled.
 
     Attributes
     ----------
@@ -35,7 +36,7 @@ class HeldFrame:
         Trajectories in this frame, ascending.
     positions, motions : (n, 2) float32
     labels : (n,) int64
-        As known so far.
+        The newest known.
     evidence : (n,) float32
         As in :class:`~mlbs_actors.tracking.trajectories.TrajectoryState`.
     camera : (3, 3) float64
@@ -76,7 +77,7 @@ def held_frame(
     status: FrameStatus,
     light: Array,
 ) -> HeldFrame:
-    """What is kept of the newest frame; ``flow`` is None in the first of an epoch."""
+    """Collect what is held of the newest frame; ``flow`` is None in the first of an epoch."""
     size = against_camera.unexplained.shape
     return HeldFrame(
         frame_index,
@@ -115,8 +116,10 @@ def no_picture(frame_index: int, status: FrameStatus) -> HeldFrame:
     )
 
 
-def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array, camera: Array) -> HeldFrame:
-    """An epoch's first frame, which has none before it: its motion is that from the second, backwards.
+def first_frame(
+    held: HeldFrame, flow: DenseFlow, gray: Array, following: Array, camera: Array, config: TrajectoriesConfig
+) -> HeldFrame:
+    """Complete an epoch's first frame, which has none before it, with the motion from the second one.
 
     Parameters
     ----------
@@ -132,12 +135,13 @@ def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array,
     -------
     HeldFrame
     """
-    evidence = camera_evidence(following, gray, np.linalg.inv(camera), flow.forward, flow.side)
+    forwards = np.linalg.inv(camera)
+    evidence = camera_evidence(following, gray, forwards, flow.forward, flow.side, config)
     advantage = sample_map(evidence.advantage, held.positions, flow.side)
     return replace(
         held,
         motions=-sample_flow(flow.forward, held.positions, flow.side),
-        evidence=np.clip(advantage, *EVIDENCE_BOUNDS),
+        evidence=np.clip(advantage, config.least_evidence_step, config.most_evidence_step),
         camera=camera,
         flow=-flow.forward,
         flow_reliable=flow.forward_reliable(),
@@ -148,7 +152,7 @@ def first_frame(held: HeldFrame, flow: DenseFlow, gray: Array, following: Array,
 def relabelled(
     frames: Sequence[HeldFrame], trajectories: TrajectoryState, labels: Array
 ) -> tuple[HeldFrame, ...]:
-    """Give held frames the newest labels, backwards along the trajectories that still live.
+    """Update the labels of held frames, backwards along the trajectories that still live.
 
     Parameters
     ----------
@@ -180,8 +184,10 @@ def relabelled(
 def by_layer(
     live: Array, owner: Array, evidence: Array, least: np.float32, positions: Array, motions: Array
 ) -> tuple[Array, Array, Array]:
-    """Positions and motions layer by layer, in their order, and where each of the live layers starts (k + 1);
-    without those that belong to none, or to an object with less than the least evidence."""
+    """Sort positions and motions by layer; return where each of the live layers starts, too, (k + 1).
+
+    Trajectories of no layer, or of an object with less than the least evidence, are left out.
+    """
     place, starts = label_places(owner, live), np.zeros(live.size + 1, np.int64)
     for i in range(owner.size):
         if owner[i] == BACKGROUND or (owner[i] != UNLABELLED and evidence[i] >= least):

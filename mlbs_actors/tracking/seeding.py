@@ -1,9 +1,9 @@
 """Where trajectories begin: a grid of seeds wherever no live one is near (§3).
 
 Differs from the paper: a point seeded in frame t is at once followed back to frame t−1 by the (checked)
-backward flow, so it brings one motion with it and can be compared with its neighbours from its first frame
-on; where the flow explains the image better than the camera's motion the grid is denser; and where many
-trajectories are already there begin no more (:mod:`mlbs_actors.tracking.density`).
+backward flow, so it has one motion and can be compared with its neighbours from its first frame on; where the
+flow explains the image better than the camera's motion the grid is denser; and where many trajectories are
+already there, no more begin (:mod:`mlbs_actors.tracking.density`).
 """
 
 from __future__ import annotations
@@ -22,9 +22,6 @@ from mlbs_actors.tracking.density import SQUARE, cell_of, room_left
 from mlbs_actors.tracking.trajectories import TrajectoryState
 
 __all__ = ["seed_trajectories"]
-
-#: Least spacing of seeds, cells, and where they are dense.
-LEAST_SPACING, LEAST_DENSE_SPACING = 3.0, 2.0
 
 
 def seed_trajectories(
@@ -50,10 +47,9 @@ def seed_trajectories(
         (H, W) of the frame.
     side : int
         Of a cell, px.
-    config : TrajectoriesConfig
     advantage : (h, w) float32, optional
         Of :class:`~mlbs_actors.tracking.camera.CameraEvidence`, × noise: where it is large, small movers need
-        more points than the grid gives them, and there are seeds on a dense grid besides.
+        more points than the grid has, so a dense grid is used, too.
 
     Returns
     -------
@@ -73,11 +69,12 @@ def seed_trajectories(
         np.ones(gray.shape, bool) if flow is None else flow.backward_reliable,
         np.zeros(gray.shape, np.float32) if advantage is None else advantage,
         side,
+        config.square_tracks,
     )
-    # Nearer than the least spacing the flow cannot tell two points apart.
+    # Closer than the least spacing the flow cannot separate two points.
     spacings = (
-        max(config.seed_spacing_px * scale, LEAST_SPACING * side),
-        max(config.dense_spacing_px * scale, LEAST_DENSE_SPACING * side),
+        max(config.seed_spacing_px * scale, config.least_spacing_cells * side),
+        max(config.dense_spacing_px * scale, config.least_dense_spacing_cells * side),
     )
     seeds = _seeds(state.positions, ground, config.dense_advantage, (height, width), spacings)
     count = len(seeds)
@@ -108,6 +105,8 @@ class _Ground(NamedTuple):
     advantage : (h, w) float32
     side : int
         Of a cell, px.
+    most : int
+        Trajectories in a square.
     """
 
     structure: Array
@@ -115,6 +114,7 @@ class _Ground(NamedTuple):
     reliable: Array
     advantage: Array
     side: int
+    most: int
 
 
 @compiled
@@ -122,9 +122,9 @@ def _seeds(
     positions: Array, ground: _Ground, dense_advantage: float, shape: tuple[int, int],
     spacings: tuple[float, float],
 ) -> Array:  # fmt: skip
-    """The seeds of the grid and of the dense one, (n, 2) float32."""
+    """Return the seeds of the grid and of the dense one, (n, 2) float32."""
     taken = np.zeros(ground.structure.shape, np.bool_)
-    room = room_left(positions, ground.structure.shape, ground.side)
+    room = room_left(positions, ground.structure.shape, ground.side, ground.most)
     _take(taken, positions, ground.side)
     seeds = _grid_seeds(ground, -np.inf, taken, room, shape, spacings[0])
     _take(taken, seeds, ground.side)
@@ -143,13 +143,13 @@ def _take(taken: Array, positions: Array, side: int) -> None:
 def _grid_seeds(
     ground: _Ground, least_advantage: float, taken: Array, room: Array, shape: tuple[int, int], spacing: float
 ) -> Array:
-    """The points of a grid in raster order that are reliable, structured and free, (n, 2) float32.
+    """Return the points of a grid that are reliable, structured and free, (n, 2) float32, in raster order.
 
-    Each takes some of its square's room.
+    Each uses up room in its square.
     """
     height, width = shape
     rows, columns = max(1, int(height / spacing)), max(1, int(width / spacing))
-    # A trajectory covers a disc around it; a cell at its very radius is free.
+    # A trajectory covers a disc around it; a cell exactly at its radius is free.
     radius = 0.75 * spacing / ground.side
     half_width = np.empty(int(np.ceil(radius)), np.int64)
     for away in range(half_width.size):
@@ -177,7 +177,7 @@ def _grid_seeds(
 
 @compiled
 def _covered(taken: Array, y: int, x: int, half_width: Array) -> bool:
-    """Whether a point is so near to a cell, by half the width of the disc's rows."""
+    """Whether a point is near enough to a cell, by half the width of the disc's rows."""
     reach = half_width.size - 1
     for v in range(max(y - reach, 0), min(y + reach, taken.shape[0] - 1) + 1):
         across = half_width[abs(v - y)]

@@ -1,9 +1,9 @@
-"""A frame's trajectories: carried along the flow, held against the camera's motion, and seeded anew (§3).
+"""A frame's trajectories: carried along the flow, compared with the camera's motion, and seeded anew (§3).
 
-Differs from the paper, which follows points by the flow alone: what the camera's own motion is, and where it
-fails to explain the image, is told here once a frame, and every trajectory learns by how much. A camera that
-drives has no homography; where an epipolar geometry says more (:mod:`mlbs_actors.tracking.epipolar`), that
-counts.
+Differs from the paper, which follows points by the flow alone: the camera's own motion, and where it fails to
+explain the image, are found here once a frame, and every trajectory accumulates that as evidence. A camera
+that drives has no homography; where an epipolar geometry explains more
+(:mod:`mlbs_actors.tracking.epipolar`), that is used.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ __all__ = ["Tracked", "track"]
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """What a frame has made of the trajectories.
+    """Trajectories after a frame.
 
     Attributes
     ----------
     trajectories : TrajectoryState
         At this frame: the survivors, then those that begin in it.
     survivors : (m,) intp
-        Where those that live on stood in the arrays of the frame before, ascending.
+        Indices of the survivors in the arrays of the frame before, ascending.
     camera : (3, 3) float64
         :func:`~mlbs_actors.tracking.camera.camera_homography`, backward.
     against_camera : CameraEvidence
@@ -70,14 +70,13 @@ def track(
     before : TrajectoryState
         At the frame before.
     background : (n,) bool
-        Which of them tell the camera's motion.
+        Which of them determine the camera's motion.
     flow : DenseFlow or None
         Between the two frames; None in the first one.
     previous, gray : (h, w) uint8
         The two frames as the flow sees them; ``previous`` is not used without a flow.
     shape : (int, int)
         (H, W) of the full frame.
-    config : Config
 
     Returns
     -------
@@ -89,15 +88,15 @@ def track(
     trajectories, survivors = before, np.arange(len(before))
     if flow is not None:
         trajectories, survivors = advance_trajectories(before, flow, shape)
-    telling = (trajectories.ages > 0) & background[survivors]
-    voters = evenly_spread(trajectories.positions, telling, 2 * spacing)
+    informative = (trajectories.ages > 0) & background[survivors]
+    voters = evenly_spread(trajectories.positions, informative, 2 * spacing)
     places, motions = trajectories.positions[voters], trajectories.motions[voters]
-    camera = camera_homography(places, motions, scale)
-    planar = explains(camera, places, motions, shape)
+    camera = camera_homography(places, motions, scale, settings)
+    planar = explains(camera, places, motions, shape, settings)
     nothing = np.zeros(gray.shape, np.float32)
     against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
     if flow is not None:
-        against_camera = camera_evidence(previous, gray, camera, flow.backward, side)
+        against_camera = camera_evidence(previous, gray, camera, flow.backward, side, settings)
         unexplained, advantage = (
             sample_map(one, trajectories.positions, side)
             for one in (against_camera.unexplained, against_camera.advantage)
@@ -106,8 +105,9 @@ def track(
         same = np.flatnonzero(mismatch <= settings.most_mismatch)
         trajectories, survivors = selected(trajectories, same), survivors[same]
         stays = within_room(
-            trajectories.positions, trajectories.ages, settings.history_frames, gray.shape, side
-        )
+            trajectories.positions, trajectories.ages, settings.history_frames, gray.shape, side,
+            settings.square_tracks,
+        )  # fmt: skip
         trajectories, survivors = selected(trajectories, stays), survivors[stays]
     trajectories = seed_trajectories(
         trajectories, gray, flow, shape, side, settings, against_camera.advantage
@@ -116,13 +116,13 @@ def track(
     predicted = homography_motion(camera, trajectories.positions)
     everywhere = evenly_spread(trajectories.positions, trajectories.ages > 0, 2 * spacing)
     driving = None
-    if not planar:  # else what the homography does not explain of all are objects
+    if not planar:  # else all that the homography does not explain are objects
         driving = forward_motion(
-            trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape
+            trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape, settings
         )
     if driving is not None:
         predicted = static_motion(driving, trajectories.positions, trajectories.motions)
         obeying = np.hypot(*(trajectories.motions - predicted).T) < scale
         advantage = np.where(obeying, 0.0, advantage)
-    trajectories = with_residuals(trajectories, predicted, advantage)
+    trajectories = with_residuals(trajectories, predicted, advantage, settings)
     return Tracked(trajectories, survivors, camera, against_camera)

@@ -1,7 +1,7 @@
 """Point trajectories on dense flow: advance and check (§3; Sundaram, Brox, Keutzer, ECCV 2010).
 
-Differs from the paper: a trajectory remembers a bounded number of motions; and a point is lost, too, where
-the image around it is no longer what it was, however well forward and backward flow agree
+Differs from the paper: a trajectory keeps a bounded number of motions; and a point is lost, too, where the
+image around it has changed, however well forward and backward flow agree
 (``TrajectoriesConfig.most_mismatch``).
 """
 
@@ -27,12 +27,6 @@ __all__ = [
 ]
 
 
-#: Share of a trajectory's evidence against the camera that lasts to the next frame.
-EVIDENCE_KEPT = np.float32(0.95)
-#: Bounds of what one frame adds to it, × the frame's noise: one bad match must not decide for long.
-EVIDENCE_BOUNDS = (-2.0, 8.0)
-
-
 @dataclass(frozen=True, slots=True)
 class TrajectoryState:
     """The live trajectories.
@@ -46,11 +40,11 @@ class TrajectoryState:
     motions : (n, 2) float32
         Backward motion t → t−1, px.
     residuals : (m, T, 2) float32
-        What the camera's own motion leaves of the backward motions, newest first, px. Zero past a
-        trajectory's age. Within a frame, until :func:`with_residuals`, those of the frame before.
+        Backward motions less the camera's own motion, newest first, px. Zero past a trajectory's age. Within
+        a frame, until :func:`with_residuals`, those of the frame before.
     rows : (n,) intp
-        Whose of the residuals are each trajectory's: by far the most of what is remembered, they are moved
-        once a frame. After :func:`with_residuals` 0 … n−1; −1 for one that has none yet.
+        Row of ``residuals`` that is each trajectory's: that array is by far the largest and is moved once a
+        frame. After :func:`with_residuals` 0 … n−1; −1 for one that has none yet.
     ages : (n,) int32
         How many of those motions are known, 0 … T.
     evidence : (n,) float32
@@ -73,7 +67,7 @@ class TrajectoryState:
 
 
 def empty_trajectories(config: TrajectoriesConfig) -> TrajectoryState:
-    """No trajectory yet."""
+    """Return the state without any trajectory."""
     return TrajectoryState(
         np.zeros(0, np.int64),
         np.zeros((0, 2), np.float32),
@@ -105,7 +99,7 @@ def advance_trajectories(
     TrajectoryState
         At frame t, but for the residuals (:func:`with_residuals`).
     (m,) intp
-        Where those that live on stood in the arrays of frame t−1, ascending.
+        Indices of the survivors in the arrays of frame t−1, ascending.
     """
     survivors, positions, motions = _carried(
         state.positions, flow.forward, flow.backward, flow.side, flow.thresholds, shape
@@ -123,7 +117,7 @@ def _carried(
     positions: Array, forward: Array, backward: Array, side: int, checks: tuple[float, ...],
     shape: tuple[int, int],
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Which points live on, and their places and backward motions."""
+    """Return which points live on, with their places and backward motions."""
     count, step = len(positions), np.float32(side)
     motion = sample_flow(forward, positions, side)
     cell_x, cell_y = np.empty(count, np.int64), np.empty(count, np.int64)
@@ -142,7 +136,7 @@ def _carried(
 
 
 def selected(state: TrajectoryState, positions: Array) -> TrajectoryState:
-    """The trajectories at some positions of the arrays, ascending (n,) intp; the others are lost."""
+    """Keep the trajectories at some ascending indices (n,) intp; drop the others."""
     return TrajectoryState(
         state.ids[positions], state.positions[positions], state.motions[positions], state.residuals,
         state.rows[positions], state.ages[positions], state.evidence[positions], state.next_id,
@@ -151,9 +145,9 @@ def selected(state: TrajectoryState, positions: Array) -> TrajectoryState:
 
 @compiled
 def evenly_spread(positions: Array, chosen: Array, spacing: float) -> Array:
-    """Pick at most one point a square, so that every part of the frame has the same say.
+    """Pick at most one point a square, so that every part of the frame has the same weight.
 
-    Where trajectories are dense, on objects, they would outvote the background.
+    Trajectories are dense on objects and would outvote the background.
 
     Parameters
     ----------
@@ -167,7 +161,7 @@ def evenly_spread(positions: Array, chosen: Array, spacing: float) -> Array:
     Returns
     -------
     (m,) intp
-        Ascending positions in the array; of each square the first.
+        Ascending indices of the first point in each square.
     """
     candidates, side = np.flatnonzero(chosen), np.float32(spacing)
     if candidates.size == 0:
@@ -188,8 +182,10 @@ def evenly_spread(positions: Array, chosen: Array, spacing: float) -> Array:
     return first[:found]
 
 
-def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -> TrajectoryState:
-    """Fill in what the camera's own motion leaves of the newest motions and images.
+def with_residuals(
+    state: TrajectoryState, predicted: Array, advantage: Array, config: TrajectoriesConfig
+) -> TrajectoryState:
+    """Add the newest residuals and evidence against the camera.
 
     Parameters
     ----------
@@ -199,8 +195,10 @@ def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -
     advantage : (n,) float32
         :class:`~mlbs_actors.tracking.camera.CameraEvidence` at each trajectory, × the frame's noise.
     """
+    # A step has bounds: one bad match must not decide for long.
+    rules = (1.0 - config.evidence_forgetting, config.least_evidence_step, config.most_evidence_step)
     residuals, evidence = _remembered(
-        state.residuals, state.rows, state.ages, state.motions, predicted, state.evidence, advantage
+        state.residuals, state.rows, state.ages, state.motions, predicted, state.evidence, advantage, rules
     )
     return replace(state, residuals=residuals, rows=np.arange(len(state)), evidence=evidence)
 
@@ -208,13 +206,13 @@ def with_residuals(state: TrajectoryState, predicted: Array, advantage: Array) -
 @compiled
 def _remembered(
     residuals: Array, rows: Array, ages: Array, motions: Array, predicted: Array, evidence: Array,
-    advantage: Array,
+    advantage: Array, rules: tuple[float, float, float],
 ) -> tuple[Array, Array]:  # fmt: skip
-    """The newest residuals, 0 of those without a motion, and those before, one frame older; the evidence."""
-    least, most = np.float32(EVIDENCE_BOUNDS[0]), np.float32(EVIDENCE_BOUNDS[1])
+    """Return the residuals with the newest first, 0 for those without a motion, and the evidence."""
+    kept, least, most = np.float32(rules[0]), np.float32(rules[1]), np.float32(rules[2])
     summed = np.empty(rows.size, np.float32)
     for trajectory in range(rows.size):
-        summed[trajectory] = EVIDENCE_KEPT * evidence[trajectory] + min(
+        summed[trajectory] = kept * evidence[trajectory] + min(
             max(np.float32(advantage[trajectory]), least), most
         )
     length = 2 * residuals.shape[1]

@@ -1,4 +1,4 @@
-"""What each stage of the method gives: the method built up stage by stage, then left without one part.
+"""The contribution of each stage: the method built up stage by stage, then without one part at a time.
 
 The first row has every stage off, each next row of :data:`STAGES` switches one more on, and the last of them
 is the whole method. The rows of :data:`PARTS` follow; each is the whole method without that one part.
@@ -21,7 +21,7 @@ class Stage:
     Attributes
     ----------
     name : str
-        Names the row in which it comes in.
+        Name of the row that adds it.
     off : tuple of str
         The ``section.key=value`` overrides that switch it off.
     """
@@ -30,7 +30,7 @@ class Stage:
     off: tuple[str, ...] = ()
 
 
-#: In the order in which they come in; the first is what is left without all the others.
+#: In the order in which they are added; the first remains without all the others.
 STAGES: tuple[Stage, ...] = (
     Stage("trajectories + contrast cut alone"),
     Stage("+ appearance", ("posterior.appearance=0",)),
@@ -53,7 +53,7 @@ _NEVER = 1_000_000
 
 _NO_SPLITS = (f"layers.probation_frames={_NEVER}", f"layers.part_probation_frames={_NEVER}")
 
-#: What the whole method is tried without.
+#: Parts that the whole method is tried without.
 PARTS: tuple[Stage, ...] = (
     # Edges this stiff leave a field one degree of freedom an axis: its shift from its prior. The prior of an
     # object is a single motion, that of the background the camera's homography.
@@ -81,12 +81,12 @@ PARTS: tuple[Stage, ...] = (
 def ablation_variants(
     overrides: Sequence[str], stages: Sequence[Stage] = STAGES, parts: Sequence[Stage] = PARTS
 ) -> tuple[Variant, ...]:
-    """Make the rows: one for each stage, with all later stages off, then one for each part, without it.
+    """Make the rows: one for each stage, with all later stages off, then one without each part.
 
     Parameters
     ----------
     overrides : sequence of str
-        Parameters of every row; what is off is off whatever they say.
+        Parameters of every row; stages that are off stay off regardless.
     stages, parts : sequence of Stage
 
     Returns
@@ -111,5 +111,5 @@ def ablation_variants(
 
 
 def ablation_table(rows: Sequence[VariantResults]) -> str:
-    """Write the rows as text: how well movers and objects are found, what is too much or renamed."""
+    """Write the rows as text: scores of movers and objects, extra layers and changed ids."""
     return variants_table(rows, "stage", ("two_label_f", "object_f", "extra", "switches"))

@@ -195,7 +195,7 @@ def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
     if options.lookahead is not None:
         overrides.append(f"layers.lookahead={options.lookahead}")
     names = _sequence_names(options)
-    # What cannot be run, parameters or sequences, is told before anything runs.
+    # Unusable parameters and sequences are reported before anything runs.
     variants = _variants(options, overrides)
     for variant in variants:
         load_config(None, variant.overrides)

@@ -1,4 +1,4 @@
-"""Pictures to judge a result by eye: labels over the input, truth, and what differs.
+"""Pictures to judge a result by eye: labels over the input, truth, and their difference.
 
 A contact sheet shows some frames of a sequence, each as three cells: the input with the labels (outlined,
 tinted, their ids written in), the same with the truth, and the difference on the darkened grey input: green
@@ -52,7 +52,7 @@ class SheetFrame:
 
 
 def spread_evenly(indices: Sequence[int], wanted: int) -> list[int]:
-    """At most ``wanted`` of the indices, first and last among them, evenly spread."""
+    """Pick at most ``wanted`` of the indices, evenly spread, including first and last."""
     if len(indices) <= wanted:
         return list(indices)
     positions = np.round(np.linspace(0, len(indices) - 1, wanted)).astype(int)
@@ -60,7 +60,7 @@ def spread_evenly(indices: Sequence[int], wanted: int) -> list[int]:
 
 
 def overlay(image: Array, labels: Array, width: int) -> Array:
-    """The image at the given width with each label tinted, outlined and named.
+    """Return the image at the given width with each label tinted, outlined and named.
 
     Parameters
     ----------
@@ -107,7 +107,8 @@ def contact_sheet(frames: Sequence[SheetFrame]) -> Array:
 
 
 def extra_layer_sheet(extras: Iterable[tuple[ExtraLayer, Array]]) -> Array:
-    """Crops of layers that lie off the truth, outlined, each with its id, life and share on truth objects.
+    """Show crops of layers that lie off the truth, outlined, each with its id, life and share on truth
+    objects.
 
     Parameters
     ----------
@@ -135,7 +136,7 @@ def _difference(frame: SheetFrame, width: int) -> Array:
 
 
 def _crop(extra: ExtraLayer, image: Array) -> Array:
-    """A square around the layer, twice its size, with its outline."""
+    """Crop a square around the layer, twice its size, with its outline."""
     region = extra.region
     height, width = image.shape[:2]
     side = min(max(2 * region.width, 2 * region.height, 64), height, width)
@@ -166,7 +167,7 @@ def _grid(cells: Sequence[Array], columns: int) -> Array:
 
 
 def _write(picture: Array, text: str, origin: tuple[int, int]) -> None:
-    """White text with a black rim, legible on anything."""
+    """Write white text with a black rim, legible on anything."""
     x, y = origin
     # A thicker stroke would also be wider; so the rim is the same text, shifted.
     places = [(x + dx, y + dy, BLACK) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]

@@ -52,7 +52,7 @@ class Sequence(Protocol):
 
     @property
     def remark(self) -> str | None:
-        """A sentence on how the truth is read, where that is not plain."""
+        """A sentence on how the truth is read, if that needs explaining."""
 
     def frame(self, index: int) -> Array:
         """Frame ``index``, (H, W, 3) uint8 BGR."""
@@ -67,7 +67,7 @@ class Sequence(Protocol):
         """Exact backward motion of frame ``index``, (H, W, 2) float32 px, or None where it is not known."""
 
 
-#: Makes another sequence of a sequence; a function or class of a module, so that it reaches other processes.
+#: Derives another sequence from a sequence; a function or class of a module, so that it can be pickled.
 SequenceChange = Callable[[Sequence], Sequence]
 
 
@@ -139,7 +139,7 @@ class FolderSequence:
         return labels
 
     def motion(self, index: int) -> Array | None:
-        """None: the exact motion of a real video is not known."""
+        """Return None: the exact motion of a real video is not known."""
         return None
 
 
@@ -157,7 +157,7 @@ class SceneSequence:
         return self._scene.frame(index)
 
     def has_truth(self, index: int) -> bool:
-        """True: every frame of a scene has truth."""
+        """Return True: every frame of a scene has truth."""
         return True
 
     def truth(self, index: int) -> Array | None:
@@ -201,7 +201,7 @@ def read_label_map(path: Path) -> Array:
 
 
 def data_root(given: Path | None) -> Path:
-    """Where the sequences are: the folder given, else the one that ``MLBS_DATA`` names.
+    """Return the folder of the sequences: the one given, else the one that ``MLBS_DATA`` names.
 
     Raises
     ------
@@ -217,7 +217,7 @@ def data_root(given: Path | None) -> Path:
 
 
 def find_sequences(root: Path) -> list[str]:
-    """Names, relative to the root and in order, of all folders below it that hold ``frames/`` and ``gt/``."""
+    """List all folders below the root with ``frames/`` and ``gt/``: relative names, in order."""
     folders = (truth.parent for truth in sorted(root.rglob("gt")) if truth.is_dir())
     return [folder.relative_to(root).as_posix() for folder in folders if (folder / "frames").is_dir()]
 
@@ -242,7 +242,7 @@ def open_sequence(name: str, root: Path | None) -> Sequence:
 
 
 def _by_stem(folder: Path) -> dict[str, Path]:
-    """The pictures of a folder in the order in which a run takes them."""
+    """Map stems to the pictures of a folder, in the order in which a run reads them."""
     if not folder.is_dir():
         raise SourceError(f"{folder} is no folder; check the path.")
     return {path.stem: path for path in images_of(str(folder))}

@@ -1,12 +1,12 @@
-"""How much the result depends on its parameters and on accidents of the input: disturbed runs.
+"""Sensitivity of the result to parameters and to accidents of the input: disturbed runs.
 
-A run either scales parameters together or changes the input. Parameters are scaled from what they are, so the
-table stays true when a default changes.
+A run either scales parameters together or changes the input. Parameters are scaled from their current values,
+so the table stays valid when a default changes.
 
 No part of the engine draws random numbers whose seed could be changed: the eigensolver's start is fixed, and
 OpenCV's RANSAC seeds itself anew in every call, whatever ``cv2.setRNGSeed`` says. In place of another seed
-the first three rows and columns are cropped: all grids (of flow, seeds and motion fields) meet the picture
-elsewhere, and whatever hangs on small differences comes out otherwise.
+the first three rows and columns are cropped: that shifts all grids (of flow, seeds and motion fields)
+relative to the picture, and changes every result that depends on small differences.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ class Disturbance:
     Attributes
     ----------
     name : str
-        Names its row.
+        Name of its row.
     parameters : tuple of str
-        ``section.key`` of what is scaled, all together.
+        ``section.key`` of the parameters that are scaled together.
     factor : float
-        By what; whole numbers stay whole.
+        Scale; integers stay integers.
     change : SequenceChange or None
-        What is done to every sequence first.
+        Change to every sequence.
     """
 
     name: str
@@ -82,6 +82,55 @@ WEIGHTS = (
     "segmentation.contrast_strength",
     "segmentation.shadow",
 )
+LIMITS = (
+    "flow.focus_advantage",
+    "flow.focus_least_blocks",
+    "flow.focus_margin_blocks",
+    "flow.focus_seam_blocks",
+    "flow.focus_most",
+    "trajectories.least_spacing_cells",
+    "trajectories.least_dense_spacing_cells",
+    "trajectories.square_tracks",
+    "trajectories.evidence_forgetting",
+    "trajectories.least_evidence_step",
+    "trajectories.most_evidence_step",
+    "trajectories.camera_inlier_px",
+    "trajectories.camera_tracks",
+    "trajectories.least_noise",
+    "trajectories.most_noise",
+    "trajectories.most_planar",
+    "trajectories.least_epipolar",
+    "trajectories.least_static",
+    "affinity.firm_factor",
+    "layers.spared_clusterings",
+    "layers.speed_frames",
+    "layers.least_border",
+    "posterior.photometric_least_noise",
+    "posterior.photometric_most_noise",
+    "posterior.own_believed",
+    "posterior.camera_believed",
+    "posterior.covered_px",
+    "segmentation.cut_whole",
+    "segmentation.cut_whole_halved",
+    "segmentation.cut_whole_coarse",
+)
+SHADOWS = (
+    "segmentation.shadow_lightest",
+    "segmentation.shadow_lightest_ramp",
+    "segmentation.shadow_darkest",
+    "segmentation.shadow_darkest_ramp",
+    "segmentation.channel_spread",
+    "segmentation.channel_noise",
+    "segmentation.ground_px",
+    "segmentation.ground_reach",
+    "segmentation.ground_share",
+    "segmentation.ground_variance",
+    "segmentation.contact_dark",
+    "segmentation.contact_smooth",
+    "segmentation.contact_width",
+    "segmentation.contact_gap_px",
+    "segmentation.contact_edge_px",
+)
 
 DISTURBANCES: tuple[Disturbance, ...] = (
     Disturbance("thresholds × 0.8", THRESHOLDS, 0.8),
@@ -90,13 +139,17 @@ DISTURBANCES: tuple[Disturbance, ...] = (
     Disturbance("trajectories × 1.2", TRAJECTORIES, 1.2),
     Disturbance("weights, contrast × 0.8", WEIGHTS, 0.8),
     Disturbance("weights, contrast × 1.2", WEIGHTS, 1.2),
+    Disturbance("limits × 0.8", LIMITS, 0.8),
+    Disturbance("limits × 1.2", LIMITS, 1.2),
+    Disturbance("shadows × 0.8", SHADOWS, 0.8),
+    Disturbance("shadows × 1.2", SHADOWS, 1.2),
     Disturbance("every second frame", change=every_second_frame),
     Disturbance("first 3 frames left out", change=partial(SelectedFrames, first=3)),
     Disturbance("mirrored", change=MirroredSequence),
     Disturbance("cropped by 3 px (as another seed)", change=partial(CroppedSequence, pixels=3)),
 )
 
-#: The row that the others are held against.
+#: The row that the others are compared with.
 UNDISTURBED = "undisturbed"
 
 _FIGURES = ("two_label_f", "object_f")
@@ -105,12 +158,12 @@ _FIGURES = ("two_label_f", "object_f")
 def disturbance_variants(
     overrides: Sequence[str], disturbances: Sequence[Disturbance] = DISTURBANCES
 ) -> tuple[Variant, ...]:
-    """The rows: the undisturbed run, then the disturbed ones.
+    """Make the rows: the undisturbed run, then the disturbed ones.
 
     Parameters
     ----------
     overrides : sequence of str
-        Parameters of every row; what is scaled is scaled from them.
+        Parameters of every row; scaling starts from them.
     disturbances : sequence of Disturbance
 
     Raises
@@ -139,9 +192,9 @@ def _scaled(config: Config, parameter: str, factor: float) -> str:
 
 
 def worst_run(runs: Sequence[VariantResults], figure: str) -> VariantResults | None:
-    """The run with the lowest mean of a figure, the first of equals; None if no mean is known.
+    """Return the run with the lowest mean of a figure, the first of equals; None if no mean is known.
 
-    A run that lost a sequence is worse than all that did not.
+    A run in which a sequence failed is worse than all others.
     """
     for run in runs:
         if run.failed:
@@ -151,12 +204,12 @@ def worst_run(runs: Sequence[VariantResults], figure: str) -> VariantResults | N
 
 
 def disturbance_table(rows: Sequence[VariantResults]) -> str:
-    """The rows as text, and the worst of the disturbed runs for each figure.
+    """Format the rows, and the worst of the disturbed runs for each figure.
 
     Parameters
     ----------
     rows : sequence of VariantResults
-        The undisturbed run first, as :func:`disturbance_variants` has them.
+        The undisturbed run first, as from :func:`disturbance_variants`.
     """
     lines = [variants_table(rows, "run", _FIGURES), ""]
     for figure in _FIGURES:
@@ -169,7 +222,7 @@ def disturbance_table(rows: Sequence[VariantResults]) -> str:
 
 
 def disturbance_as_json(rows: Sequence[VariantResults]) -> dict[str, Any]:
-    """All figures of all rows, and the name of the worst run for each figure."""
+    """Return all figures of all rows, and the name of the worst run for each figure."""
     worst = {figure: worst_run(rows[1:], figure) for figure in _FIGURES}
     names = {figure: None if run is None else run.variant.name for figure, run in worst.items()}
     return {**variants_as_json(rows), "worst": names}

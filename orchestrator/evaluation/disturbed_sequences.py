@@ -1,4 +1,4 @@
-"""Sequences made of other sequences: mirrored, cropped, with frames left out.
+"""Sequences derived from other sequences: mirrored, cropped, with frames left out.
 
 Pictures, truth and exact motion take the same change, so a disturbed sequence is scored like any other.
 """
@@ -15,7 +15,7 @@ __all__ = ["CroppedSequence", "MirroredSequence", "SelectedFrames", "every_secon
 
 
 class _ChangedSequence:
-    """A sequence as it is; a subclass says which frame stands for which, and what becomes of its arrays."""
+    """A derived sequence; subclasses map the frames and change the arrays."""
 
     def __init__(self, sequence: Sequence) -> None:
         self.name = sequence.name
@@ -49,7 +49,7 @@ class _ChangedSequence:
 
 
 class MirroredSequence(_ChangedSequence):
-    """Left is right."""
+    """The sequence mirrored left to right."""
 
     def motion(self, index: int) -> Array | None:
         """Exact backward motion of frame ``index``, (H, W, 2) float32 px, or None."""
@@ -61,7 +61,7 @@ class MirroredSequence(_ChangedSequence):
 
 
 class CroppedSequence(_ChangedSequence):
-    """Without the first rows and columns.
+    """The sequence without its first rows and columns.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class CroppedSequence(_ChangedSequence):
 
 
 class SelectedFrames(_ChangedSequence):
-    """Every ``step``-th frame from frame ``first`` on, as if there were no others.
+    """Every ``step``-th frame from frame ``first`` on, as a sequence of its own.
 
     Raises
     ------
@@ -99,7 +99,7 @@ class SelectedFrames(_ChangedSequence):
             )
 
     def motion(self, index: int) -> Array | None:
-        """None where frames between are left out: places hidden meanwhile make their sum wrong."""
+        """Return None where frames between are left out: places hidden meanwhile make their sum wrong."""
         return super().motion(index) if self._step == 1 else None
 
     def _original(self, index: int) -> int:
@@ -107,6 +107,6 @@ class SelectedFrames(_ChangedSequence):
 
 
 def every_second_frame(sequence: Sequence) -> SelectedFrames:
-    """The even or the odd frames, whichever have more truth: some sequences have it for few frames only."""
+    """Select the even or the odd frames, whichever have more truth: some sequences have it for few frames."""
     kept = [sum(map(sequence.has_truth, range(first, len(sequence.stems), 2))) for first in (0, 1)]
     return SelectedFrames(sequence, first=int(kept[1] > kept[0]), step=2)

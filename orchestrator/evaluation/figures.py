@@ -26,7 +26,7 @@ __all__ = [
     "write_figures",
 ]
 
-#: Heading of a column, and how its value is found.
+#: Heading of a column, and the function that computes its value.
 Column = tuple[str, Callable[[SequenceResult, SequenceScore], float]]
 
 FIGURES: tuple[Column, ...] = (
@@ -53,19 +53,19 @@ RANGES: tuple[Column, ...] = (
 
 
 def median_delay(score: SequenceScore) -> float:
-    """Median entry delay, frames; infinite if half of the objects are never found, NaN without entries."""
+    """Return the median entry delay, frames; infinite if half are never found, NaN if none enter."""
     delays = [math.inf if delay is None else float(delay) for delay in score.entry_delay.values()]
     return statistics.median(delays) if delays else math.nan
 
 
 def mean_of_sequences(values: Iterable[float]) -> float:
-    """Unweighted mean of the values that are known; NaN without one."""
+    """Return the unweighted mean of the known values; NaN if there are none."""
     known = [value for value in values if not math.isnan(value)]
     return sum(known) / len(known) if known else math.nan
 
 
 def format_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Plain text columns: the first to the left, the others to the right."""
+    """Format plain text columns: the first left-aligned, the others right-aligned."""
     widths = [max(len(row[column]) for row in [headings, *rows]) for column in range(len(headings))]
     return "\n".join(
         "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
@@ -74,14 +74,14 @@ def format_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def format_number(value: float) -> str:
-    """One decimal at most; ``-`` for what is not known, ``never`` for infinity."""
+    """Format with one decimal at most; ``-`` for NaN, ``never`` for infinity."""
     if math.isnan(value):
         return "-"
     return "never" if math.isinf(value) else f"{round(value, 1):g}"
 
 
 def results_as_json(results: Sequence[SequenceResult]) -> dict[str, Any]:
-    """All figures of all sequences, and their means, as JSON can hold them."""
+    """Return all figures of all sequences, and their means, in JSON types."""
     sequences = {result.name: _result_as_json(result) for result in results}
     scored = [(result, result.score) for result in results if result.score is not None]
     means = {
@@ -118,7 +118,7 @@ def write_figures(path: Path, figures: Any) -> None:
 
 
 def null_if_unknown(value: Any) -> Any:
-    """JSON has no NaN and no infinity."""
+    """Replace NaN and infinity, which JSON does not have, by None."""
     if isinstance(value, dict):
         return {key: null_if_unknown(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

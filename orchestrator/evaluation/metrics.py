@@ -1,4 +1,4 @@
-"""How well one label map agrees with its truth, and how well labels and objects keep together over time.
+"""Agreement of label maps with truth, per frame, and consistency of labels and objects over time.
 
 Every figure is a function of one small table a frame, the pixel counts of each (truth object, label) pair
 (:class:`FrameOverlap`), so no label map needs to be kept.
@@ -6,8 +6,8 @@ Every figure is a function of one small table a frame, the pixel counts of each 
 Truth: 0 = background, 1 … 254 = objects, 255 = not judged; such pixels belong to no region of either side.
 
 Differs from the paper: the paper's multi-label figure (:func:`multi_label`) counts every extra region as a
-failure, also a real small mover that the truth leaves out; :func:`object_level` leaves the extra regions out.
-:func:`multi_label_matlab` follows the authors' program, which weighs the objects of a frame by (P + R)².
+failure, even a real small mover that the truth leaves out; :func:`object_level` ignores extra regions.
+:func:`multi_label_matlab` follows the authors' program, which weights the objects of a frame by (P + R)².
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def count_overlap(labels: Array, truth: Array, index: int = 0) -> FrameOverlap:
 
 
 def _ranks(values: Array) -> tuple[Array, Array]:
-    """The ids present (0 always among them, ascending) and each value's position among them."""
+    """Return the ids present (always with 0, ascending) and each value's index among them."""
     present = np.bincount(values, minlength=1) > 0
     present[0] = True
     ids = np.flatnonzero(present)
@@ -119,7 +119,7 @@ def _ranks(values: Array) -> tuple[Array, Array]:
 
 
 def two_label(overlap: FrameOverlap) -> Agreement:
-    """Moving against still, whatever the label: nothing on both sides scores 1, on one side F = 0."""
+    """Score moving against still, whatever the label: nothing on both sides scores 1, on one side F = 0."""
     counts = overlap.counts
     both = int(counts[1:, 1:].sum())
     found, true = int(counts[:, 1:].sum()), int(counts[1:].sum())
@@ -131,14 +131,14 @@ def two_label(overlap: FrameOverlap) -> Agreement:
 
 
 def jaccard(overlap: FrameOverlap) -> float:
-    """Intersection over union of moving pixels; nothing on both sides scores 1."""
+    """Return intersection over union of moving pixels; nothing on both sides scores 1."""
     counts = overlap.counts
     union = int(counts.sum() - counts[0, 0])
     return float(counts[1:, 1:].sum() / union) if union else 1.0
 
 
 def _region_scores(overlap: FrameOverlap) -> tuple[Array, Array, Array]:
-    """Precision, recall and F of every (object, label) pair: three (g, l) float64 arrays."""
+    """Return precision, recall and F of every (object, label) pair: three (g, l) float64 arrays."""
     counts = overlap.counts
     inside = counts[1:, 1:]
     label_area = counts[:, 1:].sum(axis=0)[None, :]
@@ -147,7 +147,7 @@ def _region_scores(overlap: FrameOverlap) -> tuple[Array, Array, Array]:
 
 
 def match_objects(overlap: FrameOverlap) -> dict[int, int]:
-    """Truth id → label id: the one-to-one assignment with the largest ΣF; pairs with F = 0 are left out."""
+    """Map truth ids to label ids: the one-to-one assignment with the largest ΣF, without pairs of F = 0."""
     _, _, f = _region_scores(overlap)
     rows, columns = linear_sum_assignment(f, maximize=True)
     return {
@@ -176,17 +176,17 @@ def _region_means(overlap: FrameOverlap, count_extras: bool) -> Agreement:
 
 
 def multi_label(overlap: FrameOverlap) -> Agreement:
-    """The paper's multi-label figure (§8): mean over matched, lost and extra regions of one frame."""
+    """Return the paper's multi-label figure (§8): mean over matched, lost and extra regions of one frame."""
     return _region_means(overlap, count_extras=True)
 
 
 def object_level(overlap: FrameOverlap) -> Agreement:
-    """As :func:`multi_label` without the extra regions: mean over truth objects, a lost one has F = 0."""
+    """Score as :func:`multi_label` without extra regions: mean over truth objects, a lost one has F = 0."""
     return _region_means(overlap, count_extras=False)
 
 
 def multi_label_matlab(overlap: FrameOverlap) -> Agreement:
-    """The figures of the authors' program: F = Σ 2PR(P+R) / Σ (P+R)² over the objects of one frame.
+    """Return the figures of the authors' program: F = Σ 2PR(P+R) / Σ (P+R)² over the objects of one frame.
 
     Precision and recall are the plain means over the objects. Regions are assigned on pixel overlap with the
     background among them; its row is dropped afterwards and extra regions are ignored. An object without a
@@ -214,7 +214,7 @@ def multi_label_matlab(overlap: FrameOverlap) -> Agreement:
 
 
 def id_switches(overlaps: Iterable[FrameOverlap]) -> int:
-    """How often the label matched to a truth object differs from the one last matched to it."""
+    """Count how often the label matched to a truth object differs from the one last matched to it."""
     last: dict[int, int] = {}
     switches = 0
     for overlap in overlaps:
@@ -225,7 +225,7 @@ def id_switches(overlaps: Iterable[FrameOverlap]) -> int:
 
 
 def moving_objects(truth: Array, flow: Array) -> list[int]:
-    """Truth ids that show ≥ 400 px and move ≥ 1 px/frame against their surroundings, ascending.
+    """List truth ids that show ≥ 400 px and move ≥ 1 px/frame against their surroundings, ascending.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def moving_objects(truth: Array, flow: Array) -> list[int]:
 
 
 def entry_delays(overlaps: Iterable[FrameOverlap], entries: Mapping[int, int]) -> dict[int, int | None]:
-    """Frames from each object's entry to the first frame in which one label has IoU ≥ 0.5 with it.
+    """Count the frames from each object's entry to the first in which one label has IoU ≥ 0.5 with it.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """The tables of the paper's evaluation (§8), with the figures of this program beside the published ones.
 
 Published figures are those of Zhu and Elgammal (ICCV 2017) for the ten sequences of the Berkeley Motion
-Segmentation data set. What is not known of them is left open (``-``), never estimated.
+Segmentation data set. Unknown ones are left open (``-``), never estimated.
 
 Differs from the paper: its overall means also cover five sequences of the Complex Background Data-set (drive,
 forest, parking, store, traffic), which are left out here. Every mean over sequences, the published ones of
@@ -110,7 +110,7 @@ _RANGES: dict[str, Callable[[SequenceScore], RangeScore]] = {
 
 @dataclass(frozen=True, slots=True)
 class PaperStage:
-    """A stage of the paper's program and those of this one that do its work.
+    """A stage of the paper's program and the corresponding ones of this program.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class PaperStage:
     stages : tuple of str
         Keys of :attr:`~mlbs_actors.messages.Segmentation.stage_ms`.
     remark : str
-        What else these stages do.
+        Other work of these stages.
     """
 
     name: str
@@ -240,7 +240,7 @@ def two_label_table(results: Sequence[SequenceResult]) -> Table:
 
 
 def moving_objects_table(results: Sequence[SequenceResult]) -> Table:
-    """Make table 2: the same by how many objects move at a time."""
+    """Make table 2: the same by the number of objects that move at a time."""
     scores = _scores(results)
     rows = []
     for objects in sorted({one.moving_objects for one in SEQUENCES}):
@@ -256,7 +256,7 @@ def moving_objects_table(results: Sequence[SequenceResult]) -> Table:
 
 
 def multi_label_table(results: Sequence[SequenceResult]) -> Table:
-    """Make table 3: objects told from each other, in the first ten frames and in all."""
+    """Make table 3: objects scored separately, in the first ten frames and in all."""
     scores = list(_scores(results).values())
     rows = []
     for frames, of_range in _RANGES.items():
@@ -297,7 +297,7 @@ def multi_label_table(results: Sequence[SequenceResult]) -> Table:
 def time_table(results: Sequence[SequenceResult]) -> Table:
     """Make table 4: milliseconds a frame by the paper's stages.
 
-    Stages of this program that do the work of none of the paper's have rows of their own.
+    Stages of this program without a counterpart in the paper have rows of their own.
     """
     timed = [result for result in results if result.score is not None]
     stages = tuple(stage for one in STAGES for stage in one.stages)
@@ -329,7 +329,7 @@ def time_table(results: Sequence[SequenceResult]) -> Table:
 
 
 def _time_cells(times: Mapping[str, float]) -> tuple[str, str]:
-    """The time of the sequence that the paper timed, and the mean, of times by name."""
+    """Return the time of the sequence that the paper timed, and the mean, of times by name."""
     published_for = (time for name, time in times.items() if _base_name(name) == _TIMED_SEQUENCE)
     return format_number(mean_of_sequences(published_for)), format_number(mean_of_sequences(times.values()))
 
@@ -339,7 +339,7 @@ def _base_name(name: str) -> str:
 
 
 def _scores(results: Sequence[SequenceResult]) -> dict[str, SequenceScore]:
-    """Scores by the paper's names, without the sequences that could not be scored."""
+    """Return scores by the paper's names, without failed sequences."""
     return {_base_name(result.name): result.score for result in results if result.score is not None}
 
 
@@ -349,7 +349,7 @@ def _two_label_f(scores: Mapping[str, SequenceScore], sequence: PaperSequence) -
 
 
 def _mean_row(scores: Mapping[str, SequenceScore], sequences: Sequence[PaperSequence]) -> tuple[str, ...]:
-    """Means over some sequences: ours, then each method's."""
+    """Average over some sequences: ours, then each method's."""
     ours = mean_of_sequences(_two_label_f(scores, one) for one in sequences)
     published = (
         mean_of_sequences(one.two_label_f[method] for one in sequences) for method in range(len(METHODS))
@@ -358,11 +358,11 @@ def _mean_row(scores: Mapping[str, SequenceScore], sequences: Sequence[PaperSequ
 
 
 def _time_of(result: SequenceResult, stages: Sequence[str]) -> float:
-    """Time of some stages, ms; NaN if the sequence tells of none of them."""
+    """Sum the times of some stages, ms; NaN if the sequence has none of them."""
     known = [result.stage_ms[stage] for stage in stages if stage in result.stage_ms]
     return sum(known) if known else math.nan
 
 
 def _percent(value: float) -> str:
-    """Two decimals, as the paper has them; ``-`` for what is not known."""
+    """Format two decimals, as the paper does; ``-`` for NaN."""
     return "-" if math.isnan(value) else f"{value:.2f}"

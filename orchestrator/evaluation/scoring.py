@@ -35,7 +35,7 @@ SHEET_FRAMES = 8
 
 
 class Subtractor(Protocol):
-    """What labels frames: the engine, or anything like it."""
+    """Labels frames: the engine, or a similar object."""
 
     def apply(self, frame: Array) -> Sequence[Segmentation]:
         """Take the next frame; return the frames that are now labelled."""
@@ -46,19 +46,19 @@ class Subtractor(Protocol):
 
 @dataclass(slots=True)
 class EngineLabelling:
-    """A sequence's label maps as the engine gives them, by frame index, and what they cost so far.
+    """Label maps of a sequence from the engine, by frame index, and their cost so far.
 
     Attributes
     ----------
     sequence : Sequence
     subtractor : Subtractor
-        Fresh: it has seen no frame.
+        Fresh: no frame seen yet.
     frames : int
-        Label maps given so far.
+        Label maps so far.
     milliseconds : float
         Wall time spent in the engine so far, ms.
     stage_ms : defaultdict of str to float
-        The same by stage, as the segmentations tell it.
+        The same by stage, as reported by the segmentations.
     """
 
     sequence: datasets.Sequence
@@ -118,7 +118,7 @@ class SequenceResult:
 
 
 def run_label_maps(sequence: datasets.Sequence, masks: Path) -> Iterator[tuple[int, Array]]:
-    """Read the masks that a run wrote, by frame index; frames without a mask are left out.
+    """Read the masks of a run, by frame index; skip frames without a mask.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def score_sequence(
 
 
 def warm_engine() -> None:
-    """Compile or load the engine's kernels in this process, so that no frame's time holds it."""
+    """Compile or load the engine's kernels in this process, so that no frame's time includes it."""
     EngineParts().warm_stream()
 
 
@@ -194,7 +194,7 @@ def engine_result(
     sheet_folder: Path | None,
     change: datasets.SequenceChange | None = None,
 ) -> SequenceResult:
-    """Open a sequence, run the engine over it, score it. A failure is told in the result: others go on.
+    """Open a sequence, run the engine over it, score it. A failure is reported in the result.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def engine_result(
     sheet_folder : Path or None
         As for :func:`score_sequence`.
     change : SequenceChange or None
-        What is done to the sequence first.
+        Change to the sequence.
     """
     try:
         sequence = datasets.open_sequence(name, root)
@@ -217,7 +217,7 @@ def engine_result(
         result = score_sequence(sequence, labelling, sheet_folder)
     except MlbsError as error:
         return SequenceResult(name, error=str(error))
-    except Exception:  # a defect that shows on one sequence must not lose the figures of the others
+    except Exception:  # a defect on one sequence must not lose the figures of the others
         return SequenceResult(name, error=traceback.format_exc())
     frames = max(labelling.frames, 1)
     return replace(

@@ -1,7 +1,7 @@
 """All figures of one sequence, collected frame by frame: means by range of frames, and layers off the truth.
 
-Differs from the paper: beside its figures stand ``object_f`` and ``extra_layers``, which tell objects lost
-from layers the truth does not know, and the frames of the start are also scored apart.
+Differs from the paper: it adds ``object_f`` and ``extra_layers``, which separate lost objects from layers
+that the truth does not have, and scores the frames of the start separately.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from orchestrator.evaluation.metrics import (
 
 __all__ = ["START_FRAMES", "ExtraLayer", "RangeScore", "SequenceScore", "SequenceScorer"]
 
-#: Frames held until the first clustering (at most); "after the start" begins behind them.
+#: Most frames held until the first clustering; "after the start" begins after them.
 START_FRAMES = 5
 
 MIN_EXTRA_LIFE = 3  # frames a layer must live to count as extra
@@ -36,7 +36,7 @@ MIN_EXTRA_LIFE = 3  # frames a layer must live to count as extra
 
 @dataclass(frozen=True, slots=True)
 class ExtraLayer:
-    """A layer that lies mostly off every truth object: a real mover the truth leaves out, or a false one.
+    """A layer mostly off all truth objects: a real mover that the truth leaves out, or a false one.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ def _mean(values: Iterable[float]) -> float:
 
 @dataclass(slots=True)
 class _Life:
-    """What is known so far of one label id."""
+    """Statistics of one label id so far."""
 
     first_frame: int
     frames: int = 0
@@ -214,7 +214,7 @@ class SequenceScorer:
                 self._entries.setdefault(truth_id, index)
 
     def score(self) -> SequenceScore:
-        """All figures of the frames taken so far."""
+        """Compute all figures of the frames so far."""
         extras = tuple(self._extras())
         return SequenceScore(
             frames=self._frames,
@@ -245,6 +245,6 @@ class SequenceScorer:
 
 
 def _cut_out(mask: Array) -> tuple[Region, Array]:
-    """Bounding box of a mask and the mask inside it."""
+    """Return the bounding box of a mask and the mask inside it."""
     region = Region(*cv2.boundingRect(mask.astype(np.uint8)))
     return region, mask[region.slices].copy()

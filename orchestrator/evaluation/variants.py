@@ -1,4 +1,4 @@
-"""Variants of the engine or of its input, run over the same sequences and set side by side.
+"""Variants of the engine or of its input, compared on the same sequences.
 
 All variants share one pool of processes, so a core that is done with one variant takes work of the next.
 """
@@ -39,11 +39,11 @@ class Variant:
     Attributes
     ----------
     name : str
-        Names its row of the table; empty where there is one variant only.
+        Name of its row in the table; empty if there is only one variant.
     overrides : tuple of str
         ``section.key=value``, later ones win.
     change : SequenceChange or None
-        What is done to every sequence first.
+        Change to every sequence.
     """
 
     name: str
@@ -64,7 +64,7 @@ class VariantResults:
         return any(result.score is None for result in self.results)
 
     def mean(self, heading: str) -> float:
-        """Mean of a column over the sequences; NaN if one failed: it would compare different sequences."""
+        """Average a column over the sequences; NaN if one failed, as other sequences would be compared."""
         return math.nan if self.failed else mean_of_sequences(_value(r, heading) for r in self.results)
 
 
@@ -76,7 +76,7 @@ def run_variants(
     sheet_folder: Path | None = None,
     prepare: Callable[[], None] | None = None,
 ) -> list[VariantResults]:
-    """Run and score every variant on every sequence; each that is done is told on stderr.
+    """Run and score every variant on every sequence; report progress on stderr.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def run_variants(
     jobs : int
         Processes at the same time; 1: all in this process.
     sheet_folder : Path or None
-        Gets the contact sheets, which bear the names of the sequences only: for a single variant.
+        For the contact sheets, which are named after the sequences only: for a single variant.
     prepare : callable or None
         Called once in each process before its first run; a function of a module.
 
@@ -116,7 +116,7 @@ def run_variants(
 def _as_they_end(
     calls: Sequence[_Call], jobs: int, prepare: Callable[[], None] | None
 ) -> Iterator[tuple[int, SequenceResult]]:
-    """Each call's place and result, whichever ends first."""
+    """Yield each call's index and result, in the order in which they end."""
     if jobs == 1 or len(calls) == 1:
         if prepare is not None:
             prepare()
@@ -132,7 +132,7 @@ def _as_they_end(
 
 
 def variants_table(rows: Sequence[VariantResults], heading: str, means: Sequence[str]) -> str:
-    """The variants one below the other: means of these columns, then two_label_f of each sequence.
+    """Format one row per variant: means of these columns, then two_label_f of each sequence.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def variants_table(rows: Sequence[VariantResults], heading: str, means: Sequence
 
 
 def variants_as_json(rows: Sequence[VariantResults]) -> dict[str, Any]:
-    """All figures of all variants, as JSON can hold them."""
+    """Return all figures of all variants in JSON types."""
     return {
         "rows": [
             {

@@ -43,7 +43,7 @@ _FILES = ("coco", "rerun")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0 written, 1 the disk refused, 2 it cannot be done."""
+    """Run the command; return its exit status: 0 written, 1 a disk error, 2 impossible."""
     parser = argparse.ArgumentParser(
         prog="python -m orchestrator.export",
         description="Write what a run has committed in the format of other tools.",
@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _export(write: Callable[[Path, Path], None], is_file: bool, run: Path, out: Path) -> None:
-    """Write under a temporary name, so that ``out`` is whole or not there."""
+    """Write under a temporary name, so that ``out`` is complete or missing."""
     if out.exists():
         raise ConfigError(f"{out} is there already; name another place to write to.")
     draft = temporary_path(out)

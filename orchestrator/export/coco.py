@@ -10,7 +10,7 @@ from orchestrator.export.recorded_stream import recorded_stream, streams_of
 
 __all__ = ["CATEGORY", "write_coco"]
 
-#: The only category: what moves has no other name here.
+#: The only category.
 CATEGORY = 1
 
 

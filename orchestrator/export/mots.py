@@ -9,7 +9,7 @@ from orchestrator.export.recorded_stream import recorded_stream, streams_of
 
 __all__ = ["CLASS", "write_mots"]
 
-#: The class that every object is given; the format knows 1 = car and 2 = pedestrian.
+#: Class of all objects; the format has 1 = car and 2 = pedestrian.
 CLASS = 1
 
 _OBJECTS_OF_A_CLASS = 1000  # an object's id holds its class in the thousands
@@ -22,12 +22,12 @@ def write_mots(run: Path, out: Path) -> None:
     ----------
     run : Path
     out : Path
-        A folder that is there.
+        An existing folder.
 
     Raises
     ------
     ConfigError
-        If a layer's id has no place in the format.
+        If a layer's id does not fit into the format.
     """
     for name in streams_of(run):
         with (out / f"{name}.txt").open("w", encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""DAVIS and YouTube-VOS: folders of indexed PNG files, with the lists that their readers go by."""
+"""DAVIS and YouTube-VOS: folders of indexed PNG files, with the lists that their readers need."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def write_davis(run: Path, out: Path) -> None:
     ----------
     run : Path
     out : Path
-        A folder that is there.
+        An existing folder.
 
     Raises
     ------
     ConfigError
-        If a layer's id has no place in the format; from :func:`write_youtube_vos` too.
+        If a layer's id does not fit into the format; from :func:`write_youtube_vos` too.
     """
     written = [name for name in streams_of(run) if _write_masks(run / name, out / "Annotations/480p" / name)]
     (out / "ImageSets/2017").mkdir(parents=True)
@@ -47,7 +47,7 @@ def write_youtube_vos(run: Path, out: Path) -> None:
 
 
 def _write_masks(stream: Path, folder: Path) -> dict[int, list[str]]:
-    """Write a mask a frame; return the frames of every object, {} if there is no frame."""
+    """Write one mask per frame; return the frames of every object, {} if there is no frame."""
     seen: dict[int, list[str]] = {}
     for frame in recorded_stream(stream):
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""A stream as its record holds it, frame by frame: what every export is made of."""
+"""A recorded stream, frame by frame: the input of every export."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class RecordedFrame:
 
 
 def description_of(run: Path) -> dict[str, Any]:
-    """What a run was asked for: its ``run.json``.
+    """Return the ``run.json`` of a run.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def description_of(run: Path) -> dict[str, Any]:
 
 
 def streams_of(run: Path) -> dict[str, str]:
-    """Names of a run's streams, in the order of its list → their addresses, passwords hidden.
+    """Map the names of a run's streams, in the order of its list, to their addresses, passwords hidden.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def streams_of(run: Path) -> dict[str, str]:
 
 
 def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
-    """Committed frames that have a label map, in order, a part of the tables at a time.
+    """Yield committed frames that have a label map, in order, one part of the tables at a time.
 
     Parameters
     ----------

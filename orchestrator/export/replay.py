@@ -1,4 +1,4 @@
-"""A recorded stream's source read once more, and segmented once more to look inside."""
+"""Replay of a recorded stream: its source read again, and segmented again to inspect the internals."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ __all__ = ["InspectedFrame", "inspected", "replayed"]
 
 @dataclass(frozen=True, slots=True)
 class InspectedFrame:
-    """A frame of the record, and what was inside when it was labelled once more.
+    """A frame of the record, and the internals from labelling it again.
 
     Attributes
     ----------
     recorded : RecordedFrame
     inspection : FrameInspection
-        In pixels of the picture that was worked on, which may be smaller than the recorded one.
+        In pixels of the processed picture, which may be smaller than the recorded one.
     same_labels : bool
         Whether its label map is the recorded one.
     """
@@ -44,7 +44,7 @@ class InspectedFrame:
 
 
 def replayed(source: str) -> Iterator[SourceFrame]:
-    """Read a source again; nothing comes from a camera, nor from what is not there any more."""
+    """Read a source again; yield nothing for a camera, or a missing source."""
     try:
         address = parse_address(source, Path("/"))
         if address.kind not in (SourceKind.PATH, SourceKind.SYNTHETIC):
@@ -69,15 +69,14 @@ def inspected(
     ----------
     recorded : iterable of RecordedFrame
     source : str
-        What they are of; where it cannot be read again nothing comes.
-    config : Config
+        Their source; if it cannot be read again nothing is yielded.
     max_frames, max_side : int, optional
         Of the run.
 
     Yields
     ------
     InspectedFrame
-        In order, for every recorded frame that the source still gives.
+        In order, for every recorded frame that can be read again.
     """
     inspections: deque[FrameInspection] = deque()
     subtractor = MultilayerSubtractor(config, inspections.append)

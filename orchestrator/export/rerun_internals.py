@@ -1,6 +1,6 @@
-"""What is inside a stream, for rerun: trajectories, motion fields and posteriors of every layer.
+"""The internals of a stream for rerun: trajectories, motion fields and posteriors of every layer.
 
-No record holds them; they are made once more from the source (:mod:`orchestrator.export.replay`).
+No record contains them; they are computed again from the source (:mod:`orchestrator.export.replay`).
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ _KINDS = ("trajectories", "motion_fields", "posteriors")
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What was logged of a stream.
+    """Summary of the frames logged.
 
     Attributes
     ----------
     frames : int
     others : int
-        Those of them whose label map came out other than recorded.
+        Frames whose label map differs from the record.
     layers : tuple of int
         Ascending, the background's included.
     """
@@ -48,7 +48,7 @@ class Written:
     layers: tuple[int, ...]
 
     def remarks(self, name: str, expected: int) -> list[str]:
-        """Say what is missing or other than recorded; ``expected`` is the number of recorded frames."""
+        """Describe missing and differing frames; ``expected`` is the number of recorded frames."""
         sentences = []
         if self.frames < expected:
             sentences.append(
@@ -68,9 +68,9 @@ def write_internals(recording: rerun.RecordingStream, name: str, frames: Iterabl
     """Log these entities on the timelines ``frame`` and ``time``; in full-size pixels, 0 is the background.
 
     ===========================  ======================================================================
-    ``NAME/trajectories/ID``     points that the layer goes by, ``…/steps`` from where each was before
+    ``NAME/trajectories/ID``     the layer's points, ``…/steps`` from each one's position before
     ``NAME/motion_fields/ID``    its motion t−1 → t, arrows on a coarse grid
-    ``NAME/posteriors/ID``       how likely a pixel was its own before the graph cut, 255 is certain
+    ``NAME/posteriors/ID``       posterior of each pixel before the graph cut, 255 is certain
     ===========================  ======================================================================
 
     Parameters
@@ -87,7 +87,7 @@ def write_internals(recording: rerun.RecordingStream, name: str, frames: Iterabl
         recording.set_time("frame", sequence=frame.recorded.index)
         recording.set_time("time", duration=frame.recorded.pts)
         present = {layer.layer for layer in frame.inspection.layers}
-        for gone in sorted(shown - present):  # else the viewer goes on showing what it was last
+        for gone in sorted(shown - present):  # else the viewer keeps showing its last state
             for kind in _KINDS:
                 recording.log(_path(name, kind, gone), rerun.Clear(recursive=True))
         shown = present
@@ -101,7 +101,8 @@ def write_internals(recording: rerun.RecordingStream, name: str, frames: Iterabl
 
 
 def layout(layers: Mapping[str, Iterable[int]]) -> rrb.Blueprint:
-    """A tab a stream: over the picture its results, trajectories and motion fields, and the posteriors.
+    """Lay out one tab per stream: over the picture its results, trajectories and motion fields, and
+    posteriors.
 
     Parameters
     ----------
@@ -130,7 +131,7 @@ def layout(layers: Mapping[str, Iterable[int]]) -> rrb.Blueprint:
 
 @dataclass(frozen=True, slots=True)
 class _Size:
-    """From the pixels that were worked on, (H, W), to those of the recorded picture."""
+    """Maps processed pixels, (H, W), to those of the recorded picture."""
 
     recorded: tuple[int, int]
     worked: tuple[int, int]
@@ -140,15 +141,15 @@ class _Size:
         return np.array(self.recorded[::-1], np.float32) / np.array(self.worked[::-1], np.float32)
 
     def points(self, points: Array) -> Array:
-        """Positions (…, 2); a pixel's is its centre's."""
+        """Map positions (…, 2); a pixel's is its centre's."""
         return np.asarray((points + np.float32(0.5)) * self._scale - np.float32(0.5))
 
     def vectors(self, vectors: Array) -> Array:
-        """Displacements (…, 2)."""
+        """Scale displacements (…, 2)."""
         return np.asarray(vectors * self._scale)
 
     def picture(self, picture: Array) -> Array:
-        """A map of the whole picture."""
+        """Resize a map of the whole picture."""
         if self.worked == self.recorded:
             return picture
         return np.asarray(cv2.resize(picture, self.recorded[::-1], interpolation=cv2.INTER_LINEAR))
@@ -175,7 +176,7 @@ def _write_layer(recording: rerun.RecordingStream, name: str, layer: LayerInspec
 
 
 def _arrows(layer: LayerInspection, spacing: float) -> tuple[Array, Array]:
-    """Origins and forward motions (n, 2) at some nodes of a motion field, about ``spacing`` px apart."""
+    """Return origins and forward motions (n, 2) at nodes of a motion field, about ``spacing`` px apart."""
     field, home = layer.motion_field, layer.home
     step = max(1, round(spacing / field.spacing))
     rows, columns = (np.arange(min(step, count) // 2, count, step) for count in field.mean.shape[:2])
@@ -189,7 +190,7 @@ def _path(name: str, kind: str, layer: int) -> str:
 
 
 def layer_rgb(layer: int) -> tuple[int, int, int]:
-    """Colour of a layer as in the overlay, the background's grey."""
+    """Return the colour of a layer as in the overlay, grey for the background."""
     if layer == BACKGROUND:
         return _BACKGROUND_RGB
     blue, green, red = layer_colour(layer)

@@ -1,7 +1,7 @@
-"""Rerun: a recording that its viewer plays, with the pictures if their source can be read again.
+"""Rerun: a recording for its viewer, with the pictures if their source can be read again.
 
-It holds what the record holds: label maps, the boxes, areas and motions of the objects, the motion of the
-camera. What no record holds (:mod:`orchestrator.export.rerun_internals`) is made once more if asked for.
+It has the contents of the record: label maps, the boxes, areas and motions of the objects, the motion of the
+camera. Internals (:mod:`orchestrator.export.rerun_internals`) are computed again on request.
 """
 
 from __future__ import annotations
@@ -50,18 +50,18 @@ def write_rerun(run: Path, out: Path, *, internals: bool = False) -> list[str]:
     out : Path
         The file.
     internals : bool
-        Segment every stream once more, which is shown on standard error, and log what is inside: see
+        Segment every stream again, with progress on standard error, and log the internals: see
         :func:`~orchestrator.export.rerun_internals.write_internals`.
 
     Returns
     -------
     list of str
-        Sentences about internals that are missing, or are not those of the recorded label maps.
+        Sentences about internals that are missing or differ from the recorded label maps.
     """
     sources = streams_of(run)
     with rerun.RecordingStream("mlbs-actors") as recording:
         recording.save(out)
-        recording.set_log_time_enabled(False)  # the time of the export tells nothing
+        recording.set_log_time_enabled(False)  # the time of the export is irrelevant
         for name, source in sources.items():
             _StreamLog(recording, name).write(_with_pictures(recorded_stream(run / name), source))
         return _add_internals(recording, run, sources) if internals else []
@@ -104,11 +104,11 @@ class _StreamLog:
             for one in frame.objects:
                 self._write_object(one)
             present = {one.layer for one in frame.objects}
-            for gone in sorted(shown - present):  # else the viewer goes on showing where it was last
+            for gone in sorted(shown - present):  # else the viewer keeps showing its last position
                 self._log(rerun.Clear(recursive=True), "layers", str(gone))
             shown = present
             seen |= present
-        # Without a class of its own the background is painted over the picture in a colour of the viewer's.
+        # Without a class of its own the background would be painted over the picture in the viewer's colour.
         classes = [rerun.AnnotationInfo(id=BACKGROUND, label="background", color=(0, 0, 0, 0))]
         classes += [
             rerun.AnnotationInfo(id=layer, label=str(layer), color=layer_rgb(layer)) for layer in sorted(seen)
@@ -130,7 +130,7 @@ class _StreamLog:
 def _with_pictures(
     frames: Iterable[RecordedFrame], source: str
 ) -> Iterator[tuple[RecordedFrame, Array | None]]:
-    """Pair the frames with their pictures: None for all that cannot be read (again)."""
+    """Pair the frames with their pictures, None for those that cannot be read."""
     pictures = replayed(source)
     newest = next(pictures, None)
     for frame in frames:

@@ -1,1 +1,1 @@
-"""``--monitor``: one page that shows a run while it goes on."""
+"""``--monitor``: one page that shows a run live."""

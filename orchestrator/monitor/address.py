@@ -1,4 +1,4 @@
-"""Where the monitor's page is served, and the name of what others must know to see it."""
+"""The address of the monitor's page, and the variable with the token that others need."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ TOKEN_VARIABLE = "MLBS_MONITOR_TOKEN"
 
 @dataclass(frozen=True, slots=True)
 class MonitorAddress:
-    """Where the page is served.
+    """Address of the page.
 
     Attributes
     ----------
     host : str
-        Name or IP address to listen at.
+        Name or IP address to listen on.
     port : int
-        0 for any that is free.
+        0 for any free one.
     """
 
     host: str

@@ -1,4 +1,4 @@
-"""What the monitor shows: the newest states of the streams, and how their layers came and went."""
+"""Data of the monitor: the newest states of the streams, and the history of their layer counts."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from orchestrator.sinks.live_picture import live_picture_path
 
 __all__ = ["Board"]
 
-#: Points kept of a stream's past; at more, every second one is dropped, so that they span the whole run.
+#: Points of a stream's history; when there are more, every second one is dropped, so that they span the run.
 _POINTS = 240
 
 
 class Board:
-    """An observer of the driver that answers from other threads.
+    """An observer of the driver that can be read from other threads.
 
     Parameters
     ----------
@@ -55,13 +55,13 @@ class Board:
             return self._states
 
     def status(self) -> dict[str, Any]:
-        """Everything the page shows, as JSON takes it.
+        """Return everything that the page shows, in JSON types.
 
         Returns
         -------
         dict
             ``seconds`` since the start; ``streams``, in the order of the list: those of ``status.json`` and
-            ``name``, ``rank`` (where it is shown: :attr:`StreamState.rank`), ``picture`` (changes with the
+            ``name``, ``rank`` (display order: :attr:`StreamState.rank`), ``picture`` (changes with the
             picture, null if there is none), ``layers_over_time`` (pairs of frames read and layers).
         """
         with self._lock:
@@ -80,7 +80,7 @@ class Board:
         }
 
     def picture(self, number: int) -> bytes | None:
-        """Newest picture (JPEG) of the stream at this place in the list; None if there is none."""
+        """Return the newest picture (JPEG) of the stream at this index of the list; None if there is none."""
         try:
             return live_picture_path(self._pictures, self.states[number].name).read_bytes()
         except (IndexError, OSError):

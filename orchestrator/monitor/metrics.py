@@ -1,4 +1,4 @@
-"""The figures of the streams as Prometheus knows them, and its text format for the monitor's own page."""
+"""Prometheus metrics of the streams, and their text format for the monitor's own page."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A figure of every stream, with the label ``stream``.
+    """A metric of every stream, with the label ``stream``.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ METRICS = (
     Metric(
         "mlbs_stream_gaps_total",
         "counter",
-        "Times in which a camera sent nothing, was away, or nobody read it.",
+        "Times in which a camera sent nothing, was away, or was not read.",
         lambda s: s.gaps,
     ),
     Metric(
@@ -82,23 +82,23 @@ METRICS = (
     ),
 )
 
-#: Gauge that is 1 for the state that a stream is in, which its label ``state`` tells.
+#: Gauge that is 1 for a stream's current state, which is in its label ``state``.
 STATE = "mlbs_stream_state"
 STATE_MEANING = "1 for the state of the stream."
 
 
 class Reached:
-    """How far the counters of the streams have come.
+    """Progress of the streams' counters.
 
-    A stream that goes back to a snapshot reads frames again. They are counted once: a Prometheus would take a
-    counter that falls for a program that was started anew, and all its frames for new ones.
+    A stream that goes back to a snapshot reads frames again. They are counted once: Prometheus takes a
+    decreasing counter for a restarted program, and would count all its frames again.
     """
 
     def __init__(self) -> None:
         self._values: dict[tuple[str, str], float] = {}
 
     def advance(self, counter: Metric, state: StreamState) -> tuple[float | None, float]:
-        """Value before, None the first time, and now."""
+        """Return the value before, None the first time, and now."""
         place = counter.name, state.name
         before = self._values.get(place)
         self._values[place] = now = max(before or 0.0, counter.value(state))
@@ -106,14 +106,14 @@ class Reached:
 
 
 class MetricsText:
-    """Writes :data:`METRICS` and :data:`STATE` of the streams, for whichever threads ask."""
+    """Formats :data:`METRICS` and :data:`STATE` of the streams, for any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._reached = Reached()
 
     def __call__(self, states: Sequence[StreamState]) -> str:
-        """The text of these states."""
+        """Return the text of these states."""
         lines = []
         for one in METRICS:
             lines += [f"# HELP {one.name} {one.meaning}", f"# TYPE {one.name} {one.kind}"]

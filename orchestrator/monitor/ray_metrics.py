@@ -1,4 +1,4 @@
-"""The figures of the streams told to Ray's own metrics, which its exporter gives to a Prometheus."""
+"""The metrics of the streams reported through Ray, whose exporter serves them to Prometheus."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from orchestrator.run.stream_state import StreamState
 
 __all__ = ["RayMetrics"]
 
-#: Ray takes no 0, but a counter must be there before it counts, or nobody sees it begin. A sum loses this.
+#: Replaces 0, which Ray drops: a counter must exist before it counts. It does not affect sums.
 _NOTHING = sys.float_info.min
 
 
@@ -28,19 +28,19 @@ class RayMetrics:
         }
         self._state = Gauge(STATE, STATE_MEANING, ("stream", "state"))
         self._reached = Reached()
-        self._told: dict[str, StreamState] = {}
+        self._reported: dict[str, StreamState] = {}
 
     def update(self, states: Sequence[StreamState]) -> None:
-        """Tell what has changed."""
+        """Report changes."""
         for state in states:
-            if self._told.get(state.name) != state:
-                self._tell(state)
-        for name in self._told.keys() - {state.name for state in states}:
-            # Ray goes on exporting whatever it was told of a stream that is no more.
-            self._tell(StreamState(name))
-            self._state.set(0, {"stream": name, "state": self._told.pop(name).state})
+            if self._reported.get(state.name) != state:
+                self._report(state)
+        for name in self._reported.keys() - {state.name for state in states}:
+            # Ray would keep exporting the last values of a stream that no longer exists.
+            self._report(StreamState(name))
+            self._state.set(0, {"stream": name, "state": self._reported.pop(name).state})
 
-    def _tell(self, state: StreamState) -> None:
+    def _report(self, state: StreamState) -> None:
         stream = {"stream": state.name}
         for one, counter in self._counters.items():
             reached, now = self._reached.advance(one, state)
@@ -50,8 +50,8 @@ class RayMetrics:
                 counter.inc(now - (reached or 0), stream)
         for one, gauge in self._gauges.items():
             gauge.set(one.value(state), stream)
-        before = self._told.get(state.name)
+        before = self._reported.get(state.name)
         if before is not None and before.state != state.state:
             self._state.set(0, stream | {"state": before.state})
         self._state.set(1, stream | {"state": state.state})
-        self._told[state.name] = state
+        self._reported[state.name] = state

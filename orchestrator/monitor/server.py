@@ -1,7 +1,7 @@
-"""Serves the monitor's page: on this machine only, or elsewhere for those who know the token.
+"""Serves the monitor's page: on this machine only, or elsewhere to those who know the token.
 
-The page is static and asks for ``/status.json`` once a second; pictures are files that the sink writes at
-most once a second. So nobody who looks on, nor how many, slows a frame.
+The page is static and requests ``/status.json`` once a second; pictures are files that the sink writes at
+most once a second. So viewers never slow a frame, however many there are.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def serving(address: MonitorAddress, board: Board) -> Iterator[str]:
     Raises
     ------
     ConfigError
-        If the address cannot be listened at, or others could reach it and there is no token.
+        If the address is not available, or others could reach it and there is no token.
     """
     token = os.environ.get(TOKEN_VARIABLE, "")
     if (token or not address.is_loopback) and len(token) < _LEAST_TOKEN:
@@ -81,7 +81,7 @@ def serving(address: MonitorAddress, board: Board) -> Iterator[str]:
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
-    block_on_close = False  # a reader who is slow must not hold up the end of the run
+    block_on_close = False  # a slow viewer must not delay the end of the run
 
     def __init__(self, address: MonitorAddress, board: Board, token: str) -> None:
         self.board = board
@@ -94,7 +94,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: _Server
     server_version = "mlbs-monitor"
     sys_version = ""
-    timeout = 10  # s without a word from the other side
+    timeout = 10  # s without data from the client
 
     def do_GET(self) -> None:
         """Answer with a file of the page, the status, or a picture."""
@@ -102,7 +102,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.server.token:
             given = parse_qs(url.query).get("token", [""])[0]
             if given and self._is_token(given):
-                # From here on a cookie knows it, so that it is not in the browser's history.
+                # A cookie keeps the token from now on, so that it is not in the browser's history.
                 cookie = f"{_COOKIE}={given}; HttpOnly; SameSite=Strict; Path=/"
                 self._answer(HTTPStatus.SEE_OTHER, b"", "text/plain", {"Location": "/", "Set-Cookie": cookie})
                 return
@@ -110,7 +110,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self._refuse(HTTPStatus.UNAUTHORIZED, "Open this page with ?token=… in its address.")
                 return
         elif not self._is_for_loopback():
-            # Another site's name may have been pointed at this machine to read the page.
+            # DNS rebinding: another site's name may point at this machine to read the page.
             self._refuse(HTTPStatus.FORBIDDEN, "Open this page at 127.0.0.1 or localhost.")
             return
         if url.path in _FILES:
@@ -127,7 +127,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.NOT_FOUND, "There is nothing here.")
 
     def log_message(self, format: str, *arguments: object) -> None:
-        """Say nothing: the terminal belongs to the progress, and a line could hold the token."""
+        """Do nothing: the terminal belongs to the progress, and a line could contain the token."""
 
     def _picture(self, path: str) -> bytes | None:
         number = path.removeprefix("/pictures/").removesuffix(".jpg")
@@ -166,4 +166,4 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             self.wfile.write(content)
         except ConnectionError:
-            self.close_connection = True  # whoever asked is gone
+            self.close_connection = True  # the client is gone

@@ -1,1 +1,1 @@
-"""``report.html``: what a run found and how it went, in one file that needs no server."""
+"""``report.html``: results and progress of a run, in one file that needs no server."""

@@ -1,4 +1,4 @@
-"""Writes the report of a run anew: ``python -m orchestrator.report DIR``, also after a kill."""
+"""Writes the report of a run again: ``python -m orchestrator.report DIR``, even after a kill."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from orchestrator.run.durable_files import replace_file
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0 written, 2 there is no run or no way to write."""
+    """Run the command; return its exit status: 0 written, 2 no run, or it cannot be written."""
     parser = argparse.ArgumentParser(
         prog="python -m orchestrator.report",
         description="Write DIR/report.html anew from what a run has left in DIR.",

@@ -1,4 +1,4 @@
-"""Charts of a stream's course as SVG that stands in the page: no script, and legible in light and dark."""
+"""Charts of a stream over time as inline SVG: no script, and legible in light and dark."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from orchestrator.sinks.layer_colours import layer_colour
 
 __all__ = ["css_colour", "object_count_chart", "stage_chart", "timeline_chart"]
 
-_WIDTH, _LEFT, _RIGHT = 900, 60, 36  # of every chart, and what its labels take; units of the SVG
+_WIDTH, _LEFT, _RIGHT = 900, 60, 36  # of every chart, and margins for its labels; units of the SVG
 _ROW, _PLOT, _AXIS = 18, 150, 26  # heights: a layer's row, a plot, the frame numbers below
 _POINTS = 240  # of a curve: longer streams are averaged
 
@@ -26,18 +26,18 @@ _SVG = Markup('<svg viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>')
 
 @dataclass(frozen=True, slots=True)
 class _FrameAxis:
-    """Frames from left to right."""
+    """The horizontal axis of frames."""
 
     first: int
     last: int
 
     def x(self, frame: float) -> float:
-        """Where a frame begins; the last one ends at the right edge."""
+        """Return where a frame begins; the last one ends at the right edge."""
         share = (frame - self.first) / (self.last + 1 - self.first)
         return round(float(_LEFT + share * (_WIDTH - _LEFT - _RIGHT)), 1)
 
     def drawn(self, top: float) -> Markup:
-        """The numbers below a chart that ends at ``top``."""
+        """Draw the numbers below a chart that ends at ``top``."""
         ticks = [tick for tick in _round_numbers(self.first, self.last) if tick == int(tick)]
         marks = [
             _LINE.format(self.x(tick), top, self.x(tick), top + 4, "axis")
@@ -52,7 +52,7 @@ class _FrameAxis:
 
 
 def css_colour(layer: int) -> str:
-    """A layer's colour as CSS writes it."""
+    """Return a layer's colour in CSS."""
     blue, green, red = layer_colour(layer)
     return f"#{red:02x}{green:02x}{blue:02x}"
 
@@ -106,7 +106,7 @@ def object_count_chart(history: StreamHistory) -> Markup:
 
 
 def stage_chart(history: StreamHistory, stages: Sequence[StageTimes], colours: Sequence[str]) -> Markup:
-    """Draw the time of the stages over the frames, one upon the other."""
+    """Draw the stacked times of the stages over the frames."""
     positions, times = _averaged(history.frames, np.stack([stage.by_frame for stage in stages]))
     label = "Milliseconds of each stage over the frames; the table of stages has the means."
     return _plot(_axis(history), positions, times, colours, label, "ms")
@@ -121,7 +121,7 @@ def _axis(history: StreamHistory) -> _FrameAxis:
 def _plot(
     axis: _FrameAxis, positions: Array, values: Array, colours: Sequence[str], label: str, unit: str
 ) -> Markup:
-    """Areas one upon the other, values (k, n) at positions (n,)."""
+    """Stack areas of values (k, n) at positions (n,)."""
     heights = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     top = max(float(heights.max()), 1.0)
     y = np.round(8 + (_PLOT - 8) * (1 - heights / top), 1)
@@ -141,14 +141,14 @@ def _plot(
 
 
 def _averaged(frames: Array, values: Array) -> tuple[Array, Array]:
-    """Values (k, n) over frames (n,), averaged so that at most :data:`_POINTS` are left."""
+    """Average values (k, n) over frames (n,) to at most :data:`_POINTS`."""
     pieces = np.array_split(np.arange(len(frames)), min(len(frames), _POINTS))
     positions = np.array([frames[piece].mean() for piece in pieces])
     return positions, np.stack([values[:, piece].mean(axis=1) for piece in pieces], axis=1)
 
 
 def _round_numbers(low: float, high: float, most: int = 8) -> list[float]:
-    """Multiples of 1, 2 or 5 × 10ⁿ from ``low`` to ``high``, at most about ``most``."""
+    """Return multiples of 1, 2 or 5 × 10ⁿ from ``low`` to ``high``, at most about ``most``."""
     coarse = max(high - low, 1e-9) / most
     power = 10.0 ** np.floor(np.log10(coarse))
     step = next(step for step in (power, 2 * power, 5 * power, 10 * power) if step >= coarse * 0.999)

@@ -1,4 +1,4 @@
-"""What became of an object after the last frame that shows it, judged by the label maps alone."""
+"""How each object ends after the last frame that shows it, judged by the label maps alone."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from mlbs_actors.messages import Array
 
 __all__ = ["ENDING_COLUMNS", "Ending", "ending"]
 
-#: Columns of ``layers`` that an ending is judged by.
+#: Columns of ``layers`` that are needed to judge an ending.
 ENDING_COLUMNS = ("frame", "layer", "x", "y", "w", "h", "area", "rle")
 
-#: Part of an object's last mask that another one must have in the next frame to be in its place.
+#: Share of an object's last mask that another one must cover in the next frame to replace it.
 _TAKEN_OVER = 0.5
 
 
@@ -28,9 +28,9 @@ class Ending:
     Attributes
     ----------
     kind : {"seen", "resized", "replaced", "left", "lost"}
-        It is in the last frame; the next frame has another size, and all begins anew; most of its pixels are
-        another object's in the next frame (the two became one, the other got before it, or the same thing
-        goes on under another id); its box reached the border; none of these (it came to rest, went behind
+        It is in the last frame; the next frame has another size, which ends all objects; most of its pixels
+        are another object's in the next frame (the two merged, the other occludes it, or the same thing
+        continues under another id); its box reached the border; none of these (it came to rest, went behind
         something, or was lost).
     by : int
         The other object, −1 if there is none.
@@ -41,7 +41,7 @@ class Ending:
 
     @property
     def words(self) -> str:
-        """For a table."""
+        """Text for a table."""
         return {
             "seen": "in the last frame",
             "resized": "the picture changed its size",
@@ -52,7 +52,7 @@ class Ending:
 
     @property
     def sign(self) -> str:
-        """For a chart."""
+        """Symbol for a chart."""
         return {"seen": "", "replaced": f"→{self.by}", "left": "⇥"}.get(self.kind, "×")
 
 

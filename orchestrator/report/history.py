@@ -1,4 +1,4 @@
-"""The course of a stream from its record: its frames, the lives of its layers, the time of each stage."""
+"""The history of a stream from its record: its frames, the lives of its layers, the time of each stage."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from orchestrator.sinks.record_tables import read_table
 
 __all__ = ["LayerLife", "StageTimes", "StreamHistory", "frame_ranges", "read_history"]
 
-#: Stages in the order in which a frame passes them; others come after these.
+#: Stages in the order of processing; others come after these.
 _ORDER = (
     "flow",
     "tracking",
@@ -56,7 +56,7 @@ class LayerLife:
 
 @dataclass(frozen=True, slots=True)
 class StageTimes:
-    """Wall time of one stage, ms: over the frames that had it, and frame by frame (0 where it had none)."""
+    """Wall time of one stage, ms: mean over the frames that had it, and per frame (0 without it)."""
 
     stage: str
     mean: float
@@ -66,7 +66,7 @@ class StageTimes:
 
 @dataclass(frozen=True, slots=True)
 class StreamHistory:
-    """The course of a stream, as far as it is committed.
+    """The history of a stream, as far as it is committed.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class StreamHistory:
     lost : tuple of (str, tuple of int)
         By status, the frames without a label map.
     gaps : tuple of (float, float)
-        From when to when there was no picture, s.
+        Begin and end of each time without pictures, s.
     lives : tuple of LayerLife
         In ascending id, which is the order of their births.
     stages : tuple of StageTimes
@@ -143,14 +143,14 @@ def _by_status(frames: Array, status: Array) -> tuple[tuple[str, tuple[int, ...]
 
 
 def frame_ranges(frames: tuple[int, ...]) -> list[tuple[int, int]]:
-    """First and last of every stretch of consecutive frames, given in ascending order."""
+    """List first and last of every run of consecutive frames, given in ascending order."""
     numbers = np.asarray(frames)
     breaks = np.flatnonzero(np.diff(numbers) > 1) + 1
     return [(int(run[0]), int(run[-1])) for run in np.split(numbers, breaks) if len(run)]
 
 
 def _numbers(table: pa.Table, column: str) -> Array:
-    """A column as float64, nan where it is null."""
+    """Return a column as float64, NaN for null."""
     numbers: Array = table[column].cast(pa.float64()).to_numpy()
     return numbers
 
@@ -164,7 +164,7 @@ def _lives(table: pa.Table, frames: Array, shapes: Array) -> tuple[LayerLife, ..
     starts = np.flatnonzero(np.diff(layer[order], prepend=-1))
     lives = []
     for rows in np.split(order, starts[1:]):
-        # Counted in frames that have a label map: an undecodable one hides nobody.
+        # Counted in frames with a label map: an undecodable frame does not hide an object.
         place = np.searchsorted(frames, frame[rows])
         pieces = np.split(frame[rows], np.flatnonzero(np.diff(place) > 1) + 1)
         spans = tuple((int(piece[0]), int(piece[-1])) for piece in pieces)

@@ -1,4 +1,4 @@
-"""The page itself: the run's own files and its streams' records, put into the template."""
+"""The report page: the run's own files and its streams' records, rendered by the template."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from orchestrator.sinks.overlay import overlays
 
 __all__ = ["render_report"]
 
-#: Pictures of all streams together, so that the page of many streams stays small.
+#: Most pictures of all streams together, so that the page of many streams stays small.
 _PICTURES = 150
 _PICTURES_OF_A_STREAM = 8
 
-#: Layers with a row of their own; of more, those that were seen longest.
+#: Most layers with a row of their own; of more, those that were seen longest.
 _LAYERS = 40
 
-#: Streams that are shown unfolded; of more, only those that are not whole.
+#: Most streams shown unfolded; of more, only incomplete ones.
 _UNFOLDED = 4
 
 _RANGES = 20  # of lost frames
@@ -50,7 +50,7 @@ class _Stream:
 
 
 def render_report(folder: Path) -> str:
-    """Make the page of a run, ended or not.
+    """Render the page of a run, ended or not.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A few pictures out of the overlay videos of a stream, small enough to stand in a page."""
+"""A few pictures from the overlay videos of a stream, small enough to be embedded in a page."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class StripPicture:
     width, height : int
         px.
     data : str
-        A ``data:`` address that holds the JPEG.
+        A ``data:`` address with the JPEG.
     """
 
     frame: int
@@ -56,7 +56,7 @@ def overlay_strip(folder: Path, history: StreamHistory, count: int) -> list[Stri
     Returns
     -------
     list of StripPicture
-        Without those whose video is not there or cannot be read.
+        Without those whose video is missing or cannot be read.
     """
     seconds = presentation_times(history.pts)
     places = np.unique(np.linspace(0, len(seconds) - 1, min(count, len(seconds))).round().astype(int))

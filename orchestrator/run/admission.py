@@ -1,8 +1,9 @@
 """Which streams may run at once: as many as the machine holds, in the order of the list.
 
-A stream is several processes, and together they must fit the memory: a machine that swaps, or whose kernel
-kills for memory, loses all streams at once. More streams than the cores can serve gain nothing but
-memory use, so they are bounded too. The others wait; they start as running ones end.
+A stream is several processes, and together they must fit into memory: if a machine swaps, or its kernel kills
+for memory, all streams are lost at once. Each stream is admitted with memory for a few objects; for more,
+the pool starts processes while memory lasts (:mod:`mlbs_actors.actors.node.pool`). More streams than the
+cores can serve only cost memory, so they are bounded too. The others wait and start as running ones end.
 """
 
 from __future__ import annotations
@@ -11,13 +12,13 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory, node_memory
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.wording import count_of
 from orchestrator.run.stream_state import ENDED, StreamState
 
 __all__ = [
-    "STREAM_BYTES",
-    "available_memory",
+    "PLACE_BYTES",
     "cores",
     "places",
     "places_here",
@@ -25,23 +26,23 @@ __all__ = [
     "warn_of_cameras",
 ]
 
-#: Private memory of a stream of three layers at 640×480: reader, coordinator, segmenter and layers, bytes.
-STREAM_BYTES = 1_200 * 2**20
+#: Unique memory of a stream with four objects, bytes.
+PLACE_BYTES = STREAM_BYTES + 4 * LAYER_BYTES
 
 #: Left for the driver, Ray's own processes, the sink and the object store, bytes.
 _RESERVED_BYTES = 1_500 * 2**20
 
-# A stream's stages wait for one another: two on a core keep it busy.
+#: A stream's stages wait for one another: two on a core keep it busy.
 _STREAMS_A_CORE = 2
 
 
-def places(memory_bytes: int, core_count: int) -> int:
-    """How many streams may run at once.
+def places(memory: NodeMemory, core_count: int) -> int:
+    """Return how many streams may run at once.
 
     Parameters
     ----------
-    memory_bytes : int
-        Memory available before the run, bytes.
+    memory : NodeMemory
+        Before the run.
     core_count : int
 
     Returns
@@ -49,19 +50,19 @@ def places(memory_bytes: int, core_count: int) -> int:
     int
         At least 1: a machine too small for the estimate may still hold one small stream.
     """
-    by_memory = (memory_bytes - _RESERVED_BYTES) // STREAM_BYTES
+    by_memory = (memory.free - _RESERVED_BYTES) // PLACE_BYTES
     return max(1, min(by_memory, core_count * _STREAMS_A_CORE))
 
 
 def warn_of_cameras(cameras: int, streams: int, limit: int) -> str | None:
-    """Say that some streams may never start, if cameras, which do not end by themselves, can take all places.
+    """Warn that some streams may never start if cameras, which do not end by themselves, take all places.
 
     Parameters
     ----------
     cameras : int
         Streams without an end.
     streams : int
-        Those and the others.
+        All streams, cameras included.
     limit : int
         Streams that may run at once.
     """
@@ -75,7 +76,7 @@ def warn_of_cameras(cameras: int, streams: int, limit: int) -> str | None:
 
 
 def places_here(folder: Path) -> int:
-    """How many streams this machine, a node of a cluster, can hold if it sees the run's folder.
+    """Return how many streams this machine, a node of a cluster, can hold; it must see the run's folder.
 
     Raises
     ------
@@ -86,11 +87,11 @@ def places_here(folder: Path) -> int:
         raise ConfigError(
             f"the output folder {folder} is not there; put it on a file system that all nodes share"
         )
-    return places(available_memory(), cores())
+    return places(node_memory(), cores())
 
 
 def streams_to_start(states: Sequence[StreamState], limit: int) -> tuple[str, ...]:
-    """Names of the waiting streams that have a place now, in the order of ``states``.
+    """Select the waiting streams that may start now, in the order of ``states``.
 
     Parameters
     ----------
@@ -103,20 +104,6 @@ def streams_to_start(states: Sequence[StreamState], limit: int) -> tuple[str, ..
     return tuple(name for name, _ in zip(waiting, range(limit - running), strict=False))
 
 
-def available_memory(proc: Path = Path("/proc"), cgroup: Path = Path("/sys/fs/cgroup")) -> int:
-    """Memory that new processes can have, bytes: of the machine, or of this container if that is less."""
-    available = 0
-    for line in (proc / "meminfo").read_text(encoding="ascii").splitlines():
-        if line.startswith("MemAvailable:"):
-            available = int(line.split()[1]) * 1024
-    try:
-        limit = (cgroup / "memory.max").read_text(encoding="ascii").strip()
-        used = int((cgroup / "memory.current").read_text(encoding="ascii"))
-    except (OSError, ValueError):
-        return available
-    return available if limit == "max" else min(available, int(limit) - used)
-
-
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))

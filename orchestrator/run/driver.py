@@ -1,9 +1,9 @@
-"""Drives all streams of a run: admits them, asks each for one burst after the other, ends them.
+"""Drives all streams of a run: admits them, requests bursts of frames from each, ends them.
 
 The rules are pure functions (:mod:`orchestrator.run.stream_state`, :mod:`orchestrator.run.admission`); here
-is the loop that waits for whatever happens next. Frames do not pass through it. One stream's failure ends
-that stream alone. A stream that lost a process, or hangs, is stopped and started again; it finds its last
-snapshot by itself.
+is the loop that waits for the next event. Frames do not pass through it. One stream's failure ends that
+stream alone. A stream that lost a process, or hangs, is stopped and started again; it finds its last snapshot
+by itself.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ __all__ = ["Driver", "Observer", "SpecChange"]
 #: Longest time until a signal is noticed, s.
 _WAKE_SECONDS = 0.2
 
-#: Span over which a stream's rate is taken, s: at most, and at least. Its first bursts are slow.
+#: Window over which a stream's rate is measured, s: most and least. Its first bursts are slow.
 _RATE_SECONDS, _LEAST_RATE_SECONDS = 10.0, 2.0
 
 
 class Observer(Protocol):
-    """Whoever shows or stores the states of the streams."""
+    """Displays or stores the states of the streams."""
 
     def update(self, states: Sequence[StreamState]) -> None:
-        """Take the states of all streams, in the order of the list; called after every change."""
+        """Receive the states of all streams, in the order of the list; called after every change."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpecChange:
-    """Streams that come to a run, and names that are to end."""
+    """Streams to add to a run, and names to end."""
 
     added: tuple[StreamSpec, ...]
     removed: tuple[str, ...]
@@ -66,14 +66,14 @@ class Driver:
     host : StreamHost
         Starts streams; is not closed here.
     limit : int or callable
-        Streams that may run at once; a callable is asked again and again.
+        Streams that may run at once; a callable is called repeatedly.
     observers : sequence of Observer
     interruption : Interruption
-        Looked at between events.
+        Checked between events.
     ended : mapping of str to StreamState, optional
-        Streams that have no source, or came to their ends in an earlier run; they are not started.
+        Streams that have no source, or ended in an earlier run; they are not started.
     changes : callable, optional
-        Asked again and again for streams to add and names to end; with it the run goes on until a signal.
+        Called repeatedly for streams to add and names to end; with it the run continues until a signal.
     clock : callable
         Monotonic time, s.
     """
@@ -106,14 +106,14 @@ class Driver:
         self._bursts: dict[Future[StreamProgress], str] = {}
         self._asked: dict[str, float] = {}
         self._returns = {spec.name: Returns() for spec in specs}
-        # Streams that go back, until they are started again.
+        # Streams to be restarted.
         self._returning: dict[str, RunningStream] = {}
-        # A stream that ended holds its place until its processes are gone.
+        # A stream that ended keeps its place until its processes are gone.
         self._endings: dict[Future[StreamProgress | None], str] = {}
 
     @property
     def states(self) -> tuple[StreamState, ...]:
-        """The streams as they stand, in the order of the list."""
+        """The current states, in the order of the list."""
         return tuple(self._states.values())
 
     def run(self) -> int:
@@ -142,11 +142,11 @@ class Driver:
             if self._states[name].state == "waiting":
                 del self._states[name]
             elif name in self._streams or name in self._returning:
-                self._removed.add(name)  # it is ended when its burst is over
+                self._removed.add(name)  # it is ended after its burst
         self._show()
 
     def _admit(self) -> None:
-        # One at a time: a stream that fails at once frees its place for the next.
+        # One at a time: if a stream fails at once, its place is free for the next.
         while names := streams_to_start(self.states, self._limit() - len(self._endings)):
             self._set(replace(self._states[names[0]], state="starting"))
             self._start(names[0])
@@ -166,8 +166,8 @@ class Driver:
         if not pending:
             time.sleep(_WAKE_SECONDS)
         ready, _ = wait(pending, timeout=_WAKE_SECONDS, return_when=FIRST_COMPLETED)
-        self._show()  # who stores the states may have been too busy for the last change
-        # In the order they were asked for, not in that of a set.
+        self._show()  # observers may have skipped the last change
+        # In the order of the requests, not in that of a set.
         for burst in [future for future in self._bursts if future in ready]:
             self._take_burst(burst)
         self._give_up_hanging()
@@ -175,7 +175,7 @@ class Driver:
             self._take_ending(ending)
 
     def _give_up_hanging(self) -> None:
-        """A burst that takes too long is not waited for; of a live source that is silent none does."""
+        """Give up bursts that take too long; those of a silent live source end by themselves."""
         now = self._clock()
         for burst, name in list(self._bursts.items()):
             most = START_SECONDS if self._states[name].state == "starting" else STALL_SECONDS
@@ -217,7 +217,7 @@ class Driver:
         self._asked[name] = self._clock()
 
     def _fail(self, name: str, error: Exception) -> None:
-        """End a stream, for good unless it only lost a process; its place it keeps meanwhile."""
+        """End a stream, for good unless it only lost a process; it keeps its place meanwhile."""
         state = self._states[name]
         if self._may_return(name, error):
             returns = self._returns[name].after_loss(state.committed)
@@ -251,7 +251,7 @@ class Driver:
         return ending
 
     def _drain(self) -> None:
-        """Let the bursts under way come to their end, then label and commit what was read."""
+        """Let the bursts under way end, then label and commit what was read."""
         while self._bursts:
             self._await_next()
         endings = {self._end(name, drain=True): name for name in list(self._streams)}
@@ -276,14 +276,14 @@ class Driver:
 
 
 class _Rate:
-    """Frames a second over the last seconds."""
+    """Rate over the last seconds, frames/s."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._samples: deque[tuple[float, int]] = deque()
 
     def after(self, frames: int) -> float:
-        """Take the total so far; return the rate, 0 while it is unknown."""
+        """Add the total so far; return the rate, 0 while it is unknown."""
         now = self._clock()
         self._samples.append((now, frames))
         while len(self._samples) > 2 and self._samples[0][0] < now - _RATE_SECONDS:
@@ -299,7 +299,7 @@ def _sentence(error: Exception) -> str:
 
 
 def _in_thread(call: Callable[[], StreamProgress | None]) -> Future[StreamProgress | None]:
-    """Run a blocking call beside the loop; in a daemon thread, so that it cannot hold up an end at once."""
+    """Run a blocking call in a daemon thread, so that it cannot delay an immediate end."""
     outcome: Future[StreamProgress | None] = Future()
 
     def run() -> None:

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there, also after a kill or a power cut.
+"""Files that are either complete or missing, even after a kill or a power cut.
 
 A file is written under a temporary name, synced, and renamed; the rename is durable once its folder is
 synced. Groups of files share the waits: write all, sync all, rename all, sync the folder once.
@@ -13,23 +13,23 @@ from pathlib import Path
 
 __all__ = ["append_line", "publish", "remove_temporary", "replace_file", "temporary_path"]
 
-#: Part of this process's temporary names: one of a killed run may live on for a while.
+#: Part of this process's temporary names, as a process of a killed run may live on for a while.
 _OWN = secrets.token_hex(4)
 
 
 def temporary_path(path: Path) -> Path:
-    """Name under which this process writes ``path`` until it is published; hidden, in the same folder."""
+    """Return the name under which this process writes ``path`` until it is published; hidden, same folder."""
     return path.with_name(f".{path.name}.{_OWN}.part")
 
 
 def remove_temporary(folder: Path) -> None:
-    """Delete what was written in a folder and never published, by whichever process."""
+    """Delete temporary files of a folder that were never published, by any process."""
     for path in folder.glob(".*.part"):
         path.unlink(missing_ok=True)
 
 
 def publish(paths: Iterable[Path]) -> None:
-    """Make files that are complete under their temporary names durable under their own.
+    """Rename complete temporary files to their own names, durably.
 
     Raises
     ------
@@ -46,13 +46,13 @@ def publish(paths: Iterable[Path]) -> None:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write ``path`` at once: readers see the old content or the new one, never a part."""
+    """Replace ``path`` atomically: readers see the old content or the new one."""
     temporary_path(path).write_bytes(content)
     publish([path])
 
 
 def append_line(path: Path, line: str) -> None:
-    """Add a line to a log and wait until it is on the disk."""
+    """Append a line to a log and wait until it is on the disk."""
     is_new = not path.exists()
     with path.open("a", encoding="utf-8") as file:
         file.write(line + "\n")

@@ -1,4 +1,4 @@
-"""Reads the list of streams again while the run goes on (``--watch``)."""
+"""Reads the list of streams again during the run (``--watch``)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from orchestrator.sources.presence import require_source
 
 __all__ = ["ListChange", "ListWatch"]
 
-#: Time between two looks at the list, s.
+#: Interval of checks of the list, s.
 _LOOK_SECONDS = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class ListChange:
-    """What a new reading of the list changes.
+    """Changes to the list since it was last read.
 
     Attributes
     ----------
@@ -34,11 +34,11 @@ class ListChange:
 
 
 class ListWatch:
-    """Tells what changes in a list of streams.
+    """Finds the changes of a list of streams.
 
-    A line that cannot be used is told and changes nothing, nor does any name end as long as there is such a
-    line: it may be the one that was meant. A name stands for one source throughout the run, because its
-    folder holds that source's results.
+    A line that cannot be used is reported and changes nothing, nor does any name end while there is such a
+    line: it may be a misspelled one. A name stands for one source throughout the run, because its folder has
+    that source's results.
 
     Parameters
     ----------
@@ -46,9 +46,9 @@ class ListWatch:
     streams : sequence of ListedStream
         What the run began with.
     has_record : callable
-        Tells of a name whether the run holds results of it.
-    tell : callable
-        Takes each sentence for the user.
+        Returns for a name whether the run has results of it.
+    report : callable
+        Receives each message for the user.
     clock : callable
         Monotonic time, s.
     """
@@ -58,11 +58,11 @@ class ListWatch:
         path: Path,
         streams: Sequence[ListedStream],
         has_record: Callable[[str], bool],
-        tell: Callable[[str], None],
+        report: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._path = path
-        self._tell = tell
+        self._report = report
         self._clock = clock
         self._has_record = has_record
         self._present = {stream.name: stream.source for stream in streams}
@@ -70,13 +70,13 @@ class ListWatch:
         self._seen = self._read_stamp = self._stamp()
 
     def look(self) -> ListChange | None:
-        """Look at the list if it is time; return what has changed, or None."""
+        """Check the list if it is time; return its changes, or None."""
         now = self._clock()
         if now - self._looked_at < _LOOK_SECONDS:
             return None
         self._looked_at = now
         before, self._seen = self._seen, self._stamp()
-        # Read once it is the same in two looks, so that no half-written list is taken for a whole one.
+        # Read when two checks see the same, so that no half-written list is taken for a complete one.
         if self._seen == self._read_stamp or self._seen != before:
             return None
         self._read_stamp = self._seen
@@ -86,11 +86,11 @@ class ListWatch:
         try:
             streams, faults = parse_stream_list(self._path)
         except ConfigError as error:
-            self._tell(f"{error} Nothing is changed.")
+            self._report(f"{error} Nothing is changed.")
             return None
         usable = [stream for stream in streams if self._is_usable(stream, faults)]
         for number, fault in sorted(faults.items()):
-            self._tell(f"{self._path}, line {number}: {fault}. The line is ignored until it is mended.")
+            self._report(f"{self._path}, line {number}: {fault}. The line is ignored until it is mended.")
         listed = {stream.name for stream in streams}
         removed = () if faults else tuple(name for name in self._present if name not in listed)
         added = tuple(stream for stream in usable if stream.name not in self._present)
@@ -100,7 +100,7 @@ class ListWatch:
         return ListChange(added, removed) if added or removed else None
 
     def _is_usable(self, stream: ListedStream, faults: dict[int, str]) -> bool:
-        """Whether a line can stand; else its fault is noted."""
+        """Whether a line can be used; else its fault is added."""
         if stream.name in self._present and self._present[stream.name] == stream.source:
             return True
         if stream.name in self._present or self._has_record(stream.name):

@@ -1,4 +1,4 @@
-"""When a stream that lost a process goes back to its last snapshot, and when it has done so often enough."""
+"""Restarts of a stream after losses: how many, and when to give up."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 __all__ = ["MOST_RETURNS", "STALL_SECONDS", "START_SECONDS", "Returns"]
 
-#: Returns in succession that bring a stream no further.
+#: Most successive returns without progress.
 MOST_RETURNS = 3
 
-#: A burst of frames that takes longer than this hangs, s: many times what the slowest machine needs.
+#: A burst of frames that takes longer than this hangs, s: many times the time of the slowest machine.
 STALL_SECONDS = 180.0
 
 #: The same for the first one after a start, which may have to compile everything, on a machine under load.
@@ -18,15 +18,15 @@ START_SECONDS = 900.0
 
 @dataclass(frozen=True, slots=True)
 class Returns:
-    """How often a stream has gone back.
+    """Count of a stream's returns to its snapshot.
 
     Attributes
     ----------
     total : int
     in_vain : int
-        The last ones, without a label map more than ever before.
+        The most recent ones without further progress.
     furthest : int
-        Label maps that were committed at a loss, at most.
+        Most label maps committed at a loss.
     """
 
     total: int = 0
@@ -34,7 +34,7 @@ class Returns:
     furthest: int = 0
 
     def after_loss(self, committed: int) -> Returns | None:
-        """Count one more; None if the stream has gone back often enough.
+        """Count one more; None if the stream is to be given up.
 
         Parameters
         ----------
@@ -48,5 +48,5 @@ class Returns:
 
     @property
     def last_try(self) -> bool:
-        """Whether another loss without progress is the end."""
+        """Whether another loss without progress ends the stream."""
         return self.in_vain == MOST_RETURNS

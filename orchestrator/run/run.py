@@ -12,7 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mlbs_actors.actors import Cluster, Node
+from mlbs_actors.actors import Cluster, Node, PoolPolicy
+from mlbs_actors.actors.node.memory import NodeMemory, node_memory
 from mlbs_actors.actors.stream.protocol import FrameReader, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SinkError
@@ -28,7 +29,7 @@ from orchestrator.monitor.server import serving
 from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
 from orchestrator.report.page import render_report
-from orchestrator.run.admission import available_memory, cores, places, places_here, warn_of_cameras
+from orchestrator.run.admission import cores, places, places_here, warn_of_cameras
 from orchestrator.run.driver import Driver, Observer, SpecChange
 from orchestrator.run.durable_files import replace_file
 from orchestrator.run.list_watch import ListWatch
@@ -58,11 +59,11 @@ def run(
     ----------
     arguments : Arguments
     streams : sequence of ListedStream
-        What ``arguments.streams`` lists.
+        The streams listed in ``arguments.streams``.
     missing : mapping of str to str
         Streams without a source → what is wrong; they fail, the others run.
     config : Config
-        What ``arguments`` asks for.
+        The parameters according to ``arguments``.
     scratch : Path
         Folder for Ray's files, from :func:`orchestrator.ray_session.ray_settings`.
 
@@ -77,21 +78,22 @@ def run(
     sourceless = [stream for stream in streams if stream.name in missing]
     for stream in sourceless:
         _say(f"{arguments.streams}, line {stream.line}: {missing[stream.name]}")
-    if arguments.watch:  # their lines are ignored until they are mended
+    if arguments.watch:  # their lines are ignored until they are corrected
         streams, sourceless = [stream for stream in streams if stream.name not in missing], []
     ended = {
         stream.name: after_failure(StreamState(stream.name, line=stream.line), missing[stream.name])
         for stream in sourceless
     }
-    # On a cluster the pictures come from other machines, by way of the folder that all of them share.
+    # On a cluster the pictures come from other machines, through the shared folder.
     live = None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
     job = _Job(streams, arguments, config, folder, live)
-    limit = places(available_memory(), cores())
+    memory = node_memory()
+    limit = places(memory, cores())
     status = StatusFile(folder.path / "status.json")
-    with ExitStack() as hold, ExitStack() as session:  # the folder is held until its last file is written
+    with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
         if arguments.resume:
             begun = folder.refuse_other(job.description)
-            hold.enter_context(folder.held())
+            hold.enter_context(folder.locked())
             changed = {key: job.description[key] for key in ("sources", "hashes")}
             if changed != {key: begun.get(key) for key in changed}:
                 try:
@@ -107,15 +109,15 @@ def run(
         onlookers: list[Observer] = []
         if at_work := bool(due) or arguments.watch:
             onlookers = session.enter_context(_monitored(arguments.monitor, live))
-            _announce(due, arguments, limit)
+            _announce(due, arguments, limit, memory)
             session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
         if at_work and arguments.ray_metrics is not None:
             onlookers.append(RayMetrics())
             if arguments.address is None:
                 _say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
         if not arguments.resume:
-            folder.claim(job.description)
-            hold.enter_context(folder.held())
+            folder.create(job.description)
+            hold.enter_context(folder.locked())
         if at_work:
             states, exit_status = _drive(job, ended, limit, status, onlookers, folder, arguments)
         else:
@@ -137,7 +139,7 @@ def run(
 
 @contextmanager
 def _monitored(address: MonitorAddress | None, live: Path | None) -> Iterator[list[Observer]]:
-    """Serve the monitor's page if it is asked for; what it shows is to observe the driver."""
+    """Serve the monitor's page if requested; yield its observer of the driver."""
     if address is None or live is None:
         yield []
         return
@@ -152,7 +154,7 @@ def _monitored(address: MonitorAddress | None, live: Path | None) -> Iterator[li
 
 
 class _Job:
-    """What the streams of this run are to do, and those that the list gets while it is watched."""
+    """The streams of this run, including those added to a watched list."""
 
     def __init__(
         self,
@@ -177,11 +179,11 @@ class _Job:
 
     @property
     def specs(self) -> list[StreamSpec]:
-        """All streams, as the driver needs them."""
+        """All streams, in the driver's form."""
         return [self._spec(stream) for stream in self._streams]
 
     def changes(self) -> SpecChange | None:
-        """Follow the list."""
+        """Return changes to the list."""
         change = self._watch.look()
         if change is None:
             return None
@@ -223,13 +225,14 @@ class _Job:
         )
 
 
-def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int) -> None:
-    """Say what begins, and what about it may surprise."""
+def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int, memory: NodeMemory) -> None:
+    """Announce the run, and anything about it that may surprise."""
     count = count_of(len(due), "stream")
     if arguments.address is not None:
         _say(f"Joining Ray at {arguments.address}; {count}.")
         return
-    _say(f"Starting Ray; {count}, up to {limit} at a time.")
+    room = f"{count_of(cores(), 'core')}, {memory.available / 2**30:.1f} GiB of memory"
+    _say(f"Starting Ray; {count}, up to {limit} at a time ({room}).")
     if not has_machine_code():
         _say("This is the first run of this installation: it compiles for a minute or two, once.")
     endless = sum(not spec.replayable and spec.max_frames is None for spec in due)
@@ -246,7 +249,7 @@ def _drive(
     folder: RunFolder,
     arguments: Arguments,
 ) -> tuple[tuple[StreamState, ...], int]:
-    """Run the streams; return how they stand at the end, and the run's exit status."""
+    """Run the streams; return their final states, and the run's exit status."""
     output = sys.stdout
     # Ray prints its own warnings; standard output belongs to the progress.
     ray_log = folder.path / "ray.log"
@@ -256,7 +259,9 @@ def _drive(
             host: Node | Cluster
             most: int | Callable[[], int] = limit
             if arguments.address is None:
-                host = Node()
+                # Only a watched list can get more.
+                at_once = limit if arguments.watch else min(limit, len(job.specs) - len(ended))
+                host = Node(policy=PoolPolicy(streams=at_once))
             else:
                 host = Cluster(partial(places_here, folder.path), _say)
                 most = host.places
@@ -282,9 +287,9 @@ def _drive(
 
 
 def _not_to_be_resumed(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[str, StreamState]:
-    """Streams that are left as they are: those that ended, and cameras that have nothing to go on from."""
+    """Select streams that are not resumed: those that ended, and cameras without a snapshot."""
     words = (
-        "This camera's stream has no snapshot to go on from; what was committed is kept. "
+        "This camera's stream has no snapshot to continue from; what was committed is kept. "
         "Start it anew in another folder."
     )
     states, left = folder.states(), {}
@@ -300,7 +305,7 @@ def _not_to_be_resumed(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[s
 
 
 def _words_on_resuming(begun: Mapping[str, Any], description: Mapping[str, Any], ended: int) -> str:
-    """What the user should know of a run that is gone on with."""
+    """Return what the user should know about the resumed run."""
     words = f"Going on with the run of {begun['started']}"
     words += f"; {count_of(ended, 'stream')} ended before." if ended else "."
     for key in ("versions", "machine"):
@@ -317,6 +322,7 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
         for state in states
         if state.error is not None
     ]
+    lines += [f"  {state.name}: {note}" for state in states if (note := state.memory_note) is not None]
     lines += [
         f"  {state.name}: {error.read_text(encoding='utf-8').strip()}"
         for state in states
@@ -329,19 +335,19 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
     if any(state.interrupted for state in states):
         but = ", without --watch" if arguments.watch else ""
         given = f"--resume --output {shlex.quote(str(folder.path))}"
-        lines.append(f"To go on with what was interrupted, give the same command with {given}{but}.")
+        lines.append(f"To continue what was interrupted, give the same command with {given}{but}.")
     return "\n".join(lines)
 
 
 def what_to_look_at(stream: Path, save: frozenset[str]) -> str:
-    """Which of a stream's results show its labels best: the videos, or the masks where none was saved."""
+    """Return the results of a stream that show its labels best: the videos, or the masks without any."""
     videos = overlays(stream)
     if not videos:
         return str(stream / "masks" if "masks" in save else stream)
-    # A run that was gone on with has one for each start.
+    # A resumed run has one for each start.
     return f"{videos[0][1]}" if len(videos) == 1 else f"{stream / 'overlay*.mp4'} ({len(videos)} parts)"
 
 
 def _say(text: str) -> None:
-    """Tell the user; standard output is left to the progress, which a program may read."""
+    """Print a message on standard error: standard output is for the progress, which a program may read."""
     print(text, file=sys.stderr, flush=True)

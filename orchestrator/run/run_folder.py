@@ -1,4 +1,4 @@
-"""The files of a whole run: what it was asked (``run.json``), how it stands (``status.json``), its report."""
+"""The files of a whole run: its description (``run.json``), its progress (``status.json``), its report."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = ["RunFolder", "StatusFile", "describe_run"]
 
 _PACKAGES = ("mlbs-actors", "ray", "numpy", "scipy", "PyMaxflow", "numba", "av")
 
-#: What a run that is resumed must have in common with its beginning: keys of ``run.json``.
+#: Keys of ``run.json`` that must not change when a run is resumed.
 _SAME = {
     "config": "parameters",
     "sources": "streams",
@@ -40,7 +40,7 @@ _SAME = {
     "max_side": "--max-side",
 }
 
-#: So many changes are told of parameters that are not those of the run that is to be gone on with.
+#: Most differences of parameters that the message about a resumed run lists.
 _MOST_CHANGES = 3
 
 #: Least time between two writings of ``status.json``, s.
@@ -74,7 +74,7 @@ class RunFolder:
         if os.path.lexists(self.path / "run.json"):
             raise ConfigError(
                 f"The output folder {self.path} holds a run already; "
-                "choose another one with --output, or go on with that run with --resume."
+                "choose another one with --output, or continue that run with --resume."
             )
         existing = next((name for name in names if os.path.lexists(self.path / name)), None)
         if existing is not None:
@@ -91,8 +91,8 @@ class RunFolder:
     def refuse_other(self, description: dict[str, Any]) -> dict[str, Any]:
         """Check that the run in this folder is the one described; return its own description.
 
-        A stream of which nothing is recorded may have another source now, or be new or gone: a line that
-        named no video is corrected so.
+        A stream without a record may have another source now, or be new or gone, so that wrong lines can be
+        corrected.
 
         Raises
         ------
@@ -121,7 +121,7 @@ class RunFolder:
         return begun
 
     def _has_all_recorded(self, begun: dict[str, str], sources: dict[str, str]) -> bool:
-        """Whether every stream of which something is recorded still has its source."""
+        """Whether every stream with a record still has its source."""
         return all(
             sources.get(name) == source
             for name, source in begun.items()
@@ -129,7 +129,7 @@ class RunFolder:
         )
 
     def states(self) -> dict[str, StreamState]:
-        """Streams as ``status.json`` tells of them; none if it cannot be read."""
+        """Read the streams of ``status.json``; none if it cannot be read."""
         try:
             streams = json.loads((self.path / "status.json").read_text(encoding="utf-8"))["streams"]
             return {name: _state(name, figures) for name, figures in streams.items()}
@@ -137,8 +137,8 @@ class RunFolder:
             return {}
 
     @contextmanager
-    def held(self) -> Iterator[None]:
-        """Keep other runs out while the ``with`` block runs; a killed one keeps nobody out.
+    def locked(self) -> Iterator[None]:
+        """Keep other runs out while the ``with`` block runs; the lock of a killed run is released.
 
         Raises
         ------
@@ -160,8 +160,8 @@ class RunFolder:
         finally:
             lock.release()
 
-    def claim(self, description: dict[str, Any]) -> None:
-        """Make the folder this run's, by writing ``run.json`` whole; of two runs one gets it.
+    def create(self, description: dict[str, Any]) -> None:
+        """Claim the folder by writing ``run.json`` atomically; of two runs one succeeds.
 
         Raises
         ------
@@ -188,7 +188,7 @@ class RunFolder:
             raise ConfigError(f"Cannot write to {self.path}: {error.strerror}.") from None
 
     def redescribe(self, description: dict[str, Any]) -> None:
-        """Replace ``run.json`` by what the run has become; OSError if it cannot be written."""
+        """Replace ``run.json`` by the new description; OSError if it cannot be written."""
         replace_file(self.path / "run.json", (json.dumps(description, indent=2) + "\n").encode())
 
 
@@ -210,7 +210,7 @@ class StatusFile:
     def update(self, states: Sequence[StreamState]) -> None:
         """Write the states, not more often than twice a second.
 
-        A disk that is full or gone does not end the run here: the streams' own records say so.
+        A full or lost disk does not end the run here: the streams' own records report it.
         """
         now = self._clock()
         if self._written_at is not None and now - self._written_at < _STATUS_SECONDS:
@@ -242,10 +242,10 @@ class StatusFile:
 
 
 def _changes(before: Any, now: Any) -> str:
-    """In words, how a part of a run's description was and is."""
-    told = list(_differences(before, now))
-    more = len(told) - _MOST_CHANGES
-    return "; ".join(told[:_MOST_CHANGES]) + (f"; and {more} more" if more > 0 else "")
+    """Describe how a part of a run's description has changed."""
+    changes = list(_differences(before, now))
+    more = len(changes) - _MOST_CHANGES
+    return "; ".join(changes[:_MOST_CHANGES]) + (f"; and {more} more" if more > 0 else "")
 
 
 def _differences(before: Any, now: Any, name: str = "") -> Iterator[str]:
@@ -270,9 +270,9 @@ def describe_run(
     max_side: int | None = None,
     command: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Content of ``run.json``: everything that the results depend on, without credentials.
+    """Return the content of ``run.json``: everything that the results depend on, without credentials.
 
-    ``command`` is what asks for the same once more.
+    ``command`` starts the same run.
     """
     parameters = config.model_dump(mode="json")
     sources = {stream.name: str(stream.source) for stream in streams}
@@ -295,7 +295,7 @@ def describe_run(
 
 
 def _state(name: str, figures: dict[str, Any]) -> StreamState:
-    """The state that these figures were made of, without those derived from others."""
+    """Rebuild a state from its figures, without the derived ones."""
     own = {field.name for field in fields(StreamState)}
     return StreamState(name, **{key: value for key, value in figures.items() if key in own})
 

@@ -1,8 +1,8 @@
-"""The list of streams: a line a stream, ``URI`` or ``NAME URI``, shell quoting, ``#`` comments.
+"""The list of streams: one stream per line, ``URI`` or ``NAME URI``, shell quoting, ``#`` comments.
 
-A folder or glob of videos is a stream for each of them, and so is a glob of folders of images.
+A folder or glob of videos is one stream per video, and so is a glob of folders of images.
 
-The list may come from elsewhere, so it is read with distrust: bounded in size, only the addresses of
+The list may come from elsewhere, so it is not trusted: bounded in size, only the addresses of
 :mod:`orchestrator.sources.address`, names that stay inside the output folder. All bad lines are reported
 together, before anything starts.
 """
@@ -36,7 +36,7 @@ MAX_STREAMS = 10_000
 _MAX_NAME_BYTES = 100
 _RESERVED_NAMES = frozenset({"run.json", "status.json", "report.html", "ray.log"})
 _LINES_SHOWN = 20
-#: How JPEG, PNG, AVI and WebP, Matroska and MPEG files begin: somebody gave the video instead of a list.
+#: Magic bytes of JPEG, PNG, AVI and WebP, Matroska and MPEG: the user gave the video instead of a list.
 _MEDIA_BEGINNINGS = (b"\xff\xd8\xff", b"\x89PNG", b"RIFF", b"\x1aE\xdf\xa3", b"\x00\x00\x01")
 
 
@@ -50,7 +50,7 @@ class ListedStream:
         Unique in the list, and a plain file name.
     source : SourceAddress
     line : int
-        Where it stands in the list, from 1.
+        Line number in the list, from 1.
     """
 
     name: str
@@ -64,7 +64,7 @@ def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
     Parameters
     ----------
     path : Path
-        UTF-8 text; relative sources in it count from its folder.
+        UTF-8 text; relative paths in it are relative to its folder.
 
     Returns
     -------
@@ -74,13 +74,13 @@ def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
     Raises
     ------
     ConfigError
-        If the file cannot be read, is too long, holds no stream, or has bad lines: then the message
-        names every one of them, and those whose source is not there.
+        If the file cannot be read, is too long, holds no stream, or has bad lines: then the message names
+        every one of them, and those whose source is missing.
     """
     streams, faults = parse_stream_list(path)
     if faults:
         report = _fault_report(path, faults)
-        # A source that is not there is no fault of the list; but who mends the list wants to hear of both.
+        # A missing source is no fault of the list; but the message should name both.
         if missing := {stream.line: sentence.rstrip(".") for stream, sentence in _sourceless(streams)}:
             report += "\nOf the other lines, these could not run:\n" + _listing(missing)
         raise ConfigError(report)
@@ -88,12 +88,12 @@ def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
 
 
 def parse_stream_list(path: Path) -> tuple[tuple[ListedStream, ...], dict[int, str]]:
-    """Read a list of streams as far as it can be used.
+    """Read the usable lines of a list of streams.
 
     Returns
     -------
     streams : tuple of ListedStream
-        Those of the good lines.
+        Of the good lines.
     faults : dict of int to str
         Number of each bad line → what is wrong with it, without credentials.
 
@@ -106,7 +106,7 @@ def parse_stream_list(path: Path) -> tuple[tuple[ListedStream, ...], dict[int, s
     first_line: dict[str, int] = {}
     faults: dict[int, str] = {}
     lines = _lines(path)
-    # Told before each is looked at, which for a million takes minutes.
+    # Checked before the addresses are, which takes minutes for a million.
     if sum(bool(raw.strip()) and not raw.lstrip().startswith(b"#") for raw in lines) > MAX_STREAMS:
         raise ConfigError(f"The list {path} holds more than {MAX_STREAMS} lines with streams; split it.")
     for number, raw in enumerate(lines, start=1):
@@ -129,19 +129,19 @@ def parse_stream_list(path: Path) -> tuple[tuple[ListedStream, ...], dict[int, s
 
 
 def missing_sources(path: Path, streams: Sequence[ListedStream]) -> dict[str, str]:
-    """Look which streams have no source at all.
+    """Find streams without a source.
 
     Parameters
     ----------
     path : Path
         The list, for messages.
     streams : sequence of ListedStream
-        What it holds.
+        Its streams.
 
     Returns
     -------
     dict of str to str
-        Stream name → what is wrong, a sentence without credentials.
+        Stream name → the reason, a sentence without credentials.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def missing_sources(path: Path, streams: Sequence[ListedStream]) -> dict[str, st
 
 
 def _sourceless(streams: Sequence[ListedStream]) -> Iterator[tuple[ListedStream, str]]:
-    """Those that have nothing to open, with a sentence that says what is wrong."""
+    """Yield the streams without a source, with the reason."""
     for stream in streams:
         try:
             require_source(stream.source)
@@ -222,7 +222,7 @@ def _named(name: str, source: SourceAddress, number: int, *, is_given: bool) -> 
 def _without_comment(text: str) -> str:
     """Cut an unquoted ``#`` that begins a word, as a shell does.
 
-    ``shlex`` would cut inside a word too, and so turn ``rtsp://bob:a#b@host`` into another address.
+    ``shlex`` would cut inside a word too, and turn ``rtsp://bob:a#b@host`` into another address.
     """
     quote = ""
     position = 0
@@ -259,7 +259,7 @@ def _fault_report(path: Path, faults: dict[int, str]) -> str:
 
 
 def _listing(faults: dict[int, str]) -> str:
-    """A line for each line, the first ones with what is wrong with them."""
+    """List faulty lines, the first ones with their faults."""
     shown = [f"  line {number}: {sentence}." for number, sentence in list(faults.items())[:_LINES_SHOWN]]
     rest = list(faults)[_LINES_SHOWN:]
     if rest:
@@ -268,7 +268,7 @@ def _listing(faults: dict[int, str]) -> str:
 
 
 def _as_ranges(numbers: Sequence[int]) -> str:
-    """Write ascending numbers shortly: ``3, 5–9``."""
+    """Write ascending numbers as ranges: ``3, 5–9``."""
     ranges: list[tuple[int, int]] = []
     for number in numbers:
         if ranges and number == ranges[-1][1] + 1:

@@ -1,4 +1,4 @@
-"""How each stream of a run stands: the states, and the pure rules by which they change."""
+"""The states of a run's streams, and the pure rules by which they change."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = [
 
 StateName = Literal["waiting", "starting", "running", "stalled", "reconnecting", "done", "partial", "failed"]
 
-#: States that a stream does not leave.
+#: Final states.
 ENDED: frozenset[StateName] = frozenset({"done", "partial", "failed"})
 
 
@@ -46,17 +46,19 @@ class StreamState:
     frames_per_second : float
         Recent rate at which frames were read; 0 when not running, and while a camera sends nothing.
     latency_ms : float
-        For how long a frame was worked on lately, the sum of its stages, ms; 0 as long as it is unknown.
+        Recent processing time of a frame, the sum of its stages, ms; 0 while it is unknown.
     error : str, optional
         A sentence, without credentials.
     line : int, optional
-        Where the stream stands in the list, from 1.
+        Line number in the list, from 1.
     returns : int
         How often it lost a process, or hung, and went back to its last snapshot.
     interrupted : bool
         A signal ended it before its end.
     length : int, optional
-        Frames it will have read at its end, as far as its source says.
+        Final number of frames read, according to its source.
+    without_process : int
+        Most layers at once without a process of their own because memory was too short.
     """
 
     name: str
@@ -74,29 +76,30 @@ class StreamState:
     returns: int = 0
     interrupted: bool = False
     length: int | None = None
+    without_process: int = 0
 
     @property
     def queued(self) -> int:
-        """Frames that were read and are neither committed nor lost."""
+        """Frames that were read but are neither committed nor lost."""
         return max(self.read - self.committed - self.dropped - self.quarantined, 0)
 
     @property
     def rank(self) -> int:
-        """Where it is shown among others: 0 at work, 1 gone wrong, 2 waiting, 3 done."""
+        """Display order: 0 running, 1 failed or partial, 2 waiting, 3 done."""
         if self.state not in ENDED and self.state != "waiting":
             return 0
         return {"failed": 1, "partial": 1, "waiting": 2}.get(self.state, 3)
 
     @property
     def seconds_left(self) -> float | None:
-        """Time until all is read at the recent rate, s; None if nobody knows."""
+        """Time until all is read at the recent rate, s; None if unknown."""
         if self.length is None or not self.frames_per_second:
             return None
         return max(self.length - self.read, 0) / self.frames_per_second
 
     @property
     def waits_for(self) -> str | None:
-        """What a stream that is starting needs before its first frames are read."""
+        """The reason why a stream is still starting."""
         if self.state != "starting":
             return None
         return (
@@ -105,8 +108,18 @@ class StreamState:
             else "new processes and its last snapshot"
         )
 
+    @property
+    def memory_note(self) -> str | None:
+        """State that memory was too short for its objects' processes, or None."""
+        if not self.without_process:
+            return None
+        return (
+            f"Memory was too short: up to {count_of(self.without_process, 'layer')} at once had no process "
+            "of their own. Labels are the same, frames take longer."
+        )
+
     def figures(self) -> dict[str, Any]:
-        """All that is shown of the stream, by name."""
+        """All displayed values, by name."""
         derived = {"queued": self.queued, "seconds_left": self.seconds_left, "waits_for": self.waits_for}
         return {
             key: round(value, 2) if isinstance(value, float) else value
@@ -115,9 +128,9 @@ class StreamState:
 
 
 def after_progress(state: StreamState, progress: StreamProgress, frames_per_second: float) -> StreamState:
-    """State after a burst of frames, the stream going on."""
+    """Return the state after a burst of frames of a stream that continues."""
     silence = progress.silence or SourceSilence(None)
-    error = silence.note or progress.problem
+    error = silence.reason or progress.problem
     return replace(
         state,
         state=silence.state or ("running" if progress.read else "starting"),
@@ -131,11 +144,12 @@ def after_progress(state: StreamState, progress: StreamProgress, frames_per_seco
         latency_ms=sum(progress.stage_ms.values()) or state.latency_ms,
         error=None if error is None else mask(error),
         length=progress.length,
+        without_process=max(state.without_process, progress.without_process),
     )
 
 
 def after_end(state: StreamState, progress: StreamProgress) -> StreamState:
-    """State after the source's end: done if whole, partial if damaged, failed if it gave no label map."""
+    """Return the state after the source's end: done, partial if damaged, failed without a label map."""
     counted = replace(after_progress(state, progress, 0.0), layers=0)
     if counted.committed == 0:
         return after_failure(counted, counted.error or "The source holds no frame that could be decoded.")
@@ -148,18 +162,18 @@ def after_end(state: StreamState, progress: StreamProgress) -> StreamState:
 
 
 def after_failure(state: StreamState, error: str) -> StreamState:
-    """State after an error that ended the stream; its counts stay."""
+    """Return the state after an error that ended the stream; its counts stay."""
     return replace(state, state="failed", layers=0, frames_per_second=0.0, error=mask(error))
 
 
 def after_loss(state: StreamState, error: str) -> StreamState:
-    """State of a stream that lost a process and will go on from its last snapshot."""
+    """Return the state of a stream that lost a process and will continue from its last snapshot."""
     lost = after_failure(state, error)
     return replace(lost, state="starting", returns=state.returns + 1)
 
 
 def with_record(state: StreamState, recorded: int) -> StreamState:
-    """State of a failed stream with what its record holds: its last burst ended without telling.
+    """Return the state of a failed stream with the counts of its record: its last burst has not reported.
 
     Parameters
     ----------
@@ -175,7 +189,7 @@ def with_record(state: StreamState, recorded: int) -> StreamState:
 
 
 def after_interruption(state: StreamState, progress: StreamProgress | None) -> StreamState:
-    """State of a running stream that was stopped by a signal, after it was drained to ``progress``."""
+    """Return the state of a running stream that was stopped by a signal and drained to ``progress``."""
     counted = state if progress is None else after_progress(state, progress, 0.0)
     kept = "what was read is kept" if progress is not None else "what was committed is kept"
     sentence = f"Interrupted after {count_of(counted.read, 'frame')}; {kept}."
@@ -185,7 +199,7 @@ def after_interruption(state: StreamState, progress: StreamProgress | None) -> S
 
 
 def stopped(states: Iterable[StreamState]) -> tuple[StreamState, ...]:
-    """States of a run that is ended at once: nobody asks the streams at work any more."""
+    """Return the states of a run that is ended at once, without waiting for its streams."""
     return tuple(
         state if state.state in ENDED or state.state == "waiting" else after_interruption(state, None)
         for state in states
@@ -193,7 +207,7 @@ def stopped(states: Iterable[StreamState]) -> tuple[StreamState, ...]:
 
 
 def after_removal(state: StreamState, progress: StreamProgress | None) -> StreamState:
-    """State of a stream that was taken from the list, after it was drained to ``progress``."""
+    """Return the state of a stream that was removed from the list and drained to ``progress``."""
     if progress is not None and progress.committed:
         return after_end(state, progress)
     sentence = "Removed from the list before it had a result."
@@ -203,7 +217,7 @@ def after_removal(state: StreamState, progress: StreamProgress | None) -> Stream
 
 
 def exit_code(states: Iterable[StreamState], signal_number: int | None) -> int:
-    """Exit status of the run: 0, 1, or 128 + the number of the signal that interrupted it."""
+    """Return the exit status of the run: 0, 1, or 128 + the number of the signal that interrupted it."""
     if signal_number is not None:
         return 128 + signal_number
     return 0 if all(state.state == "done" for state in states) else 1

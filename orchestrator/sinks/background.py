@@ -1,4 +1,4 @@
-"""The background plate: what a frame would show without the objects that move in it."""
+"""The background plate: a frame without the objects that move in it."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from mlbs_actors.messages import BACKGROUND, Array, LayerAppearance
 
 __all__ = ["background_plate"]
 
-#: An object's fringe reaches so far past its outline, px.
+#: Width of an object's fringe outside its outline, px.
 NEAR_PX = 8
 
 
 def background_plate(appearance: LayerAppearance, image: Array, labels: Array) -> Array:
-    """Put the plate of a frame together.
+    """Compose the plate of a frame.
 
-    A pixel's colour is, the first that is known of these: the frame's own, if it is labelled background and
-    no object is near; the median of the colours that the background has remembered there; the frame's own,
-    if it is labelled background; the colour of the nearest pixel of these kinds. Only what is filled in the
-    last way is transparent.
+    A pixel's colour is the first of these that is known: the frame's own, if it is labelled background and no
+    object is near; the median of the background's remembered colours there; the frame's own, if it is
+    labelled background; the colour of the nearest pixel of these kinds. Only pixels filled in the last way
+    are transparent.
 
     Parameters
     ----------

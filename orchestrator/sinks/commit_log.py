@@ -1,8 +1,8 @@
-"""``commits.jsonl``: which frames of a stream are safely on the disk, and who may add to it.
+"""``commits.jsonl``: which frames of a stream are safely on the disk, and which process may add to it.
 
-Whoever opens the log takes the next *generation*. A process of a killed run that still lives finds, before
-it commits, that a newer one is there, and is refused: checking and committing are one turn under a lock,
-which the system takes back from a process that dies.
+Opening the log increments its *generation*. A surviving process of a killed run finds, before it commits,
+that there is a newer one, and is refused: checking and committing are done under one lock, which the system
+releases when a process dies.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ COMMIT_LOG = "commits.jsonl"
 _GENERATION, _LOCK = ".generation", ".lock"
 
 #: How long another process may take for its commit, s.
-_TURN_SECONDS = 10.0
+_LOCK_SECONDS = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +35,11 @@ class Commit:
     Attributes
     ----------
     generation : int
-        How often the stream had been started again.
+        Number of restarts of the stream before it.
     first, last : int
         Frames of the source, both included.
     snapshot : str or None
-        Newest snapshot that the stream could go back to after these frames.
+        Newest snapshot to go back to after these frames.
     provisional : bool
         Labelled without the frames that would have followed, because the run was interrupted.
     """
@@ -52,13 +52,13 @@ class Commit:
 
 
 def read_commits(folder: Path) -> list[Commit]:
-    """Lines of a stream's log that are whole and follow each other; none if there is no log."""
+    """Read the complete, consecutive lines of a stream's log; none if there is no log."""
     try:
         lines = (folder / COMMIT_LOG).read_bytes().split(b"\n")
     except FileNotFoundError:
         return []
     commits: list[Commit] = []
-    for line in lines[:-1]:  # what no newline ends was torn by a kill
+    for line in lines[:-1]:  # a last line without newline was torn by a kill
         try:
             commit = Commit(**json.loads(line))
         except (ValueError, TypeError):
@@ -70,14 +70,14 @@ def read_commits(folder: Path) -> list[Commit]:
 
 
 class CommitLog:
-    """The log of one stream, opened to add to it.
+    """The log of one stream, opened for adding to it.
 
-    Opening it takes back torn and provisional lines.
+    Opening it removes torn and provisional lines.
 
     Parameters
     ----------
     folder : Path
-        The stream's, which exists.
+        The stream's, which must exist.
 
     Attributes
     ----------
@@ -88,14 +88,14 @@ class CommitLog:
     Raises
     ------
     SinkError
-        If another process keeps its turn.
+        If another process keeps the lock.
     OSError
         As the disk says; from :meth:`add` too.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._lock = FileLock(folder / _LOCK, timeout=_TURN_SECONDS)
+        self._lock = FileLock(folder / _LOCK, timeout=_LOCK_SECONDS)
         with self._locked():
             known = (folder / _GENERATION).exists()
             self.generation = self._newest() + 1 if known else 0
@@ -107,8 +107,8 @@ class CommitLog:
                 replace_file(folder / COMMIT_LOG, content)
 
     @contextmanager
-    def turn(self) -> Iterator[None]:
-        """Have the stream's folder for oneself while the ``with`` block publishes files and commits them.
+    def exclusive(self) -> Iterator[None]:
+        """Keep other processes out while the ``with`` block publishes files and commits them.
 
         Raises
         ------
@@ -121,7 +121,7 @@ class CommitLog:
             yield
 
     def add(self, last: int, snapshot: str | None, *, provisional: bool) -> None:
-        """Commit the frames up to ``last``; only in one's turn."""
+        """Commit the frames up to ``last``; only inside :meth:`exclusive`."""
         append_line(
             self._folder / COMMIT_LOG, _line(Commit(self.generation, self.rows, last, snapshot, provisional))
         )
@@ -145,7 +145,7 @@ class CommitLog:
 
 
 def _line(commit: Commit) -> str:
-    """A commit as JSON; what is provisional is rare, and said only then."""
+    """Format a commit as JSON; ``provisional`` is rare and written only if true."""
     fields = asdict(commit)
     if not commit.provisional:
         del fields["provisional"]

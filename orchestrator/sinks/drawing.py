@@ -1,4 +1,4 @@
-"""Labels drawn over a picture so that people can tell which object is which, on dark and on light video."""
+"""Labels drawn over a picture so that objects can be distinguished, on dark and on light video."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def draw_labels(image: Array, labels: Array, regions: Mapping[int, Region] | Non
     labels : (H, W) uint16
         An id's colour is that of :mod:`orchestrator.sinks.layer_colours`.
     regions : mapping of int to Region, optional
-        The bounding boxes of all layers that are there, where they are known; else they are looked for.
+        The bounding boxes of all layers present, if known; else they are computed.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def draw_labels(image: Array, labels: Array, regions: Mapping[int, Region] | Non
     line = max(1, round(min(image.shape[:2]) * _LINE_PX))
     around = _disc(line)
     cut = []
-    # All dark rims come first: where one lies on another layer, that one's outline lies on it.
+    # All dark rims come first, so that a rim never covers another layer's outline.
     # OpenCV's masked copies take a tenth of the time of assignments by a mask.
     for layer, region in (_regions(labels) if regions is None else regions).items():
         left, top = max(region.x - line, 0), max(region.y - line, 0)
@@ -70,7 +70,7 @@ def draw_caption(image: Array, text: str) -> None:
 
 
 def _regions(labels: Array) -> dict[int, Region]:
-    """The bounding box of each layer that is there, in ascending id."""
+    """Return the bounding box of each layer present, in ascending id."""
     begins = labels[:, 1:] != labels[:, :-1]  # each layer begins somewhere in a row
     layers = np.unique(np.concatenate([labels[:, 0], labels[:, 1:][begins]])).tolist()
     return {
@@ -81,8 +81,8 @@ def _regions(labels: Array) -> dict[int, Region]:
 
 
 def _inner_point(mask: Array) -> tuple[int, int]:
-    """The mean (x, y) of a mask's pixels if it lies on the mask, else the pixel deepest inside."""
-    moments = cv2.moments(mask)  # of zeros and ones; to be told so makes OpenCV slower
+    """Return the mean (x, y) of a mask's pixels if it lies on the mask, else the pixel deepest inside."""
+    moments = cv2.moments(mask)  # of zeros and ones; OpenCV's flag for binary images makes it slower
     x, y = round(moments["m10"] / moments["m00"]), round(moments["m01"] / moments["m00"])
     if not mask[y, x]:
         rimmed = cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
@@ -92,7 +92,7 @@ def _inner_point(mask: Array) -> tuple[int, int]:
 
 
 def _write(picture: Array, text: str, centre: tuple[int, int], digit_height: int) -> None:
-    """Write white text with a black rim around a point, moved so far that it lies in the picture."""
+    """Write white text with a black rim around a point, shifted into the picture."""
     fill, rim = _stencil(text, digit_height)
     height, width = fill.shape[:2]
     top = max(min(centre[1] - height // 2, picture.shape[0] - height), 0)
@@ -104,7 +104,7 @@ def _write(picture: Array, text: str, centre: tuple[int, int], digit_height: int
 
 @lru_cache(maxsize=256)
 def _stencil(text: str, digit_height: int) -> tuple[Array, Array]:
-    """How much (0 … 255) of each pixel's channels the strokes of a text cover, and these with a rim."""
+    """Return the coverage (0 … 255) of each pixel's channels by a text's strokes, without and with rim."""
     scale, rim = digit_height / _FONT_PX, max(1, round(digit_height / 8))
     stroke = max(1, round(digit_height / 7))
     (width, height), below = cv2.getTextSize(text, _FONT, scale, stroke)

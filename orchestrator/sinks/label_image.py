@@ -17,16 +17,16 @@ LARGEST_INDEXED_LABEL = 254
 
 _DAVIS_COLOURS = 22  # from here on its palette is a grey ramp
 
-# Label maps are large flat areas: a higher level takes longer and saves nothing, and that a byte repeats the
-# one before it is all that is to be found.
+# Label maps are large flat areas: a higher level takes longer and saves nothing, as repeated bytes are all
+# the redundancy there is.
 _COMPRESSION, _STRATEGY = 1, zlib.Z_RLE
-_MEMORY = 5  # of 9; with more it finds nothing more, and takes a quarter longer
+_MEMORY = 5  # of 9; more saves nothing, and takes a quarter longer
 _GREY, _INDEXED = 0, 3  # PNG's kinds of colour
 _UNFILTERED = 0  # PNG's word before a row
 
 
 def voc_colours(count: int = 256) -> Array:
-    """Colours of the PASCAL VOC palette: the bits of an index, three at a time, from the highest bit down.
+    """Return the PASCAL VOC palette: the bits of an index, three at a time, from the highest bit down.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def encode_label_image(labels: Array) -> bytes:
     height, width = labels.shape
     indexed = labels.max(initial=0) <= LARGEST_INDEXED_LABEL
     sample, colour = (np.dtype(np.uint8), _INDEXED) if indexed else (np.dtype(">u2"), _GREY)
-    # Written here: an image library's many small steps take as long again as the compression.
+    # Written here, as an image library's many small steps take as long again as the compression.
     rows: Array = np.empty((height, 1 + width * sample.itemsize), np.uint8)
     rows[:, 0] = _UNFILTERED
     rows[:, 1:].view(sample)[:] = labels
@@ -90,7 +90,7 @@ def encode_label_image(labels: Array) -> bytes:
 
 
 def _chunk(kind: bytes, content: bytes) -> bytes:
-    """A part of a PNG file, with its length and its checksum."""
+    """Return a chunk of a PNG file, with its length and its checksum."""
     check = zlib.crc32(content, zlib.crc32(kind))
     return len(content).to_bytes(4, "big") + kind + content + check.to_bytes(4, "big")
 

@@ -1,8 +1,8 @@
-"""A colour for every layer id, for people to look at: light, and far from those of the other ids.
+"""A colour for every layer id: light, and far from those of the other ids.
 
-The label maps keep the palette of the data sets, whose first colours are dark. Here an id's colour is for
-life, the same in every picture of every run, and light enough to be seen on dark video; what is drawn on
-light video gets a dark rim.
+The label maps keep the palette of the data sets, whose first colours are dark. Here an id's colour is the
+same in every picture of every run, and light enough to be seen on dark video; drawings on light video get a
+dark rim.
 """
 
 from __future__ import annotations
@@ -48,6 +48,6 @@ _DISTINCT = _distinct_colours().tolist()
 
 
 def layer_colour(layer: int) -> tuple[int, int, int]:
-    """Colour of a layer's id, BGR."""
+    """Return the colour of a layer id, BGR."""
     blue, green, red = _DISTINCT[(layer - 1) % COLOURS]
     return blue, green, red

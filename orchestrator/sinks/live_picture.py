@@ -1,4 +1,4 @@
-"""The newest overlay of a stream as a small JPEG file, for whoever looks on; never part of the record."""
+"""The newest overlay of a stream as a small JPEG file for the monitor; never part of the record."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ __all__ = ["LivePicture", "live_picture_path"]
 
 _WIDTH = 640  # px, at most
 _JPEG_QUALITY = 75
-_SECONDS = 1.0  # least time between two pictures: what it costs does not grow with the speed
+_SECONDS = 1.0  # least time between two pictures: the cost does not grow with the frame rate
 
 
 def live_picture_path(folder: Path, stream: str) -> Path:
-    """Where the picture of a stream is, in the folder of all of them."""
+    """Return the path of a stream's picture in the folder of all pictures."""
     return folder / f"{stream}.jpg"
 
 
@@ -31,7 +31,7 @@ class LivePicture:
     Parameters
     ----------
     path : Path
-        The JPEG file; its folder is there.
+        The JPEG file; its folder must exist.
     clock : callable
         Monotonic time, s.
     """
@@ -43,7 +43,7 @@ class LivePicture:
         self._unshown: tuple[Array, Array, int] | None = None
 
     def show(self, image: Array, labels: Array, index: int) -> None:
-        """Show frame ``index`` if the last picture is a second old; a disk that refuses it stops nothing."""
+        """Show frame ``index`` if the last picture is a second old; disk errors are ignored."""
         now = self._clock()
         if self._written is not None and now - self._written < _SECONDS:
             self._unshown = image, labels, index
@@ -52,7 +52,7 @@ class LivePicture:
             self._write(image, labels, index)
 
     def close(self) -> None:
-        """Show the stream's last frame, however young the last picture is."""
+        """Show the stream's last frame, however recent the last picture is."""
         if self._unshown is not None:
             self._write(*self._unshown)
             self._unshown = None

@@ -1,4 +1,4 @@
-"""The labels drawn over the video, as an mp4 file: derived from the record, never part of it."""
+"""The labels drawn over the video, as an mp4 file derived from the record."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ _TIME_BASE = Fraction(1, 90_000)
 TICK = float(_TIME_BASE)
 
 _NOMINAL_RATE = 25  # only a hint to the encoder; every frame carries its own time
-_SMALLEST_SIDE = 16  # of what H.264 encoders take, px
-_KEY_FRAMES = 32  # distance of frames that decode by themselves: players and reports go to them at once
+_SMALLEST_SIDE = 16  # least that H.264 encoders accept, px
+_KEY_FRAMES = 32  # interval of key frames, to which players and reports can seek
 
 
 def overlay_path(folder: Path, first: int) -> Path:
-    """Where the video of a stream lies that begins at frame ``first``: a resumed run begins another."""
+    """Return the path of the video that begins at frame ``first``: a resumed run begins another."""
     return folder / (f"overlay-{first:08d}.mp4" if first else "overlay.mp4")
 
 
 def overlays(folder: Path) -> list[tuple[int, Path]]:
-    """First frames and files of a stream's videos, in order."""
+    """List first frames and files of a stream's videos, in order."""
     return sorted((int(path.stem.partition("-")[2] or 0), path) for path in folder.glob("overlay*.mp4"))
 
 
 def presentation_times(pts: Array) -> Array:
-    """When the frames of an overlay are shown.
+    """Compute when the frames of an overlay are shown.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def presentation_times(pts: Array) -> Array:
 
 
 class OverlayVideo:
-    """An overlay being written; what goes wrong ends the overlay alone.
+    """An overlay being written; an error ends the overlay alone.
 
     The first frame's size is the video's; frames of another size are scaled to it. The file has its
     name only once it is closed: an mp4 without its index cannot be played.
@@ -82,7 +82,8 @@ class OverlayVideo:
         pts: float,
         regions: Mapping[int, Region] | None = None,
     ) -> None:
-        """Append frame ``index``, shown at ``pts`` seconds; times that do not advance go on by 1/90,000 s.
+        """Append frame ``index``, shown at ``pts`` seconds; times that do not advance are moved by 1/90,000
+        s.
 
         ``regions`` are the layers' bounding boxes, where they are known.
         """
@@ -126,7 +127,7 @@ class OverlayVideo:
             self._stream.codec_context.time_base = _TIME_BASE
             # One thread: the cores belong to the segmentation.
             self._stream.codec_context.thread_count = 1
-            # A fixed quantiser: to choose one for each frame takes a sixth of the encoder's time.
+            # A fixed quantiser: choosing one for each frame takes a sixth of the encoder's time.
             self._stream.options = {"preset": "ultrafast", "qp": "26", "g": str(_KEY_FRAMES)}
         return self._container, self._stream
 
@@ -141,7 +142,7 @@ class OverlayVideo:
 
 
 def _even(length: int) -> int:
-    """Smallest length that 4:2:0 video can have and that holds ``length``."""
+    """Return the smallest even length, as 4:2:0 video needs, of at least ``length``."""
     return max(_SMALLEST_SIDE, length + length % 2)
 
 

@@ -1,15 +1,14 @@
-"""The record of one stream: what survives a kill.
+"""The record of one stream, which survives a kill.
 
-Frames are collected in groups: the first :data:`FIRST_COMMIT` frames, so that there is something to look at
-soon, then up to every multiple of :data:`GROUP_FRAMES`. A group is committed in this order: its files are
-written under temporary names, synced together, renamed, and then one line in ``commits.jsonl`` says that
-they count. Where a group ends follows from the frame's index alone, so the parts do not depend on how fast
-the stream ran.
+Frames are collected in groups: the first :data:`FIRST_COMMIT` frames, so that there is soon something to see,
+then up to every multiple of :data:`GROUP_FRAMES`. A group is committed in this order: its files are written
+under temporary names, synced together, renamed, and then one line in ``commits.jsonl`` makes them count. The
+ends of groups depend on the frame's index alone, so the parts do not depend on the speed of the stream.
 
-A record that exists is gone on with: rows that it holds already are passed over when they come again.
+An existing record is continued: rows that it already has are skipped when they come again.
 
-What a live source gave comes only once. Its record commits what a snapshot covers, when that is whole: so
-there is always a snapshot after exactly the rows that count.
+A live source cannot be read again. So its rows are committed only when a snapshot that covers them is
+complete: there is always a snapshot after exactly the committed rows.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ _FOLDERS = frozenset({"masks", "background", "cutouts"})
 
 
 def ends_group(index: int) -> bool:
-    """Whether a group is committed after this frame of the source; a background plate belongs to each."""
+    """Whether a group is committed after this frame of the source; each group has a background plate."""
     return index + 1 == FIRST_COMMIT or (index + 1) % GROUP_FRAMES == 0
 
 
@@ -57,15 +56,15 @@ class StreamRecord:
     Parameters
     ----------
     folder : Path
-        The stream's folder; made here if it is not there.
+        The stream's folder; created if missing.
     name : str
         The stream's name.
     save : frozenset of str
-        Which of ``"masks"``, ``"parquet"``, ``"overlay"``, ``"background"``, ``"cutouts"`` to write.
+        Any of ``"masks"``, ``"parquet"``, ``"overlay"``, ``"background"``, ``"cutouts"``.
     live : LivePicture, optional
-        Shown every frame, for the monitor.
+        Receives every frame, for the monitor.
     replayable : bool
-        Whether rows that do not count can come again after the end of the run.
+        Whether uncommitted rows can be read again after the end of the run.
 
     Attributes
     ----------
@@ -93,14 +92,14 @@ class StreamRecord:
         self._replayable = replayable
         self._rows: list[FrameRow] = []
         self._unpublished: list[tuple[int, Path]] = []  # with their frames
-        self._withdrawn: list[Path] = []  # cut-outs of an earlier run that are made anew
+        self._withdrawn: list[Path] = []  # cut-outs of an earlier run that are written again
         self._provisional = False
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for part in _FOLDERS & save:
                 (folder / part).mkdir(exist_ok=True)
             self._log = CommitLog(folder)
-            with self._log.turn():
+            with self._log.exclusive():
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
             self._cutouts = _by_frame(folder / "cutouts")
@@ -109,8 +108,8 @@ class StreamRecord:
         before = self._snapshots.newest
         if not replayable and self._log.rows != (0 if before is None else before.rows):
             raise SinkError(
-                f"The stream in {folder} cannot go on: its last snapshot is missing or damaged, and a camera "
-                "shows nothing twice. What was committed is kept; begin anew in another folder."
+                f"The stream in {folder} cannot continue: its last snapshot is missing or damaged, and a "
+                "camera cannot be read twice. What was committed is kept; begin anew in another folder."
             )
         self.opening = Opening(self._snapshots.place, before)
         self._label_maps = 0 if before is None else before.label_maps
@@ -121,7 +120,7 @@ class StreamRecord:
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
     ) -> int:
-        """Take one result; return how many label maps are committed."""
+        """Write one result; return the number of label maps committed."""
         self._label_maps += 1
         if frame.index < self._log.rows:
             self._committed = self._label_maps
@@ -149,7 +148,7 @@ class StreamRecord:
         return self._committed
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
-        """Record a frame that has no label map; return how many label maps are committed."""
+        """Record a frame that has no label map; return the number of label maps committed."""
         try:
             if index >= self._log.rows:
                 self._add(FrameRow(index, pts, status))
@@ -158,9 +157,9 @@ class StreamRecord:
         return self._committed
 
     def keep(self, snapshot: Snapshot) -> bool:
-        """Note a snapshot that may be gone back to; False if its files are not all there yet.
+        """Register a snapshot to go back to; False if its files are not complete yet.
 
-        What comes only once is committed with its snapshot: so for that its rows must be there, too.
+        Rows of a live source are committed with their snapshot, so for that they must be written, too.
         """
         if not self._replayable and self._log.rows + len(self._rows) < snapshot.rows:
             return False
@@ -173,7 +172,7 @@ class StreamRecord:
         return kept
 
     def provisional(self) -> None:
-        """Commit what is there; the label maps from here on are made anew by a run that resumes."""
+        """Commit all rows so far; the label maps from here on will be replaced by a run that resumes."""
         try:
             self._commit()
         except OSError as error:
@@ -181,7 +180,7 @@ class StreamRecord:
         self._provisional = True
 
     def close(self, *, whole: bool) -> int:
-        """Commit what is left and finish the pictures; return how many label maps are committed."""
+        """Commit the rest and finish the pictures; return the number of label maps committed."""
         try:
             if self._replayable or self._provisional or whole:
                 self._commit()
@@ -204,7 +203,7 @@ class StreamRecord:
         self._unpublished.append((frame.index, path))
 
     def _clear_up(self) -> tuple[str, ...] | None:
-        """Remove what a killed run left half done; return the stages that the tables have columns for."""
+        """Remove unfinished work of a killed run; return the stages that have columns in the tables."""
         for folder in (self._folder, *(self._folder / part for part in _FOLDERS)):
             remove_temporary(folder)
         stages = None
@@ -230,7 +229,7 @@ class StreamRecord:
         last = rows[-1].frame
         if "parquet" in self._save:
             files += self._write_tables(rows, rows[0].frame)
-        with self._log.turn():
+        with self._log.exclusive():
             for path in self._withdrawn:
                 path.unlink(missing_ok=True)
             publish(files)
@@ -259,20 +258,20 @@ class StreamRecord:
 
 
 def recorded_frames(folder: Path) -> int:
-    """Number of the source's frames that a stream's commit log holds, those without a label map included."""
+    """Return the number of source frames in a stream's commit log, including those without a label map."""
     commits = read_commits(folder)
     return commits[-1].last + 1 if commits else 0
 
 
 def has_snapshot(folder: Path) -> bool:
-    """Whether the snapshot is there that the last line of a stream's log names, of those that stay."""
+    """Whether there is the snapshot that the last permanent line of a stream's log names."""
     commits = [commit for commit in read_commits(folder) if not commit.provisional]
     newest = commits[-1].snapshot if commits else None
     return newest is not None and (folder / SNAPSHOTS / newest).exists()
 
 
 def _by_frame(cutouts: Path) -> dict[str, list[Path]]:
-    """Cut-outs that are there, by the names of their frames; none without the folder."""
+    """List existing cut-outs by the names of their frames; none without the folder."""
     found: dict[str, list[Path]] = {}
     for path in cutouts.glob("*.png"):
         found.setdefault(path.stem.rpartition("-")[0], []).append(path)

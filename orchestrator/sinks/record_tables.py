@@ -1,4 +1,4 @@
-"""Reads back the tables of a stream's record: what its commit log says is there, and nothing else."""
+"""Reads the committed tables of a stream's record."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ __all__ = ["part_path", "read_table"]
 
 
 def part_path(folder: Path, name: Literal["frames", "layers"], first: int) -> Path:
-    """Where the rows of a table are whose commit begins with frame ``first``."""
+    """Return the path of the part of a table whose commit begins with frame ``first``."""
     return folder / f"{name}-{first:08d}.parquet"
 
 
 def read_table(
     folder: Path, name: Literal["frames", "layers"], columns: Sequence[str] | None = None
 ) -> pa.Table:
-    """Committed rows of one table of a stream; no columns at all if the tables were not saved.
+    """Read committed rows of one table of a stream; without columns if the tables were not saved.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def read_table(
         Of the stream.
     name : {"frames", "layers"}
     columns : sequence of str, optional
-        Those wanted, all by default; those that a part lacks are left out.
+        The columns to read, all by default; those that a part lacks are left out.
     """
     parts = [part_path(folder, name, commit.first) for commit in read_commits(folder)]
     tables = []

@@ -1,8 +1,8 @@
-"""Where the snapshots of a stream lie: which are whole, which one to go back to, which are not needed.
+"""The snapshots of a stream on disk: which are complete, which one to go back to, which can be removed.
 
-``snapshots/GENERATION/READ/`` holds a file for each part, after so many rows read. The parts' processes write
-them; once all are there a list of them is added, and only then the snapshot is one. Folders of different
-generations never meet, so what a killed run's processes still write is not mistaken for a file of this run.
+``snapshots/GENERATION/READ/`` holds a file for each part, after that many rows read. The parts' processes
+write them; once all are complete a list of them is added, which makes the snapshot valid. Generations have
+separate folders, so files that a killed run's processes still write are not mistaken for those of this run.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["SNAPSHOTS", "SnapshotFolder"]
 #: Folder in a stream's folder.
 SNAPSHOTS = "snapshots"
 
-#: File that makes a snapshot whole.
+#: File that completes a snapshot.
 _LIST = "parts"
 
 _KEPT = 2
@@ -31,7 +31,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class _Parts:
-    """Content of the list."""
+    """Content of that file."""
 
     rows: int
     label_maps: int
@@ -45,16 +45,16 @@ class SnapshotFolder:
     ----------
     path : Path
     generation : int
-        Of whoever opens it.
+        Of the opened record.
     rows : int
-        Rows of the record that count: snapshots after more are of no use.
+        Rows of the record that count: later snapshots are useless.
 
     Attributes
     ----------
     place : Path
-        Where new snapshots go.
+        Folder of new snapshots.
     newest : Snapshot or None
-        Newest whole one of those found.
+        Newest complete one found on opening.
     """
 
     def __init__(self, path: Path, generation: int, rows: int) -> None:
@@ -65,13 +65,13 @@ class SnapshotFolder:
             snapshot = _found(folder)
             if snapshot is not None and snapshot.rows <= rows:
                 self._whole.append(snapshot)
-        # Of those after the same row the last one: by numbers, of which the longer is the greater.
+        # Of those after the same row the last one, compared as numbers: the longer is the greater.
         self._whole.sort(key=lambda one: (one.rows, len(str(one.folder)), one.folder))
         self.newest = self._whole[-1] if self._whole else None
         self._forget_all_but(self._whole[-_KEPT:])
 
     def keep(self, snapshot: Snapshot) -> bool:
-        """Make a snapshot whole if all its files are there.
+        """Complete a snapshot if all its files are there.
 
         Raises
         ------
@@ -85,19 +85,19 @@ class SnapshotFolder:
         return True
 
     def name_after(self, rows: int) -> str | None:
-        """Name of the newest snapshot that can be gone back to once ``rows`` rows count."""
+        """Return the name of the newest snapshot to go back to once ``rows`` rows count."""
         usable = [snapshot for snapshot in self._whole if snapshot.rows <= rows]
         return str(usable[-1].folder.relative_to(self._path)) if usable else None
 
     def forget_before(self, rows: int) -> None:
-        """Delete what a record of ``rows`` rows does not need: all but the newest two and later ones."""
+        """Delete all snapshots but the newest two of a record of ``rows`` rows and later ones."""
         usable = [snapshot for snapshot in self._whole if snapshot.rows <= rows]
         for snapshot in usable[:-_KEPT]:
             shutil.rmtree(snapshot.folder, ignore_errors=True)
             self._whole.remove(snapshot)
 
     def forget_all(self) -> None:
-        """Delete all: the stream has come to its end."""
+        """Delete all, as the stream has come to its end."""
         shutil.rmtree(self._path, ignore_errors=True)
 
     def _forget_all_but(self, kept: list[Snapshot]) -> None:
@@ -109,7 +109,7 @@ class SnapshotFolder:
 
 
 def _found(folder: Path) -> Snapshot | None:
-    """The snapshot in a folder, if it is whole and undamaged."""
+    """Return the snapshot in a folder, if it is complete and undamaged."""
     if not (folder / _LIST).exists():
         return None
     try:

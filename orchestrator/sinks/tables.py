@@ -30,13 +30,13 @@ __all__ = [
     "write_layers",
 ]
 
-#: Time of stages that the first part did not know.
+#: Stage for the time of those that the first part did not have.
 OTHER_STAGES = "other"
 
 
 @dataclass(frozen=True, slots=True)
 class ResultRow:
-    """What the tables keep of a segmentation: no map, so that waiting rows hold no frames in memory.
+    """Values of a segmentation for the tables, without maps, so that waiting rows keep no frames in memory.
 
     Attributes
     ----------
@@ -105,12 +105,12 @@ def run_length_code(labels: Array, layer: int, region: Region) -> str:
     labels : (H, W) uint16
     layer : int
     region : Region
-        Holds all the layer's pixels; only there they are looked for.
+        Contains all the layer's pixels; only there they are searched for.
     """
     height, width = labels.shape
-    # A row of zeros below each column ends its last run, but not where that may go on at the next one's top.
+    # A row of zeros below each column ends its last run, which may continue at the top of the next one.
     pitch = min(region.height + 1, height)
-    inside = np.zeros(region.width * pitch + 2, np.bool_)  # with a zero before them all and one behind
+    inside = np.zeros(region.width * pitch + 2, np.bool_)  # with a zero before and after them all
     columns = inside[1:-1].reshape(region.width, pitch)
     np.equal(labels[region.slices].T, layer, out=columns[:, : region.height])
     changes = (inside[1:] != inside[:-1]).nonzero()[0]
@@ -124,13 +124,13 @@ def run_length_code(labels: Array, layer: int, region: Region) -> str:
 
 
 def stages_of(schema: pa.Schema) -> tuple[str, ...]:
-    """Stages that a :func:`frame_schema` was made for."""
+    """Return the stages of a :func:`frame_schema`."""
     stages = (name.removeprefix("ms_") for name in schema.names if name.startswith("ms_"))
     return tuple(stage for stage in stages if stage != OTHER_STAGES)
 
 
 def layer_schema() -> pa.Schema:
-    """Columns of ``layers``; positions in px, velocities in px/frame (mean motion t−1 → t)."""
+    """Return the columns of ``layers``; positions in px, velocities in px/frame (mean motion t−1 → t)."""
     return pa.schema(
         [
             ("stream", pa.string()),
@@ -146,7 +146,7 @@ def layer_schema() -> pa.Schema:
 
 
 def frame_schema(stages: Sequence[str]) -> pa.Schema:
-    """Columns of ``frames``; those after ``status`` are null where there is no label map.
+    """Return the columns of ``frames``; those after ``status`` are null without a label map.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def frame_schema(stages: Sequence[str]) -> pa.Schema:
 
 
 def write_layers(path: Path, stream: str, rows: Sequence[FrameRow]) -> None:
-    """Write one part of ``layers``; empty parts are written too, so that the table is always there."""
+    """Write one part of ``layers``; empty parts are written too, so that the table always exists."""
     records = [
         {
             "stream": stream,

@@ -1,1 +1,1 @@
-"""Where frames come from: files, folders, cameras, synthetic scenes."""
+"""Sources of frames: files, folders, cameras, synthetic scenes."""

@@ -1,7 +1,7 @@
-"""The addresses of the list of streams: which there are, and what each means.
+"""The addresses of the list of streams: their kinds and meanings.
 
-Only these are known; whatever else libav would open (``concat:``, ``http:``, ``subfile:``, playlists …)
-is refused, because a list may come from someone who should not read this machine's files or network.
+Only these are accepted; anything else that libav could open (``concat:``, ``http:``, ``subfile:``, playlists
+…) is refused, because a list may come from somebody who should not read this machine's files or network.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _CAMERA = re.compile(r"/dev/video\d{1,4}")
 
 
 class SourceKind(Enum):
-    """What sort of source an address names."""
+    """Kind of source that an address names."""
 
     PATH = "path"  # a video file, or a folder or glob of images
     NETWORK = "network"
@@ -41,10 +41,10 @@ class SourceAddress:
     ----------
     kind : SourceKind
     location : str
-        What is opened: an absolute path, or the whole URI. May hold a password, so it is not part of
-        ``repr``; show ``str(address)``, which hides it.
+        Absolute path, or the whole URI. May contain a password, so it is not part of ``repr``; show
+        ``str(address)``, which hides it.
     default_name : str
-        Last part of the path, without extension, wildcards and credentials; perhaps unfit as a name.
+        Last part of the path, without extension, wildcards and credentials; may be invalid as a name.
     """
 
     kind: SourceKind
@@ -56,7 +56,7 @@ class SourceAddress:
 
     @property
     def path(self) -> Path | None:
-        """What it reads on one machine: a file, a device, or the folder that a glob begins with."""
+        """The file, device, or fixed folder of a glob that it reads; None for other kinds."""
         if self.kind not in (SourceKind.PATH, SourceKind.CAMERA):
             return None
         path = Path(self.location)
@@ -72,13 +72,13 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
     ----------
     text : str
     folder : Path
-        Where relative paths count from.
+        Base of relative paths.
 
     Raises
     ------
     ConfigError
-        If it is none of the known kinds. Whether a file exists is not looked at: it is read on the
-        machine that runs the stream.
+            If it is none of the known kinds. Existence is not checked: the file is read on the
+            machine that runs the stream.
     """
     if not text or len(text.encode()) > _MAX_ADDRESS_BYTES:
         raise ConfigError(f"the URI must have 1 to {_MAX_ADDRESS_BYTES} bytes")
@@ -98,12 +98,12 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
 
 
 def has_wildcards(text: str) -> bool:
-    """Whether a path, or a part of one, may be a glob; a file of that very name counts first."""
+    """Whether a path, or a part of one, may be a glob; an existing file of that name takes precedence."""
     return any(mark in text for mark in "*?[")
 
 
 def _path_address(text: str, folder: Path) -> SourceAddress:
-    # Not resolved: the names of links, not of their targets, are the user's.
+    # Not resolved: the user's names are those of links, not of their targets.
     path = Path(folder.absolute(), Path(text).expanduser() if text.startswith("~/") else text)
     if _CAMERA.fullmatch(str(path)):
         return SourceAddress(SourceKind.CAMERA, str(path), path.name)

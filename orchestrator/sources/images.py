@@ -1,4 +1,4 @@
-"""A folder or a glob of images as a video: natural order, one frame a file.
+"""A folder or a glob of images as a video: natural order, one frame per file.
 
 Images are decoded as ``cv2.imread`` does by default, so that a user's own loop sees the same pixels: grey
 becomes three equal channels, 16 bits their higher 8, alpha is left out, the camera's orientation applied.
@@ -16,7 +16,7 @@ from orchestrator.sources.presence import images_of
 
 __all__ = ["FRAME_RATE", "ImageSequenceReader", "decode_image"]
 
-#: Frames a second that a sequence of images is taken to have: files carry no time.
+#: Frames per second that a sequence of images is assumed to have, as files have no time.
 FRAME_RATE = 25.0
 
 _TAIL_BYTES = 64
@@ -26,13 +26,13 @@ _END_MARKERS = {b"\xff\xd8\xff": b"\xff\xd9", b"\x89PNG": b"IEND"}
 def decode_image(data: bytes) -> Array | None:
     """Decode one image file to (H, W, 3) uint8 BGR; None if it is damaged or no image.
 
-    OpenCV fills what a truncated JPEG lacks with grey and says nothing; so its end marker is looked for.
+    OpenCV silently fills the missing part of a truncated JPEG with grey; so its end marker is checked.
     """
     for head, end in _END_MARKERS.items():
         if data.startswith(head) and end not in data[-_TAIL_BYTES:]:
             return None
     try:
-        # Stubs say that this never returns None; it does for what is no image.
+        # Stubs say that this never returns None; it does for other files.
         image: Array | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
         return None
@@ -55,7 +55,7 @@ class ImageSequenceReader:
 
     @property
     def problem(self) -> str | None:
-        """Which images could not be decoded."""
+        """The images that could not be decoded."""
         if not self._undecodable:
             return None
         count = len(self._undecodable)
@@ -77,4 +77,4 @@ class ImageSequenceReader:
         return SourceFrame(index, image, index / FRAME_RATE, path.stem, status, length=len(self._paths))
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: no file is open."""

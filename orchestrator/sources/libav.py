@@ -1,8 +1,8 @@
-"""What videos, network streams and cameras share: how libav (PyAV) opens them and what a picture is.
+"""Common code of videos, network streams and cameras: opening by libav (PyAV) and converting pictures.
 
 Decoding is single-threaded: its result and its log then belong to the call, and one core serves several
 streams better. A file is opened by libav's ``file:`` protocol alone and as one of the known containers:
-playlists and ``concat:`` lists, which can name any file or address, are no videos here.
+playlists and ``concat:`` lists, which can name any file or address, are refused.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer
     -------
     InputContainer, VideoStream
     int
-        How many errors libav has logged: to know a file it reads ahead, in a short one up to where it is cut
-        off.
+        Number of errors that libav has logged: it reads ahead to identify a file, in a short one up to where
+        it is cut off.
 
     Raises
     ------
     SourceError
         If it cannot be opened or holds no video; the message hides credentials.
     """
-    # Repeated lines are counted too. Whatever is logged goes to captures, here and where frames are read.
+    # Repeated lines are counted too. All logging goes to captures, here and where frames are read.
     av.logging.set_level(av.logging.ERROR)
     av.logging.set_skip_repeated(False)
     kind, location = address.kind, address.location
@@ -68,11 +68,12 @@ def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer
             container = av.open(
                 f"file:{location}" if kind is SourceKind.PATH else location,
                 format="v4l2" if kind is SourceKind.CAMERA else None,
-                options=_OPTIONS[kind],
+                # Not as options: PyAV frees more of those than it has where streams turn up late (MPEG-TS).
+                container_options=_OPTIONS[kind],
                 timeout=timeout_s,
             )
     except (av.error.FFmpegError, OSError, ValueError) as error:
-        # Neither the message nor the chained error may carry libav's text: it quotes the address.
+        # Neither the message nor the chained error may contain libav's text: it quotes the address.
         raise SourceError(f"Cannot open {address}: {reason(error)}.") from None
     if not container.streams.video:
         container.close()
@@ -84,7 +85,7 @@ def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer
 
 
 def reason(error: Exception) -> str:
-    """Say in a few words, without credentials, what libav raised."""
+    """Describe in a few words, without credentials, an error of libav."""
     if isinstance(error, av.error.ExitError):
         return "no answer in time"
     if isinstance(error, av.error.InvalidDataError):
@@ -94,7 +95,7 @@ def reason(error: Exception) -> str:
 
 
 def upright_bgr(frame: VideoFrame) -> Array | None:
-    """Convert to (H, W, 3) uint8 BGR and undo the rotation that the source states; None if it cannot be."""
+    """Convert to (H, W, 3) uint8 BGR and undo the rotation that the source states; None if impossible."""
     try:
         image = frame.to_ndarray(format="bgr24")
     except (av.error.FFmpegError, ValueError):

@@ -1,8 +1,8 @@
-"""Network cameras and local ones: read as they send, connected again when they go away.
+"""Network and local cameras: read at their own pace, reconnected when they go away.
 
-A thread takes what the camera sends, at the camera's pace, and :meth:`LiveReader.read` hands it on at the
-pipeline's. A camera that is silent or away is no end of its stream: ``read`` then says so, at least
-once in :data:`_ANSWER_SECONDS`. Only a camera that never gave a picture is given up.
+A thread receives the camera's pictures, and :meth:`LiveReader.read` returns them at the pipeline's pace. A
+silent or absent camera does not end its stream: ``read`` then reports that, at least once in
+:data:`_ANSWER_SECONDS`. Only a camera that never sent a picture is given up.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ __all__ = ["Connection", "LibavConnection", "LiveReader"]
 #: Longest time until :meth:`LiveReader.read` answers, s.
 _ANSWER_SECONDS = 0.5
 
-#: Silence after which libav gives a connection up, s.
+#: Silence after which libav closes a connection, s.
 _DEAD_SECONDS = 2 * STALL_SECONDS
 
-#: Silence after which a connection is left to its thread, s: a device whose driver hangs ends no call.
+#: Silence after which a connection is abandoned with its thread, s: a device whose driver hangs ends no call.
 _HUNG_SECONDS = 3 * STALL_SECONDS
 
-#: Tries to connect until a camera that never gave a picture is given up.
+#: Attempts to connect until a camera that never sent a picture is given up.
 _FIRST_TRIES = 6
 
-#: A connection that lasted as long was a good one: the next is tried soon, s.
+#: A connection that lasted this long was good, so the next attempt follows soon, s.
 _GOOD_SECONDS = 10.0
 
 
@@ -46,10 +46,10 @@ class Connection(Protocol):
     """An open connection to a camera."""
 
     def pictures(self) -> Iterator[Picture]:
-        """Give what the camera sends, as it comes; SourceError if the connection is lost."""
+        """Yield the camera's pictures as they come; SourceError if the connection is lost."""
 
     def close(self) -> None:
-        """End it."""
+        """Close the connection."""
 
 
 class LibavConnection:
@@ -73,12 +73,12 @@ class LibavConnection:
         self._clock = clock
 
     def pictures(self) -> Iterator[Picture]:
-        """Give what the camera sends; what was damaged on its way is passed over, as players do."""
+        """Yield the camera's pictures; those damaged in transmission are skipped, as players do."""
         with av.logging.Capture():
             try:
                 asked = self._clock()
                 for packet in self._container.demux(self._stream):
-                    # Out of patience, libav gives what it has of the picture under way, and goes on.
+                    # After its timeout libav returns a partial picture and continues.
                     if self._clock() - asked >= _DEAD_SECONDS:
                         raise SourceError("no answer in time")
                     with suppress(av.error.InvalidDataError):
@@ -89,7 +89,7 @@ class LibavConnection:
                 raise SourceError(reason(error)) from None
 
     def close(self) -> None:
-        """End it."""
+        """Close the connection."""
         self._container.close()
 
 
@@ -101,14 +101,14 @@ class LiveReader:
     name : str
         The camera's address without credentials, for messages.
     connect : callable
-        Makes a connection; SourceError if the camera cannot be reached.
+        Opens a connection; SourceError if the camera cannot be reached.
     clock : callable
         Monotonic time, s.
     sleep : callable, optional
         Waits for some seconds, or until the reader is closed.
     """
 
-    #: A camera is cut off by whoever ends the run; its drops and gaps are rows.
+    #: A camera is cut off only by the end of the run; its drops and gaps are rows.
     problem: str | None = None
 
     def __init__(
@@ -124,16 +124,16 @@ class LiveReader:
         self._closed = threading.Event()
         self._sleep = sleep or self._closed.wait
         self._changed = threading.Condition()
-        # What follows is shared by the threads and only touched with the condition held.
+        # The following is shared by the threads and only accessed with the condition held.
         self._buffer = LiveBuffer()
         self._time = LiveTime()
-        self._heard = clock()  # when the camera last gave a sign of life
+        self._last_sign = clock()  # time of the camera's last sign of life
         self._delivered = False
         self._absence: str | None = "it was not connected yet"  # why there is no connection
         self._failures = 0
         self._failure: str | None = None
-        self._line = 0  # number of the thread that speaks for the camera
-        self._start_line()
+        self._newest = 0  # number of the thread that serves the camera
+        self._start_thread()
 
     @classmethod
     def of(cls, address: SourceAddress) -> LiveReader:
@@ -146,7 +146,7 @@ class LiveReader:
         Raises
         ------
         SourceError
-            If the camera never gave a picture and is given up.
+            If the camera never sent a picture and is given up.
         """
         with self._changed:
             self._changed.wait_for(self._has_news, _ANSWER_SECONDS)
@@ -160,46 +160,46 @@ class LiveReader:
         return taken()
 
     def close(self) -> None:
-        """Let go of the camera; its thread ends with what it is waiting for."""
+        """Release the camera; its thread ends when its call returns."""
         with self._changed:
             self._closed.set()
-            self._line += 1
+            self._newest += 1
             self._changed.notify_all()
 
     def _has_news(self) -> bool:
         return bool(self._buffer) or self._failure is not None or self._closed.is_set()
 
     def _silence(self) -> SourceSilence:
-        silent = self._clock() - self._heard
+        silent = self._clock() - self._last_sign
         if self._absence is None and silent > _HUNG_SECONDS:
             self._failures += 1
             self._absence = f"it was silent for {silent:.0f} s"
-            self._start_line()
+            self._start_thread()
         if self._absence is not None and self._failures:
             return SourceSilence("reconnecting", f"The camera {self._name} is away: {self._absence}.")
         if self._absence is None and silent > STALL_SECONDS:
             return SourceSilence("stalled", f"The camera {self._name} has been silent for {silent:.0f} s.")
         return SourceSilence(None)
 
-    def _start_line(self) -> None:
-        """Give the camera a new thread; one that hangs is no longer heard."""
-        self._line += 1
-        threading.Thread(target=self._hold_line, args=(self._line,), daemon=True).start()
+    def _start_thread(self) -> None:
+        """Start a new thread for the camera; a hanging one is ignored from now on."""
+        self._newest += 1
+        threading.Thread(target=self._keep_connected, args=(self._newest,), daemon=True).start()
 
-    def _hold_line(self, line: int) -> None:
-        """Connect, take what comes, and again, until somebody else does or nobody wants it."""
-        while self._speaks(line):
+    def _keep_connected(self, number: int) -> None:
+        """Connect and receive, repeatedly, until another thread takes over or the reader is closed."""
+        while self._is_current(number):
             connected = self._clock()
             try:
                 connection = self._connect()
-                lost = self._listen(line, connection)
+                lost = self._receive(number, connection)
             except SourceError as error:
                 lost = str(error).removeprefix(f"Cannot open {self._name}: ")
             except Exception as error:
-                # Only its type: its text may hold the address, and with it a password.
+                # Only its type: its text may contain the address, and with it a password.
                 lost = f"it failed with {type(error).__name__}"
             with self._changed:
-                if line != self._line:
+                if number != self._newest:
                     return
                 lasted = self._delivered and self._clock() - connected >= _GOOD_SECONDS
                 self._failures = 1 if lasted else self._failures + 1
@@ -214,34 +214,34 @@ class LiveReader:
                 pause = retry_seconds(self._failures)
             self._sleep(pause)
 
-    def _listen(self, line: int, connection: Connection) -> str:
-        """Take what one connection gives; return or raise why it ended."""
+    def _receive(self, number: int, connection: Connection) -> str:
+        """Receive from one connection; return or raise why it ended."""
         with self._changed:
-            if line == self._line:
-                self._absence, self._heard = None, self._clock()
+            if number == self._newest:
+                self._absence, self._last_sign = None, self._clock()
                 self._time.reconnected()
         returned = self._delivered
         try:
             for picture in connection.pictures():
-                if not self._take(line, picture, returned):
+                if not self._take(number, picture, returned):
                     break
                 returned = False
         finally:
             connection.close()
         return "it ended the connection"
 
-    def _take(self, line: int, picture: Picture, returned: bool) -> bool:
+    def _take(self, number: int, picture: Picture, returned: bool) -> bool:
         with self._changed:
-            if line != self._line:
+            if number != self._newest:
                 return False
             now = self._clock()
-            if returned or (self._delivered and now - self._heard > STALL_SECONDS):
+            if returned or (self._delivered and now - self._last_sign > STALL_SECONDS):
                 self._buffer.gap(self._time.last)
             self._buffer.put(picture, self._time.of(picture.time, now))
-            self._heard, self._delivered = now, True
+            self._last_sign, self._delivered = now, True
             self._changed.notify_all()
             return True
 
-    def _speaks(self, line: int) -> bool:
+    def _is_current(self, number: int) -> bool:
         with self._changed:
-            return line == self._line
+            return number == self._newest

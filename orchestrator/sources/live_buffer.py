@@ -1,7 +1,7 @@
-"""What a camera has delivered and nobody has taken yet: the newest pictures, and a row for every other one.
+"""Pictures of a camera that have not been read yet: the newest ones, and a row for every other one.
 
-Pure: the time is an argument. Nothing that a camera sent or failed to send is left out: a picture that had to
-make way is a row ``dropped``, a time without pictures a row ``gap``.
+Pure: the time is an argument. Nothing is lost silently: a picture that was displaced is a row ``dropped``, a
+time without pictures a row ``gap``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CAPACITY = 2
 
 _FIRST_RETRY_SECONDS, _LONGEST_RETRY_SECONDS = 0.5, 30.0
 
-#: How far a camera's clock may be from this machine's before it is set anew, s.
+#: Largest deviation of a camera's clock from this machine's before it is reset, s.
 _MOST_DRIFT_SECONDS = 5.0
 
 
@@ -37,7 +37,7 @@ class Picture:
     time : float, optional
         On the camera's own clock, s.
     convert : callable
-        Gives the (H, W, 3) uint8 BGR image, None if it cannot be decoded. Called only if it is wanted.
+        Returns the (H, W, 3) uint8 BGR image, None if it cannot be decoded. Called only if it is needed.
     """
 
     time: float | None
@@ -45,10 +45,10 @@ class Picture:
 
 
 def retry_seconds(failures: int) -> float:
-    """How long to wait before the next try to connect, s.
+    """Return the time to wait before the next attempt to connect, s.
 
-    It doubles with every failure up to a bound, and is spread at random, so that many cameras behind one
-    switch are not all tried at once.
+    It doubles with every failure up to a bound, and is randomised, so that many cameras behind one switch are
+    not all tried at once.
     """
     longest = min(_FIRST_RETRY_SECONDS * 2.0 ** min(failures - 1, 16), _LONGEST_RETRY_SECONDS)
     return random.uniform(0.5, 1.0) * longest
@@ -63,11 +63,11 @@ class LiveTime:
         self.last = 0.0
 
     def reconnected(self) -> None:
-        """A new connection counts from anywhere."""
+        """Accept any time from a new connection."""
         self._offset = None
 
     def of(self, camera_time: float | None, now: float) -> float:
-        """Time of a picture that arrived at ``now``, by this machine's clock; never before the last one."""
+        """Return the time of a picture that arrived at ``now``, by this machine's clock; never decreasing."""
         if self._began is None:
             self._began = now
         arrived = now - self._began
@@ -90,7 +90,7 @@ class _Row:
 
 
 class LiveBuffer:
-    """Rows in the order in which the camera made them."""
+    """Rows in the camera's order."""
 
     def __init__(self) -> None:
         self._rows: deque[_Row] = deque()
@@ -101,7 +101,7 @@ class LiveBuffer:
         return len(self._rows)
 
     def put(self, picture: Picture, pts: float) -> None:
-        """Append a picture; the oldest makes way if there are too many."""
+        """Append a picture; if there are too many, the oldest is dropped."""
         row = self._append(pts, "ok", picture)
         self._pictures.append(row)
         if len(self._pictures) > CAPACITY:
@@ -113,7 +113,7 @@ class LiveBuffer:
         self._append(pts, "gap", None)
 
     def take(self) -> Callable[[], SourceFrame]:
-        """Remove the oldest row; what is returned makes it a frame, which takes some milliseconds."""
+        """Remove the oldest row; return a function that makes it a frame, which takes some milliseconds."""
         row = self._rows.popleft()
         if row.picture is not None:
             self._pictures.popleft()

@@ -19,7 +19,7 @@ def open_reader(address: SourceAddress) -> FrameReader:
     Raises
     ------
     SourceError
-        If it is not there, or cannot be read.
+        If it is missing, or cannot be read.
     """
     require_source(address)
     if address.kind is SourceKind.SYNTHETIC:
@@ -49,4 +49,4 @@ class SceneReader:
         return SourceFrame(index, image, index / FRAME_RATE, f"{index:05d}", length=length)
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: no file is open."""

@@ -1,6 +1,6 @@
-"""What is on the disk at an address, told without opening or decoding anything.
+"""Existence of sources on disk, checked without opening or decoding anything.
 
-Nothing here imports Ray, so a list of streams can be looked through before anything starts.
+Nothing here imports Ray, so a list of streams can be checked before anything starts.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _VIDEO_SUFFIXES = frozenset(
 
 
 def require_source(address: SourceAddress) -> None:
-    """Look whether there is something to open; cheap, and nothing is decoded.
+    """Check that there is something to open; cheap, and nothing is decoded.
 
     Raises
     ------
     SourceError
-        If the file, folder or device is not there, or cannot be one that is read.
+        If the file, folder or device is missing, or is not of a kind that can be read.
     """
     if address.kind is SourceKind.PATH:
         try:
@@ -50,7 +50,7 @@ def _require_path(address: SourceAddress) -> None:
     elif not path.exists():
         raise SourceError(f"There is no file or folder {address}; correct its line in the list of streams.")
     elif not path.is_file():
-        # A pipe would keep its reader waiting for ever.
+        # A pipe would block its reader for ever.
         raise SourceError(f"{address} is no regular file; name a video file or a folder of images.")
     elif not os.access(path, os.R_OK):
         raise SourceError(f"The file {address} cannot be read; change its permissions.")
@@ -73,13 +73,13 @@ def videos_of(location: str) -> list[Path]:
     Raises
     ------
     SourceError
-        If there are images too, so that nobody knows which are meant.
+        If there are images too, so that the choice is ambiguous.
     """
     try:
         if not (Path(location).is_dir() or has_wildcards(location)):
             return []
     except OSError:
-        return []  # such as a name that is too long; whoever opens it tells
+        return []  # such as a name that is too long; opening it will report that
     videos = _files_of(location, _VIDEO_SUFFIXES)
     if videos and (images := _files_of(location, _IMAGE_SUFFIXES)):
         raise SourceError(
@@ -95,8 +95,8 @@ def image_folders_of(location: str) -> dict[str, Path]:
     Returns
     -------
     dict of str to Path
-        What the last wildcard for a folder stands for → the folder, or the glob of its images; empty if the
-        location is no glob, or one of images of a single folder.
+        Match of the last wildcard for a folder → the folder, or the glob of its images; empty if the location
+        is no glob, or one of images in a single folder.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def image_folders_of(location: str) -> dict[str, Path]:
         return {}
     folders = Path(location)
     if images := _files_of(location, _IMAGE_SUFFIXES):
-        # Of those of one data set, each in its folder, nobody wants one sequence.
+        # Images of one data set, each in its folder, are not one sequence.
         pattern, folders = folders.name, folders.parent
         paths = {image.parent: Path(glob.escape(str(image.parent))) / pattern for image in images}
         if len(paths) == 1:
@@ -131,7 +131,7 @@ def images_of(location: str) -> list[Path]:
     Raises
     ------
     SourceError
-        If there are none, or two would give their masks the same name.
+        If there are none, or the masks of two would have the same name.
     """
     visible = _files_of(location, _IMAGE_SUFFIXES)
     if not visible and image_folders_of(f"{location}/*"):

@@ -1,4 +1,4 @@
-"""The synthetic scenes: what stands where, how camera and objects move. :data:`SCRIPTS` lists them.
+"""The synthetic scenes: contents, and motion of camera and objects. :data:`SCRIPTS` lists them.
 
 Places and lengths are in canvas units (:mod:`orchestrator.sources.stage`).
 """
@@ -19,14 +19,14 @@ __all__ = ["SCRIPTS", "Script", "build_surfaces"]
 
 @dataclass(frozen=True)
 class Script:
-    """A scene's meaning in a sentence, and the function that sets it up.
+    """A scene's description in a sentence, and the function that sets it up.
 
     Attributes
     ----------
     description : str
     set_up : callable
     objects : int, optional
-        Number of objects unless another is asked for; None: it is the scene's own affair.
+        Default number of objects; None if the scene has a fixed number.
     """
 
     description: str
@@ -46,7 +46,7 @@ def _demo(stage: Stage) -> None:
     stage.background()
     stage.thing(1, (100 * _to_and_fro(time, 120), 62 + 3 * np.sin(time / 9)), (34, 19))
     stage.thing(2, (-105 * _to_and_fro(time, 100), 34 + 2 * np.sin(time / 7)), (27, 17))
-    stage.thing(3, (80 * np.cos(time / 15), -62 + 22 * np.sin(time / 11)), (15, 13), turn=time / 18)
+    stage.thing(3, (80 * np.cos(time / 15), -62 + 22 * np.sin(time / 11)), (15, 13), rotation=time / 18)
 
 
 def _street(stage: Stage) -> None:
@@ -142,7 +142,7 @@ def _parallax(stage: Stage) -> None:
 
 
 def _crowd(stage: Stage) -> None:
-    """Each object comes in from the nearer long side, circles about its place, and goes out again."""
+    """Each object enters from the nearer long side, circles about its place, and leaves again."""
     stage.pan(1.0)
     stage.background(props=3)
     flight = max(min(25, stage.frames // 8), 1)
@@ -161,8 +161,8 @@ def _crowd(stage: Stage) -> None:
 
 
 def _steady_crowd(stage: Stage) -> None:
-    """Each object circles in a cell of its own, so that none hides another, and not in step with those
-    beside it: objects that touch and move alike would be one."""
+    """Each object circles in a cell of its own, so that none hides another, out of step with its
+    neighbours: objects that touch and move alike would be one."""
     stage.pan(1.0)
     stage.background(props=3)
     columns, rows = 7, 5
@@ -232,7 +232,7 @@ def build_surfaces(
     width, height : int
         Size of the picture, px.
     objects : int, optional
-        How many objects, for a scene that leaves it open.
+        Number of objects, for a scene without a fixed number.
 
     Returns
     -------

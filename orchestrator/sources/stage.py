@@ -1,4 +1,4 @@
-"""What a synthetic scene is set up on: a camera's path, and pieces placed before it, far and near.
+"""The stage of a synthetic scene: a camera's path, and pieces placed in front of it, far and near.
 
 Canvas units: 320 to the width of the picture; (0, 0) is its centre, y down. An object's path is either in the
 *view* (it goes along with the camera, so it stays in sight however long the scene) or in the *world*.
@@ -19,7 +19,7 @@ __all__ = ["CANVAS", "SLOPE", "Stage", "Surface"]
 CANVAS = 320.0  # units to the width of the picture
 TILE = 512  # side of the texture of a plane, which repeats, units
 HORIZON = -25.0  # height at which the ground begins in the first frame, units
-SLOPE = 0.006  # nearness that the ground gains by a unit below the horizon; nearness 1 is the far plane
+SLOPE = 0.006  # increase of nearness per unit below the horizon; nearness 1 is the far plane
 PAN_REACH = 160.0  # how far the camera pans before it turns, units
 FAR_COLOUR, GROUND_COLOUR, PROP_COLOUR = (136.0, 128.0, 112.0), (96.0, 106.0, 112.0), (78.0, 112.0, 96.0)
 
@@ -51,10 +51,10 @@ class Surface:
 
 @dataclass
 class Stage:
-    """A scene while it is set up: the camera first, then what it sees.
+    """A scene under construction: the camera first, then what it sees.
 
     All paths are arrays with one entry a frame. ``x``, ``y``: the camera's translation, units; ``roll``: rad.
-    ``objects``: how many there are in a scene that leaves it open.
+    ``objects``: number of objects in a scene without a fixed number.
     """
 
     frames: int
@@ -80,26 +80,26 @@ class Stage:
 
     @property
     def unit(self) -> float:
-        """px a canvas unit."""
+        """px per canvas unit."""
         return self.width / CANVAS
 
     @property
     def tallness(self) -> float:
-        """Height of the picture against one of 4:3; heights in the view scale with it."""
+        """Height of the picture relative to 4:3; heights in the view scale with it."""
         return self.height / (0.75 * self.width)
 
     def pan(self, speed: float) -> None:
-        """Pan at about ``speed`` units a frame, turning softly at the ends, with an unsteady hand."""
+        """Pan at about ``speed`` units a frame, reversing smoothly at the ends, with an unsteady hand."""
         self.x = PAN_REACH * np.sin(self.time * speed / PAN_REACH)
         self.x += 0.5 * np.sin(self.time * 0.61 + 1.0) - 0.5 * np.sin(1.0)
         self.y = 0.8 * np.sin(self.time * 0.37)
 
     def nearness(self, foot: float) -> float:
-        """Parallax of what stands on the ground at this height of the canvas."""
+        """Return the parallax of something that stands on the ground at this height of the canvas."""
         return 1.0 + self.slope * max(foot - HORIZON, 0.0)
 
     def background(self, props: int = 7) -> None:
-        """Far plane, ground, and bushes that stand on it."""
+        """Add far plane, ground, and bushes that stand on it."""
         self._plane(FAR_COLOUR, 1.0, 0.0, None)
         self._plane(GROUND_COLOUR, 1.0 - self.slope * HORIZON, self.slope, HORIZON)
         for place in np.linspace(-1.6, 1.6, props):
@@ -115,9 +115,9 @@ class Stage:
         size: tuple[float, float],
         *,
         in_world: bool = False,
-        turn: Array | float = 0.0,
+        rotation: Array | float = 0.0,
     ) -> None:
-        """A moving object with its own outline and texture.
+        """Add a moving object with its own outline and texture.
 
         Parameters
         ----------
@@ -128,7 +128,7 @@ class Stage:
             Half axes, units.
         in_world : bool
             False: the path is in the view.
-        turn : (frames,) or constant
+        rotation : (frames,) or constant
             Its rotation, rad.
         """
         centre = self._path(path)
@@ -136,10 +136,10 @@ class Stage:
         if not in_world:
             centre = centre + nearness * np.stack([self.x, self.y], axis=1)
         colour = _object_colour(self.rng)
-        self._bounded(label, blob(self.rng, size, self.unit), colour, centre, nearness, turn)
+        self._bounded(label, blob(self.rng, size, self.unit), colour, centre, nearness, rotation)
 
     def walker(self, label: int, path: tuple[Array | float, Array | float], tall: float) -> None:
-        """A figure that walks along a path of its hip (units, in the view): swinging legs and arms."""
+        """Add a figure that walks along a path of its hip (units, in the view): swinging legs and arms."""
         hip = self._path(path)
         leg, trunk, arm = 0.25 * tall, 0.3 * tall, 0.17 * tall
         nearness = self.nearness(float(hip[0, 1]) + 2 * leg)
@@ -166,7 +166,7 @@ class Stage:
         limb(shoulder - (0.0, 0.17 * tall), still, 0.03 * tall, 0.07 * tall, (110.0, 140.0, 180.0))
 
     def street(self, trees: int = 6) -> None:
-        """Houses, a road before them, and trees on the pavement, in the place of :meth:`background`."""
+        """Add houses, a road before them, and trees on the pavement, instead of :meth:`background`."""
         side = round(TILE * self.unit)
         houses = facades(self.texture_rng(), TILE, self.unit, HORIZON)
         self._unbounded(houses, 1.0, 0.0, None)
@@ -180,13 +180,13 @@ class Stage:
             self._piece(BACKGROUND, tree(self.texture_rng(), size, self.unit), path, self.nearness(foot))
 
     def painted(self, label: int, piece: Piece, path: tuple[Array | float, Array | float]) -> None:
-        """A moving object that is painted already; its path is in the view."""
+        """Add a moving object with a finished picture; its path is in the view."""
         centre = self._path(path)
         nearness = self.nearness(float(centre[0, 1]) + piece[1].shape[0] / 2 / self.unit)
         self._piece(label, piece, centre + nearness * np.stack([self.x, self.y], axis=1), nearness)
 
     def surfaces(self) -> tuple[Surface, ...]:
-        """All that was placed, far to near; equally near things in the order they were placed."""
+        """Return everything placed, far to near; equally near things in the order of placing."""
         return tuple(surface for _, surface in sorted(self.placed, key=lambda entry: entry[0]))
 
     def _path(self, path: tuple[Array | float, Array | float]) -> Array:
@@ -194,7 +194,7 @@ class Stage:
         return np.stack([x, y * self.tallness], axis=1)
 
     def texture_rng(self) -> np.random.Generator:
-        """One for each texture: a larger texture draws more numbers, which must not alter outlines."""
+        """Generator for one texture: a larger texture draws more numbers, which must not alter outlines."""
         return np.random.default_rng(self.rng.integers(2**63))
 
     def _plane(self, colour: tuple[float, ...], nearness: float, slope: float, top: float | None) -> None:
@@ -214,27 +214,27 @@ class Stage:
         colour: tuple[float, ...],
         centre: Array,
         nearness: float,
-        turn: Array | float = 0.0,
+        rotation: Array | float = 0.0,
     ) -> None:
         height, width = opacity.shape
         texture = patchwork(self.texture_rng(), (height, width), colour, self.unit * 0.6, contrast=30.0)
-        self._piece(label, (texture, opacity), centre, nearness, turn)
+        self._piece(label, (texture, opacity), centre, nearness, rotation)
 
     def _piece(
-        self, label: int, piece: Piece, centre: Array, nearness: float, turn: Array | float = 0.0
+        self, label: int, piece: Piece, centre: Array, nearness: float, rotation: Array | float = 0.0
     ) -> None:
         texture, opacity = piece
         height, width = opacity.shape
-        maps = self._maps((height, width), centre, turn, nearness, 0.0)
+        maps = self._maps((height, width), centre, rotation, nearness, 0.0)
         self.placed.append((nearness, Surface(label, texture, opacity, None, maps)))
 
     def _maps(
-        self, shape: tuple[int, int], centre: Array, turn: Array | float, nearness: float, slope: float
+        self, shape: tuple[int, int], centre: Array, rotation: Array | float, nearness: float, slope: float
     ) -> Array:
-        """Texture px → image px: place in the world, shift by the camera with parallax, roll and zoom."""
+        """Map texture px to image px: place in the world, shift by the camera with parallax, roll, zoom."""
         to_units = np.diag([1 / self.unit, 1 / self.unit, 1.0])
         to_units[:2, 2] = -(shape[1] - 1) / 2 / self.unit, -(shape[0] - 1) / 2 / self.unit
-        place = _similarity(np.broadcast_to(turn, (self.frames,)), np.ones(self.frames), centre)
+        place = _similarity(np.broadcast_to(rotation, (self.frames,)), np.ones(self.frames), centre)
         parallax = np.tile(np.eye(3), (self.frames, 1, 1))
         for axis, camera in enumerate((self.x, self.y)):
             parallax[:, axis, 1] -= slope * camera
@@ -246,7 +246,7 @@ class Stage:
 
 
 def _similarity(angle: Array, scale: Array, shift: Array) -> Array:
-    """(frames, 3, 3): turn and scale about the origin, then shift."""
+    """Return (frames, 3, 3): rotation and scale about the origin, then shift."""
     matrices = np.tile(np.eye(3), (len(shift), 1, 1))
     matrices[:, 0, 0] = matrices[:, 1, 1] = scale * np.cos(angle)
     matrices[:, 1, 0] = scale * np.sin(angle)
@@ -256,5 +256,5 @@ def _similarity(angle: Array, scale: Array, shift: Array) -> Array:
 
 
 def _object_colour(rng: np.random.Generator) -> tuple[float, ...]:
-    """A colour that stands out from the background only moderately."""
+    """Return a colour that stands out from the background only moderately."""
     return tuple(rng.uniform(60, 200, 3).tolist())

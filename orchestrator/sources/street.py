@@ -23,7 +23,7 @@ _ASPHALT, _PAVEMENT, _GRASS, _PAINT = (104, 102, 100), (158, 162, 164), (76, 128
 
 
 def facades(rng: np.random.Generator, side: float, unit: float, ground: float) -> Array:
-    """A row of houses under a sky with clouds.
+    """Paint a row of houses under a sky with clouds.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def facades(rng: np.random.Generator, side: float, unit: float, ground: float) -
 
 
 def road(rng: np.random.Generator, side: int, unit: float) -> Array:
-    """Pavement, two lanes, a kerb and grass, from far to near; tiles from left to right.
+    """Paint pavement, two lanes, a kerb and grass, from far to near; tiles from left to right.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def road(rng: np.random.Generator, side: int, unit: float) -> Array:
 
 
 def tree(rng: np.random.Generator, size: float, unit: float) -> Piece:
-    """A crown on a trunk; ``size`` is half the crown's width."""
+    """Paint a crown on a trunk; ``size`` is half the crown's width."""
     crown = blob(rng, (size, 0.9 * size), unit, wobble=0.3)
     height, width = crown.shape
     trunk = round(0.9 * size * unit)
@@ -115,7 +115,7 @@ def vehicle(
     *,
     faces_right: bool = False,
 ) -> Piece:
-    """A car from its side: body, windows, lights, wheels; ``size`` is its length and height."""
+    """Paint a car from its side: body, windows, lights, wheels; ``size`` is its length and height."""
     width, height = (round(axis * unit) for axis in size)
     picture, opacity = np.zeros((height, width, 3)), np.zeros((height, width), np.uint8)
 
@@ -145,7 +145,7 @@ def vehicle(
 
 
 def balloon(rng: np.random.Generator, size: float, unit: float) -> Piece:
-    """A striped balloon with its basket; ``size`` is half its width."""
+    """Paint a striped balloon with its basket; ``size`` is half its width."""
     half = round(size * unit)
     shape = (round(3.1 * half), 2 * half + 1)
     opacity = np.zeros(shape, np.uint8)
@@ -164,7 +164,7 @@ def balloon(rng: np.random.Generator, size: float, unit: float) -> Piece:
 
 
 def _finished(rng: np.random.Generator, picture: Array, unit: float, contrast: float) -> Array:
-    """Add grain: coarse, which is seen, and fine, which is followed."""
+    """Add grain: coarse grain to be seen, and fine grain to be tracked."""
     shape = (picture.shape[0], picture.shape[1])
     shading = contrast * grain(rng, shape, 7.0 * unit) + 0.7 * contrast * grain(rng, shape, 3.5)
     finished: Array = np.clip(picture + shading[:, :, None] + 0.5, 0, 255).astype(np.uint8)

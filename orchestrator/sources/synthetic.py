@@ -7,8 +7,8 @@ its exact backward motion. The camera translates in parallel to the image (so a 
 the image, with parallax), rolls and zooms. A slight blur and sensor noise are added last.
 
 Lengths are in canvas units, 320 to the width of the picture, so a scene looks alike at every size. A frame
-depends on the scene's name, seed, size, length and the frame's index only, never on what was asked before.
-(The pictures are sampled at 1/32 px, as OpenCV's warps do; labels and motion are exact for the maps.)
+depends on the scene's name, seed, size, length and the frame's index only, never on earlier calls. (The
+pictures are sampled at 1/32 px, as OpenCV's warps do; labels and motion are exact for the maps.)
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from orchestrator.sources.stage import Surface
 
 __all__ = ["LIMITS", "SCHEME", "SyntheticScene", "scene", "scene_from_uri"]
 
-#: How the URI of a scene begins: ``synthetic:NAME?frames=60&seed=1&width=640&height=480``.
+#: Prefix of the URI of a scene: ``synthetic:NAME?frames=60&seed=1&width=640&height=480``.
 SCHEME = "synthetic:"
 
 LENS_BLUR = 0.6  # standard deviation, px
@@ -65,7 +65,7 @@ def scene(
     width, height : int
         Size, px, 32 … 4096.
     objects : int, optional
-        How many objects, 1 … 32; only for a scene that leaves it open.
+        Number of objects, 1 … 32; only for a scene without a fixed number.
 
     Returns
     -------
@@ -175,13 +175,13 @@ class SyntheticScene:
         return seen
 
     def flow(self, index: int) -> Array:
-        """Exact backward motion of picture ``index``: where each pixel was one picture before.
+        """Return the exact backward motion of picture ``index``: where each pixel was one picture before.
 
         Returns
         -------
         (H, W, 2) float32
-            Displacement (x, y) to the picture before, px; zeros for picture 0. It says where the surface
-            seen at the pixel was, also where that place was hidden or outside the picture.
+            Displacement (x, y) to the picture before, px; zeros for picture 0. It is that of the surface seen
+            at the pixel, even if it was hidden or outside the picture before.
 
         Raises
         ------
@@ -216,7 +216,7 @@ class SyntheticScene:
             raise IndexError(f"frame {index} of {self.frames}; frames count from 0")
 
     def _coverage(self, index: int) -> Iterator[tuple[int, Region, Array | None]]:
-        """Back to front: surface number, the region it can touch, its opacity there (None: opaque)."""
+        """Yield back to front: surface number, the region it can touch, its opacity there (None: opaque)."""
         whole = Region(0, 0, self.width, self.height)
         for number, surface in enumerate(self.surfaces):
             image_map = surface.maps[index]
@@ -235,7 +235,7 @@ def _homogeneous(image_map: Array) -> Array:
 
 
 def _warp(texture: Array, image_map: Array, region: Region, border: int) -> Array:
-    """The texture as seen in a region of the image."""
+    """Warp the texture into a region of the image."""
     shifted = image_map.copy()
     shifted[:, 2] -= (region.x, region.y)
     size = (region.width, region.height)
@@ -243,7 +243,7 @@ def _warp(texture: Array, image_map: Array, region: Region, border: int) -> Arra
 
 
 def _image_bounds(shape: tuple[int, ...], image_map: Array, whole: Region) -> Region:
-    """The part of the image that a texture of this shape can touch."""
+    """Return the part of the image that a texture of this shape can touch."""
     height, width = shape
     corners = np.array([[0, 0, 1], [width, 0, 1], [0, height, 1], [width, height, 1]], np.float64)
     seen = corners @ image_map.T
@@ -253,7 +253,7 @@ def _image_bounds(shape: tuple[int, ...], image_map: Array, whole: Region) -> Re
 
 
 def _below(top_row: float, image_map: Array, region: Region) -> Array:
-    """Opacity (255 or 0, one px soft) of an unbounded plane that begins at a row of its texture."""
+    """Return the opacity (255 or 0, one px soft) of an unbounded plane from a row of its texture on."""
     inverse = np.linalg.inv(_homogeneous(image_map))
     x = np.arange(region.x, region.x + region.width)
     y = np.arange(region.y, region.y + region.height)[:, None]

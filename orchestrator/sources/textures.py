@@ -15,7 +15,7 @@ PATCH_TONES = 5
 
 
 def grain(rng: np.random.Generator, shape: tuple[int, int], wavelength: float) -> Array:
-    """Gaussian noise without waves much shorter than ``wavelength`` (px); it tiles; mean 0, deviation 1."""
+    """Make Gaussian noise without waves much shorter than ``wavelength`` px; tiling, mean 0, deviation 1."""
     spectrum = fft.rfft2(rng.standard_normal(shape, dtype=np.float32))
     frequency = np.hypot(fft.fftfreq(shape[0])[:, None], fft.rfftfreq(shape[1])[None, :])
     spectrum *= np.exp(-((frequency * wavelength) ** 2)).astype(np.float32)
@@ -32,7 +32,7 @@ def patchwork(
     unit: float,
     contrast: float = 36.0,
 ) -> Array:
-    """Patches of a few tones around a colour, with soft shading and grain: edges and corners everywhere.
+    """Make patches of a few tones around a colour, with soft shading and grain: edges and corners everywhere.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def patchwork(
 
 
 def blob(rng: np.random.Generator, size: tuple[float, float], unit: float, wobble: float = 0.12) -> Array:
-    """Opacity of a smooth, arbitrary outline: an ellipse whose radius swings a few times on the way around.
+    """Return the opacity of a smooth, random outline: an ellipse whose radius varies a few times around.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def blob(rng: np.random.Generator, size: tuple[float, float], unit: float, wobbl
     unit : float
         px a canvas unit.
     wobble : float
-        Amplitude of the swings against the radius.
+        Amplitude of the variation relative to the radius.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def blob(rng: np.random.Generator, size: tuple[float, float], unit: float, wobbl
 
 
 def capsule(length: float, radius: float, unit: float) -> Array:
-    """Opacity of an upright rod with round ends; ``length`` between its joints; canvas units."""
+    """Return the opacity of an upright rod with round ends; ``length`` between its joints; canvas units."""
     half_width = int(np.ceil(radius * unit)) + 2
     half_height = int(np.ceil((length / 2 + radius) * unit)) + 2
     y, x = np.mgrid[-half_height : half_height + 1, -half_width : half_width + 1] / unit
@@ -100,5 +100,5 @@ def capsule(length: float, radius: float, unit: float) -> Array:
 
 
 def _opacity(inside: Array) -> Array:
-    """255 inside, 0 outside, one px of ramp; ``inside`` is the distance to the outline, px."""
+    """Return 255 inside, 0 outside, with a ramp of one px; ``inside`` is the distance to the outline, px."""
     return (np.clip(inside + 0.5, 0, 1) * 255).round().astype(np.uint8)

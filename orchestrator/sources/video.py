@@ -1,8 +1,8 @@
 """Video files, decoded by libav (PyAV).
 
-Damage does not end a file: what can be decoded is delivered. libav conceals damage (a flipped bit gives a
-plausible picture and no error), so its log and its mark of corrupt frames count too, and
-:attr:`VideoReader.problem` says what was seen.
+Damage does not end a file: everything that can be decoded is delivered. libav conceals damage (a flipped bit
+gives a plausible picture and no error), so its log and its mark of corrupt frames count too;
+:attr:`VideoReader.problem` reports them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = ["VideoReader"]
 
 _TIMEOUT_S = 20.0
 
-#: Containers whose headers count frames that are not to be shown (edit lists).
+#: Containers whose headers also count hidden frames (edit lists).
 _COUNTS_HIDDEN_FRAMES = "mov,mp4"
 
 
@@ -61,7 +61,7 @@ class VideoReader:
 
     @property
     def problem(self) -> str | None:
-        """What was damaged or missing so far."""
+        """Damage and missing parts so far."""
         found: list[str] = []
         if self._broken_off is not None:
             found.append(f"reading broke off after {count_of(self._count, 'frame')} ({self._broken_off})")
@@ -106,7 +106,7 @@ class VideoReader:
         self._container.close()
 
     def _stated_length(self) -> int | None:
-        """How many frames the header counts, or has time for."""
+        """Return the number of frames according to the header's count or duration."""
         length = self._stream.frames
         if not length and self._frame_time:
             length = round((self._container.duration or 0) / av.time_base / self._frame_time)
@@ -123,7 +123,7 @@ class VideoReader:
             self._broken_off = reason(error)
 
     def _pts(self, frame: VideoFrame) -> float:
-        """Seconds since the first frame; a frame without a time follows the one before it."""
+        """Return seconds since the first frame; a frame without a time follows the one before it."""
         expected = self._last_pts + self._frame_time if self._count > 1 else 0.0
         if frame.time is None:
             self._last_pts = expected

@@ -193,8 +193,3 @@ def test_confidence_grows_with_the_samples_and_is_nothing_without() -> None:
     assert trust[2] == 0.5
     assert (np.diff(trust) > 0).all()
     assert trust[-1] < 1
-
-
-def test_equal_input_gives_equal_bytes() -> None:
-    first, second = (log_likelihood(model_with_gaps(13), smooth_image(14), PARAMETERS) for _ in "ab")
-    assert first.tobytes() == second.tobytes()

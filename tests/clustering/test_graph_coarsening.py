@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
+from graph_fakes import ncut_value
 
 from mlbs_actors.clustering.graph_coarsening import coarsen
-from mlbs_actors.clustering.normalized_cut import ncut_value
 from mlbs_actors.messages import Array
 
 

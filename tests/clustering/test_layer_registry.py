@@ -97,6 +97,11 @@ class Stream:
         (layer,) = self.registry.layers_of(np.array([self.labels[name]])).tolist()
         return layer if layer > BACKGROUND else None
 
+    def remembered(self) -> set[int]:
+        """The layers that live or sleep."""
+        labels = self.registry.state.labels
+        return set(self.registry.layers_of(labels[labels > 0]).tolist())
+
     def skip(self, frames: int) -> None:
         for _ in range(frames):
             self.see()
@@ -226,7 +231,7 @@ def test_too_few_trajectories_never_become_a_layer() -> None:
     for _ in range(3 * CONFIG.probation_frames):
         assert stream.see({"fleck": Thing(tracks=CONFIG.min_tracks - 1)}) == set()
         assert stream.labels["fleck"] == UNLABELLED
-    assert stream.registry.remembered_layers() == frozenset()
+    assert stream.remembered() == set()
 
 
 def test_the_older_of_two_candidates_gets_the_lower_id() -> None:
@@ -254,7 +259,7 @@ def test_a_layer_without_enough_trajectories_sleeps_and_is_remembered() -> None:
     assert stream.see({"car": Thing()}, at_once=True) == {1}
     assert stream.see({"car": Thing(tracks=CONFIG.min_tracks - 1)}) == set()
     assert stream.labels["car"] == UNLABELLED
-    assert stream.registry.remembered_layers() == {1}
+    assert stream.remembered() == {1}
 
 
 def test_a_layer_that_still_owns_pixels_coasts_for_a_while() -> None:
@@ -319,7 +324,7 @@ def test_other_colours_or_a_far_place_make_another_layer(other: Thing) -> None:
     stream.skip(2)
     stream.see({"another": other}, at_once=True)
     assert stream.layer_of("another") == 2
-    assert stream.registry.remembered_layers() == {1, 2}
+    assert stream.remembered() == {1, 2}
 
 
 def test_the_better_match_of_two_sleepers_wakes() -> None:
@@ -348,9 +353,9 @@ def test_a_layer_that_sleeps_too_long_is_forgotten_and_its_id_is_not_given_again
     stream = Stream()
     stream.see({"car": Thing()}, at_once=True)
     stream.skip(CONFIG.dormant_frames)
-    assert stream.registry.remembered_layers() == {1}
+    assert stream.remembered() == {1}
     stream.skip(1)
-    assert stream.registry.remembered_layers() == frozenset()
+    assert stream.remembered() == set()
     stream.see({"car": Thing()}, at_once=True)
     assert stream.layer_of("car") == 2
 
@@ -426,7 +431,7 @@ def test_in_a_long_stream_no_id_is_given_twice_and_the_cap_holds(seed: int) -> N
         for name, label in stream.labels.items():
             if label > BACKGROUND:
                 assert first_owner.setdefault(label, name) == name
-        now = set(stream.registry.remembered_layers())
+        now = stream.remembered()
         forgotten |= remembered - now
         remembered = now
         assert not (now - {stream.registry.state.other}) & forgotten

@@ -7,7 +7,7 @@ import pytest
 
 from mlbs_actors.clustering.affinity import TrajectoryGraph
 from mlbs_actors.clustering.label_index import UNLABELLED, label_classes
-from mlbs_actors.clustering.motion_merging import LEAST_BORDER, border_motion, merge_by_motion
+from mlbs_actors.clustering.motion_merging import border_motion, merge_by_motion
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import BACKGROUND, Array
 
@@ -60,7 +60,7 @@ def plain_merge(graph: TrajectoryGraph, labels: Array, ages: dict[int, int], con
                 ) or (
                     distance < config.same_motion_distance
                     and edges >= config.same_motion_border * root
-                    and edges >= LEAST_BORDER
+                    and edges >= config.least_border
                 )
             if alike:
                 candidates.append((distance, younger, older))
@@ -93,17 +93,17 @@ def test_labels_that_do_not_touch_have_no_border() -> None:
     assert len(borders) == 0
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_merges_are_those_of_plain_loops(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    labels = np.sort(rng.choice([UNLABELLED, -3, -2, 0, 1, 5, 9], 60))
-    ages = {label: int(rng.integers(0, 12)) for label in (-3, 1, 5, 9)} | {BACKGROUND: OLD}
-    graph = random_graph(rng, 60, 600)
-    config = MERGES.model_copy(update={"same_motion_distance": 0.8, "merge_border": 1.0})
-    expected = plain_merge(graph, labels, ages, config)
-    assert 1 < len(np.unique(expected)) < len(np.unique(labels))
-    speeds = dict.fromkeys(ages, FAST)
-    np.testing.assert_array_equal(merge_by_motion(graph, labels, ages, speeds, 1.0, config), expected)
+def test_merges_are_those_of_plain_loops() -> None:
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        labels = np.sort(rng.choice([UNLABELLED, -3, -2, 0, 1, 5, 9], 60))
+        ages = {label: int(rng.integers(0, 12)) for label in (-3, 1, 5, 9)} | {BACKGROUND: OLD}
+        graph = random_graph(rng, 60, 600)
+        config = MERGES.model_copy(update={"same_motion_distance": 0.8, "merge_border": 1.0})
+        expected = plain_merge(graph, labels, ages, config)
+        assert 1 < len(np.unique(expected)) < len(np.unique(labels))
+        speeds = dict.fromkeys(ages, FAST)
+        np.testing.assert_array_equal(merge_by_motion(graph, labels, ages, speeds, 1.0, config), expected)
 
 
 def border(low: int, high: int, distances: list[float], size: int = 40) -> tuple[TrajectoryGraph, Array]:
@@ -184,7 +184,7 @@ def test_old_objects_whose_motions_differ_stay_apart() -> None:
 
 def test_old_objects_that_touch_with_little_stay_apart_however_alike_they_move() -> None:
     ages, speeds = {2: OLD, 5: OLD}, {2: FAST, 5: FAST}
-    few, labels = border(2, 5, [0.0] * (LEAST_BORDER - 1))
+    few, labels = border(2, 5, [0.0] * (MERGES.least_border - 1))
     np.testing.assert_array_equal(merge_by_motion(few, labels, ages, speeds, 1.0, MERGES), labels)
     config = MERGES.model_copy(update={"same_motion_border": 2.0})
     little, labels = border(2, 5, [0.0] * 8)  # less than 2 √20

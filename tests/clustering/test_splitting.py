@@ -164,23 +164,23 @@ def named_by_masks(labels: Array, bled: Array, clusters: Array, next_label: int)
     return result, adrift
 
 
-@pytest.mark.parametrize("seed", range(30))
-def test_clusters_are_named_as_label_by_label(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    labels, bled = rng.choice([-4, UNLABELLED, 0, 1, 6], 200), rng.random(200) < 0.1 * (seed % 3)
-    bled |= labels == rng.choice([0, 1, 77])  # all of a label may have bled
-    known, classes = label_classes(labels, bled)
-    found = rng.integers(-1, 3, 200)  # three clusters at most of each label
-    numbers = rng.permutation(3 * len(known))
-    clusters = np.where((found < 0) | bled, -1, numbers[3 * classes + np.maximum(found, 0)])
-    clusters[classes == seed % 4] = -1  # and one that is too small to be cut
-    clusters = np.unique(np.r_[-1, clusters], return_inverse=True)[1][1:] - 1
-    result, adrift, names = splitting._named(labels, bled, known, classes, clusters, 50)
-    expected, expected_adrift = named_by_masks(labels, bled, clusters, 50)
-    np.testing.assert_array_equal(result, expected)
-    np.testing.assert_array_equal(adrift, expected_adrift)
-    for cluster, name in enumerate(names):
-        assert set(expected[clusters == cluster].tolist()) == {name}
+def test_clusters_are_named_as_label_by_label() -> None:
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        labels, bled = rng.choice([-4, UNLABELLED, 0, 1, 6], 200), rng.random(200) < 0.1 * (seed % 3)
+        bled |= labels == rng.choice([0, 1, 77])  # all of a label may have bled
+        known, classes = label_classes(labels, bled)
+        found = rng.integers(-1, 3, 200)  # three clusters at most of each label
+        numbers = rng.permutation(3 * len(known))
+        clusters = np.where((found < 0) | bled, -1, numbers[3 * classes + np.maximum(found, 0)])
+        clusters[classes == seed % 4] = -1  # and one that is too small to be cut
+        clusters = np.unique(np.r_[-1, clusters], return_inverse=True)[1][1:] - 1
+        result, adrift, names = splitting._named(labels, bled, known, classes, clusters, 50)
+        expected, expected_adrift = named_by_masks(labels, bled, clusters, 50)
+        np.testing.assert_array_equal(result, expected)
+        np.testing.assert_array_equal(adrift, expected_adrift)
+        for cluster, name in enumerate(names):
+            assert set(expected[clusters == cluster].tolist()) == {name}
 
 
 def test_what_hangs_on_a_cluster_by_bled_trajectories_alone_keeps_its_label() -> None:
@@ -197,9 +197,14 @@ def test_what_moves_against_the_camera_without_evidence_has_bled() -> None:
         trajectories(np.zeros((4, 2)), residuals),
         evidence=np.array([0.0, 0.0, LAYERS.least_evidence, -1.0], np.float32),
     )
-    assert bled_trajectories(state, residual_speed(state), LAYERS, 1.0).tolist() == [False, True, False, True]
+    assert bled_trajectories(state, residual_speed(state, LAYERS.speed_frames), LAYERS, 1.0).tolist() == [
+        False,
+        True,
+        False,
+        True,
+    ]
     assert not bled_trajectories(
-        state, residual_speed(state), LAYERS, 10.0
+        state, residual_speed(state, LAYERS.speed_frames), LAYERS, 10.0
     ).any()  # 3 px is nothing in so large a frame
 
 
@@ -212,7 +217,8 @@ def test_a_labels_speed_is_the_median_of_its_members_mean_residual() -> None:
     residuals[2] = (60.0, 80.0)  # an outlier
     residuals[3, ::2], residuals[3, 1::2] = (2.0, 0.0), (-2.0, 0.0)  # shakes, goes nowhere
     speeds = label_speeds(
-        residual_speed(trajectories(np.zeros((5, 2)), residuals)), np.array([4, 4, 4, 1, UNLABELLED])
+        residual_speed(trajectories(np.zeros((5, 2)), residuals), LAYERS.speed_frames),
+        np.array([4, 4, 4, 1, UNLABELLED]),
     )
     assert set(speeds) == {1, 4}
     assert speeds[4] == pytest.approx(5.0)
@@ -223,14 +229,16 @@ def test_a_young_trajectory_is_as_fast_as_the_frames_it_has_lived() -> None:
     residuals = np.zeros((1, 4, 2))
     residuals[0, 0] = (0.0, 3.0)
     state = trajectories(np.zeros((1, 2)), residuals, ages=np.array([1]))
-    assert label_speeds(residual_speed(state), np.array([2]))[2] == pytest.approx(3.0)
+    assert label_speeds(residual_speed(state, LAYERS.speed_frames), np.array([2]))[2] == pytest.approx(3.0)
 
 
 def test_what_counts_as_moving_grows_with_the_camera_and_with_what_it_leaves_unexplained() -> None:
     def least(camera: float, residual: float) -> float:
         state = trajectories(np.full((20, 2), (camera, 0.0)), np.full((20, 4, 2), (0.0, residual)))
         labels = np.full(20, BACKGROUND)
-        return least_object_speed(state, labels, label_speeds(residual_speed(state), labels), LAYERS, 1.0)
+        return least_object_speed(
+            state, labels, label_speeds(residual_speed(state, LAYERS.speed_frames), labels), LAYERS, 1.0
+        )
 
     floor = least(0.0, 0.0)
     assert floor > 0

@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 from joined_evidence import joined_evidence
 
-from mlbs_actors.actors.ipc.shared_memory import SharedMemory
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, PartFactory, SegmenterPart
 from mlbs_actors.actors.stream.protocol import (
     FrameReader,
@@ -290,9 +289,6 @@ class FakeParts:
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         return _Layer(layer, kind, self.slow_seconds, self._death())
-
-    def loop(self, part: LayerPart, memory: SharedMemory) -> None:
-        pass
 
     def segmenter(self, config: Config) -> SegmenterPart:
         self._note()

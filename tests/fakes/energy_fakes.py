@@ -6,11 +6,13 @@ import itertools
 
 import numpy as np
 
+from mlbs_actors.config import SegmentationConfig
 from mlbs_actors.graphcut.energy import NEIGHBOUR_OFFSETS, LabelCostEnergy
 from mlbs_actors.messages import Array
 from mlbs_actors.segmentation.contrast import COST_QUANTUM, contrast_weights, weights_by_distance
 
 #: Largest unary cost or pair weight: sums of nine still fit into 32 bits.
+MOST_WHOLE = SegmentationConfig().most_cut_whole
 MAX_COST = 2**24
 NO_EXTRAS = np.zeros((0, 4), np.int64)
 
@@ -80,7 +82,23 @@ def slow_energy(labels: Array, problem: LabelCostEnergy) -> int:
     return total + sum(int(problem.label_costs[label]) for label in set(labels.ravel().tolist()))
 
 
+def slow_energies(whole: LabelCostEnergy, labellings: Array) -> Array:
+    """Of labellings (n, H·W) at once."""
+    label_count, height, width = whole.unary.shape
+    energies = np.zeros(len(labellings), np.int64)
+    for y, x in itertools.product(range(height), range(width)):
+        here = labellings[:, y * width + x]
+        energies += whole.unary[here, y, x]
+        for k, (dy, dx) in enumerate(NEIGHBOUR_OFFSETS):
+            if 0 <= y + dy < height and 0 <= x + dx < width and k < 4:
+                there = labellings[:, (y + dy) * width + x + dx]
+                energies += whole.weights[y, x, k] * (here != there)
+    for label in range(label_count):
+        energies += whole.label_costs[label] * (labellings == label).any(axis=1)
+    return energies
+
+
 def enumerated_minimum(problem: LabelCostEnergy) -> int:
     count, height, width = problem.unary.shape
-    labellings = itertools.product(range(count), repeat=height * width)
-    return min(slow_energy(np.reshape(labels, (height, width)), problem) for labels in labellings)
+    labellings = np.array(list(itertools.product(range(count), repeat=height * width)))
+    return int(slow_energies(problem, labellings).min())

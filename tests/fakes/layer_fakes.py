@@ -16,7 +16,7 @@ from mlbs_actors.messages import (
     LayerSummary,
     Region,
     Segmentation,
-    received,
+    readonly,
 )
 
 SHAPE = (120, 160)
@@ -64,7 +64,7 @@ def frame_of(
         retired=(),
         latency_frames=0,
     )
-    return received(made)
+    return readonly(made)
 
 
 def published(
@@ -90,7 +90,7 @@ def published(
         camera_motion=(0.0, 0.0),
         latency_frames=0,
     )
-    return received(made)
+    return readonly(made)
 
 
 def owned(region: Region, layer: int = 1) -> Array:

@@ -77,5 +77,5 @@ def write_run(folder: Path, states: Sequence[StreamState]) -> None:
         ListedStream(state.name, parse_address("rtsp://bob:hunter2@cam/x", folder), 1) for state in states
     ]
     command = ["python", "-m", "orchestrator", "--streams", "/a b/list.txt"]
-    RunFolder(folder).claim(describe_run(streams, Config(), EVERYTHING, None, command=command))
+    RunFolder(folder).create(describe_run(streams, Config(), EVERYTHING, None, command=command))
     StatusFile(folder / "status.json").finish(states, 1)

@@ -20,8 +20,8 @@ from mlbs_actors.actors.parts import EngineParts, LayerPart
 from mlbs_actors.messages import Array, FrameEvidence, Segmentation
 from orchestrator.sources.synthetic import scene
 
-#: Scenes and their frames: several objects from the start, a crowd, and one that enters late.
-SCENES = (("demo", 12), ("steady-crowd", 20), ("crowd", 60), ("traffic", 24))
+#: Scenes, their frames and height: several objects from the start, a crowd, and one that enters late.
+SCENES = (("demo", 12, 480), ("steady-crowd", 20, 480), ("crowd", 60, 240), ("traffic", 24, 480))
 
 
 def _arrived(message: Any) -> Any:
@@ -58,13 +58,14 @@ class Layers:
         return answers
 
 
-def play(name: str, frames: int) -> list[tuple[FrameEvidence, Array, Segmentation | None]]:
+def play(name: str, frames: int, height: int) -> list[tuple[FrameEvidence, Array, Segmentation | None]]:
     """Label a scene; return what its layers were told, frame by frame."""
     parts, layers = EngineParts(), Layers()
     coordinator, segmenter = parts.coordinator(Config()), parts.segmenter(Config())
     results: list[Segmentation] = []
     told: list[tuple[FrameEvidence, Array, Segmentation | None]] = []
-    video = scene(name, frames=120 if name == "traffic" else frames, seed=1, width=640, height=480)
+    length = 120 if name == "traffic" else frames
+    video = scene(name, frames=length, seed=1, width=height * 4 // 3, height=height)
     for t in range(frames):
         wanted = coordinator.feedback_index(t)
         feedback = None if wanted is None else partial(results.__getitem__, wanted)
@@ -91,7 +92,7 @@ def main(warmed: str, messages: Path) -> None:
             for one in told:
                 layers.step(*map(_arrived, one))
     else:
-        messages.write_bytes(pickle.dumps([play(name, frames) for name, frames in SCENES], protocol=5))
+        messages.write_bytes(pickle.dumps([play(*one) for one in SCENES], protocol=5))
     print("later:", compiled() - before)
 
 

@@ -31,61 +31,19 @@ def texture(height: int, width: int, seed: int = 0) -> Array:
 def moved_patch(target: Array, y: int, x: int, u: float, v: float) -> Array:
     """The patch of a grey frame at a moved place, bilinear and continued past the sides, grey levels."""
     height, width = target.shape
-    there_y = min(max(y + v, 1.0 - PATCH), height - 1.0)
-    there_x = min(max(x + u, 1.0 - PATCH), width - 1.0)
-    patch = np.empty((PATCH, PATCH))
-    for j in range(PATCH):
-        for i in range(PATCH):
-            top, left = int(np.floor(there_y + j)), int(np.floor(there_x + i))
-            down, across = there_y + j - top, there_x + i - left
-            corners = [
-                [
-                    float(target[min(max(r, 0), height - 1), min(max(c, 0), width - 1)])
-                    for c in (left, left + 1)
-                ]
-                for r in (top, top + 1)
-            ]
-            patch[j, i] = np.array([1 - down, down]) @ corners @ np.array([1 - across, across])
-    return patch
+    rows = min(max(y + v, 1.0 - PATCH), height - 1.0) + np.arange(PATCH)
+    columns = min(max(x + u, 1.0 - PATCH), width - 1.0) + np.arange(PATCH)
+    top, left = np.floor(rows).astype(int), np.floor(columns).astype(int)
+    down, across = (rows - top)[:, None], columns - left
 
+    def between_columns(row: Array) -> Array:
+        one, other = (
+            target[np.clip(row, 0, height - 1)[:, None], np.clip(column, 0, width - 1)].astype(float)
+            for column in (left, left + 1)
+        )
+        return np.asarray((1 - across) * one + across * other)
 
-PLACES = [
-    (0, 0, 0.0, 0.0),
-    (10, 20, 1.3, -2.7),
-    (3, 50, 40.0, 0.5),
-    (30, 2, -25.0, 60.0),
-    (40, 56, 0.25, 30.5),
-]
-
-
-@pytest.mark.parametrize(("y", "x", "u", "v"), PLACES)
-def test_differences_and_mismatch_of_a_patch_are_those_summed_pixel_by_pixel(
-    y: int, x: int, u: float, v: float
-) -> None:
-    source, target = texture(48, 64, 1), texture(48, 64, 2)
-    [before], [after] = flow_levels(source, 0), flow_levels(target, 0)
-    patch = np.s_[y : y + PATCH, x : x + PATCH]
-    difference = moved_patch(target, y, x, u, v) - source[patch].astype(float)
-    slope_x, slope_y = before.slope_x[patch].astype(float), before.slope_y[patch].astype(float)
-    place = (source.shape, y, x, np.float32(u), np.float32(v))
-    gray, around = before.gray.ravel(), after.around.ravel()
-    slopes = before.slope_x.ravel(), before.slope_y.ravel()
-    found = patch_search._differences(gray, around, slopes[0], slopes[1], *place)
-    sums = (difference, difference**2, difference * slope_x, difference * slope_y)
-    for one, plain in zip(found, sums, strict=True):
-        assert abs(one - plain.sum()) <= 1e-4 * abs(plain).sum()
-    expected = np.square(difference - difference.mean()).sum()
-    mismatch = patch_search._mismatch(gray, around, *place)
-    np.testing.assert_allclose(mismatch, expected, rtol=1e-3)
-
-
-def test_slopes_are_summed_over_the_patch() -> None:
-    [level] = flow_levels(texture(48, 64), 0)
-    x, y = (one[11 : 11 + PATCH, 7 : 7 + PATCH].astype(float) for one in (level.slope_x, level.slope_y))
-    found = patch_search._slopes(level.slope_x.ravel(), level.slope_y.ravel(), (48, 64), 11, 7)
-    np.testing.assert_allclose(
-        found, [(x * x).sum(), (x * y).sum(), (y * y).sum(), x.sum(), y.sum()], rtol=1e-6
-    )
+    return np.asarray((1 - down) * between_columns(top) + down * between_columns(top + 1))
 
 
 def test_a_pixels_motion_is_the_weighted_mean_of_the_patches_over_it() -> None:
@@ -131,48 +89,60 @@ def test_a_fractional_shift_is_found_on_the_finest_level_in_a_part_alone() -> No
 
 
 def searched_one_by_one(
-    source: FlowLevel, target: FlowLevel, flow: Array, across: Array, down: Array, iterations: int
+    source: FlowLevel, target: Array, flow: Array, across: Array, down: Array, iterations: int
 ) -> Array:
     """The search patch after patch, each row from its beginning to its end and then all of them back."""
-    shape = source.gray.shape
-    images = source.gray.ravel(), target.around.ravel()
-    slope_x, slope_y = source.slope_x.ravel(), source.slope_y.ravel()
-    motions = np.stack([flow[:, y + PATCH // 2, across + PATCH // 2].T for y in down])
+    motions = np.stack([flow[:, y + PATCH // 2, across + PATCH // 2].T for y in down]).astype(float)
     for step in (1, -1):
         for row in range(len(down))[::step]:
             for column in range(len(across))[::step]:
                 y, x = int(down[row]), int(across[column])
+                patch = np.s_[y : y + PATCH, x : x + PATCH]
+                slopes = np.stack([source.slope_x[patch], source.slope_y[patch]]).astype(float)
+                here = source.gray[patch].astype(float)
+
+                def uneven(motion: Array, y: int = y, x: int = x, here: Array = here) -> Array:
+                    """What the moved patch shows more, but for the mean: brightness does not count."""
+                    difference = moved_patch(target, y, x, *motion.tolist()) - here
+                    return np.asarray(difference - difference.mean())
+
                 known = [motions[row, column]]
                 if 0 <= column - step < len(across):
                     known.append(motions[row, column - step])
                 if 0 <= row - step < len(down):
                     known.append(motions[row - step, column])
-                misfits = [patch_search._mismatch(*images, shape, y, x, u, v) for u, v in known]
-                start = known[int(np.argmin(misfits))]
-                slopes = np.array(patch_search._slopes(slope_x, slope_y, shape, y, x), np.float32)
-                (u, v), least = start, np.inf
+                start = motion = min(known, key=lambda one: np.square(uneven(one)).sum())
+                hessian = np.tensordot(slopes, slopes, ((1, 2), (1, 2)))
+                least = np.inf
                 for _ in range(iterations):
-                    *stepped, mismatch = patch_search._descended(
-                        *images, slope_x, slope_y, shape, y, x, u, v, slopes
-                    )
-                    u, v = np.array(stepped, np.float32)
-                    if mismatch >= least:
+                    difference = uneven(motion)
+                    gradient = np.tensordot(slopes, difference, ((1, 2), (0, 1)))
+                    motion = motion - np.linalg.solve(hessian, gradient)
+                    if np.square(difference).sum() >= least:
                         break
-                    least = float(mismatch)
-                motions[row, column] = (u, v) if np.hypot(u - start[0], v - start[1]) <= PATCH else start
+                    least = np.square(difference).sum()
+                motions[row, column] = motion if np.hypot(*(motion - start)) <= PATCH else start
     return motions
 
 
-@pytest.mark.parametrize("part", [Region(0, 0, 128, 96), Region(3, 5, 61, 8), Region(40, 2, 8, 90)])
-def test_patches_searched_in_turns_find_what_they_find_one_by_one(part: Region) -> None:
-    [before], [after] = flow_levels(texture(96, 128, 1), 0), flow_levels(texture(96, 128, 2), 0)
+@pytest.mark.parametrize(
+    ("part", "spread"),  # px; the larger one leads many patches out of the frame
+    [(Region(0, 0, 128, 96), 6.0), (Region(3, 5, 61, 8), 60.0), (Region(40, 2, 8, 90), 60.0)],
+)
+def test_patches_descend_from_the_best_known_motion_as_in_plain_array_operations(
+    part: Region, spread: float
+) -> None:
+    source, target = texture(96, 128, 1), texture(96, 128, 2)
+    [before], [after] = flow_levels(source, 0), flow_levels(target, 0)
     across = patch_search.patch_places(part.x, part.width, 5)
     down = patch_search.patch_places(part.y, part.height, 5)
-    flow = np.random.default_rng(0).normal(0, 6, (2, 96, 128)).astype(np.float32)
+    flow = np.random.default_rng(0).normal(0, spread, (2, 96, 128)).astype(np.float32)
     found = patch_search.search_patches(
         before.gray, after.around, before.slope_x, before.slope_y, flow, across, down, 3
     )
-    np.testing.assert_array_equal(found, searched_one_by_one(before, after, flow, across, down, 3))
+    expected = searched_one_by_one(before, target, flow, across, down, 3)
+    # Where two motions are equally good, rounding decides.
+    assert (np.abs(found - expected).max(axis=2) < 0.01).mean() > 0.98
 
 
 def test_patches_take_over_what_their_neighbours_have_found() -> None:

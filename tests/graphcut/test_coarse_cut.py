@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from energy_fakes import (
     MAX_COST,
+    MOST_WHOLE,
     energy_of,
     in_quanta,
     laid_out,
@@ -17,7 +18,6 @@ from energy_fakes import (
     weights_of_image,
 )
 
-from mlbs_actors.graphcut import graph_cut
 from mlbs_actors.graphcut.coarse_cut import MAX_BLOCK_COST, band_around_outlines, halved
 from mlbs_actors.graphcut.energy import (
     NEIGHBOUR_OFFSETS,
@@ -81,31 +81,31 @@ def slow_halved_weights(weights: Array) -> Array:
     return found
 
 
+#: Most pixels cut without a coarser level: more than any image here has.
+WHOLE = (10**6,)
 SHAPES = [(3, 6, 8), (2, 5, 7), (3, 1, 6), (2, 7, 1), (2, 1, 1)]
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("seed", range(3))
 def test_a_labelling_of_blocks_has_the_same_energy_on_both_scales_where_all_places_are_alike(
-    seed: int, shape: tuple[int, int, int]
+    shape: tuple[int, int, int],
 ) -> None:
-    _, height, width = shape
-    sizes = ((height, width - 1), (height - 1, width), (height - 1, width - 1), (height - 1, width - 1))
-    alike = laid_out(*(np.full(one, 100 + 10 * seed + kind) for kind, one in enumerate(sizes)))
-    problem = random_problem(seed, shape, 5.0)._replace(weights=alike)
-    coarse = halved(problem)
-    rng = np.random.default_rng(seed)
-    blocks = rng.integers(0, shape[0], coarse.unary.shape[1:])
-    assert slow_energy(blocks, coarse) == slow_energy(unhalved(blocks, shape[1:]), problem)
+    for seed in range(3):
+        _, height, width = shape
+        sizes = ((height, width - 1), (height - 1, width), (height - 1, width - 1), (height - 1, width - 1))
+        alike = laid_out(*(np.full(one, 100 + 10 * seed + kind) for kind, one in enumerate(sizes)))
+        problem = random_problem(seed, shape, 5.0)._replace(weights=alike)
+        coarse = halved(problem)
+        rng = np.random.default_rng(seed)
+        blocks = rng.integers(0, shape[0], coarse.unary.shape[1:])
+        assert slow_energy(blocks, coarse) == slow_energy(unhalved(blocks, shape[1:]), problem)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("seed", range(3))
-def test_an_outline_of_blocks_costs_what_the_cheapest_one_near_it_does(
-    seed: int, shape: tuple[int, int, int]
-) -> None:
-    problem = random_problem(seed, shape, 5.0)
-    np.testing.assert_array_equal(halved(problem).weights, slow_halved_weights(problem.weights))
+def test_an_outline_of_blocks_costs_what_the_cheapest_one_near_it_does(shape: tuple[int, int, int]) -> None:
+    for seed in range(3):
+        problem = random_problem(seed, shape, 5.0)
+        np.testing.assert_array_equal(halved(problem).weights, slow_halved_weights(problem.weights))
 
 
 def test_an_edge_of_the_image_between_the_pixels_of_a_block_is_not_lost() -> None:
@@ -145,7 +145,7 @@ def test_costs_of_cells_and_of_single_pixels_are_those_of_all_pixels(
     bands = [band_around_outlines(one, blocks)[1].unaries for one in (given, plain)]
     np.testing.assert_array_equal(bands[0].pixel, bands[1].pixel)
     np.testing.assert_array_equal(bands[0].cost, bands[1].cost)
-    np.testing.assert_array_equal(minimise(given), minimise(plain))
+    np.testing.assert_array_equal(minimise(given, MOST_WHOLE), minimise(plain, MOST_WHOLE))
 
 
 def test_what_no_pixel_may_have_no_block_may_have() -> None:
@@ -184,7 +184,7 @@ def test_only_pixels_near_an_outline_are_open_and_the_rest_is_folded_into_their_
 @pytest.mark.parametrize("shape", [(11, 14), (8, 8), (1, 7), (6, 1)])
 @pytest.mark.parametrize("side", [1, 2, 3])
 def test_a_label_that_can_only_be_in_its_place_costs_too_much_elsewhere(
-    side: int, shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+    side: int, shape: tuple[int, int]
 ) -> None:
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -205,19 +205,14 @@ def test_a_label_that_can_only_be_in_its_place_costs_too_much_elsewhere(
         pulls = np.array(extras, np.int64)
         plain = energy_of(dear, problem.weights, problem.label_costs, side, pulls)
         placed = energy_of(unary, problem.weights, problem.label_costs, side, pulls, places)
-        for large in ((10**6,), (20,)):
-            monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", large)
-            np.testing.assert_array_equal(minimise(placed), minimise(plain))
+        for large in (WHOLE, (20,)):
+            np.testing.assert_array_equal(minimise(placed, large), minimise(plain, large))
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_coarse_to_fine_finds_nearly_the_labels_of_the_whole_cut(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_coarse_to_fine_finds_nearly_the_labels_of_the_whole_cut(seed: int) -> None:
     problem = moving_scene(seed)
-    exact = minimise(problem)
-    monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", (2000,))
-    found = minimise(problem)
+    exact, found = minimise(problem, WHOLE), minimise(problem, (2000,))
     blank = slow_energy(np.zeros((80, 96), np.intp), problem)
     # Of what the whole cut gains over no object at all, nearly everything.
     gain = blank - slow_energy(exact, problem)
@@ -226,33 +221,21 @@ def test_coarse_to_fine_finds_nearly_the_labels_of_the_whole_cut(
     assert (found != exact).sum() <= 0.12 * (exact > 0).sum()
 
 
-def test_smooth_costs_give_the_very_same_labels(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_smooth_costs_give_the_very_same_labels() -> None:
     y, x = np.mgrid[:64, :64]
     inside: Array = 2.0 * np.tanh((20 - np.hypot(y - 30, x - 33)) / 3)
     unary = np.stack([np.maximum(inside, 0), np.maximum(-inside, 0)])
     image = np.full((64, 64, 3), 90, np.uint8)
     problem = energy_of(in_quanta(unary), weights_of_image(image), np.zeros(2, np.int64))
-    exact = minimise(problem)
-    monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", (2000,))
-    np.testing.assert_array_equal(minimise(problem), exact)
+    np.testing.assert_array_equal(minimise(problem, (2000,)), minimise(problem, WHOLE))
 
 
-def test_every_coarser_level_has_its_own_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_coarser_level_has_its_own_bound() -> None:
     problem = moving_scene(1)  # 7680 px: 1920 blocks, or 480 blocks of blocks, or 120 of those
-
-    def in_bands(whole: LabelCostEnergy, levels: int) -> Array:
-        if levels == 0:
-            monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", (10**6,))
-            return minimise(whole)
-        labels, rest, start = band_around_outlines(whole, in_bands(halved(whole), levels - 1))
-        labels.reshape(-1)[rest.pixels] = graph_cut._search(rest, start, 1)
-        return labels
-
-    bounds = {0: (7680, 1), 1: (7679, 1920, 1), 2: (7679, 1919, 480), 3: (400,)}
-    found = {}
-    for levels, large in bounds.items():
-        expected = in_bands(problem, levels)
-        monkeypatch.setattr(graph_cut, "MOST_CUT_WHOLE", large)
-        found[levels] = minimise(problem)
-        np.testing.assert_array_equal(found[levels], expected)
-    assert len({labels.tobytes() for labels in found.values()}) == len(bounds)
+    none = 0
+    levels = [WHOLE, (none, *WHOLE), (none, none, *WHOLE), (none, none, none, *WHOLE)]
+    bounds = [(7680, none), (7679, 1920, none), (7679, 1919, 480, none), (400,)]
+    found = [minimise(problem, most) for most in bounds]
+    for labels, most in zip(found, levels, strict=True):
+        np.testing.assert_array_equal(labels, minimise(problem, most))
+    assert len({labels.tobytes() for labels in found}) == len(bounds)

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from energy_fakes import energy_of, laid_out
+from energy_fakes import energy_of, laid_out, slow_energies
 
 from mlbs_actors.graphcut.energy import (
-    NEIGHBOUR_OFFSETS,
     UNDECIDED,
     LabelCostEnergy,
     UndecidedEnergy,
@@ -63,21 +62,6 @@ def costs_of(rest: UndecidedEnergy, label: int) -> dict[int, int]:
     unaries = rest.unaries
     own = slice(unaries.first[label], unaries.first[label + 1])
     return dict(zip(unaries.pixel[own].tolist(), unaries.cost[own].tolist(), strict=True))
-
-
-def slow_energies(whole: LabelCostEnergy, labellings: Array) -> Array:
-    label_count, height, width = whole.unary.shape
-    energies = np.zeros(len(labellings), np.int64)
-    for y, x in itertools.product(range(height), range(width)):
-        here = labellings[:, y * width + x]
-        energies += whole.unary[here, y, x]
-        for k, (dy, dx) in enumerate(NEIGHBOUR_OFFSETS):
-            if 0 <= y + dy < height and 0 <= x + dx < width and k < 4:
-                there = labellings[:, (y + dy) * width + x + dx]
-                energies += whole.weights[y, x, k] * (here != there)
-    for label in range(label_count):
-        energies += whole.label_costs[label] * (labellings == label).any(axis=1)
-    return energies
 
 
 SHAPES = [(2, 3, 3), (3, 2, 4), (3, 1, 6), (2, 4, 2)]

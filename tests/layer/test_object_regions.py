@@ -13,6 +13,7 @@ from mlbs_actors.layer.object_regions import contested
 from mlbs_actors.messages import BACKGROUND, LayerEvidence, Region, Segmentation
 
 #: px of a 640×480 frame: of any object, and of one in full view.
+COVERED = 100.0  # px² for each trajectory
 MARGINS = (24.0, 8.0)
 NOTHING = np.zeros((0, 2), np.float32)
 
@@ -20,7 +21,7 @@ NOTHING = np.zeros((0, 2), np.float32)
 def object_region(
     one: LayerEvidence, previous: Segmentation | None, shape: tuple[int, int], margins: tuple[float, float]
 ) -> Region:
-    return object_regions.object_region(one, shape, previous, margins, 1)
+    return object_regions.object_region(one, shape, previous, (*margins, COVERED), 1)
 
 
 def test_the_region_is_the_box_of_the_trajectories_with_a_margin_that_grows_with_the_frame() -> None:
@@ -82,14 +83,14 @@ def test_contested_is_the_union_of_the_objects_regions_and_of_no_others() -> Non
     everyone = [tracks(BACKGROUND, grid(WHOLE)), tracks(1, grid(CAR)), tracks(2, grid(far))]
     other = replace(tracks(3, np.array([[150.0, 10.0]], np.float32)), kind="other")
     previous = published(0, owned(Region(100, 5, 6, 6)))
-    box, found = contested(frame_of([*everyone, other], 1), previous, MARGINS)
+    box, found = contested(frame_of([*everyone, other], 1), previous, (*MARGINS, COVERED))
     expected = np.zeros(SHAPE, bool)
     for one in (*everyone[1:], other):
         expected[object_region(one, previous, SHAPE, MARGINS).slices] = True
     np.testing.assert_array_equal(found, expected[box.slices])
     assert found.sum() == expected.sum()
-    box, found = contested(frame_of([*everyone, other], 1), previous, MARGINS, 2)
+    box, found = contested(frame_of([*everyone, other], 1), previous, (*MARGINS, COVERED), 2)
     held = spread_over_cells(found, 2, (box.height, box.width))
     assert held[expected[box.slices]].all()
     assert expected.sum() < held.sum() < 1.2 * expected.sum()
-    assert contested(frame_of(everyone[:1], 1), None, MARGINS)[0].area == 0
+    assert contested(frame_of(everyone[:1], 1), None, (*MARGINS, COVERED))[0].area == 0

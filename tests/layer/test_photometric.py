@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from mlbs_actors.layer.photometric import photometric_advantage
+from mlbs_actors.config import PosteriorConfig
+from mlbs_actors.layer.photometric import PhotometricRules, photometric_advantage
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.tracking.camera import homography_of_cells
 
@@ -57,7 +58,8 @@ def compared(
 ) -> Array:
     corners = (now.region.x, now.region.y), (before.region.x, before.region.y)
     images = np.ascontiguousarray(before.image), np.ascontiguousarray(now.image)
-    found = photometric_advantage(*images, motion, camera, side, corners, own, np.float32(largest))
+    rules = PhotometricRules.configured(PosteriorConfig(photometric_cap=largest))
+    found = photometric_advantage(*images, motion, camera, side, corners, own, rules)
     return np.asarray(found)
 
 

@@ -264,7 +264,7 @@ def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) ->
     arguments = parse([str(word) for word in given])
     streams, config = read_stream_list(arguments.streams), Config()
     folder = RunFolder(tmp_path / "out")
-    folder.claim(describe_run(streams, config, arguments.save, None))
+    folder.create(describe_run(streams, config, arguments.save, None))
     StatusFile(folder.path / "status.json").finish([StreamState("street", "done", read=9, committed=9)], 0)
     ended = command(*given, "--resume")
     assert ended.returncode == 0, ended.stderr
@@ -435,14 +435,13 @@ def test_processes_of_a_session_of_our_own_are_as_nice_as_the_command() -> None:
 
 @pytest.mark.ray
 def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(tmp_path: Path) -> None:
-    pictures = [scene("demo", frames=12, width=160, height=120).frame(index) for index in range(12)]
+    pictures = [scene("no-mover", frames=12, width=160, height=120).frame(index) for index in range(12)]
     (tmp_path / "folder").mkdir()
     for index, picture in enumerate(pictures):
         cv2.imwrite(str(tmp_path / f"folder/p{index}.png"), picture)
     (tmp_path / "folder/p4.png").write_bytes(b"damaged")
     lines = [
         "demo 'synthetic:demo?frames=12&width=160&height=120'",
-        "twin 'synthetic:demo?frames=12&width=160&height=120'",
         "folder",
         "gone none.mp4",
         "door rtsp://bob:hunter2@127.0.0.1:9/door",
@@ -455,17 +454,15 @@ def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(
         name: (s["state"], s["read"], s["committed"], s["quarantined"]) for name, s in status.items()
     } == {
         "demo": ("done", 12, 12, 0),
-        "twin": ("done", 12, 12, 0),
         "folder": ("partial", 12, 11, 1),
         "gone": ("failed", 0, 0, 0),
         "door": ("failed", 0, 0, 0),
     }
     assert list(_masks(output / "demo")) == [f"{index:05d}.png" for index in range(12)]
-    assert status["gone"]["line"] == 4
+    assert status["gone"]["line"] == 3
     before_ray, _, _ = ended.stderr.partition("Starting Ray")
-    assert f"line 4: There is no file or folder {tmp_path / 'none.mp4'}" in before_ray
-    assert "line 5, door (failed): " in ended.stderr
-    assert _masks(output / "demo") == _masks(output / "twin")
+    assert f"line 3: There is no file or folder {tmp_path / 'none.mp4'}" in before_ray
+    assert "line 4, door (failed): " in ended.stderr
     assert len(_masks(output / "folder")) == 11
     assert "p4.png" not in _masks(output / "folder")
     assert [row["status"] for row in _frames(output / "folder")].index("quarantined") == 4
@@ -502,7 +499,7 @@ def test_a_signal_ends_a_run_cleanly_with_all_that_was_read_committed(
     tmp_path: Path, number: signal.Signals
 ) -> None:
     path = stream_list(
-        tmp_path, "demo 'synthetic:demo?frames=5000&width=64&height=48'", "late synthetic:demo"
+        tmp_path, "demo 'synthetic:no-mover?frames=5000&width=64&height=48'", "late synthetic:no-mover"
     )
     output = tmp_path / "out"
     run = subprocess.Popen(

@@ -73,6 +73,12 @@ def test_the_table_shows_how_much_is_left_where_that_is_known_and_what_a_start_w
     assert "of 600" not in table([done])  # the header was wrong, and the stream is whole
 
 
+def test_the_table_says_which_streams_the_memory_is_too_small_for() -> None:
+    assert "up to 5 layers at once had no process" in table(
+        [StreamState("crowd", "running", without_process=5)]
+    )
+
+
 def test_on_a_narrow_terminal_a_note_is_still_a_sentence_and_what_is_shown_fits() -> None:
     states = [
         StreamState(f"w{number}", "running", read=1234, committed=1200, frames_per_second=17.25, length=12345)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from mlbs_actors.messages import Array
 from mlbs_actors.segmentation.proposals import proposal_boxes
@@ -31,20 +30,20 @@ def expected(cost: Array, layer: int, cells: list[tuple[int, int]]) -> list[int]
     return [top + rows.min(), top + rows.max() + 1, left + columns.min(), left + columns.max() + 1]
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_a_claim_is_the_box_around_lead_and_trajectories(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    cost = np.full((3, *SHAPE), 100, np.uint8)
-    cost[1:][rng.random((2, *SHAPE)) < 0.01] = 99
-    cost[1, 7, 12] = cost[2, 12, 5] = 0
-    cells = rng.integers((0, 0), SHAPE, (6, 2))
-    positions = (SIDE * (cells[:, ::-1] + np.array(CORNER))).astype(np.float32)
-    tracks = np.array([(0, 2), (2, 3), (3, 6)], np.int64)
-    found = proposed(cost, positions, tracks)
-    assert found[0].tolist() == places()[0].tolist()
-    for layer in (1, 2):
-        own = [(int(row), int(column)) for row, column in cells[slice(*tracks[layer])]]
-        assert found[layer].tolist() == expected(cost, layer, own)
+def test_a_claim_is_the_box_around_lead_and_trajectories() -> None:
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        cost = np.full((3, *SHAPE), 100, np.uint8)
+        cost[1:][rng.random((2, *SHAPE)) < 0.01] = 99
+        cost[1, 7, 12] = cost[2, 12, 5] = 0
+        cells = rng.integers((0, 0), SHAPE, (6, 2))
+        positions = (SIDE * (cells[:, ::-1] + np.array(CORNER))).astype(np.float32)
+        tracks = np.array([(0, 2), (2, 3), (3, 6)], np.int64)
+        found = proposed(cost, positions, tracks)
+        assert found[0].tolist() == places()[0].tolist()
+        for layer in (1, 2):
+            own = [(int(row), int(column)) for row, column in cells[slice(*tracks[layer])]]
+            assert found[layer].tolist() == expected(cost, layer, own)
 
 
 def test_a_layer_that_leads_nowhere_claims_nothing() -> None:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from mlbs_actors.config import TrajectoriesConfig
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.camera import (
     _differences,
@@ -18,6 +19,7 @@ from mlbs_actors.tracking.camera import (
 
 #: A roll of 2°, a zoom of 3 %, a shift and a little perspective.
 TRUE = np.array([[1.029, -0.036, 6.0], [0.036, 1.029, -4.0], [2e-5, -1e-5, 1.0]])
+CONFIG = TrajectoriesConfig()
 CORNERS = np.array([[0, 0], [639, 0], [0, 479], [639, 479], [320, 240]], np.float32)
 
 
@@ -45,7 +47,7 @@ def unmoving(shape: tuple[int, ...]) -> Array:
 
 
 def unexplained(previous: Array, current: Array, matrix: Array, side: int) -> Array:
-    return camera_evidence(previous, current, matrix, unmoving(current.shape), side).unexplained
+    return camera_evidence(previous, current, matrix, unmoving(current.shape), side, CONFIG).unexplained
 
 
 def translation(x: float, y: float) -> Array:
@@ -65,7 +67,7 @@ def test_the_homography_is_recovered_although_a_third_of_the_points_move_on_thei
     motions = homography_motion(TRUE, positions)
     motions += np.random.default_rng(1).normal(0, 0.1, motions.shape).astype(np.float32)
     motions[:100] += np.array([12.0, 5.0], np.float32)
-    found = camera_homography(positions, motions, 1.0)
+    found = camera_homography(positions, motions, 1.0, CONFIG)
     error = homography_motion(found, CORNERS) - homography_motion(TRUE, CORNERS)
     assert np.abs(error).max() < 0.3
 
@@ -75,20 +77,20 @@ def test_equal_points_give_equal_bytes() -> None:
     motions = homography_motion(TRUE, positions)
     motions[::3] += np.random.default_rng(2).normal(0, 20, motions[::3].shape).astype(np.float32)
     cv2.setRNGSeed(1)
-    one = camera_homography(positions, motions, 1.0)
+    one = camera_homography(positions, motions, 1.0, CONFIG)
     cv2.setRNGSeed(99)
-    other = camera_homography(positions.copy(), motions.copy(), 1.0)
+    other = camera_homography(positions.copy(), motions.copy(), 1.0, CONFIG)
     assert one.tobytes() == other.tobytes()
 
 
 def test_few_points_give_their_median_translation() -> None:
     motions = np.array([[3, 1], [3, 1], [4, 2], [90, -70], [2, 0]], np.float32)
-    np.testing.assert_array_equal(camera_homography(points(5), motions, 1.0), translation(3, 1))
+    np.testing.assert_array_equal(camera_homography(points(5), motions, 1.0, CONFIG), translation(3, 1))
 
 
 def test_no_points_give_the_identity() -> None:
     none = np.zeros((0, 2), np.float32)
-    np.testing.assert_array_equal(camera_homography(none, none, 1.0), np.eye(3))
+    np.testing.assert_array_equal(camera_homography(none, none, 1.0, CONFIG), np.eye(3))
     assert homography_motion(np.eye(3), none).shape == (0, 2)
 
 
@@ -102,7 +104,7 @@ def test_points_that_determine_no_homography_give_one_that_is_still_sane(arrange
         positions = np.stack([positions[:, 0], 0.5 * positions[:, 0]], axis=1).astype(np.float32)
     else:  # mirrored: no camera does that
         motions[:, 0] = 639 - 2 * positions[:, 0]
-    found = camera_homography(positions, motions, 1.0)
+    found = camera_homography(positions, motions, 1.0, CONFIG)
     assert np.isfinite(found).all()
     assert 0.5 < np.linalg.det(found[:2, :2]) < 2.0
     if arrangement != "folded":
@@ -204,7 +206,7 @@ def moving_thing(ground: Array, thing: Array) -> tuple[Array, Array, Array]:
 
 def test_the_flow_of_a_textured_thing_explains_it_better_than_the_camera() -> None:
     previous, current, flow = moving_thing(texture(120, 160), texture(200, 300)[150:, 150:])
-    found = camera_evidence(previous, current, np.eye(3), flow, 1)
+    found = camera_evidence(previous, current, np.eye(3), flow, 1, CONFIG)
     assert found.advantage.dtype == np.float32
     inner = np.s_[43:77, 59:93]
     assert (found.advantage[inner] > 0).all()
@@ -215,20 +217,20 @@ def test_the_flow_of_a_textured_thing_explains_it_better_than_the_camera() -> No
 def test_flow_that_bled_over_smooth_ground_explains_it_no_better() -> None:
     smooth = np.full((120, 160), 90, np.uint8)
     previous, current, flow = moving_thing(smooth, texture(200, 300)[150:, 150:])
-    advantage = camera_evidence(previous, current, np.eye(3), flow, 1).advantage
+    advantage = camera_evidence(previous, current, np.eye(3), flow, 1, CONFIG).advantage
     around = np.zeros(smooth.shape, bool)
     around[20:100, 30:130] = True
     around[37:83, 42:106] = False  # the thing then and now, and the window
     assert np.abs(advantage[around]).max() == 0.0
     assert advantage[43:77, 59:93].min() > 0.0
     drawn = np.random.default_rng(0).normal(0, 5, flow.shape).astype(np.float32)
-    flat = camera_evidence(smooth, smooth, np.eye(3), drawn, 1).advantage
+    flat = camera_evidence(smooth, smooth, np.eye(3), drawn, 1, CONFIG).advantage
     assert np.abs(flat).max() == 0.0
 
 
 def test_flow_that_bled_over_textured_ground_speaks_for_the_camera() -> None:
     previous, current, flow = moving_thing(texture(120, 160), texture(200, 300)[150:, 150:])
-    advantage = camera_evidence(previous, current, np.eye(3), flow, 1).advantage
+    advantage = camera_evidence(previous, current, np.eye(3), flow, 1, CONFIG).advantage
     assert advantage[22:36, 32:128].mean() < -1.0
 
 
@@ -237,7 +239,7 @@ def test_the_flow_is_stated_in_px(side: int) -> None:
     canvas = texture(140, 180)
     previous, current = canvas[10:130, 10:170], canvas[13:133, 6:166]  # contents move by (+4, −3)
     flow = np.full((*current.shape, 2), (-4 * side, 3 * side), np.float32)
-    found = camera_evidence(previous, current, np.eye(3), flow, side)
+    found = camera_evidence(previous, current, np.eye(3), flow, side, CONFIG)
     inner = np.s_[6:-6, 6:-6]
     np.testing.assert_allclose(found.advantage[inner], found.unexplained[inner], atol=1e-5)
     assert found.advantage[inner].mean() > 1.0
@@ -245,7 +247,8 @@ def test_the_flow_is_stated_in_px(side: int) -> None:
 
 def test_where_the_frame_before_did_not_reach_nothing_is_better_explained() -> None:
     previous, current = np.full((60, 80), 200, np.uint8), np.full((60, 80), 20, np.uint8)
-    advantage = camera_evidence(previous, current, translation(-30, 0), unmoving(current.shape), 1).advantage
+    still = unmoving(current.shape)
+    advantage = camera_evidence(previous, current, translation(-30, 0), still, 1, CONFIG).advantage
     assert np.abs(advantage[:, :27]).max() == 0.0
 
 

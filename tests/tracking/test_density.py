@@ -7,12 +7,12 @@ from flow_fakes import dense_flow, flow_gray
 
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.density import MOST_IN_SQUARE, SQUARE, room_left, within_room
+from mlbs_actors.tracking.density import SQUARE, room_left, within_room
 from mlbs_actors.tracking.tracker import track
 from mlbs_actors.tracking.trajectories import empty_trajectories
 from orchestrator.sources.synthetic import scene
 
-SHAPE, SIDE, OLDEST = (37, 50), 2, 24
+SHAPE, SIDE, OLDEST, MOST = (37, 50), 2, 24, 7
 
 
 def crowded(seed: int) -> tuple[Array, Array]:
@@ -35,20 +35,20 @@ def test_the_young_stay_and_of_the_oldest_as_many_of_the_first_as_a_square_takes
     for point, (position, age) in enumerate(zip(positions, ages, strict=True)):
         if age < OLDEST:
             expected.append(point)
-        elif inside.count(square_of(position)) < MOST_IN_SQUARE:
+        elif inside.count(square_of(position)) < MOST:
             inside.append(square_of(position))
             expected.append(point)
     assert len(expected) < 390
-    np.testing.assert_array_equal(within_room(positions, ages, OLDEST, SHAPE, SIDE), expected)
+    np.testing.assert_array_equal(within_room(positions, ages, OLDEST, SHAPE, SIDE, MOST), expected)
 
 
 def test_room_is_what_a_square_takes_less_all_that_are_in_it() -> None:
     positions, _ = crowded(1)
     inside = [square_of(position) for position in positions]
-    room = room_left(positions, SHAPE, SIDE)
+    room = room_left(positions, SHAPE, SIDE, MOST)
     assert room.shape == (5, 7)
     for square in np.ndindex(room.shape):
-        assert room[square] == MOST_IN_SQUARE - inside.count(square)
+        assert room[square] == MOST - inside.count(square)
 
 
 def test_trajectories_of_an_object_that_is_watched_for_long_do_not_pile_up() -> None:
@@ -63,4 +63,4 @@ def test_trajectories_of_an_object_that_is_watched_for_long_do_not_pile_up() -> 
         flow = dense_flow(before, gray, side, config)
         state = track(state, np.ones(len(state), bool), flow, before, gray, shape, config).trajectories
         old = state.positions[state.ages == config.trajectories.history_frames]
-        assert (room_left(old, gray.shape, side) >= 0).all()
+        assert (room_left(old, gray.shape, side, config.trajectories.square_tracks) >= 0).all()

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mlbs_actors.config import TrajectoriesConfig
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.camera import camera_homography
 from mlbs_actors.tracking.epipolar import EpipolarGeometry, forward_motion, static_motion
 
 SHAPE = (480, 640)
+CONFIG = TrajectoriesConfig()
 FOCAL = 500.0
 #: A turn of 0.6° and a nod of 0.3° between two frames.
 TURN = (0.005, 0.01)
@@ -46,7 +48,8 @@ def seen(scene: Array, drive: Array, own: Array | float = 0.0) -> tuple[Array, A
 
 
 def geometry_of(positions: Array, motions: Array) -> EpipolarGeometry | None:
-    return forward_motion(positions, motions, camera_homography(positions, motions, 1.0), SHAPE)
+    homography = camera_homography(positions, motions, 1.0, CONFIG)
+    return forward_motion(positions, motions, homography, SHAPE, CONFIG)
 
 
 def driving() -> EpipolarGeometry:
@@ -65,8 +68,8 @@ def test_what_is_static_moves_as_a_static_point_of_some_depth_would() -> None:
     positions, motions = seen(street(seed=1), np.array([0.0, 0.0, 1.5]))
     error = np.hypot(*(static_motion(driving(), positions, motions) - motions).T)
     assert np.quantile(error, 0.95) < 0.6
-    homography = camera_homography(positions, motions, 1.0)
-    assert forward_motion(positions, motions, homography, SHAPE) is not None
+    homography = camera_homography(positions, motions, 1.0, CONFIG)
+    assert forward_motion(positions, motions, homography, SHAPE, CONFIG) is not None
 
 
 @pytest.mark.parametrize(
@@ -120,7 +123,7 @@ def test_few_motions_at_random_have_no_geometry_either() -> None:
         rng = np.random.default_rng(seed)
         positions = rng.uniform((0, 0), (160, 120), (26, 2)).astype(np.float32)
         motions = rng.normal(0, 3, (26, 2)).astype(np.float32)
-        assert forward_motion(positions, motions, np.eye(3), (120, 160)) is None
+        assert forward_motion(positions, motions, np.eye(3), (120, 160), CONFIG) is None
 
 
 @pytest.mark.parametrize("count", [0, 5])

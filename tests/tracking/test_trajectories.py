@@ -14,11 +14,9 @@ from scipy.spatial.distance import pdist
 from mlbs_actors.config import Config, TrajectoriesConfig, length_scale
 from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.density import MOST_IN_SQUARE, SQUARE
+from mlbs_actors.tracking.density import SQUARE
 from mlbs_actors.tracking.seeding import _Ground, _seeds, seed_trajectories
 from mlbs_actors.tracking.trajectories import (
-    EVIDENCE_BOUNDS,
-    EVIDENCE_KEPT,
     TrajectoryState,
     advance_trajectories,
     empty_trajectories,
@@ -28,6 +26,7 @@ from mlbs_actors.tracking.trajectories import (
 
 CONFIG = TrajectoriesConfig(history_frames=4)
 SHAPE, SIDE = (120, 160), 1
+KEPT = 1 - CONFIG.evidence_forgetting
 SPACING = CONFIG.seed_spacing_px * length_scale(*SHAPE)
 
 
@@ -165,7 +164,7 @@ def seeds_by_masks(
                 border = min(x, y, width - 1 - x, height - 1 - y)
                 structured = structure[at] > mean * (0.1 + np.exp(-0.1 * border))
                 square = at[0] // SQUARE, at[1] // SQUARE
-                if chosen[at] and free[at] and structured and inside.count(square) < MOST_IN_SQUARE:
+                if chosen[at] and free[at] and structured and inside.count(square) < CONFIG.square_tracks:
                     found.append((x, y))
                     inside.append(square)
         seeds = np.concatenate([seeds, np.array(found, np.float32).reshape(-1, 2)])
@@ -180,12 +179,12 @@ def test_seeds_are_the_points_of_two_grids_that_are_wanted_structured_and_far_fr
     positions = (rng.random((25, 2)) * [150, 100] - 5).astype(np.float32)
     expected = seeds_by_masks(positions, structure, wanted, dense, shape, [10.0, 4.5], side)
     advantage = np.where(dense, np.float32(3), np.float32(2))
-    ground = _Ground(structure, float(structure.mean()), wanted, advantage, side)
+    ground = _Ground(structure, float(structure.mean()), wanted, advantage, side, CONFIG.square_tracks)
     found = _seeds(positions, ground, 2.0, shape, (10.0, 4.5))
     assert len(found) > 50
     np.testing.assert_array_equal(found, expected)
     inside = squares_of(np.concatenate([positions, found]), structure.shape, side)
-    assert max(map(inside.count, inside)) == MOST_IN_SQUARE
+    assert max(map(inside.count, inside)) == CONFIG.square_tracks
 
 
 @pytest.mark.parametrize("shape", [(16, 16), (40, 56), (72, 96)])
@@ -277,7 +276,7 @@ def test_the_newest_residuals_come_first_and_the_oldest_are_forgotten() -> None:
     for steps, motion in enumerate(motions, start=1):
         state, _ = advance_trajectories(state, constant_flow(motion), SHAPE)
         predicted = np.full((len(state), 2), 0.5, np.float32)
-        state = with_residuals(state, predicted, np.zeros(len(state), np.float32))
+        state = with_residuals(state, predicted, np.zeros(len(state), np.float32), CONFIG)
         expected = np.concatenate([[-np.array(motion) - 0.5], expected[:-1]])
         row = int(np.flatnonzero(state.ids == followed_id)[0])
         assert state.ages[row] == min(steps, 4)
@@ -286,7 +285,8 @@ def test_the_newest_residuals_come_first_and_the_oldest_are_forgotten() -> None:
 
 def test_a_trajectory_without_a_motion_has_no_residual() -> None:
     state = seeded(shifted(texture(), (0, 0)))
-    state = with_residuals(state, np.ones((len(state), 2), np.float32), np.zeros(len(state), np.float32))
+    nothing = np.zeros(len(state), np.float32)
+    state = with_residuals(state, np.ones((len(state), 2), np.float32), nothing, CONFIG)
     assert not state.residuals.any()
 
 
@@ -296,31 +296,31 @@ def test_evidence_against_the_camera_adds_up_and_is_slowly_forgotten() -> None:
     expected = np.zeros(len(state))
     for t, advantage in enumerate((3.0, 5.0, -1.5, 0.0, 0.0)):
         own = np.float32(advantage) + np.linspace(-0.4, 0.4, len(state), dtype=np.float32)
-        state = with_residuals(state, still, own)
-        expected = float(EVIDENCE_KEPT) * expected + own
+        state = with_residuals(state, still, own, CONFIG)
+        expected = KEPT * expected + own
         np.testing.assert_allclose(state.evidence, expected, atol=1e-4)
         assert t == 0 or np.ptp(state.evidence) > 0.4
     assert state.evidence.dtype == np.float32
-    assert 0.9 < EVIDENCE_KEPT < 1.0
+    assert 0.9 < KEPT < 1.0
 
 
 def test_one_frame_adds_no_more_than_its_bounds_to_the_evidence() -> None:
     state = seeded(shifted(texture(), (0, 0)))
     still = np.zeros((len(state), 2), np.float32)
-    least, most = EVIDENCE_BOUNDS
+    least, most = CONFIG.least_evidence_step, CONFIG.most_evidence_step
     assert least < 0 < most
     for advantage, added in ((1000.0, most), (-1000.0, least)):
-        judged = with_residuals(state, still, np.full(len(state), advantage, np.float32))
+        judged = with_residuals(state, still, np.full(len(state), advantage, np.float32), CONFIG)
         np.testing.assert_allclose(judged.evidence, added)
-        twice = with_residuals(judged, still, np.full(len(state), advantage, np.float32))
-        np.testing.assert_allclose(twice.evidence, (1 + EVIDENCE_KEPT) * added, rtol=1e-5)
+        twice = with_residuals(judged, still, np.full(len(state), advantage, np.float32), CONFIG)
+        np.testing.assert_allclose(twice.evidence, (1 + KEPT) * added, rtol=1e-5)
 
 
 def test_evidence_goes_on_with_its_trajectory_and_a_seed_has_none() -> None:
     gray = shifted(texture(), (0, 0))
     state = seeded(gray)
     own = np.linspace(0.0, 5.0, len(state), dtype=np.float32)
-    state = with_residuals(state, np.zeros((len(state), 2), np.float32), own)
+    state = with_residuals(state, np.zeros((len(state), 2), np.float32), own, CONFIG)
     flow = constant_flow((6.0, 0.0))
     followed, _ = advance_trajectories(state, flow, SHAPE)
     np.testing.assert_array_equal(followed.evidence, state.evidence[np.isin(state.ids, followed.ids)])
@@ -362,11 +362,8 @@ def test_where_it_is_dense_more_is_seeded_and_nothing_is_outside() -> None:
 def test_nothing_to_follow_stays_nothing() -> None:
     state, _ = advance_trajectories(empty_trajectories(CONFIG), constant_flow((1.0, 1.0)), SHAPE)
     assert len(state) == 0
-    assert with_residuals(state, np.zeros((0, 2), np.float32), np.zeros(0, np.float32)).residuals.shape == (
-        0,
-        4,
-        2,
-    )
+    none = np.zeros((0, 2), np.float32)
+    assert with_residuals(state, none, none[:, 0], CONFIG).residuals.shape == (0, 4, 2)
 
 
 def test_of_each_square_the_first_of_the_chosen_points_is_picked() -> None:

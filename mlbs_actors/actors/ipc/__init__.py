@@ -1,1 +1,1 @@
-"""Messages between the processes of a stream on one node: pipes, shared memory, wake-ups."""
+"""Communication between the processes of a stream on one node: pipes, shared memory, wake-ups."""

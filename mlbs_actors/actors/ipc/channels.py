@@ -1,12 +1,12 @@
-"""Messages between two processes of a stream, on one node and without Ray between them.
+"""Message channels between two processes of a stream, on one node and without Ray between them.
 
 A call through Ray takes a millisecond of CPU time, in three processes; a message through a pipe takes a
-fiftieth of that. Ray starts and ends the processes, and tells what became of them; what passes between them
-for every frame goes this way, the arrays through memory (:mod:`mlbs_actors.actors.ipc.shared_memory`).
+fiftieth of that. Ray starts and ends the processes and reports their failures; the messages of every frame
+use these pipes, and arrays use shared memory (:mod:`mlbs_actors.actors.ipc.shared_memory`).
 
-One process offers a channel, another one takes it. Like that memory, the pipes have no name: they are found
-through their owner's ``/proc`` entry, which the system opens for the same user only, and nothing is left of
-them however a process ends. Who holds one end learns at once when the other end's process is gone.
+One process listens, another one connects. Like that memory, the pipes have no name: they are opened through
+their owner's ``/proc`` entry, which the system grants to the same user only, and they vanish with their
+processes. When a process ends, the other end of its channel is notified at once.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any
 
-__all__ = ["Channel", "ChannelClosedError", "ChannelOffer", "OfferedChannel", "take"]
+__all__ = ["Channel", "ChannelAddress", "ChannelClosedError", "ChannelListener", "connect"]
 
 
 class ChannelClosedError(Exception):
-    """The process at the other end has closed the channel, or is gone: why, Ray knows."""
+    """The process at the other end has closed the channel or is gone; Ray knows why."""
 
 
 @dataclass(frozen=True, slots=True)
-class ChannelOffer:
-    """Where the other end of a channel is to be had.
+class ChannelAddress:
+    """Where another process finds the other end of a channel.
 
     Attributes
     ----------
     owner : int
-        Process id of who offers it.
+        Process id of the listener.
     outgoing, incoming : int
-        The owner's file descriptors of what is to be written to, and to be read from.
+        The owner's file descriptors of the pipes to write to, and to read from.
     """
 
     owner: int
@@ -65,18 +65,18 @@ class Channel:
             raise ChannelClosedError from None
 
     def receive(self) -> Any:
-        """Wait for the next message, also of a process that has ended since; raises ChannelClosedError."""
+        """Wait for the next message, even from a process that has ended since; raises ChannelClosedError."""
         try:
             return pickle.loads(self._incoming.recv_bytes())
         except (EOFError, OSError):
             raise ChannelClosedError from None
 
     def has_message(self, seconds: float = 0.0) -> bool:
-        """Whether :meth:`receive` would not wait, or after so many seconds would not."""
+        """Whether :meth:`receive` would return within this time, s."""
         return self._incoming.poll(seconds)
 
     def close(self) -> None:
-        """Let the other end know that no more messages come from here, and that none are read."""
+        """Close both directions; the other end gets ChannelClosedError."""
         self._incoming.close()
         self._outgoing.close()
 
@@ -92,50 +92,51 @@ class Channel:
         self.close()
 
 
-class OfferedChannel:
-    """A new channel whose other end one other process is to take.
+class ChannelListener:
+    """A new channel to which one other process is to connect.
 
     Attributes
     ----------
-    offer : ChannelOffer
-        To be told to that process.
+    address : ChannelAddress
+        For that process.
     """
 
     def __init__(self) -> None:
         self._incoming, self._other_outgoing = Pipe(duplex=False)
         self._other_incoming, self._outgoing = Pipe(duplex=False)
-        self.offer = ChannelOffer(os.getpid(), self._other_outgoing.fileno(), self._other_incoming.fileno())
+        self.address = ChannelAddress(
+            os.getpid(), self._other_outgoing.fileno(), self._other_incoming.fileno()
+        )
 
-    def taken(self) -> Channel:
-        """Wait, as long as it takes, until the other end has been taken; return this one."""
+    def accept(self) -> Channel:
+        """Wait, without limit, until the other process has connected; return the channel."""
         channel = Channel(self._incoming, self._outgoing)
         channel.receive()
-        # From now on only the other process holds that end: if it goes, this one is told.
+        # From now on only the other process has these ends open, so this one notices when it ends.
         self._other_outgoing.close()
         self._other_incoming.close()
         return channel
 
     def serve(self, answers: Callable[[Any], Iterable[object]]) -> None:
-        """Answer the messages that come, once the other end has been taken, until that is closed.
+        """Answer messages until the other end is closed.
 
         Parameters
         ----------
         answers : callable
-            What is to be sent back for a message, as it is made. If it finds a channel of its own closed,
-            that is the end, too.
+            Yields the answers to a message. ChannelClosedError raised in it ends the loop, too.
         """
-        with suppress(ChannelClosedError), self.taken() as channel:
+        with suppress(ChannelClosedError), self.accept() as channel:
             while True:
                 for answer in answers(channel.receive()):
                     channel.send(answer)
 
 
-def take(offer: ChannelOffer) -> Channel:
-    """Take the other end of an offered channel, once; raises ChannelClosedError if its process is gone."""
+def connect(address: ChannelAddress) -> Channel:
+    """Connect to a listener, once; raises ChannelClosedError if its process is gone."""
     ends = []
     try:
-        for descriptor, flags in ((offer.incoming, os.O_RDONLY), (offer.outgoing, os.O_WRONLY)):
-            opened = os.open(f"/proc/{offer.owner}/fd/{descriptor}", flags | os.O_CLOEXEC)
+        for descriptor, flags in ((address.incoming, os.O_RDONLY), (address.outgoing, os.O_WRONLY)):
+            opened = os.open(f"/proc/{address.owner}/fd/{descriptor}", flags | os.O_CLOEXEC)
             ends.append(Connection(opened, readable=not flags, writable=bool(flags)))
     except OSError:
         for end in ends:

@@ -1,16 +1,16 @@
-"""Frames and maps in memory that a stream's processes share; what goes through Ray is only where they are.
+"""Frames and maps in memory that a stream's processes share; messages contain only references to them.
 
 Through Ray's object store every frame and map would cost several messages between each process and the node's
 daemon: with four layers, more than the calls themselves. Here a message is copied once into a *slot*, and
-whoever is told of it reads it where it is.
+read there by all receivers.
 
-A slot holds arrays, and where they are. Those of a message are its description, by which it is made again,
-and its own in the order of its fields, which may be read alone.
+A slot holds arrays and their layout. Those of a message are its pickled description and its own arrays in the
+order of its fields, which may be read alone.
 
-The coordinator owns all slots of its stream. With each note it lends the slot for the answer, and it takes
-a slot back when nobody can read it any more. The memory is anonymous (``memfd_create``) and found through
-its owner's ``/proc`` entry: it is gone with the last process that holds it, however that ends, and what a
-process has written outlives that process.
+The coordinator owns all slots of its stream. With each request it acquires a slot for the answer, and it
+releases the slot when nobody can read it any more. The memory is anonymous (``memfd_create``) and opened
+through its owner's ``/proc`` entry: it is freed with the last process that maps it, however that ends, and
+data outlive the process that wrote them.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ __all__ = ["Shared", "SharedMemory", "Slot", "SlotKind", "SlotPool"]
 
 Message = TypeVar("Message")
 
-#: Begin of the name of a slot's memory; its kind follows.
+#: Prefix of the name of a slot's memory; its kind follows.
 _NAME = "mlbs-"
 
-#: What a slot is for; messages of a kind are about as large as each other.
+#: Purpose of a slot; messages of a kind have similar sizes.
 SlotKind = Literal["frame", "evidence", "posterior", "segmentation", "appearance", "state"]
 
-#: Arrays begin at multiples of this, bytes: what vector instructions like.
+#: Alignment of arrays, bytes, for vector instructions.
 _ALIGNMENT = 64
 #: Least memory of a slot, bytes; it grows by doubling.
 _LEAST_BYTES = 1 << 16
-#: A turn that no message has.
-_NO_TURN = 0
-#: At the begin of a slot: the turn in which it was written, and how many arrays it holds.
+#: A generation that no message has.
+_NO_GENERATION = 0
+#: At the start of a slot: the generation that was written, and the number of arrays.
 _HEADER = struct.Struct("<2q")
-#: Then for each array: where it is, the character of its type, how many dimensions it has, and its shape.
+#: Then for each array: its offset, the character of its type, its number of dimensions, and its shape.
 _PLACE = struct.Struct("<6q")
 _MOST_DIMENSIONS = 3
 _TYPES = {ord(one): np.dtype(one) for one in "?bBhHiIlLqQefd"}
@@ -59,7 +59,7 @@ _TYPES = {ord(one): np.dtype(one) for one in "?bBhHiIlLqQefd"}
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """Memory that is lent for one message.
+    """Memory acquired for one message.
 
     Attributes
     ----------
@@ -68,26 +68,26 @@ class Slot:
         Process id of its owner.
     descriptor : int
         The owner's file descriptor of the memory.
-    turn : int
-        How often its owner had lent a slot by then, this time included: no other message has that number.
+    generation : int
+        Number of slots that the owner had acquired by then, unique to the message.
     """
 
     kind: SlotKind
     owner: int
     descriptor: int
-    turn: int
+    generation: int
 
 
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class Shared(Generic[Message]):
-    """Where a message is.
+    """Reference to a message in a slot.
 
     Attributes
     ----------
     slot : Slot
     size : int
-        Bytes of it, from the slot's begin.
+        Bytes used.
     """
 
     slot: Slot
@@ -95,38 +95,38 @@ class Shared(Generic[Message]):
 
 
 class SlotPool:
-    """The slots of one stream, in the process that lends them.
+    """The slots of one stream, in the process that owns them.
 
-    Those that came back last are lent first: their memory is in the processor's caches.
+    The slot released last is reused first: its memory is in the processor's caches.
     """
 
     def __init__(self) -> None:
         self._free: dict[SlotKind, list[Slot]] = {}
-        self._turns = count(1)
+        self._generations = count(1)
 
-    def take(self, kind: SlotKind) -> Slot:
-        """Lend a slot."""
-        free, turn = self._free.setdefault(kind, []), next(self._turns)
+    def acquire(self, kind: SlotKind) -> Slot:
+        """Reuse a free slot, or create one."""
+        free, generation = self._free.setdefault(kind, []), next(self._generations)
         if free:
             last = free.pop()
-            return Slot(kind, last.owner, last.descriptor, turn)
-        return Slot(kind, os.getpid(), os.memfd_create(f"{_NAME}{kind}"), turn)
+            return Slot(kind, last.owner, last.descriptor, generation)
+        return Slot(kind, os.getpid(), os.memfd_create(f"{_NAME}{kind}"), generation)
 
-    def give_back(self, slots: Sequence[Slot]) -> None:
-        """Take slots of a frame back whose messages nobody reads any more.
+    def release(self, slots: Sequence[Slot]) -> None:
+        """Release the slots of a frame whose messages nobody reads any more.
 
-        If slots are lent again in the order in which these were, each is for the same again, and where it is
-        written it is known already.
+        Slots acquired again in the same order serve the same purpose again, in the process that has already
+        mapped them.
         """
         for slot in reversed(slots):
             self._free[slot.kind].append(slot)
 
 
 class SharedMemory:
-    """A process's own view of the slots of one stream."""
+    """A process's mappings of the slots of one stream."""
 
     def __init__(self) -> None:
-        # By kind, owner and descriptor, each with what it is read through.
+        # By kind, owner and descriptor: writable and read-only view.
         self._maps: dict[tuple[SlotKind, int, int], tuple[mmap.mmap, memoryview]] = {}
         self._reductions = {**copyreg.dispatch_table, np.ndarray: _reduced_array}
 
@@ -136,14 +136,14 @@ class SharedMemory:
         Parameters
         ----------
         message : object
-            Picklable; its arrays come out row by row (in C's order).
+            Picklable; its arrays become C-contiguous.
         slot : Slot
-            Lent for this message.
+            Acquired for this message.
 
         Returns
         -------
         Shared
-            To be told to those who are to read it.
+            For the receivers.
 
         Raises
         ------
@@ -155,51 +155,49 @@ class SharedMemory:
         pickler = pickle.Pickler(description, protocol=5, buffer_callback=buffers.append)
         pickler.dispatch_table = self._reductions
         pickler.dump(message)
-        arrays = [_held(buffer) for buffer in buffers]
+        arrays = [_storable(buffer) for buffer in buffers]
         size = self.put([np.frombuffer(description.getbuffer(), np.uint8), *arrays], slot)
         return Shared(slot, size)
 
-    def taken(self, shared: Shared[Message]) -> Message:
-        """Read a message; its arrays are read-only views, valid until the slot's owner takes it back.
+    def load(self, shared: Shared[Message]) -> Message:
+        """Load a message; its arrays are read-only views, valid until the slot is released.
 
         Raises
         ------
         ActorLostError
             If the slot's owner is gone.
         LayerError
-            If the slot has been lent to another message since.
+            If the slot has been reused since.
         """
         description, *arrays = self.read(shared.slot, shared.size)
         message: Message = pickle.loads(description.data, buffers=arrays)
         return message
 
     def put(self, arrays: Sequence[Array], slot: Slot) -> int:
-        """Copy arrays of up to three dimensions into a slot; return the bytes they take, for :meth:`read`."""
-        assert all(map(_can_be_held, arrays))
+        """Copy arrays of up to three dimensions into a slot; return their size in bytes, for :meth:`read`."""
+        assert all(map(_is_storable, arrays))
         places, end = [], _HEADER.size + len(arrays) * _PLACE.size
         for array in arrays:
             begin = -(-end // _ALIGNMENT) * _ALIGNMENT
             places.append(begin)
             end = begin + array.nbytes
         memory = self._mapped(slot, end, grow=True)[0]
-        _HEADER.pack_into(memory, 0, _NO_TURN, 0)  # from now on who still reads the old message fails
+        _HEADER.pack_into(memory, 0, _NO_GENERATION, 0)  # invalidate first: late readers must fail
         row = _HEADER.size
         for array, begin in zip(arrays, places, strict=True):
             shape = (*array.shape, 0, 0, 0)[:_MOST_DIMENSIONS]
             _PLACE.pack_into(memory, row, begin, ord(array.dtype.char), array.ndim, *shape)
             np.ndarray(array.shape, array.dtype, memory, begin)[...] = array
             row += _PLACE.size
-        _HEADER.pack_into(memory, 0, slot.turn, len(arrays))
+        _HEADER.pack_into(memory, 0, slot.generation, len(arrays))
         return end
 
     def read(self, slot: Slot, size: int) -> list[Array]:
-        """Read what was :meth:`put`; views as :meth:`taken` returns them, and it raises the same."""
+        """Read arrays written by :meth:`put`; views, and errors, as of :meth:`load`."""
         whole, memory = self._mapped(slot, size, grow=False)
-        turn, arrays = _HEADER.unpack_from(whole)
-        if turn != slot.turn:
-            raise LayerError(
-                "A message was read after its memory had been lent again; start the stream again."
-            )
+        generation, arrays = _HEADER.unpack_from(whole)
+        if generation != slot.generation:
+            raise LayerError("A message was read after its memory had been reused; start the stream again.")
         places = _PLACE.iter_unpack(memory[_HEADER.size : _HEADER.size + arrays * _PLACE.size])
         return [
             np.ndarray(shape[:dimensions], _TYPES[kind], memory, begin)
@@ -207,7 +205,7 @@ class SharedMemory:
         ]
 
     def _mapped(self, slot: Slot, size: int, *, grow: bool) -> tuple[mmap.mmap, memoryview]:
-        """A slot's memory, and what it is read through."""
+        """Return the writable and the read-only view of a slot's memory."""
         key = (slot.kind, slot.owner, slot.descriptor)
         known = self._maps.get(key)
         if known is not None and len(known[0]) >= size:
@@ -230,18 +228,18 @@ class SharedMemory:
 
 
 def _reduced_array(array: Array) -> Any:
-    """How an array is pickled: what a slot can hold is that itself when it is read."""
-    if _can_be_held(array):
+    """Reduce an array for pickling: one that fits into a slot goes there as it is."""
+    if _is_storable(array):
         return np.asarray, (pickle.PickleBuffer(np.asarray(array, order="C").data),)
     return array.__reduce_ex__(5)
 
 
-def _held(buffer: pickle.PickleBuffer) -> Array:
-    """A pickled buffer as a slot holds it: of arrays that it cannot hold the bytes."""
+def _storable(buffer: pickle.PickleBuffer) -> Array:
+    """Return a pickled buffer as a slot stores it: as bytes if it is no storable array."""
     array = np.asarray(buffer)
-    return array if _can_be_held(array) else np.asarray(buffer.raw())
+    return array if _is_storable(array) else np.asarray(buffer.raw())
 
 
-def _can_be_held(array: Array) -> bool:
+def _is_storable(array: Array) -> bool:
     native = array.dtype.isnative and ord(array.dtype.char) in _TYPES
     return native and array.ndim <= _MOST_DIMENSIONS

@@ -1,8 +1,8 @@
 """An event by which the driver wakes an actor of its own node that waits for its next call.
 
-Ray's main loop looks a hundred times a second for signals, except inside a call: 3 ms of CPU time a second,
-and what each look pushes out of the caches. So an actor that is to be called in a while waits for this event
-inside a call.
+Ray's main loop checks for signals a hundred times a second, except inside a call: 3 ms of CPU time a second,
+plus the cache lines that each check evicts. So an actor that has to wait for its next call waits for this
+event inside a call.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class WakeupHandle:
     descriptor : int
         The owner's file descriptor of the pipe to read from.
     inode : int
-        Of that pipe: with another one the descriptor means something else by now.
+        Of that pipe: with another one the descriptor has been reused.
     """
 
     owner: int
@@ -35,12 +35,12 @@ class WakeupHandle:
 
 
 class WakeupEvent:
-    """Wakes one waiting process each time it is set, also one that begins to wait later.
+    """Wakes one waiting process each time it is set, even one that begins to wait later.
 
     Attributes
     ----------
     handle : WakeupHandle
-        For the process that is to wait.
+        For the process that waits.
     """
 
     def __init__(self) -> None:
@@ -54,13 +54,13 @@ class WakeupEvent:
             self._writing.write(b"!")
 
     def close(self) -> None:
-        """Wake all that still wait, and all that ever will."""
+        """Wake all present and future waiters."""
         self._writing.close()
         self._reading.close()
 
 
 def wait_until_woken(handle: WakeupHandle) -> None:
-    """Wait until the event is set, or is gone with its owner."""
+    """Wait until the event is set, or its owner is gone."""
     end = Path(f"/proc/{handle.owner}/fd/{handle.descriptor}")
     with suppress(OSError), end.open("rb", buffering=0) as pipe:
         if os.fstat(pipe.fileno()).st_ino == handle.inode:

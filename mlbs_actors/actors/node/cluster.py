@@ -1,8 +1,8 @@
 """All nodes of a Ray cluster as one host of streams: each stream runs on one node, frames never leave it.
 
-A node is looked over once, before the first stream is placed on it: how many streams it can hold, and
-whether what all nodes must share is there. Nodes may join and be lost at any time; a stream whose node is
-lost is started again by whoever drives it, on another.
+A node is checked once, before the first stream is placed on it: how many streams it can hold, and whether it
+sees the shared folder. Nodes may join and be lost at any time; a stream whose node is lost is started again
+by the driver, on another.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -28,10 +28,10 @@ from mlbs_actors.errors import ActorLostError
 
 __all__ = ["Cluster"]
 
-#: How often new and lost nodes are looked for, s.
+#: Interval of checks for new and lost nodes, s.
 _LOOK_SECONDS = 2.0
 
-#: How long a node may take to answer, s: its first answer needs a new process.
+#: Timeout for the answer of a node, s: its first answer needs a new process.
 _ANSWER_SECONDS = 60.0
 
 
@@ -57,7 +57,7 @@ class Cluster:
         Run on each node: returns how many streams it can hold, or raises an MlbsError that says why it can
         hold none.
     say : callable
-        Told, as a sentence, which nodes join, are lost or cannot be used.
+        Receives a message when a node joins, is lost or cannot be used.
     parts : PartFactory, optional
     policy : PoolPolicy, optional
         As for :class:`Node`.
@@ -74,7 +74,7 @@ class Cluster:
         self._places = places
         self._say = say
         self._parts = parts
-        self._policy = policy
+        self._policy = policy or PoolPolicy()
         self._own = ray.get_runtime_context().get_node_id()
         self._members: dict[str, _Member] = {}
         self._asked: dict[str, Reference] = {}
@@ -84,13 +84,13 @@ class Cluster:
         self._look(_ANSWER_SECONDS)
 
     def places(self) -> int:
-        """How many streams all nodes together can hold by now; at least 1."""
+        """Return how many streams all nodes together can hold by now; at least 1."""
         with self._changing:
             self._look(0.0)
             return max(1, sum(member.places for member in self._members.values()))
 
     def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
-        """Start a stream where its reader lives, else on the node with most room, of those with its file.
+        """Start a stream where its reader lives, else on the node with most room among those with its file.
 
         Raises
         ------
@@ -110,9 +110,9 @@ class Cluster:
         return _Placed(member.node.start(spec, earlier), member)
 
     def repair(self) -> None:
-        """Forget lost nodes, and mend the others; streams that were there must be started again."""
+        """Drop lost nodes, and repair the others; streams that were there must be started again."""
         with self._changing:
-            # Ray takes some time to find a node lost; whether it answers is known at once.
+            # Ray notices the loss of a node late; the lack of an answer shows it at once.
             answers = {node: ask(_here, node=node) for node in self._members}
             for node in [node for node, answer in answers.items() if not _is_true(answer)]:
                 self._lose(node)
@@ -121,12 +121,12 @@ class Cluster:
             member.node.repair()
 
     def close(self) -> None:
-        """End what the nodes' streams left behind."""
+        """End the remaining processes on all nodes."""
         for member in self._members.values():
             member.node.close()
 
     def _look(self, patience: float) -> None:
-        """Take in what has changed; wait so long for the answers of new nodes, s."""
+        """Update the list of nodes; wait up to this time for the answers of new ones, s."""
         if time.monotonic() - self._looked < _LOOK_SECONDS:
             return
         self._looked = time.monotonic()
@@ -149,7 +149,8 @@ class Cluster:
         except RayError as error:
             self._say(f"The node {address} is not used: {last_line(error)}.")
             return
-        self._members[node] = _Member(Node(node, parts=self._parts, policy=self._policy), places)
+        policy = replace(self._policy, streams=places)
+        self._members[node] = _Member(Node(node, parts=self._parts, policy=policy), places)
         self._say(f"The node {address} takes up to {places} of the streams.")
 
     def _lose(self, node: str) -> None:
@@ -157,7 +158,7 @@ class Cluster:
         self._say("A node of the cluster is lost; its streams go on elsewhere.")
 
     def _with_file(self, path: Path) -> dict[str, _Member]:
-        """Nodes where a file is; all if it is nowhere, so that the stream itself says so."""
+        """Return the nodes where a file is; all if it is nowhere, so that the stream itself reports it."""
         if len(self._members) == 1:
             return self._members
         asked = {node: ask(path.exists, node=node) for node in self._members}
@@ -165,7 +166,7 @@ class Cluster:
 
 
 class _Placed:
-    """A running stream that gives its place on a node back when it is stopped."""
+    """A running stream that frees its place on a node when it is stopped."""
 
     def __init__(self, stream: StreamActors, place: _Member) -> None:
         self.stream = stream
@@ -189,12 +190,12 @@ class _Placed:
 
 
 def _here() -> bool:
-    """The answer of a node that is there."""
+    """Answer from a node."""
     return True
 
 
 def _is_true(answer: Reference) -> bool:
-    """Whether an answer is true; it is not if none comes."""
+    """Whether an answer is true; False if there is none."""
     try:
         return bool(ray.get(answer, timeout=_ANSWER_SECONDS))
     except (RayError, GetTimeoutError):

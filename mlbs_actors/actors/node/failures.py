@@ -1,4 +1,4 @@
-"""From whatever Ray raises to one of this package's errors, with a sentence about the stream."""
+"""Translates Ray's errors to this package's, with a message about the stream."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = [
     "source_failure",
 ]
 
-#: Parts of a stream, as sentences name them.
+#: Parts of a stream, as named in messages.
 COORDINATOR = "coordinator"
 POOL = "pool of layer processes"
 SEGMENTER = "segmenter"
@@ -51,7 +51,7 @@ def explain(error: BaseException, stream: str, roles: Mapping[str, str]) -> Mlbs
     Returns
     -------
     MlbsError
-        The actor's own if it raised one, ActorLostError if a process was lost, LayerError else.
+        The actor's own if it raised one, ActorLostError if a process was lost, else LayerError.
     """
     cause = cause_of(error)
     if isinstance(cause, MlbsError):
@@ -76,19 +76,19 @@ def explain(error: BaseException, stream: str, roles: Mapping[str, str]) -> Mlbs
 
 
 def is_loss(error: BaseException) -> bool:
-    """Whether a process, or what it held, is gone: nothing says that it would happen again."""
+    """Whether a process, or its data, is lost, which need not happen again."""
     return isinstance(cause_of(error), (*LOST_PROCESS, ObjectLostError, ChannelClosedError))
 
 
 def reader_lost(stream: str, frames: int) -> ActorLostError:
-    """Say that the process that reads a stream is gone, after so many frames."""
+    """Report that the process that reads a stream is gone, after this many frames."""
     return ActorLostError(f"The process that reads stream {stream!r} died after {count_of(frames, 'frame')}.")
 
 
 def source_failure(error: BaseException, source: str, frames: int) -> SourceError:
     """Turn any failure of a stream's reader into a SourceError.
 
-    Only the type of an unexpected exception is stated: its text may hold the source's address, and with it
+    Only the type of an unexpected exception is stated: its text may contain the source's address, and with it
     a password.
 
     Parameters
@@ -96,9 +96,9 @@ def source_failure(error: BaseException, source: str, frames: int) -> SourceErro
     error : BaseException
         As raised by ``ray.get``.
     source : str
-        What was read, without credentials.
+        The source, without credentials.
     frames : int
-        Frames that were read before.
+        Frames read before.
     """
     cause = cause_of(error)
     if isinstance(cause, SourceError):

@@ -1,12 +1,12 @@
-"""Processes that are made ready beforehand take only what those that work on frames leave.
+"""Low priority for processes that are prepared in advance, so that they do not delay frames.
 
-To import and load all that a layer needs takes a second of CPU time. On a machine that has no core to spare,
-frames would wait for it: dozens of times each, because every process on a frame's way would find the core
-taken for a few milliseconds. A process that somebody waits for does not step back: on a busy machine it
+Importing and loading everything that a layer needs takes a second of CPU time. On a machine without a free
+core, frames would wait for it: dozens of times each, because every process on a frame's way would find the
+core busy for a few milliseconds. A process that somebody waits for keeps its priority: on a busy machine it
 could take a minute.
 
-A thread may always become one that runs when no other wants to, but leave that again only as root or within
-``RLIMIT_NICE``; where it may not, it does not step back.
+Any thread may set its policy to ``SCHED_IDLE``, but revert it only as root or within ``RLIMIT_NICE``; where
+it may not, its priority is kept.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["stepping_back"]
 def stepping_back(*, awaited: bool) -> Iterator[None]:
     """Run the calling thread only when no other wants to run, until the end of the ``with`` block.
 
-    Where somebody waits for its process, or where it could not come back from that, it runs as before.
+    Its priority is kept if somebody waits for its process, or if it could not be reverted.
     """
     if awaited or not _may_come_back():
         yield

@@ -1,4 +1,4 @@
-"""Actor processes: how every one of them is started on a node, named and ended."""
+"""Actor processes: starting, identifying and ending them on a node."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import ray
 from ray.exceptions import GetTimeoutError, OutOfMemoryError, RayActorError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.priority import stepping_back
 from mlbs_actors.actors.node.process_memory import settle_memory
 
@@ -26,25 +26,25 @@ __all__ = [
     "spawn_standby",
 ]
 
-#: A Ray actor handle; Ray makes its methods at run time, so there is no type to state.
+#: A Ray actor handle; Ray makes its methods at run time, so it has no static type.
 Handle: TypeAlias = Any
 
-#: A Ray object reference; what it refers to is known where it is made.
+#: A Ray object reference; its type is known where it is created.
 Reference: TypeAlias = "ray.ObjectRef[Any]"
 
-#: What calls of an actor raise whose process is gone: one that Ray has ended because the machine ran out of
-#: memory is told in another way than all others.
+#: Errors of calls to actors whose process is gone; Ray reports those that it has ended for lack of memory
+#: separately.
 LOST_PROCESS = (RayActorError, OutOfMemoryError)
 
-#: How long it may take until Ray has noticed that a process is gone, s.
+#: How long Ray may take to notice that a process is gone, s.
 NOTICE_SECONDS = 10.0
 
 
 def spawn(kind: type, *arguments: object, node: str) -> Handle:
     """Start an actor on one node and return at once.
 
-    Ray's own restarts and retries are off: a restarted actor would be an empty one, and a retried call
-    could feed a frame to a model twice. Zero CPUs are asked for, since a stream's processes take turns.
+    Ray's own restarts and retries are off: a restarted actor would be an empty one, and a retried call could
+    feed a frame to a model twice. Zero CPUs are requested, since a stream's processes share cores.
 
     Parameters
     ----------
@@ -53,39 +53,39 @@ def spawn(kind: type, *arguments: object, node: str) -> Handle:
     *arguments : object
         Its constructor's arguments.
     node : str
-        Ray's id of the node; the process is there or nowhere.
+        Ray's id of the node; there is no fallback to another one.
 
     Returns
     -------
     Handle
-        What goes wrong at the start shows in the first call.
+        Errors at the start are raised by the first call.
     """
     actor: Handle = ray.remote(num_cpus=0, max_restarts=0, max_task_retries=0)(kind)
     return actor.options(scheduling_strategy=_there_or_nowhere(node)).remote(*arguments)
 
 
 def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node: str) -> Handle:
-    """Start an actor's process before it is known what the actor is to do; returns at once.
+    """Start an actor's process before its arguments are known; return at once.
 
     Parameters
     ----------
     kind : type
         As for :func:`spawn`.
     warm : callable
-        Picklable; called in the process, to import what the actor will need. Then its memory is settled.
+        Picklable; called in the process, to import what the actor will need. Then its memory is tuned.
     awaited : bool
-        Whether somebody waits for the process; else it takes only the time that others leave.
+        Whether somebody waits for the process; else it has low priority.
     node : str
 
     Returns
     -------
     Handle
-        Call its ``become`` first, with the constructor's arguments; what goes wrong at the start shows there.
-        Arguments with a name are only waited for: calls of different actors may overtake each other.
+        Call its ``become`` first, with the constructor's arguments; errors at the start are raised there.
+        Keyword arguments are only waited for: calls of different actors may overtake each other.
     """
 
     def wait(self: object) -> None:
-        look_round_seldom()
+        relax_thread_timers()
         with stepping_back(awaited=awaited):
             warm()
         settle_memory()
@@ -112,7 +112,7 @@ def _there_or_nowhere(node: str) -> NodeAffinitySchedulingStrategy:
 
 
 def identity(handle: Handle) -> str:
-    """Ray's id of an actor, the one that errors about it carry."""
+    """Return Ray's id of an actor, which errors about it contain."""
     return str(handle._actor_id.hex())
 
 

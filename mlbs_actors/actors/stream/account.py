@@ -1,4 +1,4 @@
-"""How a stream stands: what its source has given so far, and how long the work on it takes."""
+"""Statistics of a stream: what its source has delivered, and how long the work on it takes."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ __all__ = ["StreamAccount"]
 
 
 class StreamAccount:
-    """What a stream's coordinator has been given, for snapshots and for who asks how the stream stands.
+    """Counts of a stream's source and times of its label maps, for snapshots and progress reports.
 
     Parameters
     ----------
     most_frames : int, optional
-        After so many the stream ends.
+        Length limit of the stream.
 
     Attributes
     ----------
@@ -33,9 +33,9 @@ class StreamAccount:
     position : SourcePosition
         Of the last one.
     silence : SourceSilence, optional
-        What the source has answered instead of a frame, the last time it was asked.
+        The source's last answer, if that was no frame.
     problem : str, optional
-        Why the stream is not whole.
+        Why the stream is incomplete.
     """
 
     def __init__(self, most_frames: int | None) -> None:
@@ -44,7 +44,7 @@ class StreamAccount:
         self.position = SourcePosition()
         self.silence: SourceSilence | None = None
         self.problem: str | None = None
-        self._length: int | None = None  # of the source, as that says
+        self._length: int | None = None  # as stated by the source
         self._stage_sums: dict[str, float] = {}
         self._labelled = 0
 
@@ -54,7 +54,7 @@ class StreamAccount:
         self.position = position
 
     def take(self, frame: SourceFrame | SourceSilence) -> None:
-        """Note what the source has answered."""
+        """Count a frame of the source, or remember its silence."""
         if isinstance(frame, SourceSilence):
             self.silence = frame
             return
@@ -64,18 +64,18 @@ class StreamAccount:
         self._length = frame.length
 
     def label(self, segmentation: Segmentation) -> None:
-        """Note how long a label map took."""
+        """Add the stage times of a label map."""
         self._labelled += 1
         for stage, milliseconds in segmentation.stage_ms.items():
             self._stage_sums[stage] = self._stage_sums.get(stage, 0.0) + milliseconds
 
     @property
     def read(self) -> int:
-        """Frames taken from the source: a gap is none."""
+        """Frames taken from the source, without gaps."""
         return self.counts.total() - self.counts["gap"]
 
     def progress(self, committed: int, layers: int, *, done: bool, kept_waiting: bool) -> StreamProgress:
-        """Report, with the mean times of the label maps since the last report."""
+        """Report the counts, with the mean times of the label maps since the last report."""
         lengths = [length for length in (self._length, self._most_frames) if length is not None]
         means = {stage: total / self._labelled for stage, total in self._stage_sums.items()}
         self._stage_sums, self._labelled = {}, 0

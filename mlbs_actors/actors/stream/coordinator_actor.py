@@ -1,9 +1,9 @@
-"""The coordinator of a stream in a process of its own: the conductor of the stream's other processes.
+"""The coordinator actor, which conducts the other processes of its stream.
 
-It fetches the frames, finds out what each layer needs to know, and has the segmenter label them with the
-layers, so that no picture passes through it twice and none through the driver. It runs ahead
-of the layers by at most two frames: it tracks and clusters frame t+1 beside their work on t−1 and t, and then
-waits for the label map of t−1, by which it decides which layers live.
+It fetches the frames, computes the evidence for each layer, and has the segmenter label them with the layers,
+so that no picture passes through it twice and none through the driver. It runs ahead of the layers by at most
+two frames: it tracks and clusters frame t+1 while they work on t−1 and t, and then waits for the label map of
+t−1, which decides which layers live.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import sys
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -32,7 +32,7 @@ from mlbs_actors.actors.node.failures import (
     reader_lost,
     source_failure,
 )
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, identity
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.account import StreamAccount
@@ -67,19 +67,19 @@ __all__ = ["CoordinatorActor", "StreamLinks"]
 
 _log = logging.getLogger(__name__)
 
-#: After this long a burst takes no more frames, s: the driver asks who has come to an end, and who hangs.
+#: A burst takes no more frames after this time, s: the driver checks for streams that have ended, or hang.
 _BURST_SECONDS = 1.5
 
-#: A burst ends where its source keeps it waiting for longer, s: another stream has its next frame at hand.
+#: A burst ends where its source takes longer for a frame, s: another stream may have one ready.
 _SOURCE_SECONDS = 0.01
 
-#: Frames after which the sink is asked what it has kept, at the latest.
+#: Most frames between two queries of what the sink has kept.
 _COLLECT_FRAMES = 8
 
-#: Frames that are passed over in one burst on the way back to a snapshot.
+#: Frames that are skipped in one burst on the way back to a snapshot.
 _SKIPPED_FRAMES = 64
 
-#: How long a snapshot is waited for without which frames would be lost, s.
+#: Timeout for a snapshot without which frames would be lost, s.
 _SNAPSHOT_SECONDS = 30.0
 
 
@@ -115,7 +115,7 @@ class CoordinatorActor:
 
     def __init__(self, spec: StreamSpec, parts: PartFactory, links: StreamLinks, run: int) -> None:
         limit_process()
-        look_round_seldom()
+        relax_thread_timers()
         self._spec = spec
         self._links = links
         self._coordinator = parts.coordinator(spec.config)
@@ -128,16 +128,16 @@ class CoordinatorActor:
         self._layers = LiveLayers(links.pool, run, spec.config)
         self._labelling = Labelling(links.segmenter, self._slots)
         self._record = Record(links.sink, run, spec, self._slots)
-        # Not yet labelled, in source order; a picture with where the others find it.
+        # Not yet labelled, in source order; a picture with its reference.
         self._waiting: deque[tuple[Shared[SourceFrame] | None, SourceFrame]] = deque()
-        # The newest that came back, by the engine's frame index.
+        # The newest results, by the engine's frame index.
         self._segmentations: dict[int, Shared[Segmentation]] = {}
         self._account = StreamAccount(spec.max_frames)
         self._ended: StreamProgress | MlbsError | None = None
         self._begun = self._interrupted = False
         self._to_skip = 0
         self._saved = 0  # rows of the source before the newest snapshot
-        self._earliest_snapshot = 0.0  # the first one waits for its rows only
+        self._earliest_snapshot = 0.0  # the first snapshot depends on its rows only
         self._writer = StateWriter()
 
     def advance(self, frames: int) -> StreamProgress:
@@ -170,8 +170,8 @@ class CoordinatorActor:
             try:
                 progress = self._burst(frames)
             except Exception as error:
-                # Whatever it is, it ends this stream alone, as one sentence; what nobody raised on purpose
-                # goes to the log with its traceback.
+                # Any error ends this stream alone, with one sentence; unexpected ones are logged with their
+                # traceback.
                 if not isinstance(error, MlbsError | RayError | ChannelClosedError):
                     _log.exception("Stream %r failed unexpectedly.", self._spec.name)
                 cause = self._cause_of_loss() if isinstance(error, ChannelClosedError) else error
@@ -222,12 +222,12 @@ class CoordinatorActor:
         return self._progress(done=False, kept_waiting=kept_waiting)
 
     def _collect(self) -> None:
-        """See what the sink has kept by now: the source need not give that again."""
+        """Query what the sink has kept by now; the source can forget that."""
         self._record.collect()
         self._source.forget(self._record.kept)
 
     def _begin(self) -> None:
-        """Go back to the snapshot that the record names, if it names one."""
+        """Start, from the snapshot that the record names, if any."""
         opening = self._record.opening()
         self._snapshots = opening.snapshots
         if opening.resume_from is not None:
@@ -241,10 +241,10 @@ class CoordinatorActor:
         state = read_state(folder / CONDUCTOR_FILE, ConductorState)
         self._coordinator.state = read_state(folder / COORDINATOR_FILE, type(self._coordinator.state))
         self._layers.restore(state.layers)
-        slots = [self._slots.take("segmentation") for _ in range(2)]  # not given back
+        slots = [self._slots.acquire("segmentation") for _ in range(2)]  # kept for ever
         self._segmentations |= self._labelling.restore(folder, state.layers, slots)
         for frame in state.waiting:
-            shared = None if frame.image is None else self._memory.share(frame, self._slots.take("frame"))
+            shared = None if frame.image is None else self._memory.share(frame, self._slots.acquire("frame"))
             self._waiting.append((shared, frame))
         self._account.restore(state.counts, state.position)
         self._saved = state.position.rows
@@ -260,7 +260,7 @@ class CoordinatorActor:
             raise self._reader_failure(error) from None
 
     def _skip(self) -> None:
-        """Pass over some of the frames that the snapshot has seen: in bursts, so that others see it go on."""
+        """Skip some of the frames before the snapshot: in bursts, so that the driver sees progress."""
         frames = min(self._to_skip, _SKIPPED_FRAMES)
         try:
             self._source.skip(frames)
@@ -269,7 +269,7 @@ class CoordinatorActor:
         self._to_skip -= frames
 
     def _save(self) -> None:
-        """Let every part write its state, each after the same frame; the work goes on meanwhile."""
+        """Have every part write its state, all after the same frame, while the work continues."""
         assert self._snapshots is not None
         self._await_snapshot()
         if self._spec.replayable:
@@ -282,11 +282,11 @@ class CoordinatorActor:
         self._writer.write({CONDUCTOR_FILE: own, COORDINATOR_FILE: self._coordinator.state}, folder)
         shared = (CONDUCTOR_FILE, COORDINATOR_FILE, SEGMENTER_FILE, PUBLISHED_FILE)
         parts = (*shared, *(layer_file(one.layer) for one in layers))
-        self._record.offer(Snapshot(folder, self._record.rows, self._record.label_maps, parts))
+        self._record.submit_snapshot(Snapshot(folder, self._record.rows, self._record.label_maps, parts))
         self._saved = self._account.position.rows
 
     def _save_where_it_stands(self) -> None:
-        """Have a snapshot of right now: what a live source has given will not be given again."""
+        """Save the present state: frames of a live source cannot be read again."""
         if self._snapshots is not None and not self._spec.replayable:
             if self._saved != self._account.position.rows:
                 self._save()
@@ -299,7 +299,7 @@ class CoordinatorActor:
 
     @property
     def _progressed(self) -> int:
-        """What snapshots are counted by: most rows of a live source can be drops, which cost no work."""
+        """The count that snapshots depend on: most rows of a live source can be drops, which cost no work."""
         return self._record.rows if self._spec.replayable else self._record.label_maps
 
     def _next_frame(self) -> tuple[Shared[SourceFrame] | None, SourceFrame | SourceSilence] | None:
@@ -317,14 +317,14 @@ class CoordinatorActor:
             return None
 
     def _reader_failure(self, error: RayError) -> MlbsError:
-        # What aborts the decoding of a file every time is its damage; a live source shows it only once.
+        # Repeated aborts mean that a file is damaged; a live source cannot be read again.
         damaged = self._spec.replayable and self._spec.last_try
         if not damaged and (is_loss(error) or isinstance(error, GetTimeoutError)):
             return reader_lost(self._spec.name, self._account.read)
         return source_failure(error, self._spec.source, self._account.read)
 
     def _track(self, image: Array) -> None:
-        """Let the engine's coordinator take the next picture, and start the work that it makes possible."""
+        """Process the next picture, and start the work that it makes possible."""
         index = self._account.counts["ok"] - 1  # the engine counts the frames it is given
         wanted = self._coordinator.feedback_index(index)
         feedback = None if wanted is None else partial(self._labelled, wanted)
@@ -332,42 +332,42 @@ class CoordinatorActor:
             self._label(evidence)
 
     def _labelled(self, frame_index: int) -> Segmentation:
-        """Wait for a label map: this is what holds the coordinator back to the pace of the layers."""
+        """Wait for a label map, which limits the coordinator to the pace of the layers."""
         while frame_index not in self._segmentations:
             self._write_next_labelled()
-        # None before it is asked for any more.
+        # Older ones will not be needed any more.
         self._segmentations = {t: one for t, one in self._segmentations.items() if t >= frame_index}
-        segmentation = self._memory.taken(self._segmentations[frame_index])
+        segmentation = self._memory.load(self._segmentations[frame_index])
         self._account.label(segmentation)
         return segmentation
 
     def _label(self, evidence: FrameEvidence) -> None:
-        """Start all the work on one frame whose evidence is complete."""
+        """Start labelling one frame whose evidence is complete."""
         frame, delivered = self._waiting.popleft()
-        assert frame is not None  # what has no picture is a gap
+        assert frame is not None  # a frame without picture is a gap
         if evidence.retired:
             self._labelling.retire(evidence.retired)
         assigned = tuple(
-            AssignedProcess(layer, offer, self._slots.take("state"))
-            for layer, offer in self._layers.follow(evidence)
+            AssignedProcess(layer, address, self._slots.acquire("state"))
+            for layer, address in self._layers.follow(evidence)
         )
-        told, labelled = self._slots.take("evidence"), self._slots.take("segmentation")
-        posteriors = tuple(self._slots.take("posterior") for _ in evidence.tracks)
+        evidence_slot, answer = self._slots.acquire("evidence"), self._slots.acquire("segmentation")
+        posteriors = tuple(self._slots.acquire("posterior") for _ in evidence.tracks)
         wants = self._spec.wants_background
         wanted = bool(evidence.tracks) and wants is not None and wants(delivered.index)
-        background = self._slots.take("appearance") if wanted else None
-        shared = self._memory.share(evidence, told)
-        self._labelling.start(FrameWork(shared, frame, labelled, posteriors, assigned, background))
+        background = self._slots.acquire("appearance") if wanted else None
+        shared = self._memory.share(evidence, evidence_slot)
+        self._labelling.start(FrameWork(shared, frame, answer, posteriors, assigned, background))
         self._record.expect(frame)
         self._write_gaps()
 
     def _write_labelled(self) -> None:
-        """Hand over the label maps that are there, without waiting."""
+        """Send finished label maps to the sink, without waiting."""
         while self._labelling.has_answer():
             self._write_next_labelled()
 
     def _await_labelled(self) -> None:
-        """Wait for all label maps whose work was started, and hand them over."""
+        """Wait for all label maps under way, and send them to the sink."""
         while self._labelling.under_way:
             self._write_next_labelled()
 
@@ -377,13 +377,13 @@ class CoordinatorActor:
         self._record.write(labelled.segmentation, labelled.background)
 
     def _write_gaps(self) -> None:
-        """Hand over the rows without a label map that only waited for the label maps before them."""
+        """Send the rows without a label map that follow the label maps sent so far."""
         while self._waiting and (status := self._waiting[0][1].status) != "ok":
             _, frame = self._waiting.popleft()
             self._record.gap(frame.index, frame.pts, status)
 
     def _finish(self) -> StreamProgress:
-        self._account.silence = None  # of a stream that ends it is no fault
+        self._account.silence = None  # no fault in a stream that ends
         if self._interrupted:
             self._save_where_it_stands()
             self._record.provisional()
@@ -391,7 +391,7 @@ class CoordinatorActor:
             self._label(evidence)
         self._await_labelled()
         self._labelling.close()
-        # Nobody writes a snapshot any more when the record is closed, which removes them all.
+        # All snapshots must be written before the record is closed, which removes them.
         ray.get([*self._layers.served(), self._labelling.served])
         self._writer.finish()
         self._layers.release_all()
@@ -404,7 +404,7 @@ class CoordinatorActor:
         return self._progress(done=True)
 
     def _close_after_failure(self) -> None:
-        """Commit what was labelled before, and what still is."""
+        """Commit the label maps that are done or still under way."""
         self._source.stop()
         with suppress(ChannelClosedError, RayError):
             self._await_labelled()
@@ -412,7 +412,7 @@ class CoordinatorActor:
         self._record.close_after_failure()
 
     def _cause_of_loss(self) -> Exception:
-        """Why the segmenter or a layer has closed its channel: what the one that did so first has raised."""
+        """Return why the segmenter or a layer has closed its channel: the first exception of one of them."""
         waiting = [*self._layers.served(), self._labelling.served]
         deadline = time.monotonic() + NOTICE_SECONDS
         while waiting and (left := deadline - time.monotonic()) > 0:
@@ -427,9 +427,10 @@ class CoordinatorActor:
         )
 
     def _progress(self, *, done: bool, kept_waiting: bool = False) -> StreamProgress:
-        return self._account.progress(
+        progress = self._account.progress(
             self._record.committed, len(self._layers), done=done, kept_waiting=kept_waiting
         )
+        return replace(progress, without_process=self._layers.without_process)
 
     def _roles(self) -> dict[str, str]:
         links = self._links

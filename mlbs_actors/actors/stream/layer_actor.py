@@ -1,13 +1,14 @@
-"""One layer: what it does for each frame, and the process that it has for itself."""
+"""A layer in any process, and the actor that runs one in a process of its own."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from mlbs_actors.actors.ipc.channels import ChannelOffer, OfferedChannel
+from mlbs_actors.actors.ipc.channels import ChannelAddress, ChannelListener
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.priority import stepping_back
 from mlbs_actors.actors.node.process_memory import settle_memory
 from mlbs_actors.actors.parts import LayerPart, PartFactory
@@ -27,7 +28,7 @@ __all__ = ["LayerActor", "LayerStart", "LayerStep", "LayerWork"]
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LayerStart:
-    """The layer that a process is to be from now on, and the state of its part."""
+    """Assigns a layer to a process, with the state of its part."""
 
     own: SavedLayer
     state: Shared[CapturedState]
@@ -36,7 +37,7 @@ class LayerStart:
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LayerStep:
-    """A frame that a layer is to do.
+    """Asks a layer to process a frame.
 
     Attributes
     ----------
@@ -46,7 +47,7 @@ class LayerStep:
     answer : Slot
         For the posterior.
     appearance : Slot, optional
-        For what the layer remembers after that; None if nobody wants it.
+        For the remembered colours after that; None if not wanted.
     """
 
     evidence: Shared[FrameEvidence]
@@ -57,12 +58,12 @@ class LayerStep:
 
 
 class LayerWork:
-    """One layer at work, in whatever process.
+    """One layer and its frame order, in any process.
 
     Parameters
     ----------
     own : SavedLayer
-        How far it has come.
+        With the last frame done.
     part : LayerPart
         In the state of that frame.
     memory : SharedMemory
@@ -86,15 +87,15 @@ class LayerWork:
             return self.part.step(evidence, image, previous)
 
     def appearance(self, slot: Slot) -> Shared[LayerAppearance]:
-        """Return what the layer remembers after its last step."""
+        """Share the remembered colours after the last step."""
         return self._memory.share(self.part.appearance(), slot)
 
     def saved(self) -> dict[str, object]:
-        """Return what a snapshot is to hold of it, by the name of the file."""
+        """Return its part of a snapshot, by file name."""
         return {layer_file(self._own.layer): self.part.state}
 
     def hand_over(self, slot: Slot) -> LayerStart:
-        """What another process goes on with."""
+        """Share the state for another process, which will continue from it."""
         last = self._order.last
         if last is None:
             raise LayerError(f"Layer {self._own.layer} has failed; start the stream again.")
@@ -103,10 +104,10 @@ class LayerWork:
 
 
 class LayerActor:
-    """A warm process that is one layer after the other, of whatever stream.
+    """A warm process that runs one layer after the other, of any stream.
 
-    Calls carry the number of the start of a stream that they belong to: those of a stream that has lost its
-    coordinator may still come when the process is another stream's layer, and do nothing then.
+    Calls carry the number of their stream's start: late calls of a stream that lost its coordinator are
+    ignored when the process belongs to another stream.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ class LayerActor:
 
     def __init__(self, parts: PartFactory, awaited: bool) -> None:
         limit_process()
-        look_round_seldom()
+        relax_thread_timers()
         with stepping_back(awaited=awaited):
             parts.warm_layer()
         settle_memory()
@@ -126,48 +127,52 @@ class LayerActor:
         self._work: LayerWork | None = None
         self._writer = StateWriter()
 
-    def assign(self, run: int, config: Config) -> ChannelOffer:
-        """Be a layer of a stream, whichever its segmenter says.
+    def process_id(self) -> int:
+        """Return the process's id, once it is ready."""
+        return os.getpid()
+
+    def assign(self, run: int, config: Config) -> ChannelAddress:
+        """Join a stream, whose segmenter will choose the layer.
 
         Returns
         -------
-        ChannelOffer
-            Of the channel through which the layer and its steps are to come.
+        ChannelAddress
+            Of the channel for the layer and its steps.
         """
         self._run = run
         self._config = config
         self._memory = SharedMemory()
-        self._channel = OfferedChannel()
-        return self._channel.offer
+        self._channel = ChannelListener()
+        return self._channel.address
 
     def serve(self, run: int) -> None:
-        """Do the steps that come, and save the state where that is asked for, until no more can come."""
+        """Process steps and save requests until the channel is closed."""
         if run == self._run:
             self._channel.serve(self._answers)
             self._writer.finish()
 
     def begin(self, start: LayerStart) -> None:
-        """Become a layer, which goes on where the segmenter has left it."""
+        """Become a layer, from the state that the segmenter has shared."""
         own = start.own
         part = self._parts.layer(self._config, own.layer, own.kind)
-        part.state = self._memory.taken(start.state).state(type(part.state))
+        part.state = self._memory.load(start.state).state(type(part.state))
         self._work = LayerWork(own, part, self._memory)
 
     def step(self, step: LayerStep) -> Shared[LayerPosterior]:
         """See :meth:`LayerWork.step`."""
         assert self._work is not None  # begun
-        evidence, frame = self._memory.taken(step.evidence), self._memory.taken(step.frame)
-        previous = None if step.previous is None else self._memory.taken(step.previous)
+        evidence, frame = self._memory.load(step.evidence), self._memory.load(step.frame)
+        previous = None if step.previous is None else self._memory.load(step.previous)
         assert frame.image is not None  # a quarantined frame has no evidence
         return self._memory.share(self._work.step(evidence, frame.image, previous), step.answer)
 
-    def save(self, note: SaveState) -> None:
-        """Write the state, beside the work on the next frames."""
+    def save(self, message: SaveState) -> None:
+        """Write the state, in parallel with the next frames."""
         assert self._work is not None  # begun
-        self._writer.write(self._work.saved(), note.folder)
+        self._writer.write(self._work.saved(), message.folder)
 
     def release(self, run: int) -> None:
-        """Forget the layer, and with it its memory."""
+        """Drop the layer and its memory."""
         if run == self._run:
             self._run = self._work = None
             del self._memory, self._channel

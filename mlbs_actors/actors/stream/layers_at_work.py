@@ -1,8 +1,8 @@
-"""The layers of a stream as its segmenter has them: each in a process of its own, or in the segmenter's.
+"""The layers of a stream as its segmenter runs them: in the segmenter's process, or each in its own.
 
-A layer begins in the segmenter's process and moves to its own when it has one. To wait for that at a birth
-could hold up the stream by seconds: a process takes a second or two of CPU time until it is ready, and in a
-crowd dozens are born within seconds. What a layer answers does not depend on where it works.
+A layer begins in the segmenter's process and moves to its own when it has one. Waiting for that at a birth
+could hold up the stream by seconds: a process needs a second or two of CPU time until it is ready, and in a
+crowd dozens are born within seconds. A layer's results do not depend on where it runs.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mlbs_actors.actors.ipc.channels import Channel, ChannelOffer, take
+from mlbs_actors.actors.ipc.channels import Channel, ChannelAddress, connect
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layer_actor import LayerStep, LayerWork
@@ -25,7 +25,7 @@ from mlbs_actors.messages import (
     LayerAppearance,
     LayerPosterior,
     Segmentation,
-    received,
+    readonly,
 )
 from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.state_file import read_state
@@ -35,7 +35,7 @@ __all__ = ["AssignedProcess", "LayersAtWork", "SharedFrame"]
 
 @dataclass(frozen=True, slots=True)
 class SharedFrame:
-    """A frame as its segmenter has it, and where its layers find it.
+    """A frame in the segmenter's process, and the references for its layers.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class SharedFrame:
     previous : Segmentation or None
         Published result of the frame before.
     where_evidence, where_frame, where_previous : Shared
-        The same; ``where_previous`` None if there is none.
+        References to these; ``where_previous`` None if there is none.
     """
 
     evidence: FrameEvidence
@@ -58,19 +58,19 @@ class SharedFrame:
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class AssignedProcess:
-    """A layer that has a process of its own from now on.
+    """A process newly assigned to a layer.
 
     Attributes
     ----------
     layer : int
-    offer : ChannelOffer
+    address : ChannelAddress
         Of the process.
     state : Slot
-        For the layer's state on its way there.
+        For moving the layer's state there.
     """
 
     layer: int
-    offer: ChannelOffer
+    address: ChannelAddress
     state: Slot
 
 
@@ -80,7 +80,6 @@ class LayersAtWork:
     Parameters
     ----------
     parts : PartFactory
-    config : Config
     memory : SharedMemory
         Of the segmenter's process.
     """
@@ -99,7 +98,7 @@ class LayersAtWork:
             part.state = read_state(folder / layer_file(own.layer), type(part.state))
 
     def follow(self, evidence: FrameEvidence, assigned: Sequence[AssignedProcess]) -> None:
-        """Begin the layers that are new with a frame, then have some move to their processes.
+        """Create the layers that are new with a frame, then move some to their processes.
 
         Raises
         ------
@@ -110,13 +109,13 @@ class LayersAtWork:
             if own.layer not in self._here and own.layer not in self._elsewhere:
                 self._begin(SavedLayer(own.layer, own.kind, -1))
         for one in assigned:
-            channel = self._elsewhere[one.layer] = take(one.offer)
+            channel = self._elsewhere[one.layer] = connect(one.address)
             channel.send(self._here.pop(one.layer).hand_over(one.state))
 
     def step(
         self, frame: SharedFrame, answers: Mapping[int, Slot], appearance: Slot | None
     ) -> list[LayerPosterior]:
-        """Have layers do a frame beside each other, those of this process one after the other meanwhile.
+        """Have the layers process a frame in parallel; those of this process run one after the other.
 
         Parameters
         ----------
@@ -137,37 +136,37 @@ class LayersAtWork:
                 wanted = appearance if layer == BACKGROUND else None
                 self._elsewhere[layer].send(LayerStep(*where, answer, wanted))
         posteriors = {
-            layer: received(self._here[layer].step(frame.evidence, frame.image, frame.previous))
+            layer: readonly(self._here[layer].step(frame.evidence, frame.image, frame.previous))
             for layer in answers
             if layer in self._here
         }
         for layer in answers:
             if layer in self._elsewhere:
-                posteriors[layer] = self._memory.taken(self._elsewhere[layer].receive())
+                posteriors[layer] = self._memory.load(self._elsewhere[layer].receive())
         return [posteriors[layer] for layer in answers]
 
     def appearance(self, layer: int, slot: Slot) -> Shared[LayerAppearance]:
-        """Return what a layer remembers whose last step wanted that."""
+        """Return the remembered colours of a layer whose last step requested them."""
         if layer in self._here:
             return self._here[layer].appearance(slot)
         appearance: Shared[LayerAppearance] = self._elsewhere[layer].receive()
         return appearance
 
     def retire(self, layers: Sequence[int]) -> None:
-        """Forget layers; their processes serve no more."""
+        """Drop layers; their processes stop serving."""
         for layer in layers:
             self._here.pop(layer, None)
             if layer in self._elsewhere:
                 self._elsewhere.pop(layer).close()
 
-    def save(self, note: SaveState) -> dict[str, object]:
-        """Have the processes write their layers' states; return those of the others by their files."""
+    def save(self, message: SaveState) -> dict[str, object]:
+        """Have the other processes write their layers' states; return the local ones by file."""
         for channel in self._elsewhere.values():
-            channel.send(note)
+            channel.send(message)
         return {name: state for work in self._here.values() for name, state in work.saved().items()}
 
     def close(self) -> None:
-        """Let the processes serve no more."""
+        """Stop the other processes from serving."""
         for channel in self._elsewhere.values():
             channel.close()
 

@@ -1,4 +1,4 @@
-"""The coordinator's list of the layers that live, and of their processes."""
+"""The coordinator's view of the live layers and their processes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import ray
 
-from mlbs_actors.actors.ipc.channels import ChannelOffer
+from mlbs_actors.actors.ipc.channels import ChannelAddress
 from mlbs_actors.actors.node.processes import Handle, Reference, identity
 from mlbs_actors.actors.stream.saved_states import SavedLayer
 from mlbs_actors.config import Config
@@ -16,14 +16,14 @@ from mlbs_actors.messages import FrameEvidence, LayerKind
 
 __all__ = ["LiveLayers"]
 
-#: So many layers of a new stream have a process from its first frame on: nothing is under way that would be
-#: held up, and the pool starts processes for them when the stream is let in.
+#: Layers of a new stream that wait for a process at its first frame: no frame is under way yet, and the pool
+#: starts processes for them when the stream begins.
 _FIRST_LAYERS = 4
 
 
 @dataclass(slots=True)
 class _Living:
-    """A layer, how far it has been asked to go, its process, and what says that that serves no more."""
+    """A layer, the last frame requested of it, its process, and the reference of its ``serve`` call."""
 
     kind: LayerKind
     last_frame: int
@@ -32,11 +32,12 @@ class _Living:
 
 
 class LiveLayers:
-    """The coordinator's list of its layers: layer id → process, over births and retirements.
+    """The processes of the live layers by id, over births and retirements.
 
     A layer is born without a process, and lives in the segmenter's
-    (:mod:`mlbs_actors.actors.stream.segmenter_actor`) until the pool has one for it. So a birth waits for
-    nothing, and where many are born at once their processes come one after the other, beside the frames.
+    (:mod:`mlbs_actors.actors.stream.segmenter_actor`) until the pool has one for it. So births never wait,
+    and where many are born at once their processes are started one after the other, beside the frames.
+    If the node's memory is too short for one, the layer stays there.
 
     Parameters
     ----------
@@ -44,7 +45,6 @@ class LiveLayers:
         The node's :class:`~mlbs_actors.actors.node.pool.PoolActor`.
     run : int
         The stream's number in that pool.
-    config : Config
     """
 
     def __init__(self, pool: Handle, run: int, config: Config) -> None:
@@ -52,41 +52,46 @@ class LiveLayers:
         self._run = run
         self._config = config
         self._living: dict[int, _Living] = {}
-        self._asked: deque[Reference] = deque()  # processes, of whatever layers
-        self._begun = False
+        self._asked: deque[Reference] = deque()  # processes, of any layer
+        self._begun = self._is_short = False
 
     def __len__(self) -> int:
         return len(self._living)
 
+    @property
+    def without_process(self) -> int:
+        """Number of layers without a process because the node's memory is too short."""
+        return self._is_short * sum(living.process is None for living in self._living.values())
+
     def roles(self) -> Iterator[tuple[str, str]]:
-        """Actor id and name of every layer process, for messages."""
+        """Yield actor id and name of every layer process, for messages."""
         for layer, living in self._living.items():
             if living.process is not None:
                 yield identity(living.process), f"layer {layer}"
 
     def served(self) -> list[Reference]:
-        """What raises why a layer's process serves no more, where that failed or is gone."""
+        """Return the ``serve`` calls of all layer processes, which raise why one has failed or is gone."""
         return [living.served for living in self._living.values() if living.served is not None]
 
     def state(self) -> tuple[SavedLayer, ...]:
-        """The layers as they stand, in ascending id."""
+        """Return the live layers, in ascending id."""
         return tuple(
             SavedLayer(layer, living.kind, living.last_frame)
             for layer, living in sorted(self._living.items())
         )
 
     def restore(self, layers: Iterable[SavedLayer]) -> None:
-        """Go back to a snapshot: to these layers, none of which has a process yet."""
+        """Go back to a snapshot: to these layers, all without a process."""
         self._living = {own.layer: _Living(own.kind, own.last_frame) for own in layers}
         self._begun = True
 
-    def follow(self, evidence: FrameEvidence) -> tuple[tuple[int, ChannelOffer], ...]:
-        """Give the retired layers' processes back, and take those that there are for layers without one.
+    def follow(self, evidence: FrameEvidence) -> tuple[tuple[int, ChannelAddress], ...]:
+        """Release the processes of retired layers, and assign available ones to layers without.
 
         Returns
         -------
-        tuple of (int, ChannelOffer)
-            The layers that have a process from this frame on, and the channels of these.
+        tuple of (int, ChannelAddress)
+            The layers that have a process from this frame on, and the addresses of their channels.
 
         Raises
         ------
@@ -103,35 +108,39 @@ class LiveLayers:
         return tuple(self._assigned(evidence))
 
     def release_all(self) -> None:
-        """Give all processes back, each once it serves no more."""
+        """Release all processes, each once it has stopped serving."""
         for layer in list(self._living):
             self._release(layer)
 
-    def _assigned(self, evidence: FrameEvidence) -> Iterator[tuple[int, ChannelOffer]]:
-        # Of those that do this frame: by their answer it is known that they have read the state they got.
+    def _assigned(self, evidence: FrameEvidence) -> Iterator[tuple[int, ChannelAddress]]:
+        # Only layers live in this frame: their answer to it confirms that they have read their state.
         waiting = deque(own.layer for own in evidence.tracks if self._living[own.layer].process is None)
         awaited = 0 if self._begun else min(len(waiting), _FIRST_LAYERS)
         self._begun = True
         while len(self._asked) < min(len(waiting), max(awaited, 1)):
             self._asked.append(self._pool.acquire.remote(self._run, self._config, awaited=awaited > 0))
         while self._asked and (awaited or _is_there(self._asked[0])):
-            process, offer = ray.get(self._asked.popleft())
+            answer = ray.get(self._asked.popleft())
+            awaited = max(awaited - 1, 0)
+            self._is_short = answer is None
+            if answer is None:  # asked again with the next frame
+                continue
+            process, address = answer
             if waiting:
                 layer = waiting.popleft()
                 self._living[layer].process = process
                 self._living[layer].served = process.serve.remote(self._run)
-                yield layer, offer
-            else:  # who it was asked for has retired, or sleeps
-                self._give_back(process)
-            awaited = max(awaited - 1, 0)
+                yield layer, address
+            else:  # the layer it was requested for has retired, or sleeps
+                self._release_process(process)
 
     def _release(self, layer: int) -> None:
         process = self._living.pop(layer).process
         if process is not None:
-            self._give_back(process)
+            self._release_process(process)
 
-    def _give_back(self, process: Handle) -> None:
-        # The layer's own answer is an argument of the pool's call, so the pool hears of it only when the
+    def _release_process(self, process: Handle) -> None:
+        # The layer's own answer is an argument of the pool's call, so the pool receives it only when the
         # process has done all its steps.
         self._pool.release.remote(self._run, identity(process), process.release.remote(self._run))
 

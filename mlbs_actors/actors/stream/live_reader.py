@@ -1,9 +1,9 @@
-"""The open source of a stream that shows nothing twice, a camera, in a process that outlives the others.
+"""The reader of a live source, a camera, in a process that outlives the others of its stream.
 
-What it has given since the stream's last snapshot it keeps in a ring. So a stream that lost its coordinator,
-a layer or any other process goes back and is given the same frames again; meanwhile the source goes on and
-drops what nobody has time for. If this very process is lost, the coordinator has a snapshot written of where
-it stands, and a new reader goes on from there.
+It keeps the frames since the stream's last snapshot in a ring. So a stream that lost its coordinator, a layer
+or any other process goes back and gets the same frames again; meanwhile the reader continues and drops frames
+that there is no time for. If this very process is lost, the coordinator saves a snapshot of the present
+state, and a new reader continues from there.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import ray
 from ray.exceptions import GetTimeoutError
 
-from mlbs_actors.actors.ipc.channels import ChannelOffer, OfferedChannel
+from mlbs_actors.actors.ipc.channels import ChannelAddress, ChannelListener
 from mlbs_actors.actors.ipc.shared_memory import SharedMemory, Slot, SlotPool
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import Handle
 from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourcePosition, SourceSilence
 from mlbs_actors.actors.stream.reader import LEAST_ASKED, Answer, ReadAhead, ReadNext, answer
@@ -27,15 +27,15 @@ from mlbs_actors.errors import SourceError
 
 __all__ = ["MOST_PICTURES", "Forget", "FrameRing", "LiveReadAhead", "LiveReaderActor"]
 
-#: Pictures that are kept: what comes in the time of two snapshots. At 1920×1080 that is 400 MB.
+#: Pictures that are kept, enough for the time between two snapshots. At 1920×1080 that is 400 MB.
 MOST_PICTURES = 64
 
-#: A live source answers twice a second; one that does not for so long is lost, s.
+#: A live source answers twice a second; without an answer for this long it counts as lost, s.
 _ANSWER_SECONDS = 60.0
 
 
 class FrameRing:
-    """The newest rows of a live source, by their numbers; at more pictures the oldest rows make way.
+    """The newest rows of a live source by number; above the most pictures the oldest rows are dropped.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class FrameRing:
     Attributes
     ----------
     next : int
-        Number of the row that comes next.
+        Number of the next row.
     """
 
     def __init__(self, most_pictures: int = MOST_PICTURES) -> None:
@@ -62,7 +62,7 @@ class FrameRing:
         return self._rows[row - self.first]
 
     def append(self, frame: SourceFrame) -> None:
-        """Take the next row."""
+        """Add the next row."""
         self._rows.append(frame)
         self.next += 1
         self._pictures += frame.image is not None
@@ -85,58 +85,57 @@ class FrameRing:
 
 @dataclass(frozen=True, slots=True)
 class Forget:
-    """Tells a live reader that nobody will go back to before so many rows."""
+    """Reports to a live reader that rows before this number will not be read again."""
 
     rows: int
 
 
 class LiveReaderActor:
-    """Reads a live source for one start of its stream after the other.
+    """Reads a live source for successive starts of its stream.
 
-    The rows are numbered here, on from where the stream goes on: the source's own numbers and times begin
-    anew with every process. What was given to a start before and cannot be given again is a row ``gap``.
+    Rows are numbered here, across starts: the source's own numbers and times restart with every process. Rows
+    that an earlier start had and that are not kept become a row ``gap``.
     """
 
     def __init__(self, open_reader: Callable[[], FrameReader]) -> None:
         limit_process()
-        look_round_seldom()
+        relax_thread_timers()
         self._open_reader = open_reader
         self._reader: FrameReader | None = None
         self._ring = FrameRing()
         self._memory = SharedMemory()  # of the newest start
-        self._row = 0  # that it asks for next
+        self._row = 0  # the next row of that start
         self._position = SourcePosition()
         self._lag: float | None = None  # of the source's times behind those of the stream, s
 
-    def go_on(self, position: SourcePosition) -> ChannelOffer:
-        """Give what comes after ``position`` to a new start of the stream, through the channel returned."""
-        self._channel, self._memory, self._row = OfferedChannel(), SharedMemory(), position.rows
+    def go_on(self, position: SourcePosition) -> ChannelAddress:
+        """Continue after ``position`` for a new start of the stream, through the channel returned."""
+        self._channel, self._memory, self._row = ChannelListener(), SharedMemory(), position.rows
         if not self._ring.first <= position.rows <= self._ring.next:
             self._position = position
             self._ring.begin_at(position.rows)
             self._ring.append(SourceFrame(position.rows, None, position.pts, _name(position.rows), "gap"))
-        return self._channel.offer
+        return self._channel.address
 
     def serve(self) -> None:
-        """Do what that start asks for, until no more can come; raises SourceError."""
+        """Answer that start until its channel is closed; raises SourceError."""
         self._channel.serve(self._answers)
 
-    def read(self, note: ReadNext) -> Answer:
+    def read(self, message: ReadNext) -> Answer:
         """Return the next row, or that there is none at present; raises SourceError.
 
-        A picture is a copy of what the ring keeps. If nothing fresh is asked for, None once all is given that
-        was given before.
+        A picture is copied from the ring. Without ``fresh``, None once all kept rows have been returned.
         """
         if self._row == self._ring.next:
-            said = self._ask_source() if note.fresh else None
+            said = self._ask_source() if message.fresh else None
             if not isinstance(said, SourceFrame):
                 return said
             self._ring.append(self._placed(said))
         self._row += 1
-        return answer(self._ring[self._row - 1], note.slot, self._memory)
+        return answer(self._ring[self._row - 1], message.slot, self._memory)
 
     def forget(self, rows: int) -> None:
-        """Forget what is before a snapshot after so many rows."""
+        """Forget the first ``rows`` rows, which a snapshot covers."""
         self._ring.forget(rows)
 
     def problem(self) -> str | None:
@@ -148,11 +147,11 @@ class LiveReaderActor:
         if self._reader is not None:
             self._reader.close()
 
-    def _answers(self, note: ReadNext | Forget) -> Iterator[Answer]:
-        if isinstance(note, Forget):
-            self.forget(note.rows)
+    def _answers(self, message: ReadNext | Forget) -> Iterator[Answer]:
+        if isinstance(message, Forget):
+            self.forget(message.rows)
         else:
-            yield self.read(note)
+            yield self.read(message)
 
     def _ask_source(self) -> SourceFrame | SourceSilence | None:
         try:
@@ -162,7 +161,7 @@ class LiveReaderActor:
         except SourceError as error:
             if self._ring.next == 0:
                 raise
-            # It has given pictures, if only to another process: such a source is waited for.
+            # It has delivered pictures, if only to another process: wait for such a source.
             self.close()
             self._reader = None
             return SourceSilence("reconnecting", str(error))
@@ -190,7 +189,7 @@ class LiveReadAhead(ReadAhead):
         As for :class:`ReadAhead`.
     """
 
-    _most_asked = LEAST_ASKED  # what a camera shows is not to grow old
+    _most_asked = LEAST_ASKED  # a camera's pictures must not grow old
 
     def __init__(self, reader: Handle, max_frames: int | None, slots: SlotPool, memory: SharedMemory) -> None:
         super().__init__(reader, max_frames, slots, memory)
@@ -199,16 +198,16 @@ class LiveReadAhead(ReadAhead):
         self._forgotten = 0
 
     def go_on(self, position: SourcePosition, frames: int) -> None:
-        """Have what comes after ``position`` and ``frames`` frames; instead of :meth:`begin`."""
+        """Continue after ``position`` and ``frames`` frames; instead of :meth:`begin`."""
         self._pass_over(frames)
         self._serve(ray.get(self._reader.go_on.remote(position)))
 
     def finish(self) -> None:
-        """Ask for what was given before, and for nothing new."""
+        """Ask only for the rows that the reader keeps, for nothing new."""
         self._fresh = False
 
     def keeps_up(self, seconds: float) -> bool:
-        """See :meth:`ReadAhead.keeps_up`; a camera is waited for, since nobody waits for its stream."""
+        """Return True: a camera is waited for, as its stream holds up no other."""
         return True
 
     def forget(self, rows: int) -> None:

@@ -1,4 +1,4 @@
-"""Each frame once and in order: the guard of every part that keeps a state."""
+"""Guard of every part with a state: each frame once and in order."""
 
 from __future__ import annotations
 

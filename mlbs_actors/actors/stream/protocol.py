@@ -1,4 +1,4 @@
-"""What a stream's actors and the program that drives them have agreed on.
+"""The interface between a stream's actors and the program that drives them.
 
 The driver builds a :class:`StreamSpec`, gives it to a :class:`StreamHost` and gets a
 :class:`RunningStream`; it then asks for one bounded burst of frames after the other::
@@ -16,8 +16,8 @@ has, those without a picture too, and is what the record calls a frame. A *frame
 (``Segmentation.frame_index``) counts the frames the engine was given, without gaps. They are the same
 until the first frame whose status is not ``"ok"``.
 
-A stream goes on where its record ends: :attr:`StreamSink.opening` names the snapshot that all its parts go
-back to. Frames and rows after it come a second time; the record takes those that it does not hold yet.
+A stream resumes where its record ends: :attr:`StreamSink.opening` names the snapshot that all its parts go
+back to. Frames and rows after it come a second time; the record skips those that it already has.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ __all__ = [
 #: Why a frame of the record has no label map.
 GapStatus = Literal["dropped", "gap", "quarantined"]
 
-#: What became of a frame on its way from the source.
+#: Status of a frame from the source.
 SourceStatus = Literal["ok", GapStatus]
 
 
@@ -71,14 +71,14 @@ class SourceFrame:
     name : str
         File name of the frame's mask, without extension.
     status : {"ok", "quarantined", "dropped", "gap"}
-        ``"quarantined"``: the frame is there but could not be decoded. ``"dropped"``: a camera sent it
-        and nobody had time for it. ``"gap"``: no frame but a time, beginning at ``pts``, in which a camera
-        sent none, or none that is left. They never reach the engine; the conductor tells the sink of them
-        (:meth:`StreamSink.gap`) in their place.
+        ``"quarantined"``: the frame exists but could not be decoded. ``"dropped"``: a camera sent it but
+        there was no time for it. ``"gap"``: no frame but a time, beginning at ``pts``, in which a camera sent
+        none, or none that is left. These never reach the engine; the coordinator reports them to the sink
+        (:meth:`StreamSink.gap`).
     original : (H', W', 3) uint8, optional
-        The picture as it was before its reader shrunk it, for the record; None if ``image`` is that.
+        The picture before its reader shrunk it, for the record; None if ``image`` is that.
     length : int, optional
-        How many frames the source says it has, for the user; None if it does not say. It may be wrong.
+        Number of frames as the source states it, for the user; None if unknown. It may be wrong.
     """
 
     index: int
@@ -97,13 +97,13 @@ class SourceSilence:
     Attributes
     ----------
     state : {"stalled", "reconnecting"}, optional
-        None if that is nothing unusual.
-    note : str, optional
+        None if that is normal.
+    reason : str, optional
         A sentence for the user, without credentials.
     """
 
     state: Literal["stalled", "reconnecting"] | None
-    note: str | None = None
+    reason: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,11 +113,11 @@ class SourcePosition:
     Attributes
     ----------
     rows : int
-        Frames and gaps taken.
+        Frames and gaps so far.
     pts : float
         Time of the last one, seconds from the source's first frame.
     time : float
-        When that was taken, by the machine's clock, seconds since 1970.
+        Wall clock time at which it was taken, seconds since 1970.
     """
 
     rows: int = 0
@@ -127,7 +127,7 @@ class SourcePosition:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The states of all parts of a stream after the same frame, each a file of one folder.
+    """The states of all parts of a stream after the same frame, one file each in a folder.
 
     Attributes
     ----------
@@ -148,14 +148,14 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """What an opened record says of the stream that it is to take.
+    """State of a record when it is opened.
 
     Attributes
     ----------
     snapshots : Path, optional
-        Where to put snapshots, each a folder named by its rows; None for none.
+        Folder for snapshots, each a subfolder named by its rows; None for no snapshots.
     resume_from : Snapshot, optional
-        What the stream goes back to; None for its start. The first row that comes is the one after it.
+        Where the stream resumes; None for its start. The next row is the one after it.
     """
 
     snapshots: Path | None = None
@@ -167,7 +167,7 @@ class FrameReader(Protocol):
 
     @property
     def problem(self) -> str | None:
-        """What was wrong with the source so far, as a sentence (truncated, damaged), or None.
+        """Damage of the source so far, as a sentence, or None.
 
         Complete once :meth:`read` has returned None.
         """
@@ -175,13 +175,13 @@ class FrameReader(Protocol):
     def read(self) -> SourceFrame | SourceSilence | None:
         """Return the next frame, or None at the end (and ever after).
 
-        A camera answers soon in any case: with a :class:`SourceSilence` if it has sent nothing.
+        A camera always answers soon: with a :class:`SourceSilence` if it has sent nothing.
 
         Raises
         ------
         SourceError
-            If the source cannot be read at all. Damage after the first frame is no error: the
-            reader returns None and states it in :attr:`problem`.
+            If the source cannot be read at all. Damage after the first frame is no error: the reader returns
+            None and reports it in :attr:`problem`.
         """
 
     def close(self) -> None:
@@ -191,36 +191,36 @@ class FrameReader(Protocol):
 class StreamSink(Protocol):
     """The open record of one stream, in the node's sink process.
 
-    Rows come in the order of their source indices, those once more that came before the stream went back to a
-    snapshot. The record of a live source counts what a snapshot covers: there is nothing else to go on from.
-    Every method raises SinkError if the record cannot be written; the stream then fails.
+    Rows come in the order of their source indices; rows after the snapshot to which a stream went back come
+    twice. In the record of a live source only rows covered by a snapshot count, as others cannot be read
+    again. Every method raises SinkError if the record cannot be written; the stream then fails.
     """
 
     @property
     def opening(self) -> Opening:
-        """Where the record stood when it was opened."""
+        """State of the record when it was opened."""
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
     ) -> int:
-        """Take one result; return how many label maps of this stream are committed by now.
+        """Write one result; return the number of label maps of this stream committed so far.
 
-        The arrays hold until the second label map after this one comes: what is to stay longer is copied.
-        ``background`` is what the background remembers at that frame, if
-        :attr:`StreamSpec.wants_background` asked for it.
-        A label map is committed once it would survive a kill, which may be some frames later.
+        The arrays are valid until the second label map after this one: copy what must stay longer.
+        ``background`` has the background's remembered colours at that frame, if requested by
+        :attr:`StreamSpec.wants_background`. A label map is committed once it would survive a kill, which may
+        be some frames later.
         """
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
-        """Record source frame ``index`` as one that has no label map; return as :meth:`write` does."""
+        """Record source frame ``index`` as one without a label map; return as :meth:`write` does."""
 
     def keep(self, snapshot: Snapshot) -> bool:
-        """Note that a snapshot may be gone back to; False if its files are not all there yet."""
+        """Register a snapshot to go back to; False if its files are not complete yet."""
 
     def provisional(self) -> None:
-        """The label maps from here on lack frames that would have followed: an interrupted stream's last.
+        """Mark the label maps from here on as provisional: an interrupted stream lacked later frames.
 
-        They are kept for whoever looks; a stream that goes on makes them anew.
+        They are kept to be looked at; a stream that resumes replaces them.
         """
 
     def close(self, *, whole: bool) -> int:
@@ -229,7 +229,7 @@ class StreamSink(Protocol):
         Parameters
         ----------
         whole : bool
-            Whether the stream came to its end: its snapshots are not needed any more.
+            Whether the stream came to its end, so that its snapshots can be removed.
         """
 
 
@@ -249,23 +249,23 @@ class StreamSpec:
     max_frames : int, optional
         The stream ends after this many frames of the source, those without a label map included.
     wants_background : callable, optional
-        Picklable; takes a source index and tells whether the sink wants the background's appearance with
-        that frame. By default it never does.
+            Picklable; returns for a source index whether the sink wants the background's appearance with
+            that frame. By default it never does.
     source : str
-        What ``open_reader`` opens, as messages name it: without credentials.
+        What ``open_reader`` opens, for messages: without credentials.
     line : int, optional
-        Where the stream stands in the list, from 1.
+        Line number in the list of streams, from 1.
     replayable : bool
         Whether the source gives the same frames again when it is opened again; else it is live.
     last_try : bool
-        The stream will not be started again: the death of a file's reader ends it with the frames before.
+        Whether this is the last start: if the reader of a file dies, the stream ends with the frames before.
     snapshot_rows : int
-        Rows of the record from one snapshot to the next, at least; of a live source label maps.
+        Least number of rows of the record between snapshots; of a live source label maps.
     snapshot_seconds : float
-        Time from one snapshot of a replayable source to the next, s, at least: quick streams would spend a
-        tenth of their time on snapshots. What a live one has given is kept for so many rows only.
+        Least time between snapshots of a replayable source, s: quick streams would spend a tenth of their
+        time on snapshots. A live reader keeps its frames for a limited number of rows only.
     path : Path, optional
-        The file or folder that ``open_reader`` reads; None for what every machine can reach.
+        The file or folder that ``open_reader`` reads; None if it can be read from every machine.
     """
 
     name: str
@@ -285,12 +285,12 @@ class StreamSpec:
 
 @dataclass(frozen=True, slots=True)
 class StreamProgress:
-    """Where a stream stands after a burst of frames. All counts are totals since its start.
+    """Progress of a stream after a burst of frames. All counts are totals since its start.
 
     Attributes
     ----------
     read : int
-        Frames taken from the source; a ``"gap"`` is none.
+        Frames taken from the source, without gaps.
     committed : int
         Label maps committed by the sink.
     quarantined, dropped : int
@@ -302,16 +302,18 @@ class StreamProgress:
     done : bool
         The source has ended, every result is committed and the sink is closed.
     problem : str, optional
-        Why the stream is not whole though it went on or ended: :attr:`FrameReader.problem`, or the
-        death of the reader process after its first frame.
+        Why the stream is incomplete although it continued or ended: :attr:`FrameReader.problem`, or the death
+        of the reader process after its first frame.
     stage_ms : mapping of str to float
         Mean wall time by stage over the last burst, ms.
     silence : SourceSilence, optional
         What ended the burst early.
     length : int, optional
-        What ``read`` will be at the end, as far as the source or :attr:`StreamSpec.max_frames` says.
+        Final value of ``read``, as far as the source or :attr:`StreamSpec.max_frames` says.
     kept_waiting : bool
-        The burst ended before its time because the source had no frame at hand.
+        Whether the burst ended early because the source had no frame ready.
+    without_process : int
+        Layers without a process of their own because the node's memory is too short.
     """
 
     read: int
@@ -326,43 +328,44 @@ class StreamProgress:
     silence: SourceSilence | None = None
     length: int | None = None
     kept_waiting: bool = False
+    without_process: int = 0
 
 
 class RunningStream(Protocol):
-    """One stream's actors, as the driver holds them."""
+    """One stream's actors, as the driver sees them."""
 
     def advance(self) -> Future[StreamProgress]:
         """Ask for one bounded burst of frames; do not call again before the future is done.
 
-        The future carries an MlbsError with one sentence if the stream failed: the source could not
-        be opened (SourceError), the record could not be written (SinkError), or a process was lost
-        (ActorLostError); started again, it goes on from its record. Damage of the source after its
-        first frame ends the stream instead: what was read is committed and the last progress is ``done``
-        with its ``problem``. So does, for a source that can be replayed and at the last try, the death of the
-        reader; before the first frame that is a SourceError.
+        The future carries an MlbsError with one sentence if the stream failed: the source could not be opened
+        (SourceError), the record could not be written (SinkError), or a process was lost (ActorLostError);
+        started again, it resumes from its record. Damage of the source after its first frame ends the stream
+        instead: what was read is committed and the last progress is ``done`` with its ``problem``. So does,
+        at the last try, the death of a replayable source's reader; before the first frame that is a
+        SourceError.
         """
 
     def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
-        """End the stream and give its processes back; may be called twice, and after a failure.
+        """End the stream and release its processes; may be called twice, and after a failure.
 
         With ``drain`` no more frames are read, those read before are labelled and committed, the
         sink is closed and the final progress is returned. Without it the actors end at once, the
         sink keeps what is committed, and None is returned. Blocks until the stream's own actors
         are gone. Never raises for a stream that has already failed.
 
-        With ``returns`` the reader of a live source, if it answers, lives on for the start that follows
-        (see :meth:`StreamHost.start`), or until this object is forgotten.
+        With ``returns`` the reader of a live source, if it answers, lives on for the next start (see
+        :meth:`StreamHost.start`), or until this object is dropped.
         """
 
 
 class StreamHost(Protocol):
     """One node's pool of layer processes and its sink process, on which streams are started.
 
-    ``mlbs_actors.actors.pipeline.Node`` is the real one.
+    ``mlbs_actors.actors.pipeline.Node`` implements it.
     """
 
     def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
-        """Create a stream's actors and return at once; what goes wrong is raised by ``advance``.
+        """Create a stream's actors and return at once; errors are raised by ``advance``.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The open source of a stream, in a process of its own: a damaged video can abort the one that decodes it."""
+"""The reader of a stream, in a process of its own: a damaged video can abort the process that decodes it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,15 @@ from typing import NoReturn, TypeAlias
 import ray
 from ray.exceptions import GetTimeoutError
 
-from mlbs_actors.actors.ipc.channels import Channel, ChannelClosedError, ChannelOffer, OfferedChannel, take
+from mlbs_actors.actors.ipc.channels import (
+    Channel,
+    ChannelAddress,
+    ChannelClosedError,
+    ChannelListener,
+    connect,
+)
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, Reference
 from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.determinism import limit_process
@@ -21,25 +27,25 @@ from mlbs_actors.pickling import pickled_by_values
 
 __all__ = ["LEAST_ASKED", "Answer", "ReadAhead", "ReadNext", "ReaderActor", "Skip", "answer"]
 
-#: What a reader says when it is asked for its next row: where a picture is, what has none, or the end.
+#: Answer of a reader to a request for its next row: a picture's reference, a row without one, or the end.
 Answer: TypeAlias = "Shared[SourceFrame] | SourceFrame | SourceSilence | None"
 
-#: Frames that are asked for at least, so that a slow one (a key frame) is made up for, and at most: they are
-#: asked for several at once, since a decoder finds its last frames in the caches as long as it goes on.
+#: Least frames under way, to make up for a slow one (a key frame), and most: several are requested at once,
+#: as a decoder finds its last frames in the caches as long as it continues.
 LEAST_ASKED, _MOST_ASKED = 3, 6
 
 
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class ReadNext:
-    """Asks a reader for its next row.
+    """Requests a reader's next row.
 
     Attributes
     ----------
     slot : Slot
         For a picture.
     fresh : bool
-        Whether a live source is to be waited for; else only what it gave before is wanted.
+        Whether to wait for a live source; else only rows that it keeps are wanted.
     """
 
     slot: Slot
@@ -48,42 +54,42 @@ class ReadNext:
 
 @dataclass(frozen=True, slots=True)
 class Skip:
-    """Asks a reader to pass over frames."""
+    """Requests a reader to skip frames."""
 
     frames: int
 
 
 class ReaderActor:
-    """Opens a source at the first read, so that what is wrong with it is raised there."""
+    """Opens a source at the first read, so that errors are raised there."""
 
     def __init__(self, open_reader: Callable[[], FrameReader]) -> None:
         limit_process()
-        look_round_seldom()
+        relax_thread_timers()
         self._open_reader = open_reader
         self._reader: FrameReader | None = None
         self._memory = SharedMemory()
-        self._channel = OfferedChannel()
+        self._channel = ChannelListener()
 
-    def offer(self) -> ChannelOffer:
-        """Return the channel through which the stream asks for its frames."""
-        return self._channel.offer
+    def address(self) -> ChannelAddress:
+        """Return the address of the channel for the stream's requests."""
+        return self._channel.address
 
     def serve(self) -> None:
-        """Do what is asked for, until no more can come; raises SourceError."""
+        """Answer requests until the channel is closed; raises SourceError."""
         self._channel.serve(self._answers)
 
-    def read(self, note: ReadNext) -> Answer:
+    def read(self, message: ReadNext) -> Answer:
         """Return the next frame or that there is none at present, None at the end; raises SourceError."""
-        return answer(self._next(), note.slot, self._memory)
+        return answer(self._next(), message.slot, self._memory)
 
-    def skip(self, note: Skip) -> None:
-        """Read frames and throw them away, and what comes between them; raises SourceError."""
-        for _ in range(note.frames):
+    def skip(self, message: Skip) -> None:
+        """Read and discard frames, and silences between them; raises SourceError."""
+        for _ in range(message.frames):
             while isinstance(self._next(), SourceSilence):
                 continue
 
     def problem(self) -> str | None:
-        """Return what was wrong with the source so far, as a sentence, or None."""
+        """Return the damage of the source so far, as a sentence, or None."""
         return None if self._reader is None else self._reader.problem
 
     def close(self) -> None:
@@ -91,12 +97,12 @@ class ReaderActor:
         if self._reader is not None:
             self._reader.close()
 
-    def _answers(self, note: ReadNext | Skip) -> Iterator[Answer]:
-        if isinstance(note, Skip):
-            self.skip(note)
+    def _answers(self, message: ReadNext | Skip) -> Iterator[Answer]:
+        if isinstance(message, Skip):
+            self.skip(message)
             yield None
         else:
-            yield self.read(note)
+            yield self.read(message)
 
     def _next(self) -> SourceFrame | SourceSilence | None:
         if self._reader is None:
@@ -105,7 +111,7 @@ class ReaderActor:
 
 
 def answer(said: SourceFrame | SourceSilence | None, slot: Slot, memory: SharedMemory) -> Answer:
-    """What a reader answers: pictures go into the slot."""
+    """Make a reader's answer: pictures go into the slot."""
     return memory.share(said, slot) if isinstance(said, SourceFrame) and said.image is not None else said
 
 
@@ -117,9 +123,9 @@ class ReadAhead:
     reader : Handle
         A :class:`ReaderActor`.
     max_frames : int or None
-        Frames after which no more are asked for.
+        Frames after which to stop.
     slots : SlotPool
-        For the frames; whoever gets one gives its slot back.
+        For the frames; the recipient of a frame releases its slot.
     memory : SharedMemory
         The coordinator's.
     """
@@ -135,17 +141,17 @@ class ReadAhead:
         self._channel: Channel | None = None
 
     def begin(self) -> None:
-        """Have the reader serve, before the first :meth:`next`; raises as that does."""
-        self._serve(ray.get(self._reader.offer.remote()))
+        """Start the reader, before the first :meth:`next`; raises as that does."""
+        self._serve(ray.get(self._reader.address.remote()))
 
     def skip(self, frames: int) -> None:
-        """Pass over frames, before the first :meth:`next`; raises as that does."""
+        """Skip frames, before the first :meth:`next`; raises as that does."""
         self._pass_over(frames)
         self._send(Skip(frames))
         self._receive()
 
     def next(self) -> tuple[Shared[SourceFrame] | None, SourceFrame | SourceSilence] | None:
-        """Return the next frame or silence, a picture with where it is, or None at the end.
+        """Return the next frame or silence, a picture with its reference, or None at the end.
 
         Raises
         ------
@@ -159,8 +165,8 @@ class ReadAhead:
         slot = self._asked.popleft()
         said = self._receive()
         if isinstance(said, Shared):
-            return said, self._memory.taken(said)
-        self._slots.give_back([slot])
+            return said, self._memory.load(said)
+        self._slots.release([slot])
         if said is None:
             self.stop()
             return None
@@ -181,23 +187,23 @@ class ReadAhead:
         return problem
 
     def stop(self) -> None:
-        """Ask for no more frames and forget those that were asked for."""
+        """Stop reading, and drop the requests under way."""
         self._left = 0
         self._asked.clear()
         if self._channel is not None:
             self._channel.close()
 
     def finish(self) -> None:
-        """Come to an end soon, without a frame that could not be had again."""
+        """End soon, but only without losing a frame that could not be read again."""
         self.stop()
 
     def forget(self, rows: int) -> None:
-        """Note that nobody will go back to before so many rows."""
+        """Report that rows before this number will not be read again."""
 
-    def _serve(self, offer: ChannelOffer) -> None:
+    def _serve(self, address: ChannelAddress) -> None:
         with suppress(ChannelClosedError):
-            self._channel = take(offer)
-        # Not before: a reader that outlives its stream must not wait for who never takes the channel.
+            self._channel = connect(address)
+        # After connecting: a reader that outlives its stream must not wait for a peer that never connects.
         self._served: Reference = self._reader.serve.remote()
         if self._channel is None:
             self._raise_cause()
@@ -215,7 +221,7 @@ class ReadAhead:
         if len(self._asked) >= LEAST_ASKED:
             return
         while len(self._asked) < self._most_asked and self._left != 0:
-            slot = self._slots.take("frame")
+            slot = self._slots.acquire("frame")
             self._send(self._request(slot))
             self._asked.append(slot)
             if self._left is not None:
@@ -224,11 +230,11 @@ class ReadAhead:
     def _request(self, slot: Slot) -> ReadNext:
         return ReadNext(slot)
 
-    def _send(self, note: object) -> None:
+    def _send(self, message: object) -> None:
         assert self._channel is not None  # begun
-        # Of a reader that is gone there may still be answers, and then the cause.
+        # A reader that is gone may have left answers, and then the cause.
         with suppress(ChannelClosedError):
-            self._channel.send(note)
+            self._channel.send(message)
 
     def _receive(self) -> Answer:
         assert self._channel is not None  # begun

@@ -1,8 +1,7 @@
-"""What a stream's actors save together, and how each writes its own part beside its work.
+"""The contents of a stream's snapshot, and how each process writes its own part beside its work.
 
 Each process writes files of its own into the snapshot's folder: no state passes through another process. All
-are asked between the calls for the same two frames, so the states belong together whenever they reach the
-disk.
+are asked between the same two frames, so the states belong together whenever they reach the disk.
 """
 
 from __future__ import annotations
@@ -32,26 +31,26 @@ __all__ = [
 
 _log = logging.getLogger(__name__)
 
-#: Files of a snapshot, beside one for each layer.
+#: Files of a snapshot, besides one for each layer.
 CONDUCTOR_FILE, COORDINATOR_FILE = "conductor", "coordinator"
 SEGMENTER_FILE, PUBLISHED_FILE = "segmenter", "published"
 
 
 def layer_file(layer: int) -> str:
-    """Name of a layer's file."""
+    """Return the name of a layer's file."""
     return f"layer-{layer}"
 
 
 @dataclass(frozen=True, slots=True)
 class SavedLayer:
-    """A layer that lives.
+    """A live layer.
 
     Attributes
     ----------
     layer : int
     kind : {"background", "object", "other"}
     last_frame : int
-        Frame that it was last asked for, −1 for none.
+        Last frame requested of it, −1 for none.
     """
 
     layer: int
@@ -61,7 +60,7 @@ class SavedLayer:
 
 @dataclass(frozen=True, slots=True)
 class SaveState:
-    """Tells a process to write its state as of the frame before, beside the work on the next ones.
+    """Requests a process to write its state as of the frame before, in parallel with the next ones.
 
     Attributes
     ----------
@@ -74,7 +73,7 @@ class SaveState:
 
 @dataclass(frozen=True, slots=True)
 class ConductorState:
-    """What is under way in a stream, as its coordinator's process keeps account of it.
+    """Work under way in a stream, as its coordinator tracks it.
 
     Attributes
     ----------
@@ -112,24 +111,24 @@ class StateWriter:
         self._thread: Thread | None = None
 
     def write(self, states: Mapping[str, object], folder: Path) -> None:
-        """Copy the states and return; the files follow.
+        """Copy the states and return; a thread writes the files.
 
-        A file that cannot be written is missing, and the snapshot with it: the one before stays the newest.
+        If a file cannot be written the snapshot is incomplete, and the one before stays the newest.
 
         Parameters
         ----------
         states : mapping of str to dataclass
-            By the name of the file.
+            By file name.
         folder : Path
-            Made if it is not there.
+            Created if missing.
         """
         captured = {name: capture(state) for name, state in states.items()}
-        self.finish()  # not more than one set of copies in memory
+        self.finish()  # at most one set of copies in memory
         self._thread = Thread(target=_write, args=(captured, folder))
         self._thread.start()
 
     def finish(self) -> None:
-        """Wait until all that was to be written is on its way to the disk."""
+        """Wait until all files have been handed to the disk."""
         if self._thread is not None:
             self._thread.join()
 

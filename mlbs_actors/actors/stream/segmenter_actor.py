@@ -1,7 +1,7 @@
-"""The segmenter of a stream in a process of its own: between its layers and its coordinator.
+"""The segmenter actor, between the coordinator and the layers of its stream.
 
-What is to be done on a frame comes from the coordinator. The segmenter passes each layer its part, which the
-layers do at once beside each other, and labels the frame from what they answer.
+The coordinator sends the work on a frame. The segmenter passes it on to the layers, which process it in
+parallel, and labels the frame from their posteriors.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from pathlib import Path
 
 import ray
 
-from mlbs_actors.actors.ipc.channels import Channel, ChannelOffer, OfferedChannel, take
+from mlbs_actors.actors.ipc.channels import Channel, ChannelAddress, ChannelListener, connect
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import Handle, Reference
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layers_at_work import AssignedProcess, LayersAtWork, SharedFrame
@@ -38,7 +38,7 @@ from mlbs_actors.messages import (
     LayerAppearance,
     LayerPosterior,
     Segmentation,
-    received,
+    readonly,
 )
 from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.state_file import read_state
@@ -49,7 +49,7 @@ __all__ = ["FrameWork", "LabelledFrame", "Labelling", "Retirement", "SegmenterAc
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class FrameWork:
-    """A frame that is to be labelled, once the one before it is.
+    """A frame to label, once the one before it is labelled.
 
     Attributes
     ----------
@@ -59,9 +59,9 @@ class FrameWork:
     posteriors : tuple of Slot
         For the answers of the evidence's layers, in ascending id.
     assigned : tuple of AssignedProcess
-        Layers of the evidence that have got a process.
+        New processes of layers of the evidence.
     background : Slot, optional
-        For what the background remembers after this frame; None if nobody wants it.
+        For the background's remembered colours after this frame; None if not wanted.
     """
 
     evidence: Shared[FrameEvidence]
@@ -73,13 +73,13 @@ class FrameWork:
 
     @property
     def inner_slots(self) -> tuple[Slot, ...]:
-        """Those that only the segmenter and the layers read."""
+        """The slots that only the segmenter and the layers read."""
         return (self.evidence.slot, *self.posteriors, *(one.state for one in self.assigned))
 
 
 @dataclass(frozen=True, slots=True)
 class Retirement:
-    """Layers that get no more frames: their processes are free, for those that are born next too."""
+    """Layers that get no more frames: their processes are free for layers born next."""
 
     layers: tuple[int, ...]
 
@@ -87,7 +87,7 @@ class Retirement:
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LabelledFrame:
-    """What has come of a :class:`FrameWork`.
+    """The result of a :class:`FrameWork`.
 
     Attributes
     ----------
@@ -106,20 +106,20 @@ class SegmenterActor:
 
     def __init__(self, parts: PartFactory, config: Config) -> None:
         limit_process()
-        look_round_seldom()
+        relax_thread_timers()
         self._segmenter = parts.segmenter(config)
         self._memory = SharedMemory()
         self._order = FrameOrder()
-        self._channel = OfferedChannel()
+        self._channel = ChannelListener()
         self._layers = LayersAtWork(parts, config, self._memory)
-        # Those that others may still ask for: the layers the last one, the coordinator that before it.
+        # Still readable by others: the last one by the layers, the one before by the coordinator.
         self._published: deque[Segmentation] = deque(maxlen=2)
         self._previous: Shared[Segmentation] | None = None
         self._writer = StateWriter()
 
-    def offer(self) -> ChannelOffer:
-        """Return the channel through which the stream's work is to come."""
-        return self._channel.offer
+    def address(self) -> ChannelAddress:
+        """Return the address of the channel for the stream's work."""
+        return self._channel.address
 
     def restore(
         self, folder: Path, layers: Sequence[SavedLayer], slots: Sequence[Slot]
@@ -130,7 +130,7 @@ class SegmenterActor:
         ----------
         folder : Path
         layers : sequence of SavedLayer
-            Those that lived at that time.
+            Those live at that time.
         slots : sequence of Slot
             Two.
 
@@ -142,7 +142,7 @@ class SegmenterActor:
         self._layers.restore(layers, folder)
         self._segmenter.state = read_state(folder / SEGMENTER_FILE, type(self._segmenter.state))
         published = read_state(folder / PUBLISHED_FILE, PublishedState).segmentations
-        self._published.extend(map(received, published))
+        self._published.extend(map(readonly, published))
         self._order = FrameOrder(published[-1].frame_index if published else -1)
         shared = {
             one.frame_index: self._memory.share(one, slot)
@@ -152,7 +152,7 @@ class SegmenterActor:
         return shared
 
     def serve(self) -> None:
-        """Do what the coordinator asks for, in that order, until no more can come."""
+        """Process the coordinator's messages, in order, until the channel is closed."""
         try:
             self._channel.serve(self._answers)
         finally:
@@ -164,16 +164,16 @@ class SegmenterActor:
         with self._order.step(evidence.frame_index, after=evidence.frame_index - 1):
             return self._segmenter.step(evidence, image, posteriors)
 
-    def _answers(self, note: FrameWork | Retirement | SaveState) -> Iterator[object]:
-        if isinstance(note, FrameWork):
-            yield self._labelled(note)
-        elif isinstance(note, Retirement):
-            self._layers.retire(note.layers)
+    def _answers(self, message: FrameWork | Retirement | SaveState) -> Iterator[object]:
+        if isinstance(message, FrameWork):
+            yield self._labelled(message)
+        elif isinstance(message, Retirement):
+            self._layers.retire(message.layers)
         else:
-            self.save(note)
+            self.save(message)
 
     def _labelled(self, work: FrameWork) -> LabelledFrame:
-        evidence, frame = self._memory.taken(work.evidence), self._memory.taken(work.frame)
+        evidence, frame = self._memory.load(work.evidence), self._memory.load(work.frame)
         assert frame.image is not None  # a quarantined frame has no evidence
         self._layers.follow(evidence, work.assigned)
         previous = self._published[-1] if self._published else None
@@ -182,19 +182,19 @@ class SegmenterActor:
         posteriors = self._layers.step(shared, answers, work.background)
         background = None if work.background is None else self._layers.appearance(BACKGROUND, work.background)
         segmentation = self.step(evidence, frame.image, posteriors)
-        self._published.append(received(segmentation))
+        self._published.append(readonly(segmentation))
         self._previous = self._memory.share(segmentation, work.answer)
         return LabelledFrame(evidence.frame_index, self._previous, background)
 
-    def save(self, note: SaveState) -> None:
-        """Have the layers write their states, and write the own one, beside the work on the next frames."""
+    def save(self, message: SaveState) -> None:
+        """Have the layers write their states, and write this one, in parallel with the next frames."""
         published = PublishedState(tuple(self._published))
         own = {SEGMENTER_FILE: self._segmenter.state, PUBLISHED_FILE: published}
-        self._writer.write(own | self._layers.save(note), note.folder)
+        self._writer.write(own | self._layers.save(message), message.folder)
 
 
 class Labelling:
-    """The coordinator's end of its segmenter, and of the layers behind that.
+    """The coordinator's end of its segmenter and layers.
 
     Parameters
     ----------
@@ -206,9 +206,9 @@ class Labelling:
     Attributes
     ----------
     served : Reference
-        What raises why the segmenter serves no more; known from :meth:`begin` on.
+        The segmenter's ``serve`` call, which raises why it ended; set by :meth:`begin`.
     under_way : int
-        Frames whose label maps have not come back.
+        Frames whose label maps have not arrived.
     """
 
     served: Reference
@@ -217,7 +217,7 @@ class Labelling:
         self._segmenter = segmenter
         self._slots = slots
         self._in_use: deque[tuple[Slot, ...]] = deque()  # of the frames under way, and of the one before
-        self._offer: Reference = segmenter.offer.remote()
+        self._address: Reference = segmenter.address.remote()
         self._channel: Channel | None = None
         self.under_way = 0
 
@@ -231,23 +231,23 @@ class Labelling:
         return published
 
     def begin(self) -> None:
-        """Have the segmenter serve; raises RayError. All other methods raise ChannelClosedError."""
-        offer = ray.get(self._offer)
+        """Start the segmenter; raises RayError. All other methods raise ChannelClosedError."""
+        address = ray.get(self._address)
         self.served = self._segmenter.serve.remote()
-        self._channel = take(offer)
+        self._channel = connect(address)
 
     def start(self, work: FrameWork) -> None:
-        """Have the next frame labelled."""
+        """Start labelling the next frame."""
         self._opened.send(work)
         self._in_use.append(work.inner_slots)
         self.under_way += 1
 
     def retire(self, layers: tuple[int, ...]) -> None:
-        """Have layers serve no more after the frames that were started."""
+        """Retire layers after the frames that were started."""
         self._opened.send(Retirement(layers))
 
     def save(self, folder: Path) -> None:
-        """Have the segmenter and the layers write their states after the frame that was started last."""
+        """Have the segmenter and the layers write their states after the last frame started."""
         self._opened.send(SaveState(folder))
 
     def has_answer(self) -> bool:
@@ -255,15 +255,15 @@ class Labelling:
         return self.under_way > 0 and self._opened.has_message()
 
     def next(self) -> LabelledFrame:
-        """Wait for the next label map; take the slots back that were lent for the one before it."""
+        """Wait for the next label map; release the slots of the frame before it."""
         labelled: LabelledFrame = self._opened.receive()
         self.under_way -= 1
         if len(self._in_use) > self.under_way + 1:
-            self._slots.give_back(self._in_use.popleft())
+            self._slots.release(self._in_use.popleft())
         return labelled
 
     def close(self) -> None:
-        """Let the segmenter and the layers serve no more."""
+        """Stop the segmenter and the layers."""
         if self._channel is not None:
             self._channel.close()
 

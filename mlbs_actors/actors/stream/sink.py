@@ -1,4 +1,4 @@
-"""A sink of a node: the records of some streams being written, off the frame's critical path."""
+"""The sink of a node: writes the records of some streams, off the frame's critical path."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import ray
 from ray.exceptions import RayError
 
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
-from mlbs_actors.actors.node.idle_threads import look_round_seldom
+from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.process_memory import settle_memory
 from mlbs_actors.actors.node.processes import Handle, Reference
 from mlbs_actors.actors.stream.order import FrameOrder
@@ -30,28 +30,28 @@ from mlbs_actors.pickling import pickled_by_values
 
 __all__ = ["GapRow", "LabelRow", "Record", "SinkActor"]
 
-#: Rows that may be under way to the sink; the stream waits at more. Each holds a frame and a label map.
+#: Most rows under way to the sink; above that the stream waits. Each holds a frame and a label map.
 _PENDING_ROWS = 14
 
-#: Rows of a file, and of a camera, that go to the sink in one call: one for each would take half as long as
-#: the writing. But somebody may be looking at what a camera sees.
+#: Rows per call of the sink, of a file and of a camera: single calls would take half as long as the writing,
+#: but somebody may be watching a camera.
 _FILE_ROWS, _CAMERA_ROWS = 8, 4
 
-#: Newest label maps in the sink whose messages others may still read: with the next frame the layers, with
-#: the one after it the coordinator.
+#: Newest label maps in the sink that others may still read: with the next frame the layers, with the one
+#: after it the coordinator.
 _READ_ROWS = 2
 
-#: Snapshots that may be under way to the disk; at more the oldest is given up.
+#: Most snapshots under way to the disk; above that the oldest is abandoned.
 _PENDING_SNAPSHOTS = 3
 
-#: From one look for a snapshot that is waited for to the next, s.
+#: Interval of checks for an awaited snapshot, s.
 _LOOK_SECONDS = 0.05
 
 
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class LabelRow:
-    """One result: a row of a record, where its parts are."""
+    """One result: a row of a record, by reference."""
 
     segmentation: Shared[Segmentation]
     frame: Shared[SourceFrame]
@@ -59,7 +59,7 @@ class LabelRow:
 
     @property
     def slots(self) -> tuple[Slot, ...]:
-        """Where its parts are."""
+        """Slots of its parts."""
         parts = (self.segmentation, self.frame, self.background)
         return tuple(part.slot for part in parts if part is not None)
 
@@ -75,15 +75,15 @@ class GapRow:
 
 
 class SinkActor:
-    """Writes the records of some streams of one node, each known by the stream's number in the pool.
+    """Writes the records of some streams of one node, each identified by the stream's number in the pool.
 
-    A record has no holes: after a row that could not be written, or that was lost on its way, no other row of
-    that stream is taken.
+    A record has no holes: after a row that could not be written, or was lost, no other row of that stream is
+    accepted.
     """
 
     def __init__(self) -> None:
         limit_process()
-        look_round_seldom()
+        relax_thread_timers()
         self._records: dict[int, tuple[StreamSink, FrameOrder, SharedMemory]] = {}
 
     def open(self, run: int, open_sink: Callable[[], StreamSink]) -> Opening:
@@ -95,7 +95,7 @@ class SinkActor:
         return sink.opening
 
     def take(self, run: int, rows: Sequence[LabelRow | GapRow]) -> int:
-        """Take the next rows; return how many label maps are committed by now."""
+        """Write the next rows; return the number of label maps committed so far."""
         sink, order, memory = self._record(run)
         committed = 0
         for row in rows:
@@ -103,8 +103,8 @@ class SinkActor:
                 with order.step(row.index, after=row.index - 1):
                     committed = sink.gap(row.index, row.pts, row.status)
                 continue
-            segmentation, frame = memory.taken(row.segmentation), memory.taken(row.frame)
-            background = None if row.background is None else memory.taken(row.background)
+            segmentation, frame = memory.load(row.segmentation), memory.load(row.frame)
+            background = None if row.background is None else memory.load(row.background)
             with order.step(frame.index, after=frame.index - 1):
                 committed = sink.write(segmentation, frame, background)
         return committed
@@ -146,9 +146,9 @@ class Record:
     committed : int
         Label maps committed, as far as the sink has answered.
     rows, label_maps : int
-        What was handed over or is expected, before the snapshot that the stream went back to and since.
+        Sent or expected, before the snapshot that the stream went back to and since.
     kept : int
-        Rows before the newest snapshot that is kept.
+        Rows before the newest snapshot kept.
     """
 
     def __init__(self, sink: Handle, run: int, spec: StreamSpec, slots: SlotPool) -> None:
@@ -157,18 +157,18 @@ class Record:
         self._run = run
         self._opened: Reference = sink.open.remote(run, spec.open_sink)
         self._batch_rows = _FILE_ROWS if spec.replayable else _CAMERA_ROWS
-        # In the order of the record: rows to come, rows that are there, and batches under way to the sink.
+        # In the order of the record: expected rows, rows to send, and batches under way to the sink.
         self._expected: deque[GapRow | Shared[SourceFrame]] = deque()
         self._batch: list[LabelRow | GapRow] = []
         self._pending: deque[tuple[Reference, list[LabelRow | GapRow]]] = deque()
-        self._in_use: deque[tuple[Slot, ...]] = deque()  # of the label maps that were taken last
-        self._offered: deque[Snapshot] = deque(maxlen=_PENDING_SNAPSHOTS)
+        self._in_use: deque[tuple[Slot, ...]] = deque()  # of the newest label maps
+        self._submitted: deque[Snapshot] = deque(maxlen=_PENDING_SNAPSHOTS)
         self._asked: tuple[Snapshot, Reference] | None = None
-        self._turn = 0
+        self._next_asked = 0
         self.committed = self.rows = self.label_maps = self.kept = 0
 
     def opening(self) -> Opening:
-        """Wait until the record is open; raises what its opening raised."""
+        """Wait until the record is open; raises the error of opening it."""
         opening: Opening = ray.get(self._opened)
         if opening.resume_from is not None:
             self.rows, self.label_maps = opening.resume_from.rows, opening.resume_from.label_maps
@@ -176,33 +176,33 @@ class Record:
         return opening
 
     def expect(self, frame: Shared[SourceFrame]) -> None:
-        """Note that the next row is that of a frame whose label map is to come."""
+        """Register that the next row is a frame whose label map will follow."""
         self._expected.append(frame)
         self.rows, self.label_maps = self.rows + 1, self.label_maps + 1
 
     def gap(self, index: int, pts: float, status: GapStatus) -> None:
-        """Note that the next row is that of a frame without label map; raises what an earlier row raised."""
+        """Register that the next row is a frame without label map; raises the error of an earlier row."""
         self._expected.append(GapRow(index, pts, status))
         self.rows += 1
         self._hand_over_gaps()
 
     def write(self, segmentation: Shared[Segmentation], background: Shared[LayerAppearance] | None) -> None:
-        """Hand over the label map of the first frame that is expected; raises what an earlier row raised."""
+        """Send the label map of the first expected frame; raises the error of an earlier row."""
         frame = self._expected.popleft()
-        assert isinstance(frame, Shared)  # gaps do not wait at the front
+        assert isinstance(frame, Shared)  # gaps at the front are sent at once
         self._hand_over(LabelRow(segmentation, frame, background))
         self._hand_over_gaps()
 
-    def offer(self, snapshot: Snapshot) -> None:
-        """Have a snapshot kept once its files are there."""
-        self._offered.append(snapshot)
+    def submit_snapshot(self, snapshot: Snapshot) -> None:
+        """Have a snapshot kept once its files are complete."""
+        self._submitted.append(snapshot)
 
     def await_snapshot(self, seconds: float) -> None:
-        """Wait until the newest snapshot is kept, but not longer than that; raises what a row raised."""
+        """Wait, for a limited time, until the newest snapshot is kept; raises the error of a row."""
         deadline = time.monotonic() + seconds
         self.send()
         self.collect()
-        while self._offered and time.monotonic() < deadline:
+        while self._submitted and time.monotonic() < deadline:
             time.sleep(_LOOK_SECONDS)
             self.collect()
 
@@ -211,14 +211,14 @@ class Record:
         self._sink.provisional.remote(self._run)
 
     def send(self) -> None:
-        """Hand over what is there, though it be less than a batch."""
+        """Send the current batch, even if it is not full."""
         batch = self._batch
         if batch:
             self._pending.append((self._sink.take.remote(self._run, batch), batch))
             self._batch = []
 
     def collect(self) -> None:
-        """Take back what is there, without waiting; raises what a row raised."""
+        """Take the answers that have arrived, without waiting; raises the error of a row."""
         while self._pending and ray.wait([self._pending[0][0]], timeout=0)[0]:
             self._take_answer()
         if self._asked is not None and ray.wait([self._asked[1]], timeout=0)[0]:
@@ -226,13 +226,13 @@ class Record:
             self._asked = None
             if ray.get(kept):
                 self.kept = snapshot.rows
-                if snapshot in self._offered:
-                    while self._offered.popleft() != snapshot:
+                if snapshot in self._submitted:
+                    while self._submitted.popleft() != snapshot:
                         continue
-        if self._offered and self._asked is None:
-            # In turn: the files of one may never come.
-            self._turn = (self._turn + 1) % len(self._offered)
-            snapshot = self._offered[self._turn]
+        if self._submitted and self._asked is None:
+            # Cyclically: the files of one may never be complete.
+            self._next_asked = (self._next_asked + 1) % len(self._submitted)
+            snapshot = self._submitted[self._next_asked]
             self._asked = snapshot, self._sink.keep.remote(self._run, snapshot)
 
     def close(self, *, whole: bool) -> None:
@@ -243,7 +243,7 @@ class Record:
         self.committed = ray.get(self._sink.close.remote(self._run, whole))
 
     def close_after_failure(self) -> None:
-        """Commit the rows that were handed over whole and close the files, whatever else goes wrong."""
+        """Commit the rows that were sent and close the files, whatever else fails."""
         self.send()
         while self._pending:
             try:
@@ -278,4 +278,4 @@ class Record:
         self.committed = ray.get(answer)
         self._in_use.extend(row.slots for row in batch if isinstance(row, LabelRow))
         while len(self._in_use) > _READ_ROWS:
-            self._slots.give_back(self._in_use.popleft())
+            self._slots.release(self._in_use.popleft())

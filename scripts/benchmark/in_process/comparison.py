@@ -1,4 +1,4 @@
-"""Time the engine and its peers on the same frames in turn, so that other load weighs on all of them alike.
+"""Time the engine and its peers alternately on the same frames, so that other load affects all of them alike.
 
 Everything is in this process and in one thread. Only the ratios of one run mean much: another run, or another
 machine, has other times.

@@ -1,7 +1,8 @@
 """Alternatives to the engine: moving against not moving with OpenCV alone, in a few lines each.
 
-All of them take the camera's motion out by a homography and give one mask a frame; none tells objects apart.
-They are written to be good at it with one set of parameters, in one thread, so that a comparison is fair.
+All of them subtract the camera's motion by a homography and give one mask per frame, without separate
+objects. They are written to be good at it with one set of parameters, in one thread, so that a comparison is
+fair.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ __all__ = ["PEERS", "FlowComposite", "FlowResidual", "Peer", "StabilisedMog2"]
 SHRINK = 2
 #: Reprojection error of an inlier of the camera's homography, px.
 INLIER_PX = 1.0
-#: Every so many px the flow votes for the camera's motion.
+#: Spacing, px, at which the flow votes for the camera's motion.
 VOTE_STEP = 16
 #: Residual motion below this is noise, px a frame.
 LEAST_RESIDUAL_PX = 1.0

@@ -51,7 +51,7 @@ class StageCosts:
 
     @staticmethod
     def of(cpu_ms: Mapping[str, float], objects: int) -> StageCosts:
-        """Derive the costs of a stream with so many objects from measured times by kind of process."""
+        """Derive the costs of a stream with this many objects from measured times by kind of process."""
         each = cpu_ms["object layer"] / objects
         known = {kind: cpu_ms[kind] for kind in ("reader", "coordinator", "segmenter", "sink")}
         layers = (cpu_ms["background layer"], *[each] * objects)

@@ -20,13 +20,13 @@ from benchmark.through_ray.endless_video import EndlessReader
 from benchmark.through_ray.pipeline import ROUNDS, SteadyWindow, pipeline
 from benchmark.through_ray.process_costs import cpu_growth
 from orchestrator.evaluation.figures import format_number, format_table
-from orchestrator.run.admission import STREAM_BYTES, cores
+from orchestrator.run.admission import PLACE_BYTES, cores
 
 __all__ = ["STREAMS", "StreamsCost", "fleet_table", "measure_streams", "most_frames_a_second"]
 
 STREAMS = (1, 2, 4, 8)
 
-#: Cores of the nodes that are simulated, for so many cameras with so many pictures a second each.
+#: Cores of the simulated nodes; number and picture rate of the cameras.
 _NODES = (2, 8, 16, 64)
 _CAMERAS, _CAMERA_RATE = 1000, 5.0
 
@@ -145,7 +145,7 @@ def fleet_table(name: str, costs: StageCosts, nodes: tuple[int, ...] = _NODES) -
                 str(cameras),
                 f"{100 * run.frames_a_second * costs.together / (1e3 * node_cores):.0f} %",
                 f"{100 * run.sink_busy:.0f} %",
-                f"{cameras * STREAM_BYTES / 2**30:.0f}",
+                f"{cameras * PLACE_BYTES / 2**30:.0f}",
                 str(-(-_CAMERAS // cameras)) if cameras else "-",
             ]
         )

@@ -209,7 +209,7 @@ class Pipeline:
         self._drive(numbers, steady)
 
     def _window(self, numbers: Sequence[int], frames: int) -> SteadyWindow:
-        """Drive streams that are driven already until each has produced so many more label maps."""
+        """Drive streams that are already driven until each has produced ``frames`` more label maps."""
         begin, before = time.monotonic(), process_tree(os.getpid())
         arrived = {number: self._arrived(number) for number in numbers}
         self._drive(numbers, lambda _: all(self._arrived(one) - arrived[one] >= frames for one in numbers))

@@ -12,14 +12,20 @@ from threading import Thread
 
 import pytest
 
-from mlbs_actors.actors.ipc.channels import Channel, ChannelClosedError, ChannelOffer, OfferedChannel, take
+from mlbs_actors.actors.ipc.channels import (
+    Channel,
+    ChannelAddress,
+    ChannelClosedError,
+    ChannelListener,
+    connect,
+)
 
-#: Takes the offered channel and sends every note back, doubled, until it is closed.
+#: Connects to a channel and sends every message back, doubled, until it is closed.
 _ECHO = """
 import sys
-from mlbs_actors.actors.ipc.channels import ChannelClosedError, ChannelOffer, take
+from mlbs_actors.actors.ipc.channels import ChannelClosedError, ChannelAddress, connect
 
-channel = take(ChannelOffer(*map(int, sys.argv[1:])))
+channel = connect(ChannelAddress(*map(int, sys.argv[1:])))
 try:
     while True:
         channel.send(channel.receive() * 2)
@@ -27,14 +33,14 @@ except ChannelClosedError:
     print("closed")
 """
 
-#: Offers a channel, says where, and echoes as above what comes through it.
+#: Listens for a channel, prints its address, and echoes as above what comes through it.
 _OFFERING = """
-from mlbs_actors.actors.ipc.channels import OfferedChannel
+from mlbs_actors.actors.ipc.channels import ChannelListener
 
-offered = OfferedChannel()
-offer = offered.offer
-print(offer.owner, offer.outgoing, offer.incoming, flush=True)
-with offered.taken() as channel:
+listener = ChannelListener()
+address = listener.address
+print(address.owner, address.outgoing, address.incoming, flush=True)
+with listener.accept() as channel:
     channel.send(channel.receive() * 2)
     channel.receive()
 """
@@ -42,13 +48,13 @@ with offered.taken() as channel:
 
 @contextmanager
 def echo() -> Iterator[tuple[Channel, subprocess.Popen[str]]]:
-    offered = OfferedChannel()
-    offer = offered.offer
-    numbers = [str(number) for number in (offer.owner, offer.outgoing, offer.incoming)]
+    listener = ChannelListener()
+    address = listener.address
+    numbers = [str(number) for number in (address.owner, address.outgoing, address.incoming)]
     with subprocess.Popen(
         [sys.executable, "-c", _ECHO, *numbers], stdout=subprocess.PIPE, text=True
     ) as other:
-        with offered.taken() as channel:
+        with listener.accept() as channel:
             yield channel, other
         other.kill()
 
@@ -99,7 +105,7 @@ def test_the_other_end_learns_that_this_one_is_closed() -> None:
 def test_who_took_a_channel_learns_that_its_owner_was_killed() -> None:
     with subprocess.Popen([sys.executable, "-c", _OFFERING], stdout=subprocess.PIPE, text=True) as owner:
         assert owner.stdout is not None
-        channel = take(ChannelOffer(*map(int, owner.stdout.readline().split())))
+        channel = connect(ChannelAddress(*map(int, owner.stdout.readline().split())))
         channel.send("one")
         assert channel.receive() == "oneone"
         owner.kill()
@@ -112,4 +118,4 @@ def test_a_channel_whose_owner_is_gone_cannot_be_taken() -> None:
     with subprocess.Popen(["true"]) as gone:
         gone.wait()
         with pytest.raises(ChannelClosedError):
-            take(ChannelOffer(gone.pid, 3, 4))
+            connect(ChannelAddress(gone.pid, 3, 4))

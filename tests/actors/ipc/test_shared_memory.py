@@ -30,7 +30,7 @@ def noise(height: int, width: int, seed: int = 0) -> Array:
 def test_a_message_is_read_as_it_was_written_and_its_arrays_are_read_only() -> None:
     slots, writer, reader = SlotPool(), SharedMemory(), SharedMemory()
     written = SourceFrame(7, noise(31, 17), 0.28, "img 7", original=noise(62, 34, 1))
-    read = reader.taken(writer.share(written, slots.take("frame")))
+    read = reader.load(writer.share(written, slots.acquire("frame")))
     assert (read.index, read.pts, read.name, read.status) == (7, 0.28, "img 7", "ok")
     for one, other in ((read.image, written.image), (read.original, written.original)):
         assert one is not None
@@ -54,7 +54,7 @@ def test_arrays_of_every_kind_come_back_with_type_and_shape_row_by_row() -> None
         np.arange(20, dtype=np.uint16)[::3],  # not contiguous
         np.array([None, "word"]),
     ]
-    read = memory.taken(memory.share(arrays, slots.take("evidence")))
+    read = memory.load(memory.share(arrays, slots.acquire("evidence")))
     for one, other in zip(read, arrays, strict=True):
         assert one.dtype == other.dtype
         assert np.array_equal(one, other)
@@ -66,31 +66,31 @@ def test_arrays_of_every_kind_come_back_with_type_and_shape_row_by_row() -> None
 def test_a_state_is_the_same_in_another_process_in_whatever_order_its_arrays_are() -> None:
     memory = SharedMemory()
     state = State(np.asfortranarray(np.arange(12.0).reshape(3, 4)))
-    read = memory.taken(memory.share(capture(state), SlotPool().take("state"))).state(State)
+    read = memory.load(memory.share(capture(state), SlotPool().acquire("state"))).state(State)
     assert np.array_equal(read.turned, state.turned)
     assert read.turned.flags.f_contiguous
 
 
 def test_a_slot_grows_with_its_messages_and_what_was_read_before_stays() -> None:
     slots, writer, reader = SlotPool(), SharedMemory(), SharedMemory()
-    small = reader.taken(writer.share(noise(8, 8), first := slots.take("posterior")))
+    small = reader.load(writer.share(noise(8, 8), first := slots.acquire("posterior")))
     kept = small.copy()
-    slots.give_back([first])
+    slots.release([first])
     for side in (100, 400, 50):
-        slot = slots.take("posterior")
+        slot = slots.acquire("posterior")
         assert slot.descriptor == first.descriptor
-        assert np.array_equal(reader.taken(writer.share(noise(side, side), slot)), noise(side, side))
-        slots.give_back([slot])
-    assert small.shape == kept.shape  # the memory itself has been lent again, but is still there
+        assert np.array_equal(reader.load(writer.share(noise(side, side), slot)), noise(side, side))
+        slots.release([slot])
+    assert small.shape == kept.shape  # the memory itself has been reused, but is still there
 
 
 def test_the_slot_that_came_back_last_is_lent_first_and_kinds_do_not_mix() -> None:
     slots = SlotPool()
-    one, two = slots.take("frame"), slots.take("frame")
-    slots.give_back([one])
-    slots.give_back([two])
-    assert slots.take("evidence").descriptor not in (one.descriptor, two.descriptor)
-    assert [slots.take("frame").descriptor, slots.take("frame").descriptor] == [
+    one, two = slots.acquire("frame"), slots.acquire("frame")
+    slots.release([one])
+    slots.release([two])
+    assert slots.acquire("evidence").descriptor not in (one.descriptor, two.descriptor)
+    assert [slots.acquire("frame").descriptor, slots.acquire("frame").descriptor] == [
         two.descriptor,
         one.descriptor,
     ]
@@ -98,39 +98,39 @@ def test_the_slot_that_came_back_last_is_lent_first_and_kinds_do_not_mix() -> No
 
 def test_slots_of_a_frame_are_lent_again_in_the_same_order() -> None:
     slots = SlotPool()
-    first = [slots.take("posterior") for _ in range(4)]
-    slots.give_back(first)
-    again = [slots.take("posterior") for _ in range(4)]
+    first = [slots.acquire("posterior") for _ in range(4)]
+    slots.release(first)
+    again = [slots.acquire("posterior") for _ in range(4)]
     assert [one.descriptor for one in again] == [one.descriptor for one in first]
 
 
-def test_no_two_messages_of_an_owner_have_the_same_turn() -> None:
+def test_no_two_messages_of_an_owner_have_the_same_generation() -> None:
     slots = SlotPool()
-    taken = [slots.take("frame"), slots.take("frame"), slots.take("evidence")]
-    slots.give_back(taken[:1])
-    taken.append(slots.take("frame"))
-    assert len({one.turn for one in taken}) == len(taken)
-    assert min(one.turn for one in taken) > 0
+    taken = [slots.acquire("frame"), slots.acquire("frame"), slots.acquire("evidence")]
+    slots.release(taken[:1])
+    taken.append(slots.acquire("frame"))
+    assert len({one.generation for one in taken}) == len(taken)
+    assert min(one.generation for one in taken) > 0
 
 
 def test_a_message_that_is_read_too_late_is_refused() -> None:
     slots, memory = SlotPool(), SharedMemory()
-    early = memory.share(noise(4, 4), slots.take("frame"))
-    slots.give_back([early.slot])
-    memory.share(noise(4, 4, 1), slots.take("frame"))
-    with pytest.raises(LayerError, match="lent again"):
-        memory.taken(early)
+    early = memory.share(noise(4, 4), slots.acquire("frame"))
+    slots.release([early.slot])
+    memory.share(noise(4, 4, 1), slots.acquire("frame"))
+    with pytest.raises(LayerError, match="reused"):
+        memory.load(early)
 
 
 def test_a_message_whose_owner_is_gone_is_a_lost_process() -> None:
     gone: Shared[SourceFrame] = Shared(Slot("frame", 2**22 + 1, 3, 1), 10)  # beyond the greatest process id
     with pytest.raises(ActorLostError, match="cannot reach the memory"):
-        SharedMemory().taken(gone)
+        SharedMemory().load(gone)
 
 
 def test_what_a_process_wrote_is_read_in_others_and_outlives_it() -> None:
     slots, memory = SlotPool(), SharedMemory()
-    slot = slots.take("segmentation")
+    slot = slots.acquire("segmentation")
     program = textwrap.dedent(
         f"""
         import numpy as np
@@ -141,18 +141,18 @@ def test_what_a_process_wrote_is_read_in_others_and_outlives_it() -> None:
     )
     written = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     shared: Shared[Array] = Shared(slot, int(written.stdout))
-    read = memory.taken(shared)
+    read = memory.load(shared)
     assert np.array_equal(read, np.arange(100_000))
 
 
 def test_views_of_dropped_memory_stay_readable() -> None:
     slots, memory = SlotPool(), SharedMemory()
     own = LayerEvidence(3, "object", -1, np.ones((5, 2), np.float32), np.zeros((5, 2), np.float32))
-    read = memory.taken(memory.share(own, slots.take("evidence")))
+    read = memory.load(memory.share(own, slots.acquire("evidence")))
     del memory
     assert read.positions.sum() == 10
 
 
 def test_the_memory_is_anonymous() -> None:
-    slot = SlotPool().take("frame")
+    slot = SlotPool().acquire("frame")
     assert str(Path(f"/proc/self/fd/{slot.descriptor}").readlink()).startswith("/memfd:mlbs-frame")

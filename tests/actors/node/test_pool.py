@@ -6,6 +6,7 @@ import asyncio
 import os
 import signal
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +30,9 @@ from actor_fakes import (
 from ray.exceptions import RayActorError
 
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
-from mlbs_actors.actors.ipc.channels import take
+from mlbs_actors.actors.ipc.channels import connect
 from mlbs_actors.actors.ipc.shared_memory import SharedMemory, SlotPool
+from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory
 from mlbs_actors.actors.node.pool import PoolActor
 from mlbs_actors.actors.node.processes import end, identity, spawn
 from mlbs_actors.actors.stream.layer_actor import LayerStart, LayerStep
@@ -44,22 +46,22 @@ pytestmark = pytest.mark.ray
 
 
 def test_released_processes_become_other_layers_and_idle_ones_beyond_the_spare_are_ended(
-    node: Node, parts: FakeParts, tmp_path: Path
+    own_node: Node, parts: FakeParts, tmp_path: Path
 ) -> None:
     one_after_the_other = [picture(t, live=[1 + t // 3]) for t in range(30)]
-    stream = node.start(spec("changing", FakeReader([*one_after_the_other], tmp_path)))
+    stream = own_node.start(spec("changing", FakeReader([*one_after_the_other], tmp_path)))
     run_to_end(stream)
     layers, others = 1 + 10, 2  # the background and ten objects; coordinator and segmenter
     assert len(parts.processes()) - others < layers
-    wait_until(lambda: node.census() == PoolCensus(idle=1, busy=0))
+    wait_until(lambda: own_node.census() == PoolCensus(idle=1, busy=0))
 
 
-def test_the_pool_is_refilled_in_the_background(node: Node, tmp_path: Path) -> None:
-    stream = node.start(spec("two", FakeReader([picture(t, live=[1]) for t in range(500)], tmp_path)))
+def test_the_pool_is_refilled_in_the_background(own_node: Node, tmp_path: Path) -> None:
+    stream = own_node.start(spec("two", FakeReader([picture(t, live=[1]) for t in range(500)], tmp_path)))
     stream.advance().result(timeout=200)
-    wait_until(lambda: node.census() == PoolCensus(idle=1, busy=2))
+    wait_until(lambda: own_node.census() == PoolCensus(idle=1, busy=2))
     stream.stop(drain=False)
-    assert node.census().busy == 0
+    assert own_node.census().busy == 0
 
 
 def test_a_birth_starts_a_process_only_where_few_are_left(ray_session: RaySession, parts: FakeParts) -> None:
@@ -113,7 +115,7 @@ def test_processes_that_no_frame_waits_for_start_one_after_the_other_or_are_take
 def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
     ray_session: RaySession, parts: FakeParts, tmp_path: Path
 ) -> None:
-    node = Node(parts=FakeParts(parts.folder, cannot_start=True))
+    node = Node(parts=FakeParts(parts.folder, cannot_start=True), policy=PoolPolicy(spare=0))
     stream = node.start(spec("poor", FakeReader([*crowd(9, 1)], tmp_path)))
     with pytest.raises(ActorLostError, match=r"No process could be started for a layer: .*no memory left"):
         stream.advance().result(timeout=200)
@@ -146,7 +148,7 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
     with pytest.raises(RayActorError):
         ray.get(hanging.__ray_ready__.remote())
     again = ray.get(pool.begin.remote(2))
-    same, offer = ray.get(pool.acquire.remote(again, CONFIG, awaited=True))
+    same, address = ray.get(pool.acquire.remote(again, CONFIG, awaited=True))
     assert same == kept
     # What the first stream's coordinator has asked for before may still come.
     ray.get(kept.release.remote(run))
@@ -155,14 +157,14 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
         [LayerEvidence(3, "object", -1, np.zeros((1, 2), np.float32), np.zeros((1, 2), np.float32))], 0
     )
     slots, memory = SlotPool(), SharedMemory()
-    told = memory.share(evidence, slots.take("evidence"))
-    frame = memory.share(SourceFrame(0, picture(0), 0.0, "0"), slots.take("frame"))
-    born = memory.share(capture(Memory(4)), slots.take("state"))
+    told = memory.share(evidence, slots.acquire("evidence"))
+    frame = memory.share(SourceFrame(0, picture(0), 0.0, "0"), slots.acquire("frame"))
+    born = memory.share(capture(Memory(4)), slots.acquire("state"))
     served = kept.serve.remote(again)
-    with take(offer) as channel:
+    with connect(address) as channel:
         channel.send(LayerStart(SavedLayer(3, "object", -1), born))
-        channel.send(LayerStep(told, frame, None, slots.take("posterior"), None))
-        assert memory.taken(channel.receive()).layer == 3
+        channel.send(LayerStep(told, frame, None, slots.acquire("posterior"), None))
+        assert memory.load(channel.receive()).layer == 3
     ray.get(served)
     end([pool])
 
@@ -191,19 +193,79 @@ def test_a_stream_that_has_ended_gets_no_more_processes(ray_session: RaySession,
     assert asyncio.run(end_while_a_process_starts()) == PoolCensus(idle=1, busy=0)
 
 
+# ---- memory
+
+
+@dataclass(frozen=True)
+class Room:
+    """A node's memory for so many processes, of those that have started."""
+
+    folder: Path
+    processes: int
+
+    def __call__(self) -> NodeMemory:
+        free = LAYER_BYTES * (self.processes - len([*self.folder.glob("start-*")]))
+        return NodeMemory(0, free + NodeMemory(0, 0).available - NodeMemory(0, 0).free)
+
+
+def test_objects_beyond_the_memory_have_no_process_of_their_own_and_the_same_labels(
+    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+) -> None:
+    node = Node(parts=parts, policy=PoolPolicy(short_seconds=0.1, memory=Room(parts.folder, 2)))
+    pictures = [picture(t, live=range(1, 6)) for t in range(200)]
+    stream = node.start(spec("crowd", FakeReader([*pictures], tmp_path, slow_seconds=0.01)))
+    steps = [stream.advance().result(timeout=200)]
+    while not steps[-1].done:
+        steps.append(stream.advance().result(timeout=200))
+    stream.stop(drain=False)
+    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
+    assert len([*parts.folder.glob("start-*")]) == 2
+    assert max(step.without_process for step in steps) == 4  # of the background and five objects
+    node.close()
+
+
+def test_memory_is_kept_for_the_streams_that_are_still_to_begin(
+    ray_session: RaySession, parts: FakeParts
+) -> None:
+    room = Room(parts.folder, 3 + 2 * STREAM_BYTES // LAYER_BYTES + 1)
+    policy = PoolPolicy(spare=9, refill_seconds=60.0, streams=2, memory=room)
+    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote(1))
+    assert ray.get(pool.census.remote()) == PoolCensus(idle=3, busy=0)
+    assert ray.get(pool.acquire.remote(run, CONFIG, awaited=True)) is not None
+    ray.get(pool.begin.remote(2))
+    assert 2 < ray.get(pool.census.remote()).idle < 9
+    end([pool])
+
+
+def test_a_layer_gets_the_process_that_another_gives_back_where_the_memory_holds_no_more(
+    ray_session: RaySession, parts: FakeParts
+) -> None:
+    policy = PoolPolicy(short_seconds=60.0, memory=Room(parts.folder, 1))
+    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
+    run = ray.get(pool.begin.remote(1))
+    first, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
+    assert ray.get(pool.acquire.remote(run, CONFIG, awaited=True)) is None  # frames do not wait
+    later = pool.acquire.remote(run, CONFIG, awaited=False)
+    assert not ray.wait([later], timeout=0.5)[0]
+    ray.get(pool.release.remote(run, identity(first), first.release.remote(run)))
+    assert ray.get(later, timeout=30.0)[0] == first
+    end([pool])
+
+
 # ---- processes that wait for a stream
 
 
 def test_a_stream_starts_in_processes_that_were_warm_before(
-    node: Node, parts: FakeParts, tmp_path: Path
+    own_node: Node, parts: FakeParts, tmp_path: Path
 ) -> None:
-    first = node.start(spec("first", FakeReader([*crowd(60, 1)], tmp_path / "first")))
+    first = own_node.start(spec("first", FakeReader([*crowd(60, 1)], tmp_path / "first")))
     for _ in range(5):
         first.advance().result(timeout=200)
-    wait_until(node.prepare, 60.0)
+    wait_until(own_node.prepare, 60.0)
     warm = parts.processes()
     pictures = crowd(12, 1)
-    second = node.start(spec("second", FakeReader([*pictures], tmp_path / "second")))
+    second = own_node.start(spec("second", FakeReader([*pictures], tmp_path / "second")))
     own = {
         ray.get(handle.__ray_call__.remote(_pid)) for handle in (second._coordinator, second._links.segmenter)
     }
@@ -214,12 +276,14 @@ def test_a_stream_starts_in_processes_that_were_warm_before(
     first.stop(drain=False)
 
 
-def test_processes_for_the_next_stream_are_started_one_after_the_other(node: Node, parts: FakeParts) -> None:
+def test_processes_for_the_next_stream_are_started_one_after_the_other(
+    own_node: Node, parts: FakeParts
+) -> None:
     seen = set()
 
     def ready() -> bool:
         seen.add(len(parts.processes()))
-        return node.prepare()
+        return own_node.prepare()
 
     wait_until(ready, 60.0)
     assert seen == {0, 1, 2}

@@ -225,9 +225,9 @@ def test_a_camera_away_is_reconnecting_and_says_why() -> None:
     bench.read()
     first.sent.put(None)
     said = bench.silence("reconnecting")
-    assert said.note is not None
-    assert said.note.startswith("The camera rtsp://door is away: ")
-    assert said.note.count("rtsp://door") == 1
+    assert said.reason is not None
+    assert said.reason.startswith("The camera rtsp://door is away: ")
+    assert said.reason.count("rtsp://door") == 1
     bench.reader.close()
 
 
@@ -238,7 +238,7 @@ def test_a_silent_camera_is_stalled_and_one_that_hangs_is_connected_anew() -> No
     bench.read()
     assert bench.reader.read() == SourceSilence(None)
     bench.now += 6.0
-    assert bench.silence("stalled").note == "The camera rtsp://door has been silent for 6 s."
+    assert bench.silence("stalled").reason == "The camera rtsp://door has been silent for 6 s."
     bench.now += 10.0
     bench.silence("reconnecting")
     second.sent.put(0.0)

@@ -11,7 +11,7 @@ import pytest
 import ray
 from actor_fakes import CONFIG, RaySession, still_evidence
 
-from mlbs_actors.actors.ipc.channels import ChannelOffer
+from mlbs_actors.actors.ipc.channels import ChannelAddress
 from mlbs_actors.actors.stream.live_layers import LiveLayers
 from mlbs_actors.actors.stream.saved_states import SavedLayer
 from mlbs_actors.config import Config
@@ -40,9 +40,9 @@ class Pool:
         self.asked = 0
         self.acquire = Method(self._lend)
 
-    def _lend(self, run: int, config: Config, *, awaited: bool) -> tuple[Process, ChannelOffer]:
+    def _lend(self, run: int, config: Config, *, awaited: bool) -> tuple[Process, ChannelAddress]:
         self.asked += 1
-        return Process(), ChannelOffer(1, self.asked, self.asked)
+        return Process(), ChannelAddress(1, self.asked, self.asked)
 
 
 def evidence(frame: int, layers: tuple[int, ...]) -> FrameEvidence:

@@ -101,10 +101,10 @@ def reader_of(*sources: Answers) -> LiveReaderActor:
 
 def asked(reader: LiveReaderActor, *, fresh: bool) -> SourceFrame | SourceSilence | None:
     """What a start of the stream learns when it asks for its next row."""
-    said = reader.read(ReadNext(SlotPool().take("frame"), fresh))
+    said = reader.read(ReadNext(SlotPool().acquire("frame"), fresh))
     if not isinstance(said, Shared):
         return said
-    frame: SourceFrame = SharedMemory().taken(said)
+    frame: SourceFrame = SharedMemory().load(said)
     assert np.array_equal(np.asarray(frame.image), IMAGE)
     return replace(frame, image=None)  # so that frames can be compared
 

@@ -242,7 +242,7 @@ def test_streams_that_ended_and_cameras_without_a_snapshot_are_left_as_they_are(
     assert left["done"] == StreamState("done", "done", read=9, committed=9, line=1)
     camera = left["camera"]
     assert (camera.state, camera.read, camera.committed, camera.dropped) == ("partial", 40, 28, 3)
-    assert "has no snapshot to go on from" in (camera.error or "")
+    assert "has no snapshot to continue from" in (camera.error or "")
     assert left["full"].state == "done"
 
 
@@ -259,15 +259,15 @@ def test_a_process_of_a_killed_run_that_lives_on_can_commit_nothing(tmp_path: Pa
 
 
 def test_a_turn_that_is_not_given_back_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(commit_log, "_TURN_SECONDS", 0.1)
+    monkeypatch.setattr(commit_log, "_LOCK_SECONDS", 0.1)
     first = CommitLog(tmp_path)
-    with first.turn(), pytest.raises(SinkError, match="Another process is writing"):
+    with first.exclusive(), pytest.raises(SinkError, match="Another process is writing"):
         CommitLog(tmp_path)
 
 
 def test_lines_after_a_damaged_one_do_not_count(tmp_path: Path) -> None:
     log = CommitLog(tmp_path)
-    with log.turn():
+    with log.exclusive():
         for last in (31, 63, 95):
             log.add(last, None, provisional=False)
     path = tmp_path / "commits.jsonl"
@@ -488,7 +488,7 @@ def test_snapshots_of_a_quick_stream_wait_for_their_time(parts: FakeParts, tmp_p
     with started(never_dies) as node:
         for name, seconds in (("hourly", 3600.0), ("always", 0.0)):
             one = replace(
-                spec(name, FakeReader([*crowd(100, 2)], tmp_path / f"r {name}"), tmp_path),
+                spec(name, FakeReader([*crowd(100, 0)], tmp_path / f"r {name}"), tmp_path),
                 snapshot_seconds=seconds,
             )
             assert drive(node, one)[name].committed == 100

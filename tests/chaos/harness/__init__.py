@@ -7,6 +7,7 @@ Read in this order:
 - :mod:`~chaos.harness.camera`: a network camera that stalls, hangs up and refuses by a script
 - :mod:`~chaos.harness.reference`: what an undisturbed stream gives
 - :mod:`~chaos.harness.scenario`: a scenario, its faults and verdicts, and what must hold of any run
-- :mod:`~chaos.harness.loss_series`, :mod:`~chaos.harness.end_series`: many faults one after the other in one
-  run, or in runs that resume each other
+- :mod:`~chaos.harness.fault_series`: many faults one after the other, and how long a recovery takes
+- :mod:`~chaos.harness.loss_series`, :mod:`~chaos.harness.end_series`: such a series in one run, or in runs
+  that resume each other
 """

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 
-from chaos.harness.injection import Injection, Injector
-from chaos.harness.loss_series import LABELLED, newest_label_map, time_recovery
+from chaos.harness.fault_series import FaultSeries, newest_label_map, time_recovery
+from chaos.harness.injection import Injector
 from chaos.harness.observed_run import ObservedRun
-from chaos.harness.scenario import ScenarioContext, Verdicts, expect_end, expect_identical, expect_prefix
+from chaos.harness.scenario import ScenarioContext, expect_end, expect_identical, expect_prefix
 
-__all__ = ["End", "frames_for_ends", "kill", "run_end_series"]
+__all__ = ["frames_for_ends", "kill", "run_end_series"]
 
 #: Frames until a stream's first snapshot, and its progress between two ends, on average at most: some ends
 #: come with the third commit from then on.
@@ -27,39 +27,21 @@ def frames_for_ends(ends: int) -> int:
     return _FIRST_FRAMES + _FRAMES_OF_AN_END * ends
 
 
-End = Callable[[ObservedRun, Injector], None]
-
-
 def kill(run: ObservedRun, injector: Injector) -> None:
     """Kill the command."""
     run.signal_driver(signal.SIGKILL)
     run.end(killed=True)
 
 
-def run_end_series(
-    context: ScenarioContext,
-    verdicts: Verdicts,
-    ends: Sequence[tuple[str, End]],
-    lines: Sequence[str],
-    injections: Sequence[Injection] = (),
-) -> None:
-    """Run streams, end the run, resume it, and so on up to the streams' ends.
+def run_end_series(series: FaultSeries) -> None:
+    """Run streams of :func:`frames_for_ends`, end the run, resume it, and so on up to the streams' ends.
 
-    Parameters
-    ----------
-    context : ScenarioContext
-    verdicts : Verdicts
-    ends : sequence of str and callable
-        Names of faults, and what injects them into a run. Each is injected when all streams have label maps
-        that they did not have before. Where it ended the run, the next one resumes it.
-    lines : sequence of str
-        Streams, of :func:`frames_for_ends`.
-    injections : sequence of Injection
-        To install in all runs.
+    Each fault is injected when all streams have label maps that they did not have before. Where it ended the
+    run, the next one resumes it.
     """
-    context.prepare(lines)
+    context, verdicts, lines = series.context, series.verdicts, series.lines
+    injector = series.prepare()
     names = [line.split()[0] for line in lines]
-    injector = Injector(context.folder / "injector", [LABELLED, *injections])
     with ExitStack() as runs:
 
         def started(*flags: str) -> ObservedRun:
@@ -76,7 +58,7 @@ def run_end_series(
 
         run, before = started(), ""
         ended_by: list[tuple[str, ObservedRun]] = []
-        for name, inject in ends:
+        for name, inject in series.faults:
             if run.ended:
                 run = resumed(run, before)
             before = name

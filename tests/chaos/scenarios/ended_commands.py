@@ -8,7 +8,8 @@ import signal
 import time
 from pathlib import Path
 
-from chaos.harness.end_series import End, frames_for_ends, kill, run_end_series
+from chaos.harness.end_series import frames_for_ends, kill, run_end_series
+from chaos.harness.fault_series import FaultSeries, Inject
 from chaos.harness.injection import Injection, Injector
 from chaos.harness.observed_run import ObservedRun, expect
 from chaos.harness.scenario import Fault, Scenario, ScenarioContext, Verdicts, expect_end, victim
@@ -16,7 +17,7 @@ from chaos.harness.scenario import Fault, Scenario, ScenarioContext, Verdicts, e
 __all__ = ["SCENARIOS"]
 
 
-def _interrupted(number: signal.Signals, signals: int) -> End:
+def _interrupted(number: signal.Signals, signals: int) -> Inject:
     def inject(run: ObservedRun, injector: Injector) -> None:
         for _ in range(signals):
             run.signal_driver(number)
@@ -55,7 +56,7 @@ def _damage_files(output: Path) -> None:
     (foreign / "parts").write_bytes(pickle.dumps(Path("/tmp")))
 
 
-def _disk_fails(full: Injection) -> End:
+def _disk_fails(full: Injection) -> Inject:
     """Let publishing fail: the streams fail, and what was committed is kept."""
 
     def inject(run: ObservedRun, injector: Injector) -> None:
@@ -105,7 +106,8 @@ def _one_after_the_other(context: ScenarioContext, verdicts: Verdicts) -> None:
     )
     chosen = [(fault.name, end) for fault, end in zip(_FAULTS, ends, strict=True) if fault.name in verdicts]
     # A stream alone: whatever ends the command hits all of its streams.
-    run_end_series(context, verdicts, chosen, (victim(frames_for_ends(len(chosen))),), (full, read_only))
+    lines = (victim(frames_for_ends(len(chosen))),)
+    run_end_series(FaultSeries(context, verdicts, chosen, lines, (full, read_only)))
 
 
 SCENARIOS = (Scenario("the command ended one way after the other", _FAULTS, _one_after_the_other),)

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal, TypeAlias
 
-from chaos.harness.end_series import End, frames_for_ends, kill, run_end_series
+from chaos.harness.end_series import frames_for_ends, kill, run_end_series
+from chaos.harness.fault_series import FaultSeries, Inject
 from chaos.harness.injection import Injection, Injector, When
-from chaos.harness.loss_series import Loss, frames_for_losses, run_loss_series
+from chaos.harness.loss_series import frames_for_losses, run_loss_series
 from chaos.harness.observed_run import ObservedRun, expect
 from chaos.harness.scenario import (
     VICTIM,
@@ -138,7 +139,7 @@ def _provoke(step: Step, injection: Injection, run: ObservedRun, injector: Injec
         run.signal_actor("ray::SegmenterActor.serve", signal.SIGKILL)
 
 
-def _actor_dies(step: Step, injection: Injection) -> Loss:
+def _actor_dies(step: Step, injection: Injection) -> Inject:
     def inject(run: ObservedRun, injector: Injector) -> None:
         _provoke(step, injection, run, injector)
         run.wait(lambda: injector.has_fired(injection), "the kill")
@@ -146,7 +147,7 @@ def _actor_dies(step: Step, injection: Injection) -> Loss:
     return inject
 
 
-def _run_dies(step: Step, injection: Injection) -> End:
+def _run_dies(step: Step, injection: Injection) -> Inject:
     """Kill the sink and the command at one moment, as a power cut does; the rest ends by itself."""
 
     def inject(run: ObservedRun, injector: Injector) -> None:
@@ -174,16 +175,16 @@ def _wanted(
 def _actors_die(steps: tuple[Step, ...], context: ScenarioContext, verdicts: Verdicts) -> None:
     kills = _wanted(steps, context, verdicts)
     losses = [(_name(step, when), _actor_dies(step, injection)) for step, when, injection in kills]
-    lines = (victim(frames_for_losses(len(losses))),)
-    run_loss_series(context, verdicts, losses, lines, [injection for _, _, injection in kills])
+    lines, injections = [victim(frames_for_losses(len(losses)))], [injection for _, _, injection in kills]
+    run_loss_series(FaultSeries(context, verdicts, losses, lines, injections))
 
 
 def _runs_die(context: ScenarioContext, verdicts: Verdicts) -> None:
     kills = _wanted(COMMIT_STEPS, context, verdicts)
     ends = [(_name(step, when), _run_dies(step, injection)) for step, when, injection in kills]
     ends += [(fault.name, kill) for fault in _AT_ANY_TIME if fault.name in verdicts]
-    lines = (victim(frames_for_ends(len(ends))),)
-    run_end_series(context, verdicts, ends, lines, [injection for _, _, injection in kills])
+    lines, injections = [victim(frames_for_ends(len(ends)))], [injection for _, _, injection in kills]
+    run_end_series(FaultSeries(context, verdicts, ends, lines, injections))
 
 
 def _dies_at_the_end(step: Step, when: When, context: ScenarioContext) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import signal
 import time
 
+from chaos.harness.fault_series import FaultSeries, Inject
 from chaos.harness.injection import Injection, Injector, When
-from chaos.harness.loss_series import Loss, frames_for_losses, run_loss_series
+from chaos.harness.loss_series import frames_for_losses, run_loss_series
 from chaos.harness.observed_run import ObservedRun, content, expect
 from chaos.harness.scenario import (
     VICTIM,
@@ -44,7 +45,7 @@ _WHILE_SAVING = Fault("14", "a process killed while it writes a snapshot")
 _HANGS = Fault("17", f"layer hangs ({_HANG_SECONDS:.0f} s of patience)")
 
 
-def _send_signal(title: str, number: signal.Signals, pause: float, choice: int) -> Loss:
+def _send_signal(title: str, number: signal.Signals, pause: float, choice: int) -> Inject:
     def inject(run: ObservedRun, injector: Injector) -> None:
         time.sleep(pause)
         run.signal_actor(title, number, choice)
@@ -52,7 +53,7 @@ def _send_signal(title: str, number: signal.Signals, pause: float, choice: int) 
     return inject
 
 
-def _wait_until_fired(injection: Injection) -> Loss:
+def _wait_until_fired(injection: Injection) -> Inject:
     def inject(run: ObservedRun, injector: Injector) -> None:
         injector.arm(injection)
         run.wait(lambda: injector.has_fired(injection), "the injected fault")
@@ -70,7 +71,7 @@ def _one_after_the_other(context: ScenarioContext, verdicts: Verdicts) -> None:
     )
     sooner = Injection("orchestrator.run.recovery:STALL_SECONDS", "set", value=_HANG_SECONDS)
 
-    def hit(title: str, number: signal.Signals) -> Loss:
+    def hit(title: str, number: signal.Signals) -> Inject:
         return _send_signal(title, number, random.uniform(0, 0.5), int(random.integers(8)))
 
     losses = [(name, hit(title, signal.SIGKILL)) for _, name, title in _KILLED]
@@ -78,7 +79,8 @@ def _one_after_the_other(context: ScenarioContext, verdicts: Verdicts) -> None:
     losses += [(_HANGS.name, hit("ray::LayerActor.serve", signal.SIGSTOP))]
     losses = [losses[number] for number in random.permutation(len(losses)) if losses[number][0] in verdicts]
     frames = frames_for_losses(len(losses))
-    run_loss_series(context, verdicts, losses, (victim(frames), bystander(frames)), (saving, sooner))
+    lines = victim(frames), bystander(frames)
+    run_loss_series(FaultSeries(context, verdicts, losses, lines, (saving, sooner)))
 
 
 def _dies_at_every_start(context: ScenarioContext) -> None:

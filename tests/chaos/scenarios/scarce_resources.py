@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.through_ray.process_costs import process_tree
+from chaos.harness.fault_series import LABELLED, newest_label_map, time_recovery
 from chaos.harness.injection import Injector
-from chaos.harness.loss_series import LABELLED, newest_label_map, time_recovery
 from chaos.harness.observed_run import ObservedRun, expect
 from chaos.harness.scenario import (
     BYSTANDER,

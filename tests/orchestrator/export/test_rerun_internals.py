@@ -54,7 +54,7 @@ def write_run(folder: Path, sources: dict[str, str], max_side: int | None = None
         ListedStream(name, parse_address(source, folder), line)
         for line, (name, source) in enumerate(sources.items(), start=1)
     ]
-    RunFolder(folder).claim(describe_run(streams, Config(), SAVED, None, max_side))
+    RunFolder(folder).create(describe_run(streams, Config(), SAVED, None, max_side))
     return seen
 
 

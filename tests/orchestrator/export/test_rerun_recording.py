@@ -42,7 +42,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ListedStream(name, parse_address(source, folder), line)
         for line, (name, source) in enumerate(SOURCES.items(), start=1)
     ]
-    RunFolder(folder).claim(describe_run(streams, Config(), SAVED, None))
+    RunFolder(folder).create(describe_run(streams, Config(), SAVED, None))
     return folder
 
 

@@ -63,7 +63,7 @@ def test_of_many_runs_that_begin_at_once_in_one_folder_exactly_one_gets_it(tmp_p
     def begin(number: int) -> None:
         barrier.wait()
         try:
-            RunFolder(tmp_path).claim({"number": number})
+            RunFolder(tmp_path).create({"number": number})
             outcomes.append(number)
         except ConfigError:
             outcomes.append(None)
@@ -78,9 +78,9 @@ def test_of_many_runs_that_begin_at_once_in_one_folder_exactly_one_gets_it(tmp_p
 
 
 def test_a_second_run_is_refused_and_the_first_one_keeps_its_description(tmp_path: Path) -> None:
-    RunFolder(tmp_path).claim({"number": 1})
+    RunFolder(tmp_path).create({"number": 1})
     with pytest.raises(ConfigError, match="Another run"):
-        RunFolder(tmp_path).claim({"number": 2})
+        RunFolder(tmp_path).create({"number": 2})
     assert json.loads((tmp_path / "run.json").read_text()) == {"number": 1}
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
 
@@ -131,6 +131,7 @@ def test_the_status_file_says_how_each_stream_stands(tmp_path: Path) -> None:
         "returns": 0,
         "interrupted": False,
         "length": None,
+        "without_process": 0,
         "queued": 0,
         "seconds_left": None,
         "waits_for": None,
@@ -200,7 +201,7 @@ def test_lines_are_appended_whole_and_in_order(tmp_path: Path) -> None:
 def record_frame(folder: Path) -> None:
     folder.mkdir()
     log = CommitLog(folder)
-    with log.turn():
+    with log.exclusive():
         log.add(0, None, provisional=False)
 
 
@@ -211,7 +212,7 @@ def test_lines_of_the_list_may_change_whose_streams_have_no_frame_yet(tmp_path: 
         streams = [listed(name, source) for name, source in sources.items()]
         return describe_run(streams, Config(), frozenset({"masks"}), None)
 
-    folder.claim(described(yard="yard.mp4", door="dor.mp4"))
+    folder.create(described(yard="yard.mp4", door="dor.mp4"))
     record_frame(tmp_path / "yard")
     for allowed in (
         described(yard="yard.mp4", door="door.mp4"),
@@ -229,7 +230,7 @@ def test_a_run_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
     plain = describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), None)
     with pytest.raises(ConfigError, match="holds no run to resume"):
         folder.refuse_other(plain)
-    folder.claim(plain)
+    folder.create(plain)
     record_frame(tmp_path / "yard")
     assert folder.refuse_other(plain | {"started": "later"})["started"] == plain["started"]
     other_config = Config.model_validate({"layers": {"lookahead": 1}})
@@ -271,15 +272,15 @@ def test_the_states_of_the_streams_are_read_back_from_the_status(tmp_path: Path)
 def test_one_run_at_a_time_has_a_folder_and_a_killed_one_keeps_nobody_out(tmp_path: Path) -> None:
     code = (
         "import pathlib, sys, time; from orchestrator.run.run_folder import RunFolder\n"
-        f"with RunFolder(pathlib.Path({str(tmp_path)!r})).held(): print('held', flush=True); time.sleep(60)"
+        f"with RunFolder(pathlib.Path({str(tmp_path)!r})).locked(): print('held', flush=True); time.sleep(60)"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == "held\n"
-        with pytest.raises(ConfigError, match="Another run is at work"), RunFolder(tmp_path).held():
+        with pytest.raises(ConfigError, match="Another run is at work"), RunFolder(tmp_path).locked():
             pass
         other.kill()
-    with RunFolder(tmp_path).held():
+    with RunFolder(tmp_path).locked():
         pass
 
 

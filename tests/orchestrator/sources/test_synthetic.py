@@ -62,7 +62,7 @@ def test_the_exact_motion_carries_the_frame_before_onto_the_frame(name: str) -> 
             if surface.sum() < 100:
                 continue
             assert exact[surface].mean() < 2.0
-            assert all(error[surface].mean() > 1.3 * exact[surface].mean() for error in wrong)
+            assert all(error[surface].mean() > 1.2 * exact[surface].mean() for error in wrong)
 
 
 @pytest.mark.parametrize("name", MOVERS)
@@ -111,15 +111,15 @@ def test_another_seed_gives_another_picture_and_another_name_too() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(SCRIPTS))
-@pytest.mark.parametrize(("width", "height"), [(160, 120), (214, 120), (64, 49)])
-def test_every_scene_comes_in_every_size_with_its_types(name: str, width: int, height: int) -> None:
-    made = scene(name, frames=3, width=width, height=height)
-    assert len(made) == 3
-    assert made.frame(2).shape == (height, width, 3)
-    assert made.labels(2).shape == (height, width)
-    assert made.flow(2).shape == (height, width, 2)
-    types = [array.dtype.name for array in (made.frame(2), made.labels(2), made.flow(2))]
-    assert types == ["uint8", "uint8", "float32"]
+def test_every_scene_comes_in_every_size_with_its_types(name: str) -> None:
+    for width, height in ((160, 120), (214, 120), (64, 49)):
+        made = scene(name, frames=3, width=width, height=height)
+        assert len(made) == 3
+        assert made.frame(2).shape == (height, width, 3)
+        assert made.labels(2).shape == (height, width)
+        assert made.flow(2).shape == (height, width, 2)
+        types = [array.dtype.name for array in (made.frame(2), made.labels(2), made.flow(2))]
+        assert types == ["uint8", "uint8", "float32"]
 
 
 def test_the_first_frame_has_no_motion() -> None:

@@ -1,10 +1,10 @@
-"""Who may work on frames at once, where a node has more streams than cores.
+"""Limits how many streams work on a burst at once, where a node has more streams than cores.
 
-Processes of many streams that take turns every few milliseconds find each other's data in the caches: with
-eight streams on two cores a frame took a quarter more CPU time. So streams take turns of a whole burst.
+Processes of many streams that alternate every few milliseconds evict each other's data from the caches: with
+eight streams on two cores a frame took a quarter more CPU time. So streams alternate by whole bursts.
 
-A turn that lasts is another matter: what hangs there, or waits for its disk, must not keep the others from
-their work. After a while they go on beside it.
+A call that takes long must not block the others, as it may hang or wait for its disk: after a while they
+continue beside it.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from functools import partial
 from threading import Lock, Timer
 from typing import Any, TypeVar
 
-__all__ = ["Turns"]
+__all__ = ["BurstLimiter"]
 
 Answer = TypeVar("Answer")
 
 
-class Turns:
-    """Lets a number of calls be under way, and those that last; the others wait, in their order.
+class BurstLimiter:
+    """Runs a limited number of calls at once, plus those that take too long; the others wait in order.
 
     Parameters
     ----------
@@ -39,40 +39,40 @@ class Turns:
         self._waiting: deque[Callable[[], None]] = deque()
         self._lock = Lock()
 
-    def take(
+    def submit(
         self, begin: Callable[[], Future[Answer]], while_waiting: Callable[[], None] | None = None
     ) -> Future[Answer]:
-        """Have ``begin`` called as soon as it is its turn; return what its future will have.
+        """Call ``begin`` as soon as there is room; return a future with the result of its future.
 
-        The turn is over when that future is done, or after ``patience``. Where it is not its turn yet,
-        ``while_waiting`` is called before, once.
+        The room is free again when that future is done, or after ``patience``. If there is none,
+        ``while_waiting`` is called first, once.
         """
         answer: Future[Answer] = Future()
 
         def start() -> None:
-            turn = _Turn(self._pass_on, self._patience)
+            running = _Running(self._pass_on, self._patience)
             try:
                 begun = begin()
             except Exception as error:
                 answer.set_exception(error)
-                turn.end()
+                running.end()
             else:
-                begun.add_done_callback(partial(end, turn))
+                begun.add_done_callback(partial(end, running))
 
-        def end(turn: _Turn, begun: Future[Any]) -> None:
-            # First the answer: it must not be lost where the next call cannot begin.
+        def end(running: _Running, begun: Future[Any]) -> None:
+            # Deliver the answer first: it must not be lost if the next call cannot begin.
             error = begun.exception()
             if error is None:
                 answer.set_result(begun.result())
             else:
                 answer.set_exception(error)
-            turn.end()
+            running.end()
 
         with self._lock:
             if self._free == 0:
                 self._waiting.append(start)
                 if while_waiting is not None:
-                    while_waiting()  # while nobody can pass the turn on
+                    while_waiting()  # under the lock, so that the call cannot start before
                 return answer
             self._free -= 1
         start()
@@ -87,8 +87,8 @@ class Turns:
         following()
 
 
-class _Turn:
-    """A turn that has begun. It is passed on once: at its end, or when it has lasted too long."""
+class _Running:
+    """A call under way. It makes room once: at its end, or when it has taken too long."""
 
     def __init__(self, pass_on: Callable[[], None], patience: float) -> None:
         self._pass_on = pass_on
@@ -96,7 +96,7 @@ class _Turn:
         self._lock = Lock()
         self._timer = Timer(patience, self.end)
         self._timer.daemon = True
-        with suppress(RuntimeError):  # no thread is to be had: better a turn without an end than none
+        with suppress(RuntimeError):  # no thread is available: a call without time limit is better than none
             self._timer.start()
 
     def end(self) -> None:

@@ -1,4 +1,4 @@
-"""Calls that take turns: so many at once, in their order, and none is lost where one fails."""
+"""Calls that take limiter: so many at once, in their order, and none is lost where one fails."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import pytest
 
-from mlbs_actors.actors.node.turns import Turns
+from mlbs_actors.actors.node.burst_limiter import BurstLimiter
 
 
 class Calls:
@@ -24,8 +24,8 @@ class Calls:
 
 
 def test_so_many_are_under_way_and_the_others_follow_in_their_order() -> None:
-    turns, calls = Turns(2, 60.0), Calls()
-    answers = {name: turns.take(lambda name=name: calls.begin(name)) for name in "abcd"}  # type: ignore[misc]
+    limiter, calls = BurstLimiter(2, 60.0), Calls()
+    answers = {name: limiter.submit(lambda name=name: calls.begin(name)) for name in "abcd"}  # type: ignore[misc]
     assert calls.begun == ["a", "b"]
     calls.futures["b"].set_result("B")
     assert answers["b"].result(timeout=0) == "B"
@@ -34,27 +34,27 @@ def test_so_many_are_under_way_and_the_others_follow_in_their_order() -> None:
     calls.futures["c"].set_result("C")
     assert calls.begun == ["a", "b", "c", "d"]
     calls.futures["d"].set_result("D")
-    again = turns.take(lambda: calls.begin("e"))
+    again = limiter.submit(lambda: calls.begin("e"))
     assert calls.begun[-1] == "e"
     assert not again.done()
 
 
 def test_who_has_to_wait_is_told_so_before_it_begins() -> None:
-    turns, calls = Turns(1, 60.0), Calls()
-    turns.take(lambda: calls.begin("a"), lambda: calls.begun.append("a waits"))
-    turns.take(lambda: calls.begin("b"), lambda: calls.begun.append("b waits"))
+    limiter, calls = BurstLimiter(1, 60.0), Calls()
+    limiter.submit(lambda: calls.begin("a"), lambda: calls.begun.append("a waits"))
+    limiter.submit(lambda: calls.begin("b"), lambda: calls.begun.append("b waits"))
     calls.futures["a"].set_result("A")
     assert calls.begun == ["a", "b waits", "b"]
 
 
 def test_one_that_fails_gives_its_turn_to_the_next() -> None:
-    turns, calls = Turns(1, 60.0), Calls()
+    limiter, calls = BurstLimiter(1, 60.0), Calls()
 
     def fails() -> Future[str]:
         raise KeyError("no such stream")
 
-    first = turns.take(lambda: calls.begin("a"))
-    second, third = turns.take(fails), turns.take(lambda: calls.begin("c"))
+    first = limiter.submit(lambda: calls.begin("a"))
+    second, third = limiter.submit(fails), limiter.submit(lambda: calls.begin("c"))
     calls.futures["a"].set_exception(OSError("gone"))
     with pytest.raises(OSError, match="gone"):
         first.result(timeout=0)
@@ -82,10 +82,10 @@ class Patience:
 
 
 def test_one_that_lasts_too_long_keeps_nobody_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mlbs_actors.actors.node.turns.Timer", Patience)
+    monkeypatch.setattr("mlbs_actors.actors.node.burst_limiter.Timer", Patience)
     monkeypatch.setattr(Patience, "started", [])
-    turns, calls = Turns(1, 3.0), Calls()
-    answers = [turns.take(lambda name=name: calls.begin(name)) for name in "abc"]  # type: ignore[misc]
+    limiter, calls = BurstLimiter(1, 3.0), Calls()
+    answers = [limiter.submit(lambda name=name: calls.begin(name)) for name in "abc"]  # type: ignore[misc]
     late, prompt = Patience.started[0], answers[1]
     assert late.seconds == 3.0
     assert late.daemon
