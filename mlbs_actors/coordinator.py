@@ -73,31 +73,47 @@ from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectorie
 __all__ = ["Coordinator", "CoordinatorState"]
 
 
-#: Frames that are lit alike, but differently from the last picture, before that is taken for the new light: a
-#: flash is shorter.
-LASTING_LIGHT = 2
+#: So many frames in a row with a glare are no flash, but have a new light.
+LASTING_LIGHT = 3
 
 
 @dataclass(frozen=True, slots=True)
-class UnsettledFrame:
-    """A frame in which the last picture does not go on: the next one says what it is.
+class NewFrame:
+    """A frame that has come.
 
     Attributes
     ----------
     frame_index : int
     frame : (H, W, 3) uint8
     picture : Picture
-    status : FrameStatus
-        What it is if the next one goes on from the last picture.
-    lost : bool
-        Whether the flow does not find the last picture again.
     """
 
     frame_index: int
     frame: Array
     picture: Picture
+
+
+@dataclass(frozen=True, slots=True)
+class UnsettledFrame:
+    """A frame in which the last picture does not go on: the next ones say what it is.
+
+    Attributes
+    ----------
+    new : NewFrame
+    status : FrameStatus
+        What it is if one of them goes on from the last picture.
+    lost : bool
+        Whether the last picture is not found again in it.
+    """
+
+    new: NewFrame
     status: FrameStatus
     lost: bool
+
+    @property
+    def frame_index(self) -> int:
+        """Of the frame."""
+        return self.new.frame_index
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,10 +163,8 @@ class CoordinatorState:
         Its :func:`~mlbs_actors.footage.light.colour_samples`.
     astray : (rows,) float32
         Its :func:`~mlbs_actors.footage.continuity.rows_astray`.
-    unsettled : UnsettledFrame, optional
-        The newest frame, if the last picture does not go on in it.
-    lit : int
-        Frames in a row, up to the newest, that are lit differently from the last picture.
+    unsettled : tuple of UnsettledFrame
+        The newest frames, if the last picture does not go on in them; oldest first.
     focus : (rows, columns) bool
         Blocks around which the next flow needs its finest level; empty for everywhere.
     trajectories : TrajectoryState
@@ -175,8 +189,7 @@ class CoordinatorState:
     picture: Picture
     colours: Array
     astray: Array
-    unsettled: UnsettledFrame | None
-    lit: int
+    unsettled: tuple[UnsettledFrame, ...]
     focus: Array
     trajectories: TrajectoryState
     labels: Array
@@ -198,8 +211,7 @@ class CoordinatorState:
             picture=Picture(np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8)),
             colours=np.zeros((0, 0, 3), np.uint8),
             astray=np.zeros(0, np.float32),
-            unsettled=None,
-            lit=0,
+            unsettled=(),
             focus=np.zeros((0, 0), bool),
             trajectories=empty_trajectories(config.trajectories),
             labels=np.zeros(0, np.int64),
@@ -240,8 +252,8 @@ class Coordinator:
         state, first_held = self.state, self.state.next_frame
         if state.held:
             first_held = state.held[0].frame_index
-        elif state.unsettled is not None:
-            first_held = state.unsettled.frame_index
+        elif state.unsettled:
+            first_held = state.unsettled[0].frame_index
         return frame_index < first_held
 
     def step(
@@ -285,27 +297,60 @@ class Coordinator:
         self.state.next_frame = frame_index + 1
         if is_blank(picture.gray):
             return self._pass_over(frame_index, "blank", feedback)
-        if self.state.unsettled is None and repeats(picture.gray, self.state.picture.gray):
+        if not self.state.unsettled and repeats(picture.gray, self.state.picture.gray):
             return self._pass_over(frame_index, "repeated", feedback)
-        match = self._matched(frame, picture, stage_ms)
-        unsettled, shown = self.state.unsettled, []
+        shown = self._go_on(NewFrame(frame_index, frame, picture), feedback, stage_ms)
+        newest = frame_index if not self.state.unsettled else self.state.unsettled[0].frame_index - 1
+        return shown + (self._emit(newest - self.config.layers.lookahead) if self.state.clustered else [])
+
+    def _go_on(
+        self, new: NewFrame, feedback: Callable[[], Segmentation] | None, stage_ms: dict[str, float]
+    ) -> list[FrameEvidence]:
+        """Go on to a frame that is no repetition, or have it wait; return what ends before a new scene."""
+        state, shown = self.state, []
+        match = self._matched(new, stage_ms)
         if match.status == "ok":
             self._settle()
-        elif unsettled is not None and self._goes_on(unsettled, picture):
-            shown = self._begin_scene(unsettled)
-            match = self._matched(frame, picture, stage_ms)
-        if match.status != "ok":
-            lost = match.status == "damaged" and match.flow is None
-            waits = UnsettledFrame(frame_index, frame, picture, match.status, lost)
-            return shown + self._wait_for_next(waits, feedback)
-        self._take(frame_index, frame, picture, match, feedback, stage_ms)
-        return shown + (
-            self._emit(frame_index - self.config.layers.lookahead) if self.state.clustered else []
-        )
+        elif state.unsettled and state.unsettled[-1].lost and self._begins(state.unsettled[-1], new.picture):
+            first = state.unsettled[-1].new
+            self._settle(state.unsettled[:-1])
+            shown = self.flush()
+            self._begin_epoch(first.frame_index)
+            self.state.next_frame, self.state.shape, self.state.cut = new.frame_index + 1, state.shape, True
+            self._take(first, self._matched(first, {}), None, {})
+            match = self._matched(new, stage_ms)
+        elif match.status == "flash" and len(state.unsettled) + 1 >= LASTING_LIGHT:
+            for one in state.unsettled:
+                self._take_or_pass_over(one.new, None, {})
+            state.unsettled = ()
+            self._take_or_pass_over(new, feedback, stage_ms)
+            return []
+        if match.status == "ok":
+            self._take(new, match, feedback, stage_ms)
+            return shown
+        if match.status != "flash":
+            self._settle()
+        _published(feedback)  # the layers must keep pace
+        lost = match.status == "damaged" and match.flow is None
+        self.state.unsettled = (*self.state.unsettled, UnsettledFrame(new, match.status, lost))
+        return shown
 
-    def _matched(self, frame: Array, picture: Picture, stage_ms: dict[str, float]) -> _Match:
-        """Find the last picture again in a new one, and follow the trajectories there."""
-        state, config = self.state, self.config
+    def _take_or_pass_over(
+        self, new: NewFrame, feedback: Callable[[], Segmentation] | None, stage_ms: dict[str, float]
+    ) -> None:
+        """Go on to a frame in its new light."""
+        match = self._matched(new, stage_ms, lasting=True)
+        if match.tracked is None:
+            self.state.held = (*self.state.held, no_picture(new.frame_index, match.status))
+        else:
+            self._take(new, match, feedback, stage_ms)
+
+    def _matched(self, new: NewFrame, stage_ms: dict[str, float], *, lasting: bool = False) -> _Match:
+        """Find the last picture again in a new one, and follow the trajectories there.
+
+        ``lasting`` is whether its light is known to last.
+        """
+        state, config, picture = self.state, self.config, new.picture
         assert state.shape is not None
         side = cell_side(state.shape, config.grid.cell_px)
         flow, light, gray = None, unchanged(), state.picture.gray
@@ -318,40 +363,37 @@ class Coordinator:
                 return estimate_flow(before, picture, side, config, None if closely else boxes, self.flow)
 
             with _timed(stage_ms, "flow"):
-                goes_on = continuation(state.picture, state.colours, picture, frame, search)
+                goes_on = continuation(state.picture, state.colours, picture, new.frame, search)
             flow, light, gray = goes_on.flow, goes_on.light, goes_on.gray
             if not goes_on.found:
                 return _Match("damaged", None, None, light, gray, astray)
-            if goes_on.glaring and state.lit + 1 < LASTING_LIGHT:
+            if goes_on.glaring and not lasting:
                 return _Match("flash", flow, None, light, gray, astray)
         with _timed(stage_ms, "tracking"):
             known = state.labels == BACKGROUND if state.clustered else np.ones(len(state.labels), bool)
             tracked = track(state.trajectories, known, flow, gray, picture.gray, state.shape, config)
             if flow is not None:
                 astray = rows_astray(flow, tracked.camera, length_scale(*state.shape))
-                if state.unsettled is None and is_torn(astray, state.astray):
+                if not state.unsettled and is_torn(astray, state.astray):
                     status = "damaged"
         return _Match(status, flow, tracked, light, gray, astray)
 
-    def _goes_on(self, unsettled: UnsettledFrame, picture: Picture) -> bool:
+    def _begins(self, unsettled: UnsettledFrame, picture: Picture) -> bool:
         """Whether a frame in which the last picture was not found goes on in the next one: a new scene."""
-        if not unsettled.lost:
-            return False
         assert self.state.shape is not None
-        side = cell_side(self.state.shape, self.config.grid.cell_px)
-        flow = estimate_flow(unsettled.picture, picture, side, self.config, None, self.flow)
-        return found_again(flow, unsettled.picture.gray, picture.gray) >= LEAST_FOUND
+        before, side = unsettled.new.picture, cell_side(self.state.shape, self.config.grid.cell_px)
+        flow = estimate_flow(before, picture, side, self.config, None, self.flow)
+        return found_again(flow, before.gray, picture.gray) >= LEAST_FOUND
 
     def _take(
         self,
-        frame_index: int,
-        frame: Array,
-        picture: Picture,
+        new: NewFrame,
         match: _Match,
         feedback: Callable[[], Segmentation] | None,
         stage_ms: dict[str, float],
     ) -> None:
         """Go on to a picture."""
+        frame_index, frame, picture = new.frame_index, new.frame, new.picture
         state, config, flow, tracked = self.state, self.config, match.flow, match.tracked
         assert tracked is not None
         assert state.shape is not None
@@ -373,7 +415,7 @@ class Coordinator:
         if state.pictures == 0:
             status = "cut" if state.cut else "ok"
             state.epoch = frame_index
-        state.pictures, state.lit = state.pictures + 1, 0
+        state.pictures += 1
         state.picture, state.colours, state.astray = picture, colour_samples(frame, side), match.astray
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
         if self._clustering_due(frame_index):
@@ -414,36 +456,11 @@ class Coordinator:
             return self._emit(frame_index)
         return self._emit(frame_index - config.lookahead) if state.clustered else []
 
-    def _settle(self) -> None:
-        """Pass over the frame that waits: the scene goes on without it."""
-        state = self.state
-        if state.unsettled is not None:
-            state.held = (*state.held, no_picture(state.unsettled.frame_index, state.unsettled.status))
-            state.unsettled = None
-
-    def _wait_for_next(
-        self, unsettled: UnsettledFrame, feedback: Callable[[], Segmentation] | None
-    ) -> list[FrameEvidence]:
-        """Decide on a frame when the next one is seen."""
-        state = self.state
-        self._settle()
-        _published(feedback)
-        state.lit = state.lit + 1 if unsettled.status == "flash" else 0
-        state.unsettled = unsettled
-        last = unsettled.frame_index - 1 - self.config.layers.lookahead
-        return self._emit(last) if state.clustered else []
-
-    def _begin_scene(self, first: UnsettledFrame) -> list[FrameEvidence]:
-        """End the epoch, and begin another one with the frame that waits."""
-        next_frame, shape = self.state.next_frame, self.state.shape
-        self.state.unsettled = None
-        ended = self.flush()
-        self._begin_epoch(first.frame_index)
-        self.state.shape, self.state.next_frame, self.state.cut = shape, next_frame, True
-        stage_ms: dict[str, float] = {}
-        match = self._matched(first.frame, first.picture, stage_ms)
-        self._take(first.frame_index, first.frame, first.picture, match, None, stage_ms)
-        return ended
+    def _settle(self, those: tuple[UnsettledFrame, ...] | None = None) -> None:
+        """Pass over frames that wait, all by default: the scene goes on without them."""
+        for one in self.state.unsettled if those is None else those:
+            self.state.held = (*self.state.held, no_picture(one.frame_index, one.status))
+        self.state.unsettled = ()
 
     def flush(self) -> list[FrameEvidence]:
         """Emit what is still held at the end of the stream."""

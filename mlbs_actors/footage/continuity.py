@@ -33,8 +33,9 @@ TEXTURE, ALIKE, LEAST_TEXTURED = 16.0, 0.7, 0.002
 STEP = 4
 #: A cell is astray if the camera's motion leads it so far off, px of a 640×480 frame, or its flow is unsure.
 ASTRAY_PX = 3.0
-#: A row is torn if at least this share of it is astray now, and at most that was before.
-TORN, WHOLE = 0.8, 0.5
+#: A row is torn if at least this share of it is astray now, and at most that was before; and most that is
+#: astray in one of the rows beside a torn band: its edge is sharp.
+TORN, WHOLE = 0.9, 0.5
 #: Least height of a torn band, and most of what is torn, as shares of the frame's.
 LEAST_BAND, MOST_BAND = 0.08, 0.9
 
@@ -120,9 +121,14 @@ def is_torn(rows: Array, before: Array) -> bool:
     """
     if rows.shape != before.shape:
         return False
-    torn = (rows >= TORN) & (before <= WHOLE)
-    if rows.size == 0 or np.mean(rows >= TORN) > MOST_BAND:
+    torn = rows >= TORN
+    if rows.size == 0 or torn.mean() > MOST_BAND:
         return False
     bounds = np.flatnonzero(np.diff(np.concatenate([[0], torn.astype(np.int8), [0]])))
-    bands = bounds[1::2] - bounds[::2]
-    return bool(bands.max(initial=0) >= max(LEAST_BAND * rows.size, 1))
+    for start, end in zip(bounds[::2].tolist(), bounds[1::2].tolist(), strict=True):
+        high = end - start >= LEAST_BAND * rows.size
+        # The row on the edge itself may be cut through.
+        outside = [rows[place] for place in (start - 2, end + 1) if 0 <= place < rows.size]
+        if high and before[start:end].max() <= WHOLE and outside and min(outside) <= WHOLE:
+            return True
+    return False
