@@ -75,8 +75,8 @@ def continuation(
     light, gray_light, glaring = _light(colours, frame, flow)
     found = LEAST_FOUND
     if correlated(flow, before.gray, picture.gray) < SURELY_ALIKE or strength(gray_light) > SMALL_CHANGE:
-        flow = search(before, True)
-        found = found_again(flow, before.gray, picture.gray)
+        closely = search(before, True)
+        found = found_again(closely, before.gray, picture.gray)
         if found < LEAST_FOUND:
             gray_light = light_change(before.gray.reshape(-1, 1), picture.gray.reshape(-1, 1))
         lit = _relit_gray(before.gray, gray_light)
@@ -84,7 +84,7 @@ def continuation(
         found_anew = found_again(anew, lit, picture.gray)
         if found_anew > found:
             flow, found = anew, found_anew
-        light, gray_light, glaring = _light(colours, frame, flow)
+            light, gray_light, glaring = _light(colours, frame, flow)
     gray = _relit_gray(before.gray, gray_light)
     return Continuation(flow, found >= LEAST_FOUND, light, gray, glaring)
 
@@ -99,7 +99,8 @@ def _light(colours: Array, frame: Array, flow: DenseFlow) -> tuple[Array, Array,
 def _gray(colours: Array) -> Array:
     if not len(colours):
         return colours[:, :1]
-    return cv2.cvtColor(colours[None], cv2.COLOR_BGR2GRAY)[0][:, None]
+    gray: Array = cv2.cvtColor(colours[None], cv2.COLOR_BGR2GRAY)[0][:, None]
+    return gray
 
 
 def _relit_gray(gray: Array, change: Array) -> Array:

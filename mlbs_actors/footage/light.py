@@ -33,7 +33,7 @@ DARKEST, BRIGHTEST = 3, 252
 #: Least number of quantiles and of places for a fit, and least spread for a gain, grey levels.
 LEAST_QUANTILES, LEAST_PLACES, LEAST_SPREAD = 5, 64, 4.0
 #: A smaller change is none: what noise and new things at the border make of it, grey levels.
-LEAST_CHANGE = 1.5
+LEAST_CHANGE = 3.0
 #: It must leave at most this share of the differences between matched values, or it is none: where motion
 #: blurs a picture, its quantiles move, but no new light explains them.
 MOST_LEFT = 0.6
