@@ -258,7 +258,7 @@ def test_the_reader_is_held_back_to_the_pace_of_the_slowest(
 
 def test_a_burst_ends_where_its_file_is_slow(node: Node, parts: FakeParts, tmp_path: Path) -> None:
     pictures = crowd(10, 1)  # of which a burst takes eight
-    stream = node.start(spec("slow", FakeReader([*pictures], tmp_path, slow_seconds=0.1)))
+    stream = node.start(spec("slow", FakeReader([*pictures], tmp_path, slow_seconds=0.5)))
     bursts = 1
     while not stream.advance().result(timeout=200).done:
         bursts += 1
