@@ -141,13 +141,22 @@ class TrajectoriesConfig(_Section):
         3.5, gt=0, description="Largest noise estimate of the camera's evidence, grey levels."
     )
     most_planar: float = Field(
-        0.6, ge=0, le=1, description="The camera drives if at most this share obeys its homography, …"
+        0.6,
+        ge=0,
+        le=1,
+        description="Largest share of points that obey the homography of a camera that drives.",
     )
     least_epipolar: float = Field(
-        0.7, ge=0, le=1, description="… at least this share one epipolar geometry, and …"
+        0.7,
+        ge=0,
+        le=1,
+        description="Least share of points that obey one epipolar geometry if the camera drives.",
     )
     least_static: float = Field(
-        0.5, ge=0, le=1, description="… at least this share moves in it as static points do."
+        0.5,
+        ge=0,
+        le=1,
+        description="Least share of those that move as static points do if the camera drives.",
     )
 
 

@@ -70,7 +70,7 @@ from mlbs_actors.tracking.frame_buffer import (
 from mlbs_actors.tracking.tracker import Tracked, track
 from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectories
 
-__all__ = ["Coordinator", "CoordinatorState"]
+__all__ = ["Coordinator", "CoordinatorState", "NewFrame", "UnsettledFrame"]
 
 
 #: So many frames in a row with a glare are no flash, but have a new light.

@@ -403,7 +403,8 @@ def test_it_goes_on_from_its_state() -> None:
 
 
 def test_frames_without_structure_have_a_background_and_nothing_else() -> None:
-    flat = [np.full((*SHAPE, 3), level, np.uint8) for level in (0, 0, 255, 255, 90, 90, 90)]
-    for evidence in run(flat, configured()):
+    ramp = np.linspace(60, 120, SHAPE[1]).astype(np.uint8)[None, :, None]
+    smooth = [np.ascontiguousarray(np.broadcast_to(ramp + 5 * index, (*SHAPE, 3))) for index in range(7)]
+    for evidence in run(smooth, configured()):
         assert [one.layer for one in evidence.layers] == [BACKGROUND]
         assert np.isfinite(evidence.camera).all()

@@ -278,7 +278,8 @@ def test_a_change_of_size_begins_anew_and_no_id_is_given_again(before: int, look
 
 def test_frames_whose_size_changes_all_the_time_are_all_labelled() -> None:
     sizes = [(48, 64), (40, 64), (48, 64), (48, 63), (1, 5), (48, 64)]
-    results = run([np.full((*size, 3), 90, np.uint8) for size in sizes])
+    rng = np.random.default_rng(0)
+    results = run([rng.integers(0, 255, (*size, 3)).astype(np.uint8) for size in sizes])
     assert [one.labels.shape for one in results] == sizes
     assert [one.latency_frames for one in results] == [1] * 5 + [0]
 

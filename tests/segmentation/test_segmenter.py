@@ -223,7 +223,10 @@ def test_in_a_shadow_an_object_is_dearer_than_the_background_and_elsewhere_it_is
     before[region.slices] = 1
     maps = {}
     for strength in (0.0, 0.5):
-        segmenter = Segmenter(configured(shadow=strength, track_cost=0.0), SegmenterState(1, before))
+        segmenter = Segmenter(
+            configured(shadow=strength, track_cost=0.0),
+            replace(SegmenterState.beginning(), next_frame=1, labels=before),
+        )
         given = replace(evidence_of(posteriors, 1, {1: at}), shape=shape)
         maps[strength] = segmenter.step(given, image, posteriors).labels
     assert (maps[0.0][region.slices] == 1).all()

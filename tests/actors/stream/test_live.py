@@ -370,7 +370,7 @@ def test_a_local_camera_is_opened_as_video4linux_and_nothing_else_and_its_pictur
     assert [round(float(np.mean(one)) / 60) for one in images if one is not None] == [0, 1, 2]
     ((location, how),) = asked
     assert (location, how["format"]) == ("/dev/video7", "v4l2")
-    assert how["options"] == {"format_whitelist": "video4linux2,v4l2"}
+    assert how["container_options"] == {"format_whitelist": "video4linux2,v4l2"}
     assert 0 < how["timeout"] < 60
 
 
