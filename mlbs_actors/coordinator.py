@@ -75,6 +75,8 @@ __all__ = ["Coordinator", "CoordinatorState", "NewFrame", "UnsettledFrame"]
 
 #: So many frames in a row with a glare are no flash, but have a new light.
 LASTING_LIGHT = 3
+#: After so many frames in which the last picture is not found, the scene is taken for another one.
+LONGEST_LOSS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +167,8 @@ class CoordinatorState:
         Its :func:`~mlbs_actors.footage.continuity.rows_astray`.
     unsettled : tuple of UnsettledFrame
         The newest frames, if the last picture does not go on in them; oldest first.
+    lost : int
+        Frames since the last picture in which it was not found again.
     focus : (rows, columns) bool
         Blocks around which the next flow needs its finest level; empty for everywhere.
     trajectories : TrajectoryState
@@ -190,6 +194,7 @@ class CoordinatorState:
     colours: Array
     astray: Array
     unsettled: tuple[UnsettledFrame, ...]
+    lost: int
     focus: Array
     trajectories: TrajectoryState
     labels: Array
@@ -212,6 +217,7 @@ class CoordinatorState:
             colours=np.zeros((0, 0, 3), np.uint8),
             astray=np.zeros(0, np.float32),
             unsettled=(),
+            lost=0,
             focus=np.zeros((0, 0), bool),
             trajectories=empty_trajectories(config.trajectories),
             labels=np.zeros(0, np.int64),
@@ -314,9 +320,7 @@ class Coordinator:
         elif state.unsettled and state.unsettled[-1].lost and self._begins(state.unsettled[-1], new.picture):
             first = state.unsettled[-1].new
             self._settle(state.unsettled[:-1])
-            shown = self.flush()
-            self._begin_epoch(first.frame_index)
-            self.state.next_frame, self.state.shape, self.state.cut = new.frame_index + 1, state.shape, True
+            shown = self._begin_scene(first)
             self._take(first, self._matched(first, {}), None, {})
             match = self._matched(new, stage_ms)
         elif match.status == "flash" and len(state.unsettled) + 1 >= LASTING_LIGHT:
@@ -325,15 +329,28 @@ class Coordinator:
             state.unsettled = ()
             self._take_or_pass_over(new, feedback, stage_ms)
             return []
+        lost = match.status == "damaged" and match.flow is None
+        if lost and self.state.lost + 1 >= LONGEST_LOSS:
+            self._settle()
+            shown += self._begin_scene(new)
+            match = self._matched(new, stage_ms)
         if match.status == "ok":
             self._take(new, match, feedback, stage_ms)
             return shown
         if match.status != "flash":
             self._settle()
         _published(feedback)  # the layers must keep pace
-        lost = match.status == "damaged" and match.flow is None
+        self.state.lost += int(lost)
         self.state.unsettled = (*self.state.unsettled, UnsettledFrame(new, match.status, lost))
         return shown
+
+    def _begin_scene(self, first: NewFrame) -> list[FrameEvidence]:
+        """End the epoch; return what was held of it. Another one begins with a frame."""
+        next_frame, shape = self.state.next_frame, self.state.shape
+        ended = self.flush()
+        self._begin_epoch(first.frame_index)
+        self.state.next_frame, self.state.shape, self.state.cut = next_frame, shape, True
+        return ended
 
     def _take_or_pass_over(
         self, new: NewFrame, feedback: Callable[[], Segmentation] | None, stage_ms: dict[str, float]
@@ -415,7 +432,7 @@ class Coordinator:
         if state.pictures == 0:
             status = "cut" if state.cut else "ok"
             state.epoch = frame_index
-        state.pictures += 1
+        state.pictures, state.lost = state.pictures + 1, 0
         state.picture, state.colours, state.astray = picture, colour_samples(frame, side), match.astray
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
         if self._clustering_due(frame_index):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Sequence
 
 import numpy as np
@@ -116,6 +117,33 @@ def test_a_scene_begins_after_the_blank_frames_before_it(pictures: list[Array]) 
     assert [result.status for result in results[:13]] == ["blank"] * 12 + ["ok"]
     for late, result in zip(results[12:], alone, strict=True):
         np.testing.assert_array_equal(late.labels, result.labels)
+
+
+def test_noise_alone_is_labelled_soon_and_makes_no_object() -> None:
+    rng = np.random.default_rng(3)
+    subtractor = MultilayerSubtractor()
+    results: list[Segmentation] = []
+    for given in range(1, 25):
+        results += subtractor.apply(rng.integers(0, 255, (120, 160, 3)).astype(np.uint8))
+        assert given - len(results) <= 7
+    results += subtractor.flush()
+    assert [result.frame_index for result in results] == list(range(24))
+    assert not any(result.labels.any() for result in results)
+
+
+def test_a_subtractor_that_is_pickled_in_a_flash_goes_on_as_it_would_have(pictures: list[Array]) -> None:
+    frames = list(pictures)
+    for index in (AT, AT + 1):
+        frames[index] = np.clip(frames[index].astype(int) + 120, 0, 255).astype(np.uint8)
+    expected = labelled(frames)
+    subtractor = MultilayerSubtractor()
+    results = [result for frame in frames[: AT + 1] for result in subtractor.apply(frame)]
+    restored = pickle.loads(pickle.dumps(subtractor))
+    results += [result for frame in frames[AT + 1 :] for result in restored.apply(frame)]
+    results += restored.flush()
+    for result, other in zip(results, expected, strict=True):
+        assert result.status == other.status
+        np.testing.assert_array_equal(result.labels, other.labels)
 
 
 def test_only_blank_frames_give_empty_label_maps() -> None:
