@@ -35,7 +35,7 @@ STEP = 4
 ASTRAY_PX = 3.0
 #: A row is torn if at least this share of it is astray now, and at most that was before; and most that is
 #: astray in one of the rows beside a torn band: its edge is sharp.
-TORN, WHOLE = 0.9, 0.5
+TORN, WHOLE = 0.8, 0.5
 #: Least height of a torn band, and most of what is torn, as shares of the frame's.
 LEAST_BAND, MOST_BAND = 0.08, 0.9
 
