@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from opencv_sampling import exact_opencv
 
 from mlbs_actors.flow.variational_refinement import refine_flow
 from mlbs_actors.messages import Array, Region
@@ -106,6 +107,7 @@ def test_a_step_is_that_of_plain_loops(part: Region, sweeps: int) -> None:
     assert np.allclose(refined(source, target, part, flow, sweeps), expected, atol=2e-3)
 
 
+@exact_opencv
 def test_a_step_in_a_whole_frame_is_opencv_s() -> None:
     source, target = textures((60, 90), 3)
     flow = np.random.default_rng(4).normal(0, 0.5, (2, 60, 90)).astype(np.float32)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from opencv_sampling import exact_opencv
 
 from mlbs_actors.kernels.interpolation import sample_flow, sample_map
 from mlbs_actors.messages import Array
@@ -33,6 +34,7 @@ def test_flow_and_maps_are_read_bilinearly_between_the_centres_of_their_pixels()
     np.testing.assert_allclose(sample_flow(FIELD, centres, SIDE), [FIELD[0, 0], FIELD[5, 8]], atol=1e-6)
 
 
+@exact_opencv
 @pytest.mark.parametrize("side", [1, 2, 3])
 def test_inside_and_outside_of_the_frame_both_are_what_opencv_reads(side: int) -> None:
     points = np.random.default_rng(2).uniform(-6, 30, (500, 2)).astype(np.float32)

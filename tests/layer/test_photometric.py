@@ -7,6 +7,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import pytest
+from opencv_sampling import exact_opencv
 
 from mlbs_actors.config import PosteriorConfig
 from mlbs_actors.layer.photometric import PhotometricRules, photometric_advantage
@@ -173,6 +174,7 @@ def plain_advantage(before: Array, now: Array, motion: Array, camera: Array, own
     return np.asarray(known * difference * np.where(difference > 0, for_it, against_it))
 
 
+@exact_opencv
 def test_it_is_that_of_the_formula_under_any_camera() -> None:
     before, now = frames(texture(0), texture(1))
     rng = np.random.default_rng(5)
