@@ -41,6 +41,7 @@ from mlbs_actors.clustering.splitting import (
     split_origins,
 )
 from mlbs_actors.config import Config, length_scale
+from mlbs_actors.coordinator_state import CoordinatorState, NewFrame, UnsettledFrame
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.flow.estimate import LEAST_CELLS, FlowFunction, Picture, estimate_flow, picture_of
@@ -68,54 +69,14 @@ from mlbs_actors.tracking.frame_buffer import (
     relabelled,
 )
 from mlbs_actors.tracking.tracker import Tracked, track
-from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectories
 
-__all__ = ["Coordinator", "CoordinatorState", "NewFrame", "UnsettledFrame"]
+__all__ = ["Coordinator"]
 
 
 #: So many frames in a row with a glare are no flash, but have a new light.
 LASTING_LIGHT = 3
 #: After so many frames in which the last picture is not found, the scene is taken for another one.
 LONGEST_LOSS = 5
-
-
-@dataclass(frozen=True, slots=True)
-class NewFrame:
-    """A frame that has come.
-
-    Attributes
-    ----------
-    frame_index : int
-    frame : (H, W, 3) uint8
-    picture : Picture
-    """
-
-    frame_index: int
-    frame: Array
-    picture: Picture
-
-
-@dataclass(frozen=True, slots=True)
-class UnsettledFrame:
-    """A frame in which the last picture does not go on: the next ones say what it is.
-
-    Attributes
-    ----------
-    new : NewFrame
-    status : FrameStatus
-        What it is if one of them goes on from the last picture.
-    lost : bool
-        Whether the last picture is not found again in it.
-    """
-
-    new: NewFrame
-    status: FrameStatus
-    lost: bool
-
-    @property
-    def frame_index(self) -> int:
-        """Of the frame."""
-        return self.new.frame_index
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,91 +103,6 @@ class _Match:
     light: Array
     gray: Array
     astray: Array
-
-
-@dataclass(slots=True)
-class CoordinatorState:
-    """Everything that determines the coordinator's next frame.
-
-    Attributes
-    ----------
-    next_frame : int
-        Index of the next frame.
-    epoch : int
-        First picture of the present scene and size.
-    cut : bool
-        Whether it is another scene than the one before.
-    shape : (H, W) or None
-    pictures : int
-        Pictures of the epoch so far: frames that were not passed over.
-    picture : Picture
-        The last picture as the flow sees it.
-    colours : (rows, columns, 3) uint8
-        Its :func:`~mlbs_actors.footage.light.colour_samples`.
-    astray : (rows,) float32
-        Its :func:`~mlbs_actors.footage.continuity.rows_astray`.
-    unsettled : tuple of UnsettledFrame
-        The newest frames, if the last picture does not go on in them; oldest first.
-    lost : int
-        Frames since the last picture in which it was not found again.
-    focus : (rows, columns) bool
-        Blocks around which the next flow needs its finest level; empty for everywhere.
-    trajectories : TrajectoryState
-    labels : (n,) int64
-        Label of each live trajectory after the last frame.
-    spreads : (T,) float64
-        Noise scale of the last frames' displacements, newest first, px.
-    registry : RegistryState
-    clustered : bool
-        Whether the first clustering is done.
-    held : tuple of HeldFrame
-        Oldest first.
-    evaluated : dict of int to int
-        Last emitted frame of each layer that has a process.
-    """
-
-    next_frame: int
-    epoch: int
-    cut: bool
-    shape: tuple[int, int] | None
-    pictures: int
-    picture: Picture
-    colours: Array
-    astray: Array
-    unsettled: tuple[UnsettledFrame, ...]
-    lost: int
-    focus: Array
-    trajectories: TrajectoryState
-    labels: Array
-    spreads: Array
-    registry: RegistryState
-    clustered: bool
-    held: tuple[HeldFrame, ...]
-    evaluated: dict[int, int]
-
-    @staticmethod
-    def beginning(config: Config) -> CoordinatorState:
-        """Return the state before the first frame."""
-        return CoordinatorState(
-            next_frame=0,
-            epoch=0,
-            cut=False,
-            shape=None,
-            pictures=0,
-            picture=Picture(np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8)),
-            colours=np.zeros((0, 0, 3), np.uint8),
-            astray=np.zeros(0, np.float32),
-            unsettled=(),
-            lost=0,
-            focus=np.zeros((0, 0), bool),
-            trajectories=empty_trajectories(config.trajectories),
-            labels=np.zeros(0, np.int64),
-            spreads=np.zeros(0),
-            registry=RegistryState.empty(),
-            clustered=False,
-            held=(),
-            evaluated={},
-        )
 
 
 class Coordinator:
@@ -607,51 +483,7 @@ class Coordinator:
     def _evidence(self, held: HeldFrame) -> FrameEvidence:
         state = self.state
         assert state.shape is not None
-        if held.status in NO_PICTURE:
-            return self._empty_evidence(held)
-        registry = LayerRegistry(self.config.layers, state.shape, state.registry)
-        owner = registry.layers_of(held.labels)
-        live = sorted({BACKGROUND, *distinct_labels(owner), *registry.live_layers(held.frame_index)})
-        retired = set(state.evaluated) - set(live)
-        if held.frame_index == state.epoch:
-            # All models are of another size, the background's too.
-            retired, state.evaluated = set(state.evaluated), {}
-        # Where the camera's motion explains the image as well, a trajectory is no evidence of an object: flow
-        # bleeds from an object over the smooth road beside it.
-        least = np.float32(self.config.layers.least_evidence)
-        positions, motions, starts = by_layer(
-            np.array(live), owner, held.evidence, least, held.positions, held.motions
-        )
-        tracks = []
-        for one, start, end in zip(live, starts[:-1].tolist(), starts[1:].tolist(), strict=True):
-            kind: LayerKind = (
-                "background" if one == BACKGROUND else "other" if one == state.registry.other else "object"
-            )
-            last_frame = state.evaluated.get(one, -1)
-            tracks.append(LayerTracks(one, kind, last_frame, start, end))
-        state.evaluated = dict.fromkeys(live, held.frame_index)
-        return FrameEvidence(
-            frame_index=held.frame_index,
-            shape=state.shape,
-            camera=held.camera,
-            flow=held.flow,
-            flow_reliable=held.flow_reliable,
-            unexplained=held.unexplained,
-            tracks=tuple(tracks),
-            positions=positions,
-            motions=motions,
-            retired=tuple(sorted(retired)),
-            latency_frames=state.next_frame - 1 - held.frame_index,
-            stage_ms=held.stage_ms,
-            epoch=state.epoch,
-            status=held.status,
-            light=held.light,
-        )
-
-    def _empty_evidence(self, held: HeldFrame) -> FrameEvidence:
-        state = self.state
-        assert state.shape is not None
-        return FrameEvidence(
+        evidence = FrameEvidence(
             frame_index=held.frame_index,
             shape=state.shape,
             camera=held.camera,
@@ -667,6 +499,37 @@ class Coordinator:
             # Before the first picture of an epoch there are no labels to carry.
             epoch=state.epoch if state.pictures else held.frame_index,
             status=held.status,
+            light=held.light,
+        )
+        if held.status in NO_PICTURE:
+            return evidence
+        registry = LayerRegistry(self.config.layers, state.shape, state.registry)
+        owner = registry.layers_of(held.labels)
+        live = sorted({BACKGROUND, *distinct_labels(owner), *registry.live_layers(held.frame_index)})
+        retired = set(state.evaluated) - set(live)
+        if held.frame_index == state.epoch:
+            # All models are of another scene or size, the background's too.
+            retired, state.evaluated = set(state.evaluated), {}
+        # Where the camera's motion explains the image as well, a trajectory is no evidence of an object: flow
+        # bleeds from an object over the smooth road beside it.
+        least = np.float32(self.config.layers.least_evidence)
+        positions, motions, starts = by_layer(
+            np.array(live), owner, held.evidence, least, held.positions, held.motions
+        )
+        tracks = []
+        for one, start, end in zip(live, starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+            kind: LayerKind = (
+                "background" if one == BACKGROUND else "other" if one == state.registry.other else "object"
+            )
+            last_frame = state.evaluated.get(one, -1)
+            tracks.append(LayerTracks(one, kind, last_frame, start, end))
+        state.evaluated = dict.fromkeys(live, held.frame_index)
+        return replace(
+            evidence,
+            tracks=tuple(tracks),
+            positions=positions,
+            motions=motions,
+            retired=tuple(sorted(retired)),
         )
 
 

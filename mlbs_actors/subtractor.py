@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from mlbs_actors.config import Config
-from mlbs_actors.coordinator import Coordinator, CoordinatorState
+from mlbs_actors.coordinator import Coordinator
+from mlbs_actors.coordinator_state import CoordinatorState
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import ConfigError, MlbsError
 from mlbs_actors.flow.estimate import FlowFunction

@@ -14,7 +14,8 @@ import pytest
 from test_coordinator import Square, configured, movie
 
 from mlbs_actors import Config, Segmentation
-from mlbs_actors.coordinator import Coordinator, CoordinatorState
+from mlbs_actors.coordinator import Coordinator
+from mlbs_actors.coordinator_state import CoordinatorState
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import SnapshotError
 from mlbs_actors.layer.layer import Layer

@@ -1,7 +1,7 @@
 """How the last picture goes on in a new one: the flow between them, and the new light.
 
 Where most of the picture looks alike and the light is nearly the same, that is one search for the flow. Where
-not, a second one looks everywhere, and a third one from the last picture in the new light.
+not, a second one looks everywhere, and if the light is new, a third one from the last picture in that light.
 """
 
 from __future__ import annotations
@@ -79,12 +79,13 @@ def continuation(
         found = found_again(closely, before.gray, picture.gray)
         if found < LEAST_FOUND:
             gray_light = light_change(before.gray.reshape(-1, 1), picture.gray.reshape(-1, 1))
-        lit = _relit_gray(before.gray, gray_light)
-        anew = search(Picture(lit, before.image), True)
-        found_anew = found_again(anew, lit, picture.gray)
-        if found_anew > found:
-            flow, found = anew, found_anew
-            light, gray_light, glaring = _light(colours, frame, flow)
+        if gray_light.size:
+            lit = _relit_gray(before.gray, gray_light)
+            anew = search(Picture(lit, before.image), True)
+            found_anew = found_again(anew, lit, picture.gray)
+            if found_anew > found:
+                flow, found = anew, found_anew
+                light, gray_light, glaring = _light(colours, frame, flow)
     gray = _relit_gray(before.gray, gray_light)
     return Continuation(flow, found >= LEAST_FOUND, light, gray, glaring)
 

@@ -1,0 +1,140 @@
+"""What the coordinator carries from one frame to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mlbs_actors.clustering.layer_registry import RegistryState
+from mlbs_actors.config import Config
+from mlbs_actors.flow.estimate import Picture
+from mlbs_actors.messages import Array, FrameStatus
+from mlbs_actors.tracking.frame_buffer import HeldFrame
+from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectories
+
+__all__ = ["CoordinatorState", "NewFrame", "UnsettledFrame"]
+
+
+@dataclass(frozen=True, slots=True)
+class NewFrame:
+    """A frame that has come.
+
+    Attributes
+    ----------
+    frame_index : int
+    frame : (H, W, 3) uint8
+    picture : Picture
+    """
+
+    frame_index: int
+    frame: Array
+    picture: Picture
+
+
+@dataclass(frozen=True, slots=True)
+class UnsettledFrame:
+    """A frame in which the last picture does not go on: the next ones say what it is.
+
+    Attributes
+    ----------
+    new : NewFrame
+    status : FrameStatus
+        What it is if one of them goes on from the last picture.
+    lost : bool
+        Whether the last picture is not found again in it.
+    """
+
+    new: NewFrame
+    status: FrameStatus
+    lost: bool
+
+    @property
+    def frame_index(self) -> int:
+        """Of the frame."""
+        return self.new.frame_index
+
+
+@dataclass(slots=True)
+class CoordinatorState:
+    """Everything that determines the coordinator's next frame.
+
+    Attributes
+    ----------
+    next_frame : int
+        Index of the next frame.
+    epoch : int
+        First picture of the present scene and size.
+    cut : bool
+        Whether it is another scene than the one before.
+    shape : (H, W) or None
+    pictures : int
+        Pictures of the epoch so far: frames that were not passed over.
+    picture : Picture
+        The last picture as the flow sees it.
+    colours : (rows, columns, 3) uint8
+        Its :func:`~mlbs_actors.footage.light.colour_samples`.
+    astray : (rows,) float32
+        Its :func:`~mlbs_actors.footage.continuity.rows_astray`.
+    unsettled : tuple of UnsettledFrame
+        The newest frames, if the last picture does not go on in them; oldest first.
+    lost : int
+        Frames since the last picture in which it was not found again.
+    focus : (rows, columns) bool
+        Blocks around which the next flow needs its finest level; empty for everywhere.
+    trajectories : TrajectoryState
+    labels : (n,) int64
+        Label of each live trajectory after the last frame.
+    spreads : (T,) float64
+        Noise scale of the last frames' displacements, newest first, px.
+    registry : RegistryState
+    clustered : bool
+        Whether the first clustering is done.
+    held : tuple of HeldFrame
+        Oldest first.
+    evaluated : dict of int to int
+        Last emitted frame of each layer that has a process.
+    """
+
+    next_frame: int
+    epoch: int
+    cut: bool
+    shape: tuple[int, int] | None
+    pictures: int
+    picture: Picture
+    colours: Array
+    astray: Array
+    unsettled: tuple[UnsettledFrame, ...]
+    lost: int
+    focus: Array
+    trajectories: TrajectoryState
+    labels: Array
+    spreads: Array
+    registry: RegistryState
+    clustered: bool
+    held: tuple[HeldFrame, ...]
+    evaluated: dict[int, int]
+
+    @staticmethod
+    def beginning(config: Config) -> CoordinatorState:
+        """Return the state before the first frame."""
+        return CoordinatorState(
+            next_frame=0,
+            epoch=0,
+            cut=False,
+            shape=None,
+            pictures=0,
+            picture=Picture(np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8)),
+            colours=np.zeros((0, 0, 3), np.uint8),
+            astray=np.zeros(0, np.float32),
+            unsettled=(),
+            lost=0,
+            focus=np.zeros((0, 0), bool),
+            trajectories=empty_trajectories(config.trajectories),
+            labels=np.zeros(0, np.int64),
+            spreads=np.zeros(0),
+            registry=RegistryState.empty(),
+            clustered=False,
+            held=(),
+            evaluated={},
+        )
