@@ -244,7 +244,7 @@ def test_times_that_jump_back_are_told_as_they_are_and_every_frame_is_delivered(
 def test_images_of_odd_sizes_and_palettes_are_read_as_they_are(tmp_path: Path) -> None:
     shapes = [(1, 1), (1, 9), (7, 1), (33, 47)]
     for number, (height, width) in enumerate(shapes):
-        palette = Image.fromarray(np.full((height, width), 3, np.uint8), "P")
+        palette = Image.fromarray(np.full((height, width), 3, np.uint8))
         palette.putpalette([0] * 9 + [10, 20, 30] + [0] * 756)
         palette.save(tmp_path / f"{number}.png")
     images = [image_of(frame) for frame in read_all(opened(tmp_path))]
