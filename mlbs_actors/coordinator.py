@@ -48,6 +48,7 @@ from mlbs_actors.flow.estimate import LEAST_CELLS, FlowFunction, Picture, estima
 from mlbs_actors.flow.focus import focus_blocks, focus_boxes
 from mlbs_actors.footage.continuation import continuation
 from mlbs_actors.footage.continuity import LEAST_FOUND, found_again, is_torn, rows_astray
+from mlbs_actors.footage.fixed import FixedState
 from mlbs_actors.footage.light import colour_samples, unchanged
 from mlbs_actors.footage.pictures import is_blank, repeats
 from mlbs_actors.messages import (
@@ -114,13 +115,20 @@ class Coordinator:
         To continue from a snapshot; a new stream by default.
     flow : FlowFunction, optional
         The caller's own flow, in place of ``config.flow.method``.
+    ignored : (h, w) bool, optional
+        Mask of what is fixed in the picture, whatever is found by itself; scaled to the frame.
     """
 
     def __init__(
-        self, config: Config, state: CoordinatorState | None = None, flow: FlowFunction | None = None
+        self,
+        config: Config,
+        state: CoordinatorState | None = None,
+        flow: FlowFunction | None = None,
+        ignored: Array | None = None,
     ) -> None:
         self.config = config
         self.flow = flow
+        self.ignored = ignored
         self.state = state or CoordinatorState.beginning(config)
 
     def feedback_index(self, frame_index: int) -> int | None:
@@ -264,7 +272,8 @@ class Coordinator:
                 return _Match("flash", flow, None, light, gray, astray)
         with _timed(stage_ms, "tracking"):
             known = state.labels == BACKGROUND if state.clustered else np.ones(len(state.labels), bool)
-            tracked = track(state.trajectories, known, flow, gray, picture.gray, state.shape, config)
+            fixed = state.fixed if state.pictures else FixedState.beginning(picture.gray, self.ignored)
+            tracked = track(state.trajectories, known, fixed, flow, gray, picture.gray, state.shape, config)
             if flow is not None:
                 astray = rows_astray(flow, tracked.camera, length_scale(*state.shape))
                 if not state.unsettled and is_torn(astray, state.astray):
@@ -310,6 +319,7 @@ class Coordinator:
             state.epoch = frame_index
         state.pictures, state.lost = state.pictures + 1, 0
         state.picture, state.colours, state.astray = picture, colour_samples(frame, side), match.astray
+        state.fixed = tracked.fixed
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
         if self._clustering_due(frame_index):
             self._cluster(frame, frame_index, feedback, stage_ms)
@@ -325,7 +335,7 @@ class Coordinator:
             )  # fmt: skip
         held = held_frame(
             frame_index, trajectories, state.labels, camera, flow, tracked.against_camera, stage_ms, status,
-            match.light,
+            match.light, tracked.fixed.cells,
         )  # fmt: skip
         state.held = (*state.held, held)
 
@@ -500,6 +510,7 @@ class Coordinator:
             epoch=state.epoch if state.pictures else held.frame_index,
             status=held.status,
             light=held.light,
+            fixed=held.fixed,
         )
         if held.status in NO_PICTURE:
             return evidence

@@ -9,6 +9,7 @@ import numpy as np
 from mlbs_actors.clustering.layer_registry import RegistryState
 from mlbs_actors.config import Config
 from mlbs_actors.flow.estimate import Picture
+from mlbs_actors.footage.fixed import FixedState
 from mlbs_actors.messages import Array, FrameStatus
 from mlbs_actors.tracking.frame_buffer import HeldFrame
 from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectories
@@ -76,6 +77,8 @@ class CoordinatorState:
         Its :func:`~mlbs_actors.footage.light.colour_samples`.
     astray : (rows,) float32
         Its :func:`~mlbs_actors.footage.continuity.rows_astray`.
+    fixed : FixedState
+        What is fixed in it.
     unsettled : tuple of UnsettledFrame
         The newest frames, if the last picture does not go on in them; oldest first.
     lost : int
@@ -104,6 +107,7 @@ class CoordinatorState:
     picture: Picture
     colours: Array
     astray: Array
+    fixed: FixedState
     unsettled: tuple[UnsettledFrame, ...]
     lost: int
     focus: Array
@@ -127,6 +131,7 @@ class CoordinatorState:
             picture=Picture(np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8)),
             colours=np.zeros((0, 0, 3), np.uint8),
             astray=np.zeros(0, np.float32),
+            fixed=FixedState.beginning(np.zeros((0, 0), np.uint8)),
             unsettled=(),
             lost=0,
             focus=np.zeros((0, 0), bool),

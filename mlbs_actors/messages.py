@@ -163,6 +163,9 @@ class FrameEvidence:
     light : (3, 256) uint8
         What each value of blue, green and red has become since the last picture; (0, 256) if the light is
         the same (:mod:`mlbs_actors.footage.light`).
+    fixed : (h, w) bool
+        Cells that are fixed in the picture, not in the scene (:mod:`mlbs_actors.footage.fixed`); (0, 0) if
+        there are none.
     """
 
     frame_index: int
@@ -180,6 +183,7 @@ class FrameEvidence:
     epoch: int = 0
     status: FrameStatus = "ok"
     light: Array = field(default_factory=lambda: np.zeros((0, 256), np.uint8))
+    fixed: Array = field(default_factory=lambda: np.zeros((0, 0), bool))
 
     @property
     def layers(self) -> tuple[LayerEvidence, ...]:

@@ -59,11 +59,14 @@ class MultilayerSubtractor:
         Your own dense flow, in place of the configured one: maps two frames (H, W, 3) uint8 BGR to (H, W, 2)
         float, the displacement of each pixel from the first to the second, px. It is called twice a frame,
         once in each direction.
+    ignored : (h, w) bool, optional
+        Mask of what is no part of the scene, such as a logo or a bonnet; scaled to the frame. Most of it is
+        found without.
 
     Raises
     ------
     ConfigError
-        If ``config`` is something else, such as a file's name.
+        If ``config`` is something else, such as a file's name, or ``ignored`` is no mask.
 
     Notes
     -----
@@ -87,12 +90,18 @@ class MultilayerSubtractor:
         config: Config | None = None,
         inspector: Callable[[FrameInspection], None] | None = None,
         flow: FlowFunction | None = None,
+        ignored: Array | None = None,
     ) -> None:
         if config is not None and not isinstance(config, Config):
             raise ConfigError(f"Give a Config, not {config!r}; load_config reads one from a file.")
+        if ignored is not None and (ignored.ndim != 2 or ignored.dtype != bool or not ignored.size):
+            raise ConfigError(
+                f"ignored must be a (height, width) mask of bool, not {ignored.shape} {ignored.dtype}; "
+                "mask != 0 makes one of a picture."
+            )
         self.config = config or Config()
         self._inspector = inspector
-        self._coordinator = Coordinator(self.config, flow=flow)
+        self._coordinator = Coordinator(self.config, flow=flow, ignored=ignored)
         self._segmenter = Segmenter(self.config)
         self._layers: dict[int, Layer] = {}
         self._waiting: dict[int, Array] = {}
@@ -111,14 +120,17 @@ class MultilayerSubtractor:
                 self._published,
             )
             return {
-                "arguments": (self.config, self._inspector, self._coordinator.flow),
+                "arguments": (
+                    self.config, self._inspector, self._coordinator.flow, self._coordinator.ignored
+                ),
                 "state": capture(state),
-            }
+            }  # fmt: skip
 
     def __setstate__(self, pickled: dict[str, Any]) -> None:
         self.__init__(*pickled["arguments"])  # type: ignore[misc]
         state = pickled["state"].state(_SubtractorState)
-        self._coordinator = Coordinator(self.config, state.coordinator, self._coordinator.flow)
+        made = self._coordinator
+        self._coordinator = Coordinator(self.config, state.coordinator, made.flow, made.ignored)
         self._segmenter = Segmenter(self.config, state.segmenter)
         self._layers = {
             layer: Layer(self.config, layer, one.kind, one.state) for layer, one in state.layers.items()

@@ -32,6 +32,9 @@ def run_command(argv: Sequence[str]) -> int:
     try:
         arguments = parse(argv)
         streams = read_stream_list(arguments.streams)
+        unknown = sorted(arguments.ignored.streams - {stream.name for stream in streams})
+        if unknown and not arguments.watch:
+            raise ConfigError(f"--ignore names the stream {unknown[0]!r}, which is not in the list.")
         config = load_config(arguments.config, arguments.overrides)
         missing = missing_sources(arguments.streams, streams)
         with ray_settings(arguments.address) as scratch:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
+from orchestrator.ignored import Ignored, read_ignored
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 
 __all__ = ["SAVABLE", "SAVED", "Arguments", "parse"]
@@ -91,6 +92,8 @@ class Arguments:
         Frames to read of each stream.
     max_side : int, optional
         Longest side of the pictures that are processed, px.
+    ignored : Ignored
+        What is fixed in the pictures.
     watch : bool
         Whether the list is read again when it changes.
     """
@@ -106,6 +109,7 @@ class Arguments:
     ray_metrics: int | None
     max_frames: int | None
     max_side: int | None
+    ignored: Ignored
     watch: bool
 
     def command(self, output: str) -> list[str]:
@@ -130,6 +134,8 @@ class Arguments:
             words += ["--max-frames", str(self.max_frames)]
         if self.max_side is not None:
             words += ["--max-side", str(self.max_side)]
+        for word in self.ignored.files:
+            words += ["--ignore", word]
         if self.watch:
             words.append("--watch")
         return words
@@ -160,6 +166,7 @@ def parse(argv: Sequence[str]) -> Arguments:
         ray_metrics=None if given.ray_metrics is None else _metrics_port(given.ray_metrics, given.address),
         max_frames=given.max_frames,
         max_side=given.max_side,
+        ignored=read_ignored(given.ignore),
         watch=given.watch,
     )
 
@@ -299,6 +306,15 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="process pictures shrunk to N px on the longer side; all results have full "
         "size, with outlines as coarse as the smaller picture (default: process them as they are)",
+    )
+    parser.add_argument(
+        "--ignore",
+        action="append",
+        default=[],
+        metavar="[NAME=]FILE",
+        help="what is fixed in the picture of the stream NAME (default: of all), besides what is found by "
+        "itself: a picture in which it is not 0, or a text file with a polygon on each line, x1,y1,x2,y2,… "
+        "from 0 to 1 of the picture's width and height; may be given again for other streams",
     )
     parser.add_argument(
         "--watch",

@@ -89,8 +89,8 @@ class SegmenterPart(Protocol):
 class PartFactory(Protocol):
     """Makes the parts inside the actor processes; picklable."""
 
-    def coordinator(self, config: Config) -> CoordinatorPart:
-        """Make a stream's coordinator."""
+    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
+        """Make a stream's coordinator; ``ignored`` is a mask of what is fixed in the picture."""
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         """Make a layer."""
@@ -108,11 +108,11 @@ class PartFactory(Protocol):
 class EngineParts:
     """The engine of this package, imported only in the processes that run it."""
 
-    def coordinator(self, config: Config) -> CoordinatorPart:
-        """Make a stream's coordinator."""
+    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
+        """Make a stream's coordinator; ``ignored`` is a mask of what is fixed in the picture."""
         from mlbs_actors.coordinator import Coordinator
 
-        return Coordinator(config)
+        return Coordinator(config, ignored=ignored)
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         """Make a layer."""

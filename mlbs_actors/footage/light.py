@@ -99,7 +99,7 @@ def light_change(before: Array, after: Array) -> Array:
     (c, 256) uint8
         What each value of each channel has become; (0, 256) if the light is the same.
     """
-    if len(before) < LEAST_PLACES:
+    if len(before) < LEAST_PLACES or (without := _difference(before, after)) < LEAST_CHANGE:
         return unchanged()
     old, new = _quantiles(before), _quantiles(after)
     levels, tables = np.arange(256, dtype=np.float64), []
@@ -107,8 +107,8 @@ def light_change(before: Array, after: Array) -> Array:
         gain, offset = _fitted(old[:, channel], new[:, channel])
         tables.append(np.clip(np.rint(gain * levels + offset), 0, 255).astype(np.uint8))
     change = np.stack(tables)
-    without, left = _difference(before, after), _difference(relit(before, change), after)
-    return change if without >= LEAST_CHANGE and left <= MOST_LEFT * without else unchanged()
+    left = _difference(relit(before, change), after)
+    return change if left <= MOST_LEFT * without else unchanged()
 
 
 def _difference(before: Array, after: Array) -> float:

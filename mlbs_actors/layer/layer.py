@@ -269,15 +269,20 @@ class Layer:
                 prior[0] >= np.float32(0.5),
                 PhotometricRules.configured(config.posterior),
             )
+        if evidence.fixed.size:
+            trusted &= ~evidence.fixed[home_cells.slices]
         variance = np.ascontiguousarray(field.dense_variance(side)[part])
         prediction = Prediction(cells, side, needed, motion, variance, prior, away, advantage)
+        cost = posterior_cost(config, self.kind, evidence, prediction)
+        if evidence.fixed.size and not self._is_background:
+            cost[evidence.fixed[cells.slices]] = OUTSIDE_COST
         return LayerState(
             last_frame=evidence.frame_index,
             home=home,
             region=region,
             cell=side,
             model=model,
-            cost=posterior_cost(config, self.kind, evidence, prediction),
+            cost=cost,
             log_ratio=log_ratio,
             samples=samples,
             image=image,

@@ -124,10 +124,13 @@ class CameraEvidence:
     advantage : (h, w) float32
         By how much the dense flow explains frame t better than the camera's motion does. Near 0 where the
         image is smooth, whatever moves there: flow that has bled over smooth ground explains it no better.
+    difference : (h, w) uint8
+        Absolute difference between frame t and frame t−1 moved by the camera's motion, grey levels.
     """
 
     unexplained: Array
     advantage: Array
+    difference: Array
 
 
 def camera_evidence(
@@ -150,7 +153,7 @@ def camera_evidence(
     -------
     CameraEvidence
         The noise is the median difference to the camera's motion, within bounds: where that is larger, the
-        camera model fails or the scene is full of fine texture; a smooth object differs by less. Both are 0
+        camera model fails or the scene is full of fine texture; a smooth object differs by less. All are 0
         where the camera's motion leads out of frame t−1.
     """
     mapping = homography_of_cells(matrix, side)
@@ -162,12 +165,10 @@ def camera_evidence(
     by_flow = cv2.remap(  # type: ignore[call-overload]
         previous, sources, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
-    camera_error, flow_error = (
-        cv2.boxFilter(difference, cv2.CV_32F, (5, 5))
-        for difference in _differences(current, by_camera, by_flow, mapping)
-    )
+    differences = _differences(current, by_camera, by_flow, mapping)
+    camera_error, flow_error = (cv2.boxFilter(one, cv2.CV_32F, (5, 5)) for one in differences)
     noise = np.float32(min(max(_median_error(camera_error), config.least_noise), config.most_noise))
-    return CameraEvidence(*_in_noise(camera_error, flow_error, noise))
+    return CameraEvidence(*_in_noise(camera_error, flow_error, noise), differences[0])
 
 
 @compiled

@@ -49,6 +49,8 @@ class HeldFrame:
         Without a picture there is nothing else.
     light : (3, 256) or (0, 256) uint8
         As in :class:`~mlbs_actors.messages.FrameEvidence`.
+    fixed : (h, w) or (0, 0) bool
+        As in :class:`~mlbs_actors.messages.FrameEvidence`.
     """
 
     frame_index: int
@@ -64,6 +66,7 @@ class HeldFrame:
     stage_ms: Mapping[str, float]
     status: FrameStatus
     light: Array
+    fixed: Array
 
 
 def held_frame(
@@ -76,9 +79,13 @@ def held_frame(
     stage_ms: Mapping[str, float],
     status: FrameStatus,
     light: Array,
+    fixed: Array,
 ) -> HeldFrame:
     """Collect what is held of the newest frame; ``flow`` is None in the first of an epoch."""
     size = against_camera.unexplained.shape
+    if not fixed.any():
+        fixed = np.zeros((0, 0), bool)
+    reliable = np.zeros(size, bool) if flow is None else flow.backward_reliable
     return HeldFrame(
         frame_index,
         trajectories.ids,
@@ -88,11 +95,12 @@ def held_frame(
         trajectories.evidence,
         camera,
         np.zeros((*size, 2), np.float32) if flow is None else flow.backward,
-        np.zeros(size, bool) if flow is None else flow.backward_reliable,
+        reliable & ~fixed if fixed.size else reliable,
         _quantised(against_camera.unexplained),
         stage_ms,
         status,
         light,
+        fixed,
     )
 
 
@@ -113,6 +121,7 @@ def no_picture(frame_index: int, status: FrameStatus) -> HeldFrame:
         {},
         status,
         unchanged(),
+        np.zeros((0, 0), bool),
     )
 
 

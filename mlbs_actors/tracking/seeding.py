@@ -23,6 +23,9 @@ from mlbs_actors.tracking.trajectories import TrajectoryState
 
 __all__ = ["seed_trajectories"]
 
+#: Least share of a frame that has structure enough for seeds.
+LEAST_STRUCTURED = 0.3
+
 
 def seed_trajectories(
     state: TrajectoryState,
@@ -32,6 +35,7 @@ def seed_trajectories(
     side: int,
     config: TrajectoriesConfig,
     advantage: Array | None = None,
+    fixed: Array | None = None,
 ) -> TrajectoryState:
     """Start trajectories on a grid wherever the image has structure and no live trajectory is near.
 
@@ -50,6 +54,8 @@ def seed_trajectories(
     advantage : (h, w) float32, optional
         Of :class:`~mlbs_actors.tracking.camera.CameraEvidence`, × noise: where it is large, small movers need
         more points than the grid has, so a dense grid is used, too.
+    fixed : (h, w) bool, optional
+        Where nothing begins (:mod:`mlbs_actors.footage.fixed`).
 
     Returns
     -------
@@ -59,14 +65,21 @@ def seed_trajectories(
     Notes
     -----
     A seed needs a smaller structure-tensor eigenvalue above mean·(0.1 + exp(−0.1 d)), d the distance to the
-    border in px.
+    border in px. Bright text in a faint scene has nearly all of the structure: where less than
+    ``LEAST_STRUCTURED`` of the frame would be above 0.1 of the mean, so much of it is.
     """
     (height, width), scale = shape, length_scale(*shape)
     structure = cv2.cornerMinEigenVal(gray, blockSize=5, ksize=3)
+    reliable = np.ones(gray.shape, bool) if flow is None else flow.backward_reliable
+    if fixed is not None and fixed.any():
+        structure[fixed], reliable = 0.0, reliable & ~fixed
+    mean = float(structure.mean())
+    if (structure > 0.1 * mean).mean() < LEAST_STRUCTURED:
+        mean = 10.0 * float(np.quantile(structure, 1.0 - LEAST_STRUCTURED))
     ground = _Ground(
         structure,
-        float(structure.mean()),
-        np.ones(gray.shape, bool) if flow is None else flow.backward_reliable,
+        mean,
+        reliable,
         np.zeros(gray.shape, np.float32) if advantage is None else advantage,
         side,
         config.square_tracks,

@@ -8,13 +8,14 @@ that drives has no homography; where an epipolar geometry explains more
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mlbs_actors.cells import cell_side
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.flow.consistency import DenseFlow
+from mlbs_actors.footage.fixed import FixedState, fixed_cells
 from mlbs_actors.kernels.interpolation import sample_map
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.camera import CameraEvidence, camera_evidence, camera_homography, homography_motion
@@ -45,18 +46,21 @@ class Tracked:
     camera : (3, 3) float64
         :func:`~mlbs_actors.tracking.camera.camera_homography`, backward.
     against_camera : CameraEvidence
-        0 everywhere in a frame without flow.
+        0 everywhere in a frame without flow, and where the picture is fixed.
+    fixed : FixedState
     """
 
     trajectories: TrajectoryState
     survivors: Array
     camera: Array
     against_camera: CameraEvidence
+    fixed: FixedState
 
 
 def track(
     before: TrajectoryState,
     background: Array,
+    fixed: FixedState,
     flow: DenseFlow | None,
     previous: Array,
     gray: Array,
@@ -71,6 +75,8 @@ def track(
         At the frame before.
     background : (n,) bool
         Which of them determine the camera's motion.
+    fixed : FixedState
+        Of the frame before; of this one without a flow.
     flow : DenseFlow or None
         Between the two frames; None in the first one.
     previous, gray : (h, w) uint8
@@ -94,9 +100,15 @@ def track(
     camera = camera_homography(places, motions, scale, settings)
     planar = explains(camera, places, motions, shape, settings)
     nothing = np.zeros(gray.shape, np.float32)
-    against_camera = CameraEvidence(unexplained=nothing, advantage=nothing)
+    against_camera = CameraEvidence(nothing, nothing, np.zeros(gray.shape, np.uint8))
     if flow is not None:
         against_camera = camera_evidence(previous, gray, camera, flow.backward, side, settings)
+        fixed = fixed_cells(fixed, gray, against_camera.difference)
+        if fixed.cells.any():
+            against_camera = _scene_only(against_camera, fixed.cells)
+            covered = sample_map(fixed.cells.astype(np.float32), trajectories.positions, side)
+            in_scene = np.flatnonzero(covered < 0.5)
+            trajectories, survivors = selected(trajectories, in_scene), survivors[in_scene]
         unexplained, advantage = (
             sample_map(one, trajectories.positions, side)
             for one in (against_camera.unexplained, against_camera.advantage)
@@ -110,7 +122,7 @@ def track(
         )  # fmt: skip
         trajectories, survivors = selected(trajectories, stays), survivors[stays]
     trajectories = seed_trajectories(
-        trajectories, gray, flow, shape, side, settings, against_camera.advantage
+        trajectories, gray, flow, shape, side, settings, against_camera.advantage, fixed.cells
     )
     advantage = sample_map(against_camera.advantage, trajectories.positions, side)
     predicted = homography_motion(camera, trajectories.positions)
@@ -125,4 +137,13 @@ def track(
         obeying = np.hypot(*(trajectories.motions - predicted).T) < scale
         advantage = np.where(obeying, 0.0, advantage)
     trajectories = with_residuals(trajectories, predicted, advantage, settings)
-    return Tracked(trajectories, survivors, camera, against_camera)
+    return Tracked(trajectories, survivors, camera, against_camera, fixed)
+
+
+def _scene_only(evidence: CameraEvidence, fixed: Array) -> CameraEvidence:
+    """What is fixed in the picture is no evidence."""
+    return replace(
+        evidence,
+        unexplained=np.where(fixed, np.float32(0), evidence.unexplained),
+        advantage=np.where(fixed, np.float32(0), evidence.advantage),
+    )

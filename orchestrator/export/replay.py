@@ -15,7 +15,7 @@ from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.inspection import FrameInspection
-from mlbs_actors.messages import Segmentation
+from mlbs_actors.messages import Array, Segmentation
 from mlbs_actors.subtractor import MultilayerSubtractor
 from orchestrator.export.recorded_stream import RecordedFrame
 from orchestrator.sources.address import SourceKind, parse_address
@@ -62,6 +62,7 @@ def inspected(
     config: Config,
     max_frames: int | None = None,
     max_side: int | None = None,
+    ignored: Array | None = None,
 ) -> Iterator[InspectedFrame]:
     """Segment a source as a run did, in this process.
 
@@ -71,6 +72,7 @@ def inspected(
     source : str
         Their source; if it cannot be read again nothing is yielded.
     max_frames, max_side : int, optional
+    ignored : (h, w) bool, optional
         Of the run.
 
     Yields
@@ -79,7 +81,7 @@ def inspected(
         In order, for every recorded frame that can be read again.
     """
     inspections: deque[FrameInspection] = deque()
-    subtractor = MultilayerSubtractor(config, inspections.append)
+    subtractor = MultilayerSubtractor(config, inspections.append, ignored=ignored)
     given: deque[SourceFrame] = deque()
 
     def results() -> Iterator[Segmentation]:

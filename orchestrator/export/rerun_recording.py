@@ -26,6 +26,7 @@ from orchestrator.export.recorded_stream import (
 )
 from orchestrator.export.replay import inspected, replayed
 from orchestrator.export.rerun_internals import layer_rgb, layout, write_internals
+from orchestrator.ignored import read_ignored
 
 __all__ = ["write_rerun"]
 
@@ -70,11 +71,14 @@ def write_rerun(run: Path, out: Path, *, internals: bool = False) -> list[str]:
 def _add_internals(recording: rerun.RecordingStream, run: Path, sources: Mapping[str, str]) -> list[str]:
     asked = description_of(run)
     config = Config.model_validate(asked["config"])
+    ignored = read_ignored(list(asked.get("ignored") or ()))
     layers: dict[str, tuple[int, ...]] = {}
     remarks: list[str] = []
     for name, source in sources.items():
         recorded = list(recorded_stream(run / name))
-        frames = inspected(recorded, source, config, asked["max_frames"], asked["max_side"])
+        frames = inspected(
+            recorded, source, config, asked["max_frames"], asked["max_side"], ignored.mask_of(name)
+        )
         shown = track(frames, name, len(recorded), console=Console(stderr=True))
         written = write_internals(recording, name, shown)
         layers[name] = written.layers

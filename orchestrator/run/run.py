@@ -199,8 +199,9 @@ class _Job:
         given = self._arguments
         command = given.command(f"{self._folder.path}-again")
         return describe_run(
-            self._streams, self._config, given.save, given.max_frames, given.max_side, command
-        )
+            self._streams, self._config, given.save, given.max_frames, given.max_side, command,
+            given.ignored.digests,
+        )  # fmt: skip
 
     def _spec(self, stream: ListedStream) -> StreamSpec:
         save, max_side = self._arguments.save, self._arguments.max_side
@@ -222,6 +223,7 @@ class _Job:
             line=stream.line,
             replayable=replayable,
             path=stream.source.path,
+            ignored=self._arguments.ignored.mask_of(stream.name),
         )
 
 

@@ -8,7 +8,7 @@ import os
 import platform
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from datetime import datetime, timezone
@@ -38,6 +38,7 @@ _SAME = {
     "save": "parts to --save",
     "max_frames": "--max-frames",
     "max_side": "--max-side",
+    "ignored": "files to --ignore",
 }
 
 #: Most differences of parameters that the message about a resumed run lists.
@@ -269,10 +270,11 @@ def describe_run(
     max_frames: int | None,
     max_side: int | None = None,
     command: Sequence[str] = (),
+    ignored: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Return the content of ``run.json``: everything that the results depend on, without credentials.
 
-    ``command`` starts the same run.
+    ``command`` starts the same run; ``ignored`` are the digests of the files to ignore.
     """
     parameters = config.model_dump(mode="json")
     sources = {stream.name: str(stream.source) for stream in streams}
@@ -283,6 +285,7 @@ def describe_run(
         "save": sorted(save),
         "max_frames": max_frames,
         "max_side": max_side,
+        "ignored": ignored or None,
         "command": [mask(word) for word in command],
         "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
         "versions": {

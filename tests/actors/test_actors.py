@@ -170,7 +170,7 @@ def test_drops_and_gaps_are_rows_and_counted_and_a_silent_camera_is_told_at_once
 class _OverwritingParts(FakeParts):
     """Whoever reads a message after its memory was given back reads something else."""
 
-    def coordinator(self, config: Config) -> CoordinatorPart:
+    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
         release = SlotPool.release
 
         def overwritten(self: SlotPool, slots: Sequence[Slot]) -> None:
@@ -179,7 +179,7 @@ class _OverwritingParts(FakeParts):
             release(self, slots)
 
         SlotPool.release = overwritten  # type: ignore[method-assign]  # in the coordinator's process alone
-        return super().coordinator(config)
+        return super().coordinator(config, ignored)
 
 
 def test_messages_are_read_before_their_memory_is_given_back_also_by_a_stream_that_waits_for_its_camera(
@@ -199,7 +199,7 @@ def test_messages_are_read_before_their_memory_is_given_back_also_by_a_stream_th
 class _RecordingParts(FakeParts):
     """Each acquired slot is a line in a file."""
 
-    def coordinator(self, config: Config) -> CoordinatorPart:
+    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
         acquire, acquired = SlotPool.acquire, (self.folder / "acquired").open("a", buffering=1)
 
         def noted(self: SlotPool, kind: SlotKind) -> Slot:
@@ -208,7 +208,7 @@ class _RecordingParts(FakeParts):
             return slot
 
         SlotPool.acquire = noted  # type: ignore[method-assign]  # in the coordinator's process alone
-        return super().coordinator(config)
+        return super().coordinator(config, ignored)
 
 
 def test_what_only_segmenter_and_layers_read_stays_in_few_slots_however_slow_the_sink_is(

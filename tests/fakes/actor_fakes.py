@@ -283,7 +283,7 @@ class FakeParts:
     hang: bool = False
     hanging_starts: range = range(0)
 
-    def coordinator(self, config: Config) -> CoordinatorPart:
+    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
         self._note()
         return _Coordinator(config, self._death())
 

@@ -39,7 +39,7 @@ def two_label_f(results: Sequence[Segmentation], demo: SyntheticScene, indices: 
     scores = []
     for index in indices:
         found, true = results[index].labels > 0, demo.labels(index) > 0
-        scores.append(2 * (found & true).sum() / max(found.sum() + true.sum(), 1))
+        scores.append(2 * int((found & true).sum()) / max(int(found.sum()) + int(true.sum()), 1))
     return float(np.mean(scores))
 
 

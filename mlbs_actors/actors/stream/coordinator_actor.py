@@ -118,7 +118,7 @@ class CoordinatorActor:
         relax_thread_timers()
         self._spec = spec
         self._links = links
-        self._coordinator = parts.coordinator(spec.config)
+        self._coordinator = parts.coordinator(spec.config, spec.ignored)
         self._slots, self._memory = SlotPool(), SharedMemory()
         self._source = (
             ReadAhead(links.reader, spec.max_frames, self._slots, self._memory)

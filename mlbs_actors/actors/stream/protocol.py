@@ -266,6 +266,8 @@ class StreamSpec:
         time on snapshots. A live reader keeps its frames for a limited number of rows only.
     path : Path, optional
         The file or folder that ``open_reader`` reads; None if it can be read from every machine.
+    ignored : (h, w) bool, optional
+        Mask of what is fixed in the picture, not in the scene; scaled to the frames.
     """
 
     name: str
@@ -281,6 +283,7 @@ class StreamSpec:
     snapshot_rows: int = 32
     snapshot_seconds: float = 3.0
     path: Path | None = None
+    ignored: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)

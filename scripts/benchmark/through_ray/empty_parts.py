@@ -119,7 +119,7 @@ class EmptyParts:
 
     messages: FrameMessages
 
-    def coordinator(self, config: Config) -> CoordinatorPart:
+    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
         """Make a coordinator that returns the same evidence for every frame."""
         return _EmptyCoordinator(self.messages.evidence)
 

@@ -41,10 +41,10 @@ class RecordingParts:
     folder: Path
     standby: Path
 
-    def coordinator(self, config: Config) -> CoordinatorPart:
+    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
         """See :class:`PartFactory`."""
         self._leave_standby()
-        return self.parts.coordinator(config)
+        return self.parts.coordinator(config, ignored)
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         """See :class:`PartFactory`."""

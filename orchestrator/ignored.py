@@ -1,0 +1,134 @@
+"""What users know to be fixed in the pictures of a stream: masks and polygons (``--ignore``)."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from mlbs_actors.errors import ConfigError
+from mlbs_actors.messages import Array
+
+__all__ = ["Ignored", "IgnoredFile", "read_ignored"]
+
+#: Sides of the mask that polygons are drawn into, px; masks are scaled to the frames.
+_DRAWN = 2048
+
+
+@dataclass(frozen=True, slots=True)
+class IgnoredFile:
+    """One file.
+
+    Attributes
+    ----------
+    mask : (h, w) bool
+        What is fixed in the picture; of any size.
+    digest : str
+        SHA-256 of the file.
+    """
+
+    mask: Array
+    digest: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ignored:
+    """The files of a run.
+
+    Attributes
+    ----------
+    files : mapping of str to IgnoredFile
+        By ``NAME=FILE`` for a stream, or ``FILE`` for all others, with absolute paths.
+    """
+
+    files: Mapping[str, IgnoredFile]
+
+    def mask_of(self, stream: str) -> Array | None:
+        """Return the mask (h, w) bool of a stream, if it has one."""
+        everywhere = None
+        for word, file in self.files.items():
+            name, _ = _split(word)
+            if name == stream:
+                return file.mask
+            everywhere = file.mask if name is None else everywhere
+        return everywhere
+
+    @property
+    def streams(self) -> set[str]:
+        """The streams that have a file of their own."""
+        return {name for name, _ in map(_split, self.files) if name is not None}
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """The digest of each file, as in ``files``."""
+        return {word: file.digest for word, file in self.files.items()}
+
+
+def read_ignored(words: Sequence[str]) -> Ignored:
+    """Read what the command line names.
+
+    Parameters
+    ----------
+    words : sequence of str
+        ``FILE`` or ``NAME=FILE`` each.
+
+    Raises
+    ------
+    ConfigError
+        If a file cannot be read, or a stream has two.
+    """
+    files: dict[str, IgnoredFile] = {}
+    names: set[str | None] = set()
+    for word in words:
+        name, path = _split(word)
+        if name in names:
+            whose = "all streams" if name is None else f"the stream {name!r}"
+            raise ConfigError(f"--ignore names two files for {whose}; draw both into one mask.")
+        names.add(name)
+        absolute = str(path.absolute())
+        files[absolute if name is None else f"{name}={absolute}"] = _read(path)
+    return Ignored(files)
+
+
+def _split(word: str) -> tuple[str | None, Path]:
+    name, sign, path = word.partition("=")
+    # A name of a stream has no separator of folders in it.
+    return (name, Path(path)) if sign and "/" not in name else (None, Path(word))
+
+
+def _read(path: Path) -> IgnoredFile:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"--ignore: {path} cannot be read: {error.strerror}.") from None
+    mask = None
+    if content:
+        mask = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+    ignored = _polygons(path, content) if mask is None else mask > 0
+    if ignored.all():
+        raise ConfigError(f"--ignore: {path} covers the whole picture; what is not 0 in it is ignored.")
+    return IgnoredFile(ignored, hashlib.sha256(content).hexdigest())
+
+
+def _polygons(path: Path, content: bytes) -> Array:
+    """Draw a polygon a line, ``x1,y1,x2,y2,…`` as shares of the picture's width and height."""
+    mask = np.zeros((_DRAWN, _DRAWN), np.uint8)
+    try:
+        lines = content.decode("utf-8").splitlines()
+        for line in lines:
+            if not (text := line.partition("#")[0].strip()):
+                continue
+            corners = np.array([float(number) for number in text.split(",")]).reshape(-1, 2)
+            if len(corners) < 3 or not ((corners >= 0) & (corners <= 1)).all():
+                raise ValueError
+            cv2.fillPoly(mask, [np.rint(corners * (_DRAWN - 1)).astype(np.int32)], 255)
+    except ValueError:
+        raise ConfigError(
+            f"--ignore: {path} is neither a picture nor a list of polygons; write a line for each polygon, "
+            "x1,y1,x2,y2,x3,y3 and so on, from 0 to 1 of the picture's width and height."
+        ) from None
+    return mask > 0
