@@ -82,10 +82,12 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
     """
     if not text or len(text.encode()) > _MAX_ADDRESS_BYTES:
         raise ConfigError(f"the URI must have 1 to {_MAX_ADDRESS_BYTES} bytes")
-    scheme = _SCHEME.match(text)
-    if scheme is None:
+    match = _SCHEME.match(text)
+    if match is None:
         return _path_address(text, folder)
-    match scheme[1].lower():
+    scheme = match[1].lower()
+    text = scheme + text[match.end(1) :]
+    match scheme:
         case "rtsp" | "rtsps":
             return _network_address(text)
         case "synthetic":
@@ -114,9 +116,15 @@ def _path_address(text: str, folder: Path) -> SourceAddress:
 
 
 def _network_address(text: str) -> SourceAddress:
-    match = re.fullmatch(r"[A-Za-z]+://[^/\s?#]+[^\s]*", text)
+    match = re.fullmatch(r"[a-z]+://[^/\s?#]+([^\s]*)", text)
     if match is None:
         raise ConfigError("a camera's address is written rtsp://HOST/PATH")
+    if "@" in match[1]:
+        # libav would take what comes before the mark for the host, and ask the network for it.
+        raise ConfigError(
+            "the camera's user name or password holds a / ? or #; write them %2F, %3F and %23 "
+            "(and an @ of its path %40)"
+        )
     # The name is taken from the masked text: a password may look like any other part.
     visible = mask(text).partition("://")[2].partition("?")[0].rstrip("/")
     host_and_path = visible.rpartition("@")[2]

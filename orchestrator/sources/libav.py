@@ -88,6 +88,8 @@ def reason(error: Exception) -> str:
     """Describe in a few words, without credentials, an error of libav."""
     if isinstance(error, av.error.ExitError):
         return "no answer in time"
+    if isinstance(error, av.error.HTTPUnauthorizedError):
+        return "user name or password refused (a % in them is written %25 in the address)"
     if isinstance(error, av.error.InvalidDataError):
         return "it is no video, or one whose recording was cut off before it was finished"
     text = getattr(error, "strerror", None) or type(error).__name__

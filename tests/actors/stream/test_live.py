@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import av
+import av.error
 import cv2
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
 from orchestrator.sources import live
 from orchestrator.sources.address import parse_address
+from orchestrator.sources.libav import reason
 from orchestrator.sources.live import Connection, LibavConnection, LiveReader
 from orchestrator.sources.live_buffer import CAPACITY, LiveBuffer, LiveTime, Picture, retry_seconds
 
@@ -296,6 +298,11 @@ def test_no_error_of_a_camera_shows_its_password(scheme: str) -> None:
     shown = f"{caught.value} {caught.value!r} {caught.value.__cause__!r}"
     assert "hunter" not in shown
     assert "127.0.0.1:9/door" in shown
+
+
+def test_a_refused_password_is_told_with_how_its_percent_sign_is_written() -> None:
+    refused = av.error.HTTPUnauthorizedError(0, "rtsp://bob:5%41@cam/door")
+    assert reason(refused) == "user name or password refused (a % in them is written %25 in the address)"
 
 
 def _wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:

@@ -88,11 +88,11 @@ def test_each_kind_of_uri_is_known_and_names_its_stream(
     "uri",
     [
         "rtsp://bob:hunter2@10.0.0.7/door",
-        "rtsp://bob:hun/ter2@10.0.0.7",
-        "rtsp://bob:a@hunter2@10.0.0.7/door",
+        "rtsp://bob:hun%2Fter2@10.0.0.7",
+        "RTSP://bob:a@hunter2@10.0.0.7/door",
         "rtsp://10.0.0.7/user=bob&password=hunter2",
         "rtsp://10.0.0.7/door?pwd=hunter2",
-        "rtsp://bob:a#hunter2@10.0.0.7/door",
+        "rtsp://bob:a%23hunter2@10.0.0.7/door",
     ],
 )
 def test_no_name_message_or_repr_of_a_stream_shows_its_password(tmp_path: Path, uri: str) -> None:
@@ -105,6 +105,14 @@ def test_no_name_message_or_repr_of_a_stream_shows_its_password(tmp_path: Path, 
         shown += str(error)
     assert "ter2" in stream.source.location
     assert "ter2" not in shown
+
+
+@pytest.mark.parametrize("mark", "/?#")
+def test_a_mark_in_a_password_that_would_end_the_host_is_refused_at_once(tmp_path: Path, mark: str) -> None:
+    message = refusal(tmp_path, f"door rtsp://bob:hun{mark}ter2@10.0.0.7/door\n")
+    assert "write them %2F, %3F and %23" in message
+    assert "ter2" not in message
+    assert "hun" not in message
 
 
 @pytest.mark.parametrize(
