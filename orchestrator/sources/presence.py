@@ -9,6 +9,8 @@ import glob
 import os
 import re
 from collections.abc import Collection
+from decimal import Decimal
+from functools import partial
 from pathlib import Path
 
 from mlbs_actors.errors import SourceError
@@ -24,6 +26,9 @@ _VIDEO_SUFFIXES = frozenset(
     {".3gp", ".avi", ".flv", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv", ".ts"}
     | {".webm", ".wmv"}
 )
+
+#: A stem that ends in a number as Python writes a float, such as time.time(): without zeros at the end.
+_DECIMAL_STEM = re.compile(r"(.*[^\d.])?\d+\.(0|\d*[1-9])")
 
 
 def require_source(address: SourceAddress) -> None:
@@ -159,14 +164,16 @@ def _files_of(location: str, suffixes: Collection[str]) -> list[Path]:
         found = [Path(name) for name in names]
     except OSError as error:
         raise SourceError(f"The files of {location} cannot be listed: {error.strerror}.") from None
-    fitting = (path for path in found if path.suffix.lower() in suffixes and path.is_file())
-    return sorted((path for path in fitting if not path.name.startswith(".")), key=_natural_order)
+    shown = [path for path in found if path.suffix.lower() in suffixes and not path.name.startswith(".")]
+    fitting = [path for path in shown if path.is_file()]
+    decimal = all(_DECIMAL_STEM.fullmatch(path.stem) for path in fitting)
+    return sorted(fitting, key=partial(_natural_order, number=r"\d+(?:\.\d+)?" if decimal else r"\d+"))
 
 
-def _natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+def _natural_order(path: Path, number: str = r"\d+") -> tuple[list[tuple[int, Decimal, str]], str]:
     """Sort key by which frame10 comes after frame9; equal numbers (1, 01) fall back to the text."""
-    parts = re.split(r"(\d+)", str(path))
-    key = [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts if part]
+    parts = re.split(f"({number})", str(path))
+    key = [(0, Decimal(part), "") if part[0].isdecimal() else (1, Decimal(), part) for part in parts if part]
     return key, str(path)
 
 

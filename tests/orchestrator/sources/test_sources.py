@@ -94,6 +94,23 @@ def test_a_folder_is_read_in_natural_order_and_masks_keep_its_stems(tmp_path: Pa
     assert [frame.pts for frame in frames] == [0.0, 1 / FRAME_RATE, 2 / FRAME_RATE]
 
 
+@pytest.mark.parametrize(
+    "stems",
+    [
+        ["1700000000.0", "1700000000.12", "1700000000.9", "1700000001.0417"],  # of time.time()
+        ["cam0_9.5", "cam0_10.25", "cam0_10.3"],
+        ["1.1", "1.9", "1.10", "1.11"],  # scene and frame
+        ["take1.5_2", "take1.5_10"],
+    ],
+)
+def test_digits_behind_a_point_are_a_fraction_where_the_names_are_those_of_floats(
+    tmp_path: Path, stems: list[str]
+) -> None:
+    for stem in reversed(stems):
+        cv2.imwrite(str(tmp_path / f"{stem}.png"), np.zeros((4, 6, 3), np.uint8))
+    assert [frame.name for frame in read_all(opened(tmp_path))] == stems
+
+
 def test_a_glob_takes_only_what_matches(tmp_path: Path) -> None:
     for name in ("a1.png", "a2.png", "b1.png"):
         cv2.imwrite(str(tmp_path / name), np.zeros((4, 6, 3), np.uint8))
