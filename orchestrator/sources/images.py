@@ -7,6 +7,8 @@ A file that cannot be decoded stays a frame of the sequence, as quarantined.
 
 from __future__ import annotations
 
+import re
+
 import cv2
 import numpy as np
 
@@ -19,24 +21,40 @@ __all__ = ["FRAME_RATE", "ImageSequenceReader", "decode_image"]
 #: Frames per second that a sequence of images is assumed to have, as files have no time.
 FRAME_RATE = 25.0
 
-_TAIL_BYTES = 64
-_END_MARKERS = {b"\xff\xd8\xff": b"\xff\xd9", b"\x89PNG": b"IEND"}
+_PNG_END = b"IEND\xaeB`\x82"
+_JPEG_END = b"\xff\xd9"
+#: A marker, which in the coded picture only another one than a restart can be.
+_JPEG_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
 
 
 def decode_image(data: bytes) -> Array | None:
     """Decode one image file to (H, W, 3) uint8 BGR; None if it is damaged or no image.
 
-    OpenCV silently fills the missing part of a truncated JPEG with grey; so its end marker is checked.
+    OpenCV silently fills the missing part of a truncated JPEG with grey; so its end marker is looked for.
+    What is behind it, such as a phone's film of the moment, is no concern of the picture.
     """
-    for head, end in _END_MARKERS.items():
-        if data.startswith(head) and end not in data[-_TAIL_BYTES:]:
-            return None
+    if _is_cut_off(data):
+        return None
     try:
         # Stubs say that this never returns None; it does for other files.
         image: Array | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
         return None
     return image
+
+
+def _is_cut_off(data: bytes) -> bool:
+    if data.startswith(b"\x89PNG"):
+        return _PNG_END not in data
+    if not data.startswith(b"\xff\xd8\xff"):
+        return False
+    place = 2
+    # Segments are skipped by their length: one of them may hold a thumbnail, with an end of its own.
+    while marker := _JPEG_MARKER.search(data, place):
+        if marker[0] == _JPEG_END:
+            return False
+        place = marker.end() + int.from_bytes(data[marker.end() : marker.end() + 2], "big")
+    return True
 
 
 class ImageSequenceReader:

@@ -167,6 +167,26 @@ def test_a_cut_off_image_is_never_taken_for_a_whole_one(pictures: list[Array], s
         assert decode_image(whole[:length]) is None
 
 
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+@pytest.mark.parametrize("tail", [bytes(200), b"MotionPhoto_Data" + bytes(range(256))])
+def test_data_behind_the_end_of_an_image_changes_nothing(
+    pictures: list[Array], suffix: str, tail: bytes
+) -> None:
+    whole = cv2.imencode(suffix, pictures[0])[1].tobytes()
+    with_tail = decode_image(whole + tail)
+    assert with_tail is not None
+    np.testing.assert_array_equal(with_tail, cv2.imdecode(np.frombuffer(whole, np.uint8), cv2.IMREAD_COLOR))
+
+
+def test_the_end_of_a_thumbnail_is_not_that_of_its_picture(pictures: list[Array]) -> None:
+    thumbnail = cv2.imencode(".jpg", pictures[0][:24, :32])[1].tobytes()
+    note = b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail
+    whole = cv2.imencode(".jpg", pictures[0], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    whole = whole[:2] + note + whole[2:]
+    assert decode_image(whole) is not None
+    assert decode_image(whole[: len(whole) * 3 // 4]) is None
+
+
 def test_two_images_of_one_stem_are_refused_since_their_masks_would_collide(tmp_path: Path) -> None:
     for name in ("a.png", "a.jpg"):
         cv2.imwrite(str(tmp_path / name), np.zeros((4, 6, 3), np.uint8))
