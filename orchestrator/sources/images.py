@@ -2,12 +2,16 @@
 
 Images are decoded as ``cv2.imread`` does by default, so that a user's own loop sees the same pixels: grey
 becomes three equal channels, 16 bits their higher 8, alpha is left out, the camera's orientation applied.
-A file that cannot be decoded stays a frame of the sequence, as quarantined.
+Where the higher 8 bits would show little or nothing, the values are stretched
+(:mod:`orchestrator.sources.value_range`). A file that cannot be decoded stays a frame of the sequence, as
+quarantined.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,11 +19,19 @@ import numpy as np
 from mlbs_actors.actors.stream.protocol import SourceFrame, SourceStatus
 from mlbs_actors.messages import Array
 from orchestrator.sources.presence import images_of
+from orchestrator.sources.value_range import ValueRange
 
 __all__ = ["FRAME_RATE", "ImageSequenceReader", "decode_image"]
 
 #: Frames per second that a sequence of images is assumed to have, as files have no time.
 FRAME_RATE = 25.0
+
+_AS_STORED = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+
+#: Only these can hold more than 8 bits.
+_DEEP_SUFFIXES = frozenset({".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff"})
+#: Images whose values are looked at first, evenly spread over the sequence.
+_SAMPLES = 8
 
 _PNG_END = b"IEND\xaeB`\x82"
 _JPEG_END = b"\xff\xd9"
@@ -27,8 +39,8 @@ _JPEG_END = b"\xff\xd9"
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
 
 
-def decode_image(data: bytes) -> Array | None:
-    """Decode one image file to (H, W, 3) uint8 BGR; None if it is damaged or no image.
+def decode_image(data: bytes, flags: int = cv2.IMREAD_COLOR) -> Array | None:
+    """Decode one image file to (H, W, 3) uint8 BGR, or as OpenCV's ``flags`` say; None if it is damaged.
 
     OpenCV silently fills the missing part of a truncated JPEG with grey; so its end marker is looked for.
     What is behind it, such as a phone's film of the moment, is no concern of the picture.
@@ -37,7 +49,7 @@ def decode_image(data: bytes) -> Array | None:
         return None
     try:
         # Stubs say that this never returns None; it does for other files.
-        image: Array | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+        image: Array | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         return None
     return image
@@ -70,6 +82,7 @@ class ImageSequenceReader:
         self._paths = images_of(location)
         self._next = 0
         self._undecodable: list[str] = []
+        self._range = ValueRange.of(self._samples())
 
     @property
     def problem(self) -> str | None:
@@ -85,10 +98,9 @@ class ImageSequenceReader:
             return None
         path, index = self._paths[self._next], self._next
         self._next += 1
-        try:
-            image = decode_image(path.read_bytes())
-        except OSError:
-            image = None
+        image = _decoded(path, cv2.IMREAD_COLOR if self._range is None else _AS_STORED)
+        if image is not None and self._range is not None:
+            image = self._range.stretched(image)
         if image is None:
             self._undecodable.append(path.name)
         status: SourceStatus = "ok" if image is not None else "quarantined"
@@ -96,3 +108,20 @@ class ImageSequenceReader:
 
     def close(self) -> None:
         """Do nothing: no file is open."""
+
+    def _samples(self) -> Iterator[Array]:
+        """Yield some of the images with the values that their files hold."""
+        last = len(self._paths) - 1
+        for place in sorted({round(last * share) for share in np.linspace(0, 1, _SAMPLES)}):
+            path = self._paths[place]
+            if path.suffix.lower() not in _DEEP_SUFFIXES:
+                return
+            if (image := _decoded(path, _AS_STORED)) is not None:
+                yield image
+
+
+def _decoded(path: Path, flags: int) -> Array | None:
+    try:
+        return decode_image(path.read_bytes(), flags)
+    except OSError:
+        return None

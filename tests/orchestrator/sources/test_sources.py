@@ -141,6 +141,33 @@ def test_grey_16_bit_alpha_and_narrow_images_become_8_bit_bgr(tmp_path: Path) ->
     assert images[4].shape == (9, 1, 3)
 
 
+@pytest.mark.parametrize(
+    ("suffix", "store"),
+    [
+        (".png", lambda shade: (shade * 16).astype(np.uint16)),  # 12 bits
+        (".tif", lambda shade: (29_300 + 2 * shade).astype(np.uint16)),  # a thermal camera's hundredths of K
+        (".tif", lambda shade: (20 + shade / 25).astype(np.float32)),  # °C
+        (".tif", lambda shade: (-300 + shade).astype(np.int16)),
+    ],
+)
+def test_values_of_more_than_8_bits_are_stretched_alike_over_the_whole_sequence(
+    tmp_path: Path, suffix: str, store: Callable[[Array], Array]
+) -> None:
+    shades = np.linspace(0, 255, 40 * 50).reshape(40, 50).round()
+    for number, part in enumerate((1.0, 0.5, 1.0)):  # the one in the middle is darker
+        cv2.imwrite(str(tmp_path / f"{number}{suffix}"), store((shades * part).round()))
+    images = [image_of(frame) for frame in read_all(opened(tmp_path))]
+    for image, part in zip(images, (1.0, 0.5, 1.0), strict=True):
+        assert np.abs(image - (shades * part)[..., None]).max() <= 2
+
+
+def test_a_dead_pixel_does_not_take_the_contrast_of_a_thermal_picture(tmp_path: Path) -> None:
+    warm = np.linspace(29_300, 29_800, 40 * 50).reshape(40, 50).astype(np.uint16)
+    warm[7, 7] = 0
+    cv2.imwrite(str(tmp_path / "a.tif"), warm)
+    assert image_of(read_all(opened(tmp_path))[0]).std() > 60
+
+
 def test_images_are_the_pixels_that_cv2_imread_gives(tmp_path: Path, pictures: list[Array]) -> None:
     cv2.imwrite(str(tmp_path / "a.jpg"), pictures[3])
     (frame,) = read_all(opened(tmp_path))
