@@ -1,4 +1,4 @@
-"""A folder or a glob of images as a video: natural order, one frame per file.
+"""A folder or a glob of images as a video: natural order, one frame per file, or per page of a single TIFF.
 
 Images are decoded as ``cv2.imread`` does by default, so that a user's own loop sees the same pixels: grey
 becomes three equal channels, 16 bits their higher 8, alpha is left out, the camera's orientation applied.
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -30,6 +31,7 @@ _AS_STORED = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
 
 #: Only these can hold more than 8 bits.
 _DEEP_SUFFIXES = frozenset({".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff"})
+_PAGED_SUFFIXES = frozenset({".tif", ".tiff"})
 #: Images whose values are looked at first, evenly spread over the sequence.
 _SAMPLES = 8
 
@@ -69,6 +71,42 @@ def _is_cut_off(data: bytes) -> bool:
     return True
 
 
+@dataclass(frozen=True, slots=True)
+class _Image:
+    """A file, or one page of it."""
+
+    path: Path
+    page: int | None = None
+
+    @property
+    def name(self) -> str:
+        return self.path.stem if self.page is None else f"{self.page:05d}"
+
+    @property
+    def is_deep(self) -> bool:
+        """Whether it can hold more than 8 bits."""
+        return self.path.suffix.lower() in _DEEP_SUFFIXES
+
+    def decoded(self, flags: int) -> Array | None:
+        """Decode it as OpenCV's ``flags`` say; None if it is damaged."""
+        try:
+            if self.page is None:
+                return decode_image(self.path.read_bytes(), flags)
+            _, pages = cv2.imreadmulti(str(self.path), self.page, 1, flags=flags)
+        except (OSError, cv2.error):
+            return None
+        return np.asarray(pages[0]) if pages else None
+
+
+def _images_at(location: str) -> list[_Image]:
+    paths = images_of(location)
+    if paths == [Path(location)] and paths[0].suffix.lower() in _PAGED_SUFFIXES:
+        pages = cv2.imcount(location)
+        if pages > 1:
+            return [_Image(paths[0], page) for page in range(pages)]
+    return [_Image(path) for path in paths]
+
+
 class ImageSequenceReader:
     """Reads a sequence of images.
 
@@ -79,7 +117,7 @@ class ImageSequenceReader:
     """
 
     def __init__(self, location: str) -> None:
-        self._paths = images_of(location)
+        self._images = _images_at(location)
         self._next = 0
         self._undecodable: list[str] = []
         self._range = ValueRange.of(self._samples())
@@ -94,34 +132,27 @@ class ImageSequenceReader:
 
     def read(self) -> SourceFrame | None:
         """Return the next image, or None at the end."""
-        if self._next == len(self._paths):
+        if self._next == len(self._images):
             return None
-        path, index = self._paths[self._next], self._next
+        one, index = self._images[self._next], self._next
         self._next += 1
-        image = _decoded(path, cv2.IMREAD_COLOR if self._range is None else _AS_STORED)
-        if image is not None and self._range is not None:
-            image = self._range.stretched(image)
+        image = one.decoded(cv2.IMREAD_COLOR if self._range is None else _AS_STORED)
         if image is None:
-            self._undecodable.append(path.name)
+            self._undecodable.append(one.path.name if one.page is None else f"page {one.page}")
+        elif self._range is not None:
+            image = self._range.stretched(image)
         status: SourceStatus = "ok" if image is not None else "quarantined"
-        return SourceFrame(index, image, index / FRAME_RATE, path.stem, status, length=len(self._paths))
+        return SourceFrame(index, image, index / FRAME_RATE, one.name, status, length=len(self._images))
 
     def close(self) -> None:
         """Do nothing: no file is open."""
 
     def _samples(self) -> Iterator[Array]:
         """Yield some of the images with the values that their files hold."""
-        last = len(self._paths) - 1
+        last = len(self._images) - 1
         for place in sorted({round(last * share) for share in np.linspace(0, 1, _SAMPLES)}):
-            path = self._paths[place]
-            if path.suffix.lower() not in _DEEP_SUFFIXES:
+            one = self._images[place]
+            if not one.is_deep:
                 return
-            if (image := _decoded(path, _AS_STORED)) is not None:
+            if (image := one.decoded(_AS_STORED)) is not None:
                 yield image
-
-
-def _decoded(path: Path, flags: int) -> Array | None:
-    try:
-        return decode_image(path.read_bytes(), flags)
-    except OSError:
-        return None

@@ -19,7 +19,7 @@ from orchestrator.sources.address import SourceAddress, SourceKind, has_wildcard
 __all__ = ["holds_images", "image_folders_of", "images_of", "require_source", "videos_of"]
 
 _IMAGE_SUFFIXES = frozenset(
-    {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
+    {".apng", ".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
 )
 
 _VIDEO_SUFFIXES = frozenset(

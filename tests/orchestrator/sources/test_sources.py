@@ -214,6 +214,36 @@ def test_the_end_of_a_thumbnail_is_not_that_of_its_picture(pictures: list[Array]
     assert decode_image(whole[: len(whole) * 3 // 4]) is None
 
 
+@pytest.mark.parametrize("name", ["a.webp", "a.png", "a.apng", "a.tif"])
+def test_every_frame_of_an_animation_or_of_a_stack_is_read(
+    tmp_path: Path, pictures: list[Array], name: str
+) -> None:
+    first, *others = (Image.fromarray(picture[..., ::-1]) for picture in pictures[:7])
+    options = {"duration": 50, "lossless": True} if name == "a.webp" else {"duration": 50}
+    kind = "PNG" if name.endswith("png") else None
+    first.save(tmp_path / name, kind, save_all=True, append_images=others, **options)
+    reader = opened(tmp_path / name)
+    frames = read_all(reader)
+    assert reader.problem is None
+    assert [frame.name for frame in frames] == [f"{index:05d}" for index in range(7)]
+    assert {frame.length for frame in frames} == {7}
+    for frame, picture in zip(frames, pictures, strict=False):
+        np.testing.assert_array_equal(image_of(frame), picture)
+    frame_time = 1 / FRAME_RATE if name == "a.tif" else 0.05
+    np.testing.assert_allclose([frame.pts for frame in frames], np.arange(7) * frame_time)
+
+
+def test_a_cut_off_animation_gives_what_is_there_and_says_so(tmp_path: Path, pictures: list[Array]) -> None:
+    first, *others = (Image.fromarray(picture[..., ::-1]) for picture in pictures[:7])
+    first.save(tmp_path / "a.png", save_all=True, append_images=others)
+    whole = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a.png").write_bytes(whole[: len(whole) * 2 // 3])
+    reader = opened(tmp_path / "a.png")
+    assert 2 <= len(read_all(reader)) < 7
+    assert reader.problem is not None
+    assert "damaged: reading broke off" in reader.problem
+
+
 def test_two_images_of_one_stem_are_refused_since_their_masks_would_collide(tmp_path: Path) -> None:
     for name in ("a.png", "a.jpg"):
         cv2.imwrite(str(tmp_path / name), np.zeros((4, 6, 3), np.uint8))
