@@ -6,6 +6,7 @@ import os
 import pickle
 import re
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -326,13 +327,41 @@ def test_a_recording_without_its_end_is_told_as_one(tmp_path: Path, pictures: li
         opened(path)
 
 
-def test_times_that_jump_back_are_told_as_they_are_and_every_frame_is_delivered(
-    tmp_path: Path, pictures: list[Array]
+@pytest.mark.parametrize("frames_each", [6, 40])
+def test_times_go_on_where_videos_were_joined(
+    tmp_path: Path, pictures: list[Array], frames_each: int
 ) -> None:
-    once = write_video(tmp_path / "a.ts", pictures[:6], "libx264").read_bytes()
+    once = write_video(tmp_path / "a.ts", pictures[:frames_each], "libx264").read_bytes()
     (tmp_path / "b.ts").write_bytes(once + once)
     frames = read_all(opened(tmp_path / "b.ts"))
-    np.testing.assert_allclose([frame.pts for frame in frames], [*np.arange(6) / 20] * 2, atol=1e-3)
+    np.testing.assert_allclose([frame.pts for frame in frames], np.arange(2 * frames_each) / 20, atol=1e-3)
+    assert frames[-1].length == 2 * frames_each
+
+
+def test_times_that_a_file_tells_out_of_order_are_put_in_order(tmp_path: Path, pictures: list[Array]) -> None:
+    # AVI has no times of presentation, so B-frames come with those of decoding.
+    frames = read_all(opened(write_video(tmp_path / "a.avi", pictures, "libx264")))
+    times = np.array([frame.pts for frame in frames])
+    assert len(frames) == 40
+    assert np.diff(times).min() > 0.04
+    assert np.abs(times - np.arange(40) / 20).max() < 0.16
+
+
+def test_a_video_of_variable_frame_rate_keeps_its_times(tmp_path: Path, pictures: list[Array]) -> None:
+    times = np.array([0.0, 0.04, 0.4, 0.41, 1.5, 1.6])
+    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=25)
+        assert isinstance(stream, VideoStream)
+        stream.height, stream.width = pictures[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for picture, time in zip(pictures, times, strict=False):
+            frame = VideoFrame.from_ndarray(picture, format="bgr24")
+            frame.pts, frame.time_base = round(time * 1000), Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    frames = read_all(opened(tmp_path / "a.mp4"))
+    np.testing.assert_allclose([frame.pts for frame in frames], times, atol=1e-3)
 
 
 def test_images_of_odd_sizes_and_palettes_are_read_as_they_are(tmp_path: Path) -> None:
