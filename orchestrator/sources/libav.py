@@ -7,11 +7,14 @@ playlists and ``concat:`` lists, which can name any file or address, are refused
 
 from __future__ import annotations
 
+from typing import cast
+
 import av
 import av.error
 import av.logging
 import numpy as np
 from av.container import InputContainer
+from av.sidedata.sidedata import SideDataContainer
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
@@ -97,10 +100,21 @@ def reason(error: Exception) -> str:
 
 
 def upright_bgr(frame: VideoFrame) -> Array | None:
-    """Convert to (H, W, 3) uint8 BGR and undo the rotation that the source states; None if impossible."""
+    """Convert to (H, W, 3) uint8 BGR, turned and mirrored as the source states; None if impossible."""
     try:
         image = frame.to_ndarray(format="bgr24")
     except (av.error.FFmpegError, ValueError):
         return None
-    quarter_turns = round(frame.rotation / 90) % 4
-    return np.ascontiguousarray(np.rot90(image, quarter_turns))
+    try:
+        # PyAV declares another type than it returns.
+        display = cast(SideDataContainer, frame.side_data).get("DISPLAYMATRIX")
+    except ValueError:
+        # Beside it lies something that PyAV does not know yet; the turn, at least, can be had without it.
+        return np.ascontiguousarray(np.rot90(image, round(frame.rotation / 90) % 4))
+    if display is None:
+        return image
+    # Shown at x' = a·x + c·y and y' = b·x + d·y; only quarter turns and mirrors occur.
+    a, b, _, c, d = np.frombuffer(display, np.int32, count=5).tolist()
+    if abs(a) + abs(d) < abs(b) + abs(c):
+        image, a, d = image.swapaxes(0, 1), c, b
+    return np.ascontiguousarray(image[:: -1 if d < 0 else 1, :: -1 if a < 0 else 1])

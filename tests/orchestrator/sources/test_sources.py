@@ -292,9 +292,13 @@ def _rotate_in_header(path: Path, matrix: tuple[int, int, int, int]) -> None:
         ((0, 1, -1, 0), (0, -1)),  # a quarter turn clockwise takes top left to top right
         ((-1, 0, 0, -1), (-1, -1)),
         ((0, -1, 1, 0), (-1, 0)),
+        ((-1, 0, 0, 1), (0, -1)),  # mirrored, as by the front camera of a phone
+        ((1, 0, 0, -1), (-1, 0)),
+        ((0, 1, 1, 0), (0, 0)),
+        ((0, -1, -1, 0), (-1, -1)),
     ],
 )
-def test_the_rotation_that_a_file_states_is_applied(
+def test_the_turn_or_mirror_that_a_file_states_is_applied(
     tmp_path: Path, matrix: tuple[int, int, int, int], bright_corner: tuple[int, int]
 ) -> None:
     picture = np.zeros((48, 64, 3), np.uint8)
