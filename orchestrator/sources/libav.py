@@ -27,7 +27,7 @@ __all__ = ["open_video", "reason", "upright_bgr"]
 
 _CONTAINERS = (
     "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,mpegvideo,m4v,h264,hevc,av1,obu,ivf,vc1,flv,asf,"
-    "ogg,mjpeg,mxf,dv,gif,yuv4mpegpipe,nut,rm,wtv"
+    "ogg,mjpeg,mxf,dv,gif,yuv4mpegpipe,nut,rm,wtv,dhav"
 )
 _OPTIONS = {
     SourceKind.PATH: {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS},

@@ -23,7 +23,22 @@ _IMAGE_SUFFIXES = frozenset(
 )
 
 _VIDEO_SUFFIXES = frozenset(
-    {".3gp", ".avi", ".flv", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv", ".ts"}
+    {
+        ".3gp",
+        ".avi",
+        ".dav",
+        ".flv",
+        ".m2ts",
+        ".m4v",
+        ".mkv",
+        ".mov",
+        ".mp4",
+        ".mpeg",
+        ".mpg",
+        ".mts",
+        ".ogv",
+        ".ts",
+    }
     | {".webm", ".wmv"}
 )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import re
+import struct
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -272,6 +273,26 @@ def test_reading_a_video_twice_gives_the_same_bytes(tmp_path: Path, pictures: li
     first, second = ([image_of(f).tobytes() for f in read_all(opened(path))] for _ in range(2))
     assert len(first) == 40
     assert first == second
+
+
+def test_what_a_dahua_recorder_exports_is_read(tmp_path: Path, pictures: list[Array]) -> None:
+    stream = write_video(tmp_path / "a.mkv", pictures[:10], "mpeg4")
+    with av.open(str(stream)) as video:
+        header = bytes(video.streams.video[0].codec_context.extradata or b"")
+        packets = [(packet.is_keyframe, bytes(packet)) for packet in video.demux() if packet.size]
+    size = struct.pack("<B3xHH", 0x82, 160, 120)
+    described = struct.pack("<4B", 0x81, 0, 1, 20) + size  # MPEG-4, 20 frames/s
+    chunks = []
+    for number, (is_key, data) in enumerate(packets):
+        payload = described + (header if is_key else b"") + data
+        length = 24 + len(payload) + 8
+        kind, date = 0xFD if is_key else 0xFC, 1 << 26 | 1 << 22 | 1 << 17
+        head = struct.pack("<4sB3xIIIHBx", b"DHAV", kind, number, length, date, number * 50, len(described))
+        chunks.append(head + payload + struct.pack("<4sI", b"dhav", length))
+    (tmp_path / "a.dav").write_bytes(b"".join(chunks))
+    frames = read_all(opened(tmp_path / "a.dav"))
+    np.testing.assert_allclose([frame.pts for frame in frames], np.arange(10) / 20, atol=1e-3)
+    assert np.abs(image_of(frames[9]).astype(int) - pictures[9]).mean() < 12
 
 
 def _rotate_in_header(path: Path, matrix: tuple[int, int, int, int]) -> None:
