@@ -6,6 +6,7 @@ Only these are accepted; anything else that libav could open (``concat:``, ``htt
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, field
 from enum import Enum
@@ -17,7 +18,7 @@ from orchestrator.credentials import mask
 from orchestrator.sources.scene_scripts import SCRIPTS
 from orchestrator.sources.synthetic import LIMITS, SCHEME
 
-__all__ = ["SourceAddress", "SourceKind", "has_wildcards", "parse_address"]
+__all__ = ["SourceAddress", "SourceKind", "fixed_part", "has_wildcards", "parse_address"]
 
 _MAX_ADDRESS_BYTES = 4096
 _SCHEME = re.compile(r"([^/:]*):")  # wider than the standard's: libav knows "subfile,,start,0,,:"
@@ -59,10 +60,7 @@ class SourceAddress:
         """The file, device, or fixed folder of a glob that it reads; None for other kinds."""
         if self.kind not in (SourceKind.PATH, SourceKind.CAMERA):
             return None
-        path = Path(self.location)
-        while has_wildcards(str(path)):
-            path = path.parent
-        return path
+        return fixed_part(Path(self.location))
 
 
 def parse_address(text: str, folder: Path) -> SourceAddress:
@@ -100,8 +98,15 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
 
 
 def has_wildcards(text: str) -> bool:
-    """Whether a path, or a part of one, may be a glob; an existing file of that name takes precedence."""
+    """Whether a path, or a part of one, may be a glob."""
     return any(mark in text for mark in "*?[")
+
+
+def fixed_part(path: Path) -> Path:
+    """Return the part of a path in front of its wildcards; in what exists there are none."""
+    while has_wildcards(str(path)) and not os.path.exists(path):  # noqa: PTH110, it also takes long names
+        path = path.parent
+    return path
 
 
 def _path_address(text: str, folder: Path) -> SourceAddress:
@@ -109,7 +114,9 @@ def _path_address(text: str, folder: Path) -> SourceAddress:
     path = Path(folder.absolute(), Path(text).expanduser() if text.startswith("~/") else text)
     if _CAMERA.fullmatch(str(path)):
         return SourceAddress(SourceKind.CAMERA, str(path), path.name)
-    plain = [part for part in path.parts if not has_wildcards(part)]
+    fixed = fixed_part(path)
+    varied = path.relative_to(fixed).parts
+    plain = [*fixed.parts, *(part for part in varied if not has_wildcards(part))]
     last = Path(plain[-1])
     is_file_name = plain[-1] == path.name
     return SourceAddress(SourceKind.PATH, str(path), last.stem if is_file_name else last.name)

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from mlbs_actors.errors import SourceError
-from orchestrator.sources.address import SourceAddress, SourceKind, has_wildcards
+from orchestrator.sources.address import SourceAddress, SourceKind, fixed_part, has_wildcards
 
 __all__ = ["holds_images", "image_folders_of", "images_of", "require_source", "videos_of"]
 
@@ -83,8 +83,11 @@ def holds_images(address: SourceAddress) -> bool:
     path = Path(address.location)
     if address.kind is not SourceKind.PATH:
         return False
-    is_glob = has_wildcards(address.location) and not path.exists()
-    return path.is_dir() or is_glob or (path.is_file() and path.suffix.lower() in _IMAGE_SUFFIXES)
+    return (
+        path.is_dir()
+        or _is_glob(address.location)
+        or (path.is_file() and path.suffix.lower() in _IMAGE_SUFFIXES)
+    )
 
 
 def videos_of(location: str) -> list[Path]:
@@ -96,7 +99,7 @@ def videos_of(location: str) -> list[Path]:
         If there are images too, so that the choice is ambiguous.
     """
     try:
-        if not (Path(location).is_dir() or has_wildcards(location)):
+        if not (Path(location).is_dir() or _is_glob(location)):
             return []
     except OSError:
         return []  # such as a name that is too long; opening it will report that
@@ -123,7 +126,7 @@ def image_folders_of(location: str) -> dict[str, Path]:
     SourceError
         If two folders would have the same name.
     """
-    if not has_wildcards(location) or Path(location).exists():
+    if not _is_glob(location):
         return {}
     folders = Path(location)
     if images := _files_of(location, _IMAGE_SUFFIXES):
@@ -133,7 +136,7 @@ def image_folders_of(location: str) -> dict[str, Path]:
         if len(paths) == 1:
             return {}
     else:
-        matches = map(Path, glob.glob(location))  # noqa: PTH207
+        matches = map(Path, glob.glob(_pattern(location)))  # noqa: PTH207
         paths = {one: one for one in matches if one.is_dir() and _files_of(str(one), _IMAGE_SUFFIXES)}
     depth = max(place for place, part in enumerate(folders.parts) if has_wildcards(part))
     found: dict[str, Path] = {}
@@ -171,11 +174,22 @@ def images_of(location: str) -> list[Path]:
     return visible
 
 
+def _is_glob(location: str) -> bool:
+    return fixed_part(Path(location)) != Path(location)
+
+
+def _pattern(location: str) -> str:
+    """Write a path as a glob: wildcards in the names of existing folders stand for themselves."""
+    path = Path(location)
+    fixed = fixed_part(path)
+    return str(Path(glob.escape(str(fixed))) / path.relative_to(fixed))
+
+
 def _files_of(location: str, suffixes: Collection[str]) -> list[Path]:
     folder = Path(location)
     try:
         # Path.glob takes no absolute patterns.
-        names = folder.iterdir() if folder.is_dir() else glob.iglob(location)  # noqa: PTH207
+        names = folder.iterdir() if folder.is_dir() else glob.iglob(_pattern(location))  # noqa: PTH207
         found = [Path(name) for name in names]
     except OSError as error:
         raise SourceError(f"The files of {location} cannot be listed: {error.strerror}.") from None

@@ -242,6 +242,17 @@ def test_a_folder_or_glob_of_videos_is_a_stream_for_each(tmp_path: Path) -> None
     ]
 
 
+def test_brackets_in_the_names_of_files_and_folders_stand_for_themselves(tmp_path: Path) -> None:
+    for folder in ("takes [1]", "takes 1"):
+        (tmp_path / folder).mkdir()
+        for name in ("street [HD].mp4", "street H.mp4"):
+            (tmp_path / folder / name).touch()
+    streams = read(tmp_path, '"takes [1]/street [HD].mp4"\nall "takes [1]/*.mp4"\n')
+    assert [stream.name for stream in streams] == ["street [HD]", "all-street H", "all-street [HD]"]
+    assert {Path(stream.source.location).parent.name for stream in streams} == {"takes [1]"}
+    assert [stream.source.path for stream in streams] == [Path(one.source.location) for one in streams]
+
+
 def test_a_folder_of_videos_and_images_is_refused_and_two_videos_of_one_name_too(tmp_path: Path) -> None:
     for name in ("mixed/a.mp4", "mixed/a.png", "twins/a.mp4", "twins/a.avi"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
