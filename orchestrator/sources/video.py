@@ -16,6 +16,7 @@ from av.video.frame import VideoFrame
 
 from mlbs_actors.actors.stream.protocol import SourceFrame, SourceStatus
 from mlbs_actors.errors import SourceError
+from mlbs_actors.messages import Array
 from mlbs_actors.wording import count_of
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import open_video, reason, upright_bgr
@@ -102,7 +103,8 @@ class VideoReader:
         status: SourceStatus = "ok" if image is not None else "quarantined"
         # Of joined files the header tells the length of the first.
         length = None if self._length is None else max(self._length, self._count)
-        return SourceFrame(index, image, pts, f"{index:05d}", status, length=length)
+        name, aspect = f"{index:05d}", self._pixel_aspect(frame, image)
+        return SourceFrame(index, image, pts, name, status, length=length, pixel_aspect=aspect)
 
     def close(self) -> None:
         """Close the file or connection."""
@@ -126,6 +128,12 @@ class VideoReader:
                     self._lost_packets += 1
         except (av.error.FFmpegError, OSError) as error:
             self._broken_off = reason(error)
+
+    def _pixel_aspect(self, frame: VideoFrame, image: Array | None) -> float:
+        """Return the width of a pixel for its height, in the picture as it is shown."""
+        aspect = float(self._stream.sample_aspect_ratio or 1)
+        is_turned = image is not None and image.shape[1] != frame.width
+        return 1 / aspect if is_turned else aspect
 
     def _pts(self, frame: VideoFrame) -> float:
         """Return seconds since the first frame, never fewer than before.

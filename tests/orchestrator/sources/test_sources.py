@@ -334,6 +334,25 @@ def test_the_turn_or_mirror_that_a_file_states_is_applied(
     assert max(corners, key=lambda corner: corners[corner]) == bright_corner
 
 
+def test_pixels_that_are_not_square_are_told_also_when_they_are_turned(
+    tmp_path: Path, pictures: list[Array]
+) -> None:
+    path = tmp_path / "a.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=20)
+        assert isinstance(stream, VideoStream)
+        stream.height, stream.width = pictures[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.sample_aspect_ratio = Fraction(64, 45)
+        container.mux(stream.encode(VideoFrame.from_ndarray(pictures[0], format="bgr24")))
+        container.mux(stream.encode(None))
+    (frame,) = read_all(opened(path))
+    assert frame.pixel_aspect == pytest.approx(64 / 45)
+    _rotate_in_header(path, (0, 1, -1, 0))
+    (frame,) = read_all(opened(path))
+    assert frame.pixel_aspect == pytest.approx(45 / 64)
+
+
 def test_a_video_whose_picture_changes_its_size_is_read_to_its_end(
     tmp_path: Path, pictures: list[Array]
 ) -> None:
