@@ -1,6 +1,6 @@
 """The addresses of the list of streams: their kinds and meanings.
 
-Only these are accepted; anything else that libav could open (``concat:``, ``http:``, ``subfile:``, playlists
+Only these are accepted; anything else that libav could open (``concat:``, ``ftp:``, ``subfile:``, playlists
 …) is refused, because a list may come from somebody who should not read this machine's files or network.
 """
 
@@ -86,14 +86,14 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
     scheme = match[1].lower()
     text = scheme + text[match.end(1) :]
     match scheme:
-        case "rtsp" | "rtsps":
+        case "rtsp" | "rtsps" | "http" | "https":
             return _network_address(text)
         case "synthetic":
             return _synthetic_address(text)
         case other:
             raise ConfigError(
-                f"{other[:40]!r} is no known kind of source; use a path, rtsp://, rtsps:// or synthetic: "
-                "(for a file whose name holds a colon, write ./NAME)"
+                f"{other[:40]!r} is no known kind of source; use a path, rtsp://, rtsps://, http://, "
+                "https:// or synthetic: (for a file whose name holds a colon, write ./NAME)"
             )
 
 
@@ -125,7 +125,7 @@ def _path_address(text: str, folder: Path) -> SourceAddress:
 def _network_address(text: str) -> SourceAddress:
     match = re.fullmatch(r"[a-z]+://[^/\s?#]+([^\s]*)", text)
     if match is None:
-        raise ConfigError("a camera's address is written rtsp://HOST/PATH")
+        raise ConfigError(f"a camera's address is written {text.partition(':')[0]}://HOST/PATH")
     if "@" in match[1]:
         # libav would take what comes before the mark for the host, and ask the network for it.
         raise ConfigError(

@@ -34,9 +34,17 @@ _OPTIONS = {
     SourceKind.NETWORK: {
         "protocol_whitelist": "rtsp,rtp,srtp,udp,tcp,tls,crypto",
         "format_whitelist": "rtsp,sdp,rtp,mpegts,asf",
-        "rtsp_transport": "tcp",
+        # TCP loses no packets; but some cameras have UDP only.
+        "rtsp_transport": "udp+tcp",
+        "rtsp_flags": "prefer_tcp",
     },
     SourceKind.CAMERA: {"format_whitelist": "video4linux2,v4l2"},
+}
+_HTTP_OPTIONS = {
+    "protocol_whitelist": "http,https,httpproxy,tcp,tls,crypto",
+    "format_whitelist": "mpjpeg,mjpeg",
+    # The pictures have no times: libav would make some up.
+    "use_wallclock_as_timestamps": "1",
 }
 
 
@@ -66,18 +74,21 @@ def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer
     av.logging.set_level(av.logging.ERROR)
     av.logging.set_skip_repeated(False)
     kind, location = address.kind, address.location
+    is_http = kind is SourceKind.NETWORK and location.startswith("http")
     try:
         with av.logging.Capture() as log:
             container = av.open(
                 f"file:{location}" if kind is SourceKind.PATH else location,
                 format="v4l2" if kind is SourceKind.CAMERA else None,
                 # Not as options: PyAV frees more of those than it has where streams turn up late (MPEG-TS).
-                container_options=_OPTIONS[kind],
+                container_options=_HTTP_OPTIONS if is_http else _OPTIONS[kind],
                 timeout=timeout_s,
             )
     except (av.error.FFmpegError, OSError, ValueError) as error:
         # Neither the message nor the chained error may contain libav's text: it quotes the address.
-        raise SourceError(f"Cannot open {address}: {reason(error)}.") from None
+        other = is_http and isinstance(error, av.error.InvalidDataError)
+        why = "it sends no MJPEG, and nothing else is read over HTTP" if other else reason(error)
+        raise SourceError(f"Cannot open {address}: {why}.") from None
     if not container.streams.video:
         container.close()
         raise SourceError(f"{address} holds no video.")

@@ -73,6 +73,8 @@ def test_a_hash_inside_a_word_or_quoted_is_no_comment(tmp_path: Path, uri: str) 
         ("rtsp://10.0.0.7:554/door", SourceKind.NETWORK, "door"),
         ("rtsps://bob:pw@10.0.0.7/yard/live.sdp?token=x", SourceKind.NETWORK, "live"),
         ("rtsp://bob:pw@cam-3.lan:554", SourceKind.NETWORK, "cam-3.lan"),
+        ("http://bob:pw@10.0.0.8:8080/?action=stream", SourceKind.NETWORK, "10.0.0.8"),
+        ("https://cam/axis-cgi/mjpg/video.cgi?fps=5", SourceKind.NETWORK, "video"),
         ("/dev/video12", SourceKind.CAMERA, "video12"),
         ("synthetic:demo?frames=9&seed=2", SourceKind.SYNTHETIC, "demo"),
     ],
@@ -92,6 +94,7 @@ def test_each_kind_of_uri_is_known_and_names_its_stream(
         "RTSP://bob:a@hunter2@10.0.0.7/door",
         "rtsp://10.0.0.7/user=bob&password=hunter2",
         "rtsp://10.0.0.7/door?pwd=hunter2",
+        "http://10.0.0.7/mjpg?user=bob&password=hunter2",
         "rtsp://bob:a%23hunter2@10.0.0.7/door",
     ],
 )
@@ -119,7 +122,7 @@ def test_a_mark_in_a_password_that_would_end_the_host_is_refused_at_once(tmp_pat
     "line",
     [
         "concat:a.mp4|b.mp4",
-        "http://example.org/a.mp4",
+        "ftp://example.org/a.mp4",
         "file:///etc/passwd",
         "subfile,,start,0,end,9,,:/etc/passwd",
         "x data:text/plain,abc",
@@ -158,7 +161,7 @@ def test_control_characters_and_broken_text_are_refused_with_their_line(tmp_path
 
 
 def test_all_bad_lines_are_named_at_once_also_when_they_are_many(tmp_path: Path) -> None:
-    message = refusal(tmp_path, "http://x/a\ngood.mp4\n" + "ftp://x/b\n" * 30 + "ok.mp4\nhttp://x/c\n")
+    message = refusal(tmp_path, "ftp://x/a\ngood.mp4\n" + "ftp://x/b\n" * 30 + "ok.mp4\nftp://x/c\n")
     assert "32 bad lines" in message
     assert "line 1:" in message
     assert "22–32, 34" in message
@@ -166,7 +169,7 @@ def test_all_bad_lines_are_named_at_once_also_when_they_are_many(tmp_path: Path)
 
 def test_a_list_with_bad_lines_tells_at_once_which_files_are_missing(tmp_path: Path) -> None:
     (tmp_path / "there.mp4").write_text("there")
-    message = refusal(tmp_path, "there.mp4\nlost.mp4\nhttp://x/c\n")
+    message = refusal(tmp_path, "there.mp4\nlost.mp4\nftp://x/c\n")
     bad, _, others = message.partition("Of the other lines")
     assert "1 bad line;" in bad
     assert "line 3:" in bad
