@@ -103,8 +103,16 @@ class VideoReader:
         status: SourceStatus = "ok" if image is not None else "quarantined"
         # Of joined files the header tells the length of the first.
         length = None if self._length is None else max(self._length, self._count)
-        name, aspect = f"{index:05d}", self._pixel_aspect(frame, image)
-        return SourceFrame(index, image, pts, name, status, length=length, pixel_aspect=aspect)
+        return SourceFrame(
+            index,
+            image,
+            pts,
+            f"{index:05d}",
+            status,
+            length=length,
+            pixel_aspect=self._pixel_aspect(frame, image),
+            concealed=frame.is_corrupt,
+        )
 
     def close(self) -> None:
         """Close the file or connection."""

@@ -81,6 +81,8 @@ class SourceFrame:
         Number of frames as the source states it, for the user; None if unknown. It may be wrong.
     pixel_aspect : float
         How wide a pixel is to be shown for its height.
+    concealed : bool
+        Whether the decoder made up part of the picture. It is labelled as the picture before.
     """
 
     index: int
@@ -91,6 +93,7 @@ class SourceFrame:
     original: Array | None = None
     length: int | None = None
     pixel_aspect: float = 1.0
+    concealed: bool = False
 
 
 @dataclass(frozen=True, slots=True)

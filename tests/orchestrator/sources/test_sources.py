@@ -468,6 +468,19 @@ def test_of_a_damaged_video_all_that_decodes_is_kept_and_the_damage_stated(
     assert "damaged or cut off" in reader.problem
 
 
+def test_a_frame_of_which_the_decoder_made_up_a_part_is_told(tmp_path: Path, pictures: list[Array]) -> None:
+    path = write_video(tmp_path / "a.ts", pictures, "mpeg2video")
+    assert not any(frame.concealed for frame in read_all(opened(path)))
+    content = path.read_bytes()
+    place = len(content) * 6 // 10
+    path.write_bytes(
+        content[:place] + bytes(byte ^ 0x55 for byte in content[place : place + 12]) + content[place + 12 :]
+    )
+    frames = read_all(opened(path))
+    assert [frame.concealed for frame in frames].count(True) == 1
+    assert {frame.status for frame in frames} == {"ok"}
+
+
 def _text_file(folder: Path) -> Path:
     (folder / "a.mp4").write_text("not a video")
     return folder / "a.mp4"
