@@ -20,7 +20,7 @@ _OUTSIDE = 0.001
 #: About so many pixels of each sample are looked at.
 _SAMPLED_PIXELS = 100_000
 #: Of 16 bits the higher 8 are taken if they have at least so many levels.
-_LEAST_LEVELS = 32
+_LEAST_LEVELS = 64
 
 
 @dataclass(frozen=True, slots=True)
