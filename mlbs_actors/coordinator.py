@@ -147,7 +147,11 @@ class Coordinator:
         return frame_index < first_held
 
     def step(
-        self, frame_index: int, frame: Array, feedback: Callable[[], Segmentation] | None
+        self,
+        frame_index: int,
+        frame: Array,
+        feedback: Callable[[], Segmentation] | None,
+        concealed: bool = False,
     ) -> list[FrameEvidence]:
         """Take one frame.
 
@@ -160,6 +164,8 @@ class Coordinator:
         feedback : callable or None
             Returns the Segmentation of :meth:`feedback_index`. It is called last, so that another process can
             compute the label map while this one tracks and clusters.
+        concealed : bool
+            Whether the frame is known to be damaged.
 
         Returns
         -------
@@ -178,13 +184,15 @@ class Coordinator:
             self._settle()
             ended = [replace(one, latency_frames=one.latency_frames + 1) for one in self.flush()]
             self._begin_epoch(frame_index)
-            return ended + self.step(frame_index, frame, None)
+            return ended + self.step(frame_index, frame, None, concealed)
         stage_ms: dict[str, float] = {}
         with _timed(stage_ms, "flow"):
             side = cell_side(shape, self.config.grid.cell_px)
             picture = picture_of(frame, side, self.flow is not None)
         self.state.shape = shape
         self.state.next_frame = frame_index + 1
+        if concealed:
+            return self._pass_over(frame_index, "damaged", feedback)
         if is_blank(picture.gray):
             return self._pass_over(frame_index, "blank", feedback)
         if not self.state.unsettled and repeats(picture.gray, self.state.picture.gray):

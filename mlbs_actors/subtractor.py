@@ -137,13 +137,16 @@ class MultilayerSubtractor:
         }
         self._waiting, self._published = state.waiting, state.published
 
-    def apply(self, frame: Array) -> list[Segmentation]:
+    def apply(self, frame: Array, *, concealed: bool = False) -> list[Segmentation]:
         """Take the next frame.
 
         Parameters
         ----------
         frame : (H, W, 3) uint8
             BGR. A frame of another size resets everything but the ids, which are never reused.
+        concealed : bool
+            Whether you know that it is damaged, as of a decoder that made up a part. Its result has the
+            labels of the one before and the status ``"damaged"``, and nothing is learnt from it.
 
         Returns
         -------
@@ -164,7 +167,7 @@ class MultilayerSubtractor:
             index = self._coordinator.state.next_frame
             wanted = self._coordinator.feedback_index(index)
             feedback = None if wanted is None else partial(self._published.__getitem__, wanted)
-            evidence = self._coordinator.step(index, frame, feedback)
+            evidence = self._coordinator.step(index, frame, feedback, concealed)
             self._waiting[index] = frame
             return [self._label(one) for one in evidence]
 

@@ -28,8 +28,8 @@ _EPILOG = """\
 the list of streams, one a line (shell quoting, # comments, relative paths count from the list's folder):
   URI                     the stream is named after the last part of its path
   NAME URI
-a URI is a video file, a folder or a glob of images, rtsp://HOST/PATH, rtsps://HOST/PATH, /dev/videoN
-or a made scene, synthetic:demo?frames=60&seed=1
+a URI is a video file, a folder or a glob of images, rtsp://HOST/PATH, rtsps://HOST/PATH, http://HOST/PATH or
+https://HOST/PATH (MJPEG), /dev/videoN or a made scene, synthetic:demo?frames=60&seed=1
 a folder or a glob of videos is a stream for each of them, named after the file, or NAME-FILE; so is a glob of
 folders of images, such as 'DAVIS/JPEGImages/480p/*', and of images in many folders, 'moseg_dataset/*/*.ppm'
 a camera is read until --max-frames or a signal; one that goes away is tried again until it is back

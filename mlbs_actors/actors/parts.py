@@ -54,11 +54,16 @@ class CoordinatorPart(Protocol):
         """Return the frame whose Segmentation :meth:`step` will read, None for none."""
 
     def step(
-        self, frame_index: int, frame: Array, feedback: Callable[[], Segmentation] | None
+        self,
+        frame_index: int,
+        frame: Array,
+        feedback: Callable[[], Segmentation] | None,
+        concealed: bool = False,
     ) -> list[FrameEvidence]:
         """Take the next frame; return the evidence complete by now, in frame order.
 
-        The label map of ``feedback`` may be computed in parallel until that is called.
+        The label map of ``feedback`` may be computed in parallel until that is called. ``concealed`` is
+        whether the frame is known to be damaged.
         """
 
     def flush(self) -> list[FrameEvidence]:

@@ -89,7 +89,7 @@ def inspected(
             if frame.image is not None:
                 given.append(frame)
                 image = frame.image if max_side is None else shrunk(frame.image, max_side)
-                yield from subtractor.apply(image)
+                yield from subtractor.apply(image, concealed=frame.concealed)
         yield from subtractor.flush()
 
     known = iter(recorded)

@@ -82,16 +82,19 @@ def _pictures(path: Path, places: list[int], seconds: Array, history: StreamHist
                 for frame in container.decode(stream):
                     if frame.time is not None and frame.time >= seconds[place] - TICK / 2:
                         image = frame.to_ndarray(format="bgr24")
-                        pictures.append(_picture(image, int(history.frames[place]), history.pts[place]))
+                        aspect = float(stream.sample_aspect_ratio or 1)
+                        pictures.append(
+                            _picture(image, aspect, int(history.frames[place]), history.pts[place])
+                        )
                         break
     except (av.error.FFmpegError, OSError, IndexError):
         return pictures
     return pictures
 
 
-def _picture(image: Array, frame: int, seconds: float) -> StripPicture:
+def _picture(image: Array, aspect: float, frame: int, seconds: float) -> StripPicture:
     width = min(_WIDTH, image.shape[1])
-    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    height = max(1, round(image.shape[0] * width / (image.shape[1] * aspect)))
     small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     data = "data:image/jpeg;base64," + b64encode(jpeg.tobytes()).decode("ascii")

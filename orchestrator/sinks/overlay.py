@@ -58,8 +58,8 @@ def presentation_times(pts: Array) -> Array:
 class OverlayVideo:
     """An overlay being written; an error ends the overlay alone.
 
-    The first frame's size is the video's; frames of another size are scaled to it. The file has its
-    name only once it is closed: an mp4 without its index cannot be played.
+    The first frame's size and aspect are the video's; frames of another size are scaled to it. The file has
+    its name only once it is closed: an mp4 without its index cannot be played.
 
     Parameters
     ----------
@@ -81,16 +81,18 @@ class OverlayVideo:
         index: int,
         pts: float,
         regions: Mapping[int, Region] | None = None,
+        pixel_aspect: float = 1.0,
     ) -> None:
         """Append frame ``index``, shown at ``pts`` seconds; times that do not advance are moved by 1/90,000
         s.
 
-        ``regions`` are the layers' bounding boxes, where they are known.
+        ``regions`` are the layers' bounding boxes, where they are known; ``pixel_aspect`` is how wide a pixel
+        is to be shown for its height.
         """
         if self._failed:
             return
         try:
-            container, stream = self._opened(image.shape)
+            container, stream = self._opened(image.shape, pixel_aspect)
             size = (stream.width, stream.height)
             drawn = draw_labels(image, labels, regions)
             draw_caption(drawn, f"frame {index}")
@@ -118,12 +120,15 @@ class OverlayVideo:
             self._give_up(error)
         self._container = self._stream = None
 
-    def _opened(self, shape: tuple[int, ...]) -> tuple[av.container.OutputContainer, av.VideoStream]:
+    def _opened(
+        self, shape: tuple[int, ...], pixel_aspect: float
+    ) -> tuple[av.container.OutputContainer, av.VideoStream]:
         if self._container is None or self._stream is None:
             self._container = av.open(str(temporary_path(self._path)), "w", format="mp4")
             self._stream = self._container.add_stream("libx264", rate=_NOMINAL_RATE)
             self._stream.width, self._stream.height = _even(shape[1]), _even(shape[0])
             self._stream.pix_fmt = "yuv420p"
+            self._stream.codec_context.sample_aspect_ratio = Fraction(pixel_aspect).limit_denominator(999)
             self._stream.codec_context.time_base = _TIME_BASE
             # One thread: the cores belong to the segmentation.
             self._stream.codec_context.thread_count = 1

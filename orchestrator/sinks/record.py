@@ -135,14 +135,15 @@ class StreamRecord:
             if "background" in self._save and background is not None and frame.image is not None:
                 plate = background_plate(background, frame.image, segmentation.labels)
                 self._put(frame, f"background/{frame.name}.png", encode_picture(plate))
-            self._add(
-                FrameRow(frame.index, frame.pts, segmentation.status, ResultRow.of(segmentation), frame.name)
-            )
+            result = ResultRow.of(segmentation, frame.pixel_aspect)
+            self._add(FrameRow(frame.index, frame.pts, segmentation.status, result, frame.name))
         except OSError as error:
             raise self._unwritable(error) from None
         if self._overlay is not None and frame.image is not None:
             regions = {layer.layer: layer.region for layer in segmentation.layers}
-            self._overlay.add(frame.image, segmentation.labels, frame.index, frame.pts, regions)
+            self._overlay.add(
+                frame.image, segmentation.labels, frame.index, frame.pts, regions, frame.pixel_aspect
+            )
         if self._live is not None and frame.image is not None:
             self._live.show(frame.image, segmentation.labels, frame.index)
         return self._committed

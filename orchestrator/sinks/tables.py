@@ -44,6 +44,8 @@ class ResultRow:
     run_length_codes : tuple of str
         One for each of ``layers``.
     shape : (H, W)
+    pixel_aspect : float
+        Width of a pixel for its height.
     camera_motion : (float, float)
         px/frame.
     latency_frames : int
@@ -53,13 +55,14 @@ class ResultRow:
     layers: tuple[LayerSummary, ...]
     run_length_codes: tuple[str, ...]
     shape: tuple[int, int]
+    pixel_aspect: float
     camera_motion: tuple[float, float]
     latency_frames: int
     stage_ms: Mapping[str, float]
 
     @classmethod
-    def of(cls, segmentation: Segmentation) -> ResultRow:
-        """Summarise a segmentation."""
+    def of(cls, segmentation: Segmentation, pixel_aspect: float) -> ResultRow:
+        """Summarise a segmentation of a frame."""
         labels = segmentation.labels
         height, width = labels.shape
         return cls(
@@ -68,6 +71,7 @@ class ResultRow:
                 run_length_code(labels, layer.layer, layer.region) for layer in segmentation.layers
             ),
             shape=(height, width),
+            pixel_aspect=pixel_aspect,
             camera_motion=segmentation.camera_motion,
             latency_frames=segmentation.latency_frames,
             stage_ms=dict(segmentation.stage_ms),
@@ -165,6 +169,7 @@ def frame_schema(stages: Sequence[str]) -> pa.Schema:
             ("camera_dy", pa.float32()),
             ("height", pa.int32()),
             ("width", pa.int32()),
+            ("pixel_aspect", pa.float32()),
             ("name", pa.string()),
             *((f"ms_{stage}", pa.float32()) for stage in (*stages, OTHER_STAGES)),
         ]
@@ -216,6 +221,7 @@ def _result_columns(result: ResultRow, stages: Sequence[str]) -> dict[str, float
         "camera_dy": result.camera_motion[1],
         "height": result.shape[0],
         "width": result.shape[1],
+        "pixel_aspect": result.pixel_aspect,
         **_stage_columns(result.stage_ms, stages),
     }
 

@@ -1,11 +1,12 @@
 """The addresses of the list of streams: their kinds and meanings.
 
-Only these are accepted; anything else that libav could open (``concat:``, ``http:``, ``subfile:``, playlists
+Only these are accepted; anything else that libav could open (``concat:``, ``ftp:``, ``subfile:``, playlists
 …) is refused, because a list may come from somebody who should not read this machine's files or network.
 """
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, field
 from enum import Enum
@@ -17,7 +18,7 @@ from orchestrator.credentials import mask
 from orchestrator.sources.scene_scripts import SCRIPTS
 from orchestrator.sources.synthetic import LIMITS, SCHEME
 
-__all__ = ["SourceAddress", "SourceKind", "has_wildcards", "parse_address"]
+__all__ = ["SourceAddress", "SourceKind", "fixed_part", "has_wildcards", "parse_address"]
 
 _MAX_ADDRESS_BYTES = 4096
 _SCHEME = re.compile(r"([^/:]*):")  # wider than the standard's: libav knows "subfile,,start,0,,:"
@@ -59,10 +60,7 @@ class SourceAddress:
         """The file, device, or fixed folder of a glob that it reads; None for other kinds."""
         if self.kind not in (SourceKind.PATH, SourceKind.CAMERA):
             return None
-        path = Path(self.location)
-        while has_wildcards(str(path)):
-            path = path.parent
-        return path
+        return fixed_part(Path(self.location))
 
 
 def parse_address(text: str, folder: Path) -> SourceAddress:
@@ -82,24 +80,33 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
     """
     if not text or len(text.encode()) > _MAX_ADDRESS_BYTES:
         raise ConfigError(f"the URI must have 1 to {_MAX_ADDRESS_BYTES} bytes")
-    scheme = _SCHEME.match(text)
-    if scheme is None:
+    match = _SCHEME.match(text)
+    if match is None:
         return _path_address(text, folder)
-    match scheme[1].lower():
-        case "rtsp" | "rtsps":
+    scheme = match[1].lower()
+    text = scheme + text[match.end(1) :]
+    match scheme:
+        case "rtsp" | "rtsps" | "http" | "https":
             return _network_address(text)
         case "synthetic":
             return _synthetic_address(text)
         case other:
             raise ConfigError(
-                f"{other[:40]!r} is no known kind of source; use a path, rtsp://, rtsps:// or synthetic: "
-                "(for a file whose name holds a colon, write ./NAME)"
+                f"{other[:40]!r} is no known kind of source; use a path, rtsp://, rtsps://, http://, "
+                "https:// or synthetic: (for a file whose name holds a colon, write ./NAME)"
             )
 
 
 def has_wildcards(text: str) -> bool:
-    """Whether a path, or a part of one, may be a glob; an existing file of that name takes precedence."""
+    """Whether a path, or a part of one, may be a glob."""
     return any(mark in text for mark in "*?[")
+
+
+def fixed_part(path: Path) -> Path:
+    """Return the part of a path in front of its wildcards; in what exists there are none."""
+    while has_wildcards(str(path)) and not os.path.exists(path):  # noqa: PTH110, it also takes long names
+        path = path.parent
+    return path
 
 
 def _path_address(text: str, folder: Path) -> SourceAddress:
@@ -107,16 +114,24 @@ def _path_address(text: str, folder: Path) -> SourceAddress:
     path = Path(folder.absolute(), Path(text).expanduser() if text.startswith("~/") else text)
     if _CAMERA.fullmatch(str(path)):
         return SourceAddress(SourceKind.CAMERA, str(path), path.name)
-    plain = [part for part in path.parts if not has_wildcards(part)]
+    fixed = fixed_part(path)
+    varied = path.relative_to(fixed).parts
+    plain = [*fixed.parts, *(part for part in varied if not has_wildcards(part))]
     last = Path(plain[-1])
     is_file_name = plain[-1] == path.name
     return SourceAddress(SourceKind.PATH, str(path), last.stem if is_file_name else last.name)
 
 
 def _network_address(text: str) -> SourceAddress:
-    match = re.fullmatch(r"[A-Za-z]+://[^/\s?#]+[^\s]*", text)
+    match = re.fullmatch(r"[a-z]+://[^/\s?#]+([^\s]*)", text)
     if match is None:
-        raise ConfigError("a camera's address is written rtsp://HOST/PATH")
+        raise ConfigError(f"a camera's address is written {text.partition(':')[0]}://HOST/PATH")
+    if "@" in match[1]:
+        # libav would take what comes before the mark for the host, and ask the network for it.
+        raise ConfigError(
+            "the camera's user name or password holds a / ? or #; write them %2F, %3F and %23 "
+            "(and an @ of its path %40)"
+        )
     # The name is taken from the masked text: a password may look like any other part.
     visible = mask(text).partition("://")[2].partition("?")[0].rstrip("/")
     host_and_path = visible.rpartition("@")[2]

@@ -83,7 +83,7 @@ class LibavConnection:
                         raise SourceError("no answer in time")
                     with suppress(av.error.InvalidDataError):
                         for frame in packet.decode():
-                            yield Picture(frame.time, partial(upright_bgr, frame))
+                            yield Picture(frame.time, partial(upright_bgr, frame), frame.is_corrupt)
                     asked = self._clock()
             except (av.error.FFmpegError, OSError) as error:
                 raise SourceError(reason(error)) from None

@@ -38,10 +38,13 @@ class Picture:
         On the camera's own clock, s.
     convert : callable
         Returns the (H, W, 3) uint8 BGR image, None if it cannot be decoded. Called only if it is needed.
+    concealed : bool
+        Whether the decoder made up part of it.
     """
 
     time: float | None
     convert: Callable[[], Array | None]
+    concealed: bool = False
 
 
 def retry_seconds(failures: int) -> float:
@@ -129,4 +132,5 @@ class LiveBuffer:
 def _frame(row: _Row) -> SourceFrame:
     image = None if row.picture is None else row.picture.convert()
     status: SourceStatus = "quarantined" if row.picture is not None and image is None else row.status
-    return SourceFrame(row.index, image, row.pts, f"{row.index:05d}", status)
+    concealed = row.picture is not None and row.picture.concealed
+    return SourceFrame(row.index, image, row.pts, f"{row.index:05d}", status, concealed=concealed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame
 from orchestrator.sources.address import SourceAddress, SourceKind
+from orchestrator.sources.animation import AnimationReader, is_animation
 from orchestrator.sources.images import FRAME_RATE, ImageSequenceReader
 from orchestrator.sources.live import LiveReader
 from orchestrator.sources.presence import holds_images, require_source
@@ -26,6 +27,8 @@ def open_reader(address: SourceAddress) -> FrameReader:
         return SceneReader(scene_from_uri(address.location))
     if address.kind is not SourceKind.PATH:
         return LiveReader.of(address)
+    if is_animation(address.location):
+        return AnimationReader(address.location)
     if holds_images(address):
         return ImageSequenceReader(address.location)
     return VideoReader(address)

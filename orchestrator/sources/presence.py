@@ -9,21 +9,41 @@ import glob
 import os
 import re
 from collections.abc import Collection
+from decimal import Decimal
+from functools import partial
 from pathlib import Path
 
 from mlbs_actors.errors import SourceError
-from orchestrator.sources.address import SourceAddress, SourceKind, has_wildcards
+from orchestrator.sources.address import SourceAddress, SourceKind, fixed_part, has_wildcards
 
 __all__ = ["holds_images", "image_folders_of", "images_of", "require_source", "videos_of"]
 
 _IMAGE_SUFFIXES = frozenset(
-    {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
+    {".apng", ".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
 )
 
 _VIDEO_SUFFIXES = frozenset(
-    {".3gp", ".avi", ".flv", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv", ".ts"}
+    {
+        ".3gp",
+        ".avi",
+        ".dav",
+        ".flv",
+        ".m2ts",
+        ".m4v",
+        ".mkv",
+        ".mov",
+        ".mp4",
+        ".mpeg",
+        ".mpg",
+        ".mts",
+        ".ogv",
+        ".ts",
+    }
     | {".webm", ".wmv"}
 )
+
+#: A stem that ends in a number as Python writes a float, such as time.time(): without zeros at the end.
+_DECIMAL_STEM = re.compile(r"(.*[^\d.])?\d+\.(0|\d*[1-9])")
 
 
 def require_source(address: SourceAddress) -> None:
@@ -63,8 +83,11 @@ def holds_images(address: SourceAddress) -> bool:
     path = Path(address.location)
     if address.kind is not SourceKind.PATH:
         return False
-    is_glob = has_wildcards(address.location) and not path.exists()
-    return path.is_dir() or is_glob or (path.is_file() and path.suffix.lower() in _IMAGE_SUFFIXES)
+    return (
+        path.is_dir()
+        or _is_glob(address.location)
+        or (path.is_file() and path.suffix.lower() in _IMAGE_SUFFIXES)
+    )
 
 
 def videos_of(location: str) -> list[Path]:
@@ -76,7 +99,7 @@ def videos_of(location: str) -> list[Path]:
         If there are images too, so that the choice is ambiguous.
     """
     try:
-        if not (Path(location).is_dir() or has_wildcards(location)):
+        if not (Path(location).is_dir() or _is_glob(location)):
             return []
     except OSError:
         return []  # such as a name that is too long; opening it will report that
@@ -103,7 +126,7 @@ def image_folders_of(location: str) -> dict[str, Path]:
     SourceError
         If two folders would have the same name.
     """
-    if not has_wildcards(location) or Path(location).exists():
+    if not _is_glob(location):
         return {}
     folders = Path(location)
     if images := _files_of(location, _IMAGE_SUFFIXES):
@@ -113,7 +136,7 @@ def image_folders_of(location: str) -> dict[str, Path]:
         if len(paths) == 1:
             return {}
     else:
-        matches = map(Path, glob.glob(location))  # noqa: PTH207
+        matches = map(Path, glob.glob(_pattern(location)))  # noqa: PTH207
         paths = {one: one for one in matches if one.is_dir() and _files_of(str(one), _IMAGE_SUFFIXES)}
     depth = max(place for place, part in enumerate(folders.parts) if has_wildcards(part))
     found: dict[str, Path] = {}
@@ -151,22 +174,35 @@ def images_of(location: str) -> list[Path]:
     return visible
 
 
+def _is_glob(location: str) -> bool:
+    return fixed_part(Path(location)) != Path(location)
+
+
+def _pattern(location: str) -> str:
+    """Write a path as a glob: wildcards in the names of existing folders stand for themselves."""
+    path = Path(location)
+    fixed = fixed_part(path)
+    return str(Path(glob.escape(str(fixed))) / path.relative_to(fixed))
+
+
 def _files_of(location: str, suffixes: Collection[str]) -> list[Path]:
     folder = Path(location)
     try:
         # Path.glob takes no absolute patterns.
-        names = folder.iterdir() if folder.is_dir() else glob.iglob(location)  # noqa: PTH207
+        names = folder.iterdir() if folder.is_dir() else glob.iglob(_pattern(location))  # noqa: PTH207
         found = [Path(name) for name in names]
     except OSError as error:
         raise SourceError(f"The files of {location} cannot be listed: {error.strerror}.") from None
-    fitting = (path for path in found if path.suffix.lower() in suffixes and path.is_file())
-    return sorted((path for path in fitting if not path.name.startswith(".")), key=_natural_order)
+    shown = [path for path in found if path.suffix.lower() in suffixes and not path.name.startswith(".")]
+    fitting = [path for path in shown if path.is_file()]
+    decimal = all(_DECIMAL_STEM.fullmatch(path.stem) for path in fitting)
+    return sorted(fitting, key=partial(_natural_order, number=r"\d+(?:\.\d+)?" if decimal else r"\d+"))
 
 
-def _natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+def _natural_order(path: Path, number: str = r"\d+") -> tuple[list[tuple[int, Decimal, str]], str]:
     """Sort key by which frame10 comes after frame9; equal numbers (1, 01) fall back to the text."""
-    parts = re.split(r"(\d+)", str(path))
-    key = [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts if part]
+    parts = re.split(f"({number})", str(path))
+    key = [(0, Decimal(part), "") if part[0].isdecimal() else (1, Decimal(), part) for part in parts if part]
     return key, str(path)
 
 

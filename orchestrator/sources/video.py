@@ -16,6 +16,7 @@ from av.video.frame import VideoFrame
 
 from mlbs_actors.actors.stream.protocol import SourceFrame, SourceStatus
 from mlbs_actors.errors import SourceError
+from mlbs_actors.messages import Array
 from mlbs_actors.wording import count_of
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import open_video, reason, upright_bgr
@@ -26,6 +27,9 @@ _TIMEOUT_S = 20.0
 
 #: Containers whose headers also count hidden frames (edit lists).
 _COUNTS_HIDDEN_FRAMES = "mov,mp4"
+
+#: Times that jump back by more than both begin anew: seconds, and frames that a codec may reorder.
+_LEAST_RESTART_S, _MOST_REORDERED = 1.0, 16
 
 
 class VideoReader:
@@ -49,10 +53,10 @@ class VideoReader:
         self._broken_off: str | None = None
         self._ended = False
         self._count = 0
-        self._first_pts: float | None = None
+        self._origin: float | None = None  # the file's time at which the video begins
         self._last_pts = 0.0
         self._container, self._stream, self._log_errors = open_video(address, _TIMEOUT_S)
-        rate = self._stream.average_rate
+        rate = self._stream.average_rate or self._stream.guessed_rate
         self._frame_time = 1.0 / float(rate) if rate else 0.0
         counts_shown_frames = not self._container.format.name.startswith(_COUNTS_HIDDEN_FRAMES)
         self._declared = self._stream.frames if counts_shown_frames else 0
@@ -97,7 +101,18 @@ class VideoReader:
         pts = self._pts(frame)
         image = upright_bgr(frame)
         status: SourceStatus = "ok" if image is not None else "quarantined"
-        return SourceFrame(index, image, pts, f"{index:05d}", status, length=self._length)
+        # Of joined files the header tells the length of the first.
+        length = None if self._length is None else max(self._length, self._count)
+        return SourceFrame(
+            index,
+            image,
+            pts,
+            f"{index:05d}",
+            status,
+            length=length,
+            pixel_aspect=self._pixel_aspect(frame, image),
+            concealed=frame.is_corrupt,
+        )
 
     def close(self) -> None:
         """Close the file or connection."""
@@ -122,13 +137,26 @@ class VideoReader:
         except (av.error.FFmpegError, OSError) as error:
             self._broken_off = reason(error)
 
+    def _pixel_aspect(self, frame: VideoFrame, image: Array | None) -> float:
+        """Return the width of a pixel for its height, in the picture as it is shown."""
+        aspect = float(self._stream.sample_aspect_ratio or 1)
+        is_turned = image is not None and image.shape[1] != frame.width
+        return 1 / aspect if is_turned else aspect
+
     def _pts(self, frame: VideoFrame) -> float:
-        """Return seconds since the first frame; a frame without a time follows the one before it."""
-        expected = self._last_pts + self._frame_time if self._count > 1 else 0.0
-        if frame.time is None:
-            self._last_pts = expected
-        else:
-            if self._first_pts is None:
-                self._first_pts = frame.time - expected
-            self._last_pts = frame.time - self._first_pts
-        return self._last_pts
+        """Return seconds since the first frame, never fewer than before.
+
+        A frame without a time follows the one before it, and so does one whose time is not later: some files
+        (AVI with B-frames) tell the times in another order, and where files were joined they begin anew.
+        """
+        pts = expected = self._last_pts + self._frame_time if self._count > 1 else 0.0
+        if frame.time is not None:
+            if self._origin is None:
+                self._origin = frame.time - expected
+            pts = frame.time - self._origin
+            if self._count > 1 and pts <= self._last_pts:
+                if self._last_pts - pts > max(_LEAST_RESTART_S, _MOST_REORDERED * self._frame_time):
+                    self._origin = frame.time - expected
+                pts = expected
+        self._last_pts = pts
+        return pts

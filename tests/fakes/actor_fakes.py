@@ -127,7 +127,11 @@ class _Coordinator:
         return None if frame_index < max(self._hold, 2) else frame_index - 2
 
     def step(
-        self, frame_index: int, frame: Array, feedback: Callable[[], Segmentation] | None
+        self,
+        frame_index: int,
+        frame: Array,
+        feedback: Callable[[], Segmentation] | None,
+        concealed: bool = False,
     ) -> list[FrameEvidence]:
         if frame[DEATHS["coordinator"]][0]:
             self._death.come()

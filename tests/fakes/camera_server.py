@@ -33,12 +33,18 @@ needs_rtsp_server = pytest.mark.skipif(
 )
 
 
+# GStreamer's numbers of transports.
+_UDP, _TCP = 1, 4
+
+
 @contextmanager
-def camera(port: int) -> Iterator[None]:
+def camera(port: int, *, has_tcp: bool = True) -> Iterator[None]:
     """Be rtsp://bob:PASSWORD@127.0.0.1:PORT/door, and gone without a word at the end of the block."""
     program = Path(__file__).with_name("rtsp_camera.py")
     server = subprocess.Popen(
-        [_PYTHON, program, str(port), "bob", PASSWORD], stdout=subprocess.PIPE, text=True
+        [_PYTHON, program, str(port), "bob", PASSWORD, str(_UDP | _TCP if has_tcp else _UDP)],
+        stdout=subprocess.PIPE,
+        text=True,
     )
     with server:
         try:

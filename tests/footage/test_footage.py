@@ -85,6 +85,22 @@ def test_a_frame_that_is_no_picture_carries_the_labels_and_changes_nothing_after
     assert [one.layer for one in results[-1].layers] == [one.layer for one in undisturbed[-1].layers]
 
 
+def test_a_picture_that_is_known_to_be_damaged_is_passed_over_however_it_looks(
+    pictures: list[Array], undisturbed: list[Segmentation]
+) -> None:
+    subtractor = MultilayerSubtractor()
+    results = [
+        result
+        for index, picture in enumerate(pictures)
+        for result in subtractor.apply(picture, concealed=index == AT)
+    ]
+    results += subtractor.flush()
+    assert [result.frame_index for result in results if result.status != "ok"] == [AT]
+    assert results[AT].status == "damaged"
+    np.testing.assert_array_equal(results[AT].labels, results[AT - 1].labels)
+    assert [one.layer for one in results[-1].layers] == [one.layer for one in undisturbed[-1].layers]
+
+
 @pytest.mark.parametrize("gain", [(1.9, 1.9, 1.9), (0.5, 0.5, 0.5), (0.8, 1.0, 1.2)])
 def test_a_lasting_change_of_light_costs_little_and_no_id(
     demo: SyntheticScene, pictures: list[Array], undisturbed: list[Segmentation], gain: tuple[float, ...]

@@ -159,7 +159,7 @@ def test_the_help_names_every_flag_source_output_and_exit_status(capsys: pytest.
     [
         ([], [], "holds no stream"),
         (["# mine", "gone.mp4", "away none/*.png"], [], "line 2: There is no file or folder"),
-        (["a.mp4", "http://x/y", "a b c"], [], "line 2:"),
+        (["a.mp4", "ftp://x/y", "a b c"], [], "line 2:"),
         (["synthetic:demo"], ["--set", "layers.nothing=1"], "nothing"),
         (["synthetic:demo"], ["--config", "none.yaml"], "none.yaml"),
         (["a.mp4", "yard rtsp://bob:hunter2@x/y z"], [], "line 2:"),

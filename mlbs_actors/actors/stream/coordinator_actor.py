@@ -214,7 +214,7 @@ class CoordinatorActor:
             if frame.image is None:
                 self._write_gaps()
             else:
-                self._track(frame.image)
+                self._track(frame.image, frame.concealed)
             if self._progressed >= self._next_snapshot and time.monotonic() >= self._earliest_snapshot:
                 self._save()
         self._record.send()
@@ -323,12 +323,12 @@ class CoordinatorActor:
             return reader_lost(self._spec.name, self._account.read)
         return source_failure(error, self._spec.source, self._account.read)
 
-    def _track(self, image: Array) -> None:
+    def _track(self, image: Array, concealed: bool) -> None:
         """Process the next picture, and start the work that it makes possible."""
         index = self._account.counts["ok"] - 1  # the engine counts the frames it is given
         wanted = self._coordinator.feedback_index(index)
         feedback = None if wanted is None else partial(self._labelled, wanted)
-        for evidence in self._coordinator.step(index, image, feedback):
+        for evidence in self._coordinator.step(index, image, feedback, concealed):
             self._label(evidence)
 
     def _labelled(self, frame_index: int) -> Segmentation:

@@ -79,6 +79,10 @@ class SourceFrame:
         The picture before its reader shrunk it, for the record; None if ``image`` is that.
     length : int, optional
         Number of frames as the source states it, for the user; None if unknown. It may be wrong.
+    pixel_aspect : float
+        How wide a pixel is to be shown for its height.
+    concealed : bool
+        Whether the decoder made up part of the picture. It is labelled as the picture before.
     """
 
     index: int
@@ -88,6 +92,8 @@ class SourceFrame:
     status: SourceStatus = "ok"
     original: Array | None = None
     length: int | None = None
+    pixel_aspect: float = 1.0
+    concealed: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,7 +80,11 @@ class _EmptyCoordinator:
         return None if frame_index < 2 else frame_index - 2
 
     def step(
-        self, frame_index: int, frame: Array, feedback: Callable[[], Segmentation] | None
+        self,
+        frame_index: int,
+        frame: Array,
+        feedback: Callable[[], Segmentation] | None,
+        concealed: bool = False,
     ) -> list[FrameEvidence]:
         if feedback is not None:
             feedback()

@@ -11,16 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import av
+import av.error
 import cv2
 import numpy as np
 import pytest
 from camera_server import camera, free_port, needs_rtsp_server
+from http_camera import PICTURES, http_camera
 
 from mlbs_actors.actors.stream.protocol import SourceFrame, SourceSilence
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
 from orchestrator.sources import live
 from orchestrator.sources.address import parse_address
+from orchestrator.sources.libav import reason
 from orchestrator.sources.live import Connection, LibavConnection, LiveReader
 from orchestrator.sources.live_buffer import CAPACITY, LiveBuffer, LiveTime, Picture, retry_seconds
 
@@ -298,6 +301,11 @@ def test_no_error_of_a_camera_shows_its_password(scheme: str) -> None:
     assert "127.0.0.1:9/door" in shown
 
 
+def test_a_refused_password_is_told_with_how_its_percent_sign_is_written() -> None:
+    refused = av.error.HTTPUnauthorizedError(0, "rtsp://bob:5%41@cam/door")
+    assert reason(refused) == "user name or password refused (a % in them is written %25 in the address)"
+
+
 def _wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
@@ -340,6 +348,41 @@ def test_an_rtsp_camera_that_goes_away_and_comes_back_is_read_again_and_its_pass
     assert f"127.0.0.1:{port}/door" in str(said)
     steady = [frame.pts for frame in after if frame.status != "gap"]
     np.testing.assert_allclose(np.diff(steady) * 20, np.rint(np.diff(steady) * 20), atol=0.1)
+
+
+@needs_rtsp_server
+def test_a_camera_without_tcp_is_read_over_udp() -> None:
+    port = free_port()
+    with camera(port, has_tcp=False):
+        reader = LiveReader.of(parse_address(f"rtsp://bob:hunter2@127.0.0.1:{port}/door", Path("/")))
+        assert len(_frames(reader, 5)) >= 5
+        reader.close()
+
+
+def test_an_mjpeg_camera_is_read_over_http_and_reconnected(tmp_path: Path) -> None:
+    with http_camera() as host:
+        reader = LiveReader.of(parse_address(f"http://bob:hunter2@{host}/video.mjpg", tmp_path))
+        frames = _frames(reader, 2 * PICTURES - 10)
+        reader.close()
+    assert "gap" in [frame.status for frame in frames]
+    shown = [frame for frame in frames if frame.image is not None]
+    assert shown[0].image is not None
+    assert shown[0].image.shape == (120, 160, 3)
+    times = [frame.pts for frame in frames]
+    assert times == sorted(times)
+    assert 1.0 < times[-1] < 8.0
+
+
+@pytest.mark.parametrize(
+    ("login", "path", "told"),
+    [("bob:hunter2", "page", "it sends no MJPEG"), ("bob:hunter3", "video", "user name or password refused")],
+)
+def test_what_is_no_mjpeg_camera_is_told_without_its_password(
+    tmp_path: Path, login: str, path: str, told: str
+) -> None:
+    with http_camera() as host, pytest.raises(SourceError, match=told) as caught:
+        LibavConnection(parse_address(f"http://{login}@{host}/{path}", tmp_path))
+    assert "hunter" not in f"{caught.value!r}"
 
 
 # Local cameras: no machine of the tests has one, so libav's answers are those of a file

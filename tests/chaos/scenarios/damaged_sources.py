@@ -209,7 +209,7 @@ def _expect_new_ids(record: dict[str, Any]) -> None:
 
 
 def _hostile_list(context: ScenarioContext) -> None:
-    lines = ["../up a.mp4", "concat:a|b", "x http://user:hunter2@host/y"]
+    lines = ["../up a.mp4", "concat:a|b", "x ftp://user:hunter2@host/y"]
     lines += ["twin a.mp4", "twin b.mp4", "nul\0 a.mp4"]
     with ObservedRun(lines, context.folder) as run:
         stderr = expect_end(run, 2)

@@ -74,7 +74,7 @@ def test_the_list_is_looked_at_once_a_second_at_most(watched: Watched) -> None:
 @pytest.mark.parametrize(
     ("bad", "told"),
     [
-        ("http://x/y", "line 3: 'http' is no known kind of source"),
+        ("ftp://x/y", "line 3: 'ftp' is no known kind of source"),
         ("gone.mp4", "line 3: There is no file or folder"),
         ("b c.mp4", "line 3: the name 'b' is taken by line 2"),
         ("x y z", "line 3: has 3 words"),

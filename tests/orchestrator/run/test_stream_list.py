@@ -73,6 +73,8 @@ def test_a_hash_inside_a_word_or_quoted_is_no_comment(tmp_path: Path, uri: str) 
         ("rtsp://10.0.0.7:554/door", SourceKind.NETWORK, "door"),
         ("rtsps://bob:pw@10.0.0.7/yard/live.sdp?token=x", SourceKind.NETWORK, "live"),
         ("rtsp://bob:pw@cam-3.lan:554", SourceKind.NETWORK, "cam-3.lan"),
+        ("http://bob:pw@10.0.0.8:8080/?action=stream", SourceKind.NETWORK, "10.0.0.8"),
+        ("https://cam/axis-cgi/mjpg/video.cgi?fps=5", SourceKind.NETWORK, "video"),
         ("/dev/video12", SourceKind.CAMERA, "video12"),
         ("synthetic:demo?frames=9&seed=2", SourceKind.SYNTHETIC, "demo"),
     ],
@@ -88,11 +90,12 @@ def test_each_kind_of_uri_is_known_and_names_its_stream(
     "uri",
     [
         "rtsp://bob:hunter2@10.0.0.7/door",
-        "rtsp://bob:hun/ter2@10.0.0.7",
-        "rtsp://bob:a@hunter2@10.0.0.7/door",
+        "rtsp://bob:hun%2Fter2@10.0.0.7",
+        "RTSP://bob:a@hunter2@10.0.0.7/door",
         "rtsp://10.0.0.7/user=bob&password=hunter2",
         "rtsp://10.0.0.7/door?pwd=hunter2",
-        "rtsp://bob:a#hunter2@10.0.0.7/door",
+        "http://10.0.0.7/mjpg?user=bob&password=hunter2",
+        "rtsp://bob:a%23hunter2@10.0.0.7/door",
     ],
 )
 def test_no_name_message_or_repr_of_a_stream_shows_its_password(tmp_path: Path, uri: str) -> None:
@@ -107,11 +110,19 @@ def test_no_name_message_or_repr_of_a_stream_shows_its_password(tmp_path: Path, 
     assert "ter2" not in shown
 
 
+@pytest.mark.parametrize("mark", "/?#")
+def test_a_mark_in_a_password_that_would_end_the_host_is_refused_at_once(tmp_path: Path, mark: str) -> None:
+    message = refusal(tmp_path, f"door rtsp://bob:hun{mark}ter2@10.0.0.7/door\n")
+    assert "write them %2F, %3F and %23" in message
+    assert "ter2" not in message
+    assert "hun" not in message
+
+
 @pytest.mark.parametrize(
     "line",
     [
         "concat:a.mp4|b.mp4",
-        "http://example.org/a.mp4",
+        "ftp://example.org/a.mp4",
         "file:///etc/passwd",
         "subfile,,start,0,end,9,,:/etc/passwd",
         "x data:text/plain,abc",
@@ -150,7 +161,7 @@ def test_control_characters_and_broken_text_are_refused_with_their_line(tmp_path
 
 
 def test_all_bad_lines_are_named_at_once_also_when_they_are_many(tmp_path: Path) -> None:
-    message = refusal(tmp_path, "http://x/a\ngood.mp4\n" + "ftp://x/b\n" * 30 + "ok.mp4\nhttp://x/c\n")
+    message = refusal(tmp_path, "ftp://x/a\ngood.mp4\n" + "ftp://x/b\n" * 30 + "ok.mp4\nftp://x/c\n")
     assert "32 bad lines" in message
     assert "line 1:" in message
     assert "22–32, 34" in message
@@ -158,7 +169,7 @@ def test_all_bad_lines_are_named_at_once_also_when_they_are_many(tmp_path: Path)
 
 def test_a_list_with_bad_lines_tells_at_once_which_files_are_missing(tmp_path: Path) -> None:
     (tmp_path / "there.mp4").write_text("there")
-    message = refusal(tmp_path, "there.mp4\nlost.mp4\nhttp://x/c\n")
+    message = refusal(tmp_path, "there.mp4\nlost.mp4\nftp://x/c\n")
     bad, _, others = message.partition("Of the other lines")
     assert "1 bad line;" in bad
     assert "line 3:" in bad
@@ -232,6 +243,17 @@ def test_a_folder_or_glob_of_videos_is_a_stream_for_each(tmp_path: Path) -> None
         ("night-a9", "a9.mkv", 2),
         ("night-a10", "a10.MOV", 2),
     ]
+
+
+def test_brackets_in_the_names_of_files_and_folders_stand_for_themselves(tmp_path: Path) -> None:
+    for folder in ("takes [1]", "takes 1"):
+        (tmp_path / folder).mkdir()
+        for name in ("street [HD].mp4", "street H.mp4"):
+            (tmp_path / folder / name).touch()
+    streams = read(tmp_path, '"takes [1]/street [HD].mp4"\nall "takes [1]/*.mp4"\n')
+    assert [stream.name for stream in streams] == ["street [HD]", "all-street H", "all-street [HD]"]
+    assert {Path(stream.source.location).parent.name for stream in streams} == {"takes [1]"}
+    assert [stream.source.path for stream in streams] == [Path(one.source.location) for one in streams]
 
 
 def test_a_folder_of_videos_and_images_is_refused_and_two_videos_of_one_name_too(tmp_path: Path) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -25,6 +27,7 @@ from orchestrator.sinks import commit_log
 from orchestrator.sinks.label_image import davis_palette, encode_label_image, voc_colours
 from orchestrator.sinks.overlay import OverlayVideo
 from orchestrator.sinks.record import FIRST_COMMIT, GROUP_FRAMES, StreamRecord
+from orchestrator.sinks.record_tables import read_table
 from orchestrator.sinks.tables import run_length_code
 
 EVERYTHING = frozenset({"masks", "parquet", "overlay"})
@@ -338,6 +341,16 @@ def test_times_that_go_backwards_or_stand_still_do_not_end_the_overlay(tmp_path:
         overlay.add(np.zeros((32, 32, 3), np.uint8), np.zeros((32, 32), np.uint16), index, pts)
     overlay.close()
     assert len(_decode(tmp_path / "overlay.mp4")) == 6
+
+
+def test_pixels_that_are_not_square_are_shown_so_and_told(tmp_path: Path) -> None:
+    record = StreamRecord(tmp_path / "yard", "yard", EVERYTHING)
+    record.write(segmentation(0), replace(frame(0), pixel_aspect=64 / 45))
+    record.close(whole=True)
+    with av.open(str(tmp_path / "yard" / "overlay.mp4")) as container:
+        assert container.streams.video[0].sample_aspect_ratio == Fraction(64, 45)
+    (row,) = read_table(tmp_path / "yard", "frames").to_pylist()
+    assert row["pixel_aspect"] == pytest.approx(64 / 45)
 
 
 def test_frames_of_another_size_are_scaled_into_the_overlay(tmp_path: Path) -> None:

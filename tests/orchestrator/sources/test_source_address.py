@@ -24,3 +24,9 @@ HERE = Path("/videos")
 )
 def test_a_source_on_one_machine_names_what_must_be_there(text: str, path: Path | None) -> None:
     assert parse_address(text, HERE).path == path
+
+
+@pytest.mark.parametrize("text", ["RTSP://bob:Pw@Cam/Door", "Synthetic:demo"])
+def test_capitals_in_a_scheme_change_nothing(text: str) -> None:
+    scheme, colon, rest = text.partition(":")
+    assert parse_address(text, HERE) == parse_address(scheme.lower() + colon + rest, HERE)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import pickle
 import re
+import struct
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -94,6 +96,23 @@ def test_a_folder_is_read_in_natural_order_and_masks_keep_its_stems(tmp_path: Pa
     assert [frame.pts for frame in frames] == [0.0, 1 / FRAME_RATE, 2 / FRAME_RATE]
 
 
+@pytest.mark.parametrize(
+    "stems",
+    [
+        ["1700000000.0", "1700000000.12", "1700000000.9", "1700000001.0417"],  # of time.time()
+        ["cam0_9.5", "cam0_10.25", "cam0_10.3"],
+        ["1.1", "1.9", "1.10", "1.11"],  # scene and frame
+        ["take1.5_2", "take1.5_10"],
+    ],
+)
+def test_digits_behind_a_point_are_a_fraction_where_the_names_are_those_of_floats(
+    tmp_path: Path, stems: list[str]
+) -> None:
+    for stem in reversed(stems):
+        cv2.imwrite(str(tmp_path / f"{stem}.png"), np.zeros((4, 6, 3), np.uint8))
+    assert [frame.name for frame in read_all(opened(tmp_path))] == stems
+
+
 def test_a_glob_takes_only_what_matches(tmp_path: Path) -> None:
     for name in ("a1.png", "a2.png", "b1.png"):
         cv2.imwrite(str(tmp_path / name), np.zeros((4, 6, 3), np.uint8))
@@ -104,7 +123,9 @@ def test_a_folder_whose_name_holds_wildcards_is_a_folder(tmp_path: Path) -> None
     folder = tmp_path / "take [1]"
     folder.mkdir()
     cv2.imwrite(str(folder / "a.png"), np.zeros((4, 6, 3), np.uint8))
-    assert len(read_all(opened(folder))) == 1
+    (tmp_path / "take 1").mkdir()
+    for place in (folder, folder / "*.png", folder / "a.png"):
+        assert len(read_all(opened(place))) == 1
 
 
 def test_grey_16_bit_alpha_and_narrow_images_become_8_bit_bgr(tmp_path: Path) -> None:
@@ -122,6 +143,33 @@ def test_grey_16_bit_alpha_and_narrow_images_become_8_bit_bgr(tmp_path: Path) ->
         [7, 7, 7],
     ]
     assert images[4].shape == (9, 1, 3)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "store"),
+    [
+        (".png", lambda shade: (shade * 16).astype(np.uint16)),  # 12 bits
+        (".tif", lambda shade: (29_300 + 2 * shade).astype(np.uint16)),  # a thermal camera's hundredths of K
+        (".tif", lambda shade: (20 + shade / 25).astype(np.float32)),  # °C
+        (".tif", lambda shade: (-300 + shade).astype(np.int16)),
+    ],
+)
+def test_values_of_more_than_8_bits_are_stretched_alike_over_the_whole_sequence(
+    tmp_path: Path, suffix: str, store: Callable[[Array], Array]
+) -> None:
+    shades = np.linspace(0, 255, 40 * 50).reshape(40, 50).round()
+    for number, part in enumerate((1.0, 0.5, 1.0)):  # the one in the middle is darker
+        cv2.imwrite(str(tmp_path / f"{number}{suffix}"), store((shades * part).round()))
+    images = [image_of(frame) for frame in read_all(opened(tmp_path))]
+    for image, part in zip(images, (1.0, 0.5, 1.0), strict=True):
+        assert np.abs(image - (shades * part)[..., None]).max() <= 2
+
+
+def test_a_dead_pixel_does_not_take_the_contrast_of_a_thermal_picture(tmp_path: Path) -> None:
+    warm = np.linspace(29_300, 29_800, 40 * 50).reshape(40, 50).astype(np.uint16)
+    warm[7, 7] = 0
+    cv2.imwrite(str(tmp_path / "a.tif"), warm)
+    assert image_of(read_all(opened(tmp_path))[0]).std() > 60
 
 
 def test_images_are_the_pixels_that_cv2_imread_gives(tmp_path: Path, pictures: list[Array]) -> None:
@@ -148,6 +196,56 @@ def test_a_cut_off_image_is_never_taken_for_a_whole_one(pictures: list[Array], s
     assert decode_image(whole) is not None
     for length in range(0, len(whole) - 8, len(whole) // 17):
         assert decode_image(whole[:length]) is None
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+@pytest.mark.parametrize("tail", [bytes(200), b"MotionPhoto_Data" + bytes(range(256))])
+def test_data_behind_the_end_of_an_image_changes_nothing(
+    pictures: list[Array], suffix: str, tail: bytes
+) -> None:
+    whole = cv2.imencode(suffix, pictures[0])[1].tobytes()
+    with_tail = decode_image(whole + tail)
+    assert with_tail is not None
+    np.testing.assert_array_equal(with_tail, cv2.imdecode(np.frombuffer(whole, np.uint8), cv2.IMREAD_COLOR))
+
+
+def test_the_end_of_a_thumbnail_is_not_that_of_its_picture(pictures: list[Array]) -> None:
+    thumbnail = cv2.imencode(".jpg", pictures[0][:24, :32])[1].tobytes()
+    note = b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail
+    whole = cv2.imencode(".jpg", pictures[0], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    whole = whole[:2] + note + whole[2:]
+    assert decode_image(whole) is not None
+    assert decode_image(whole[: len(whole) * 3 // 4]) is None
+
+
+@pytest.mark.parametrize("name", ["a.webp", "a.png", "a.apng", "a.tif"])
+def test_every_frame_of_an_animation_or_of_a_stack_is_read(
+    tmp_path: Path, pictures: list[Array], name: str
+) -> None:
+    first, *others = (Image.fromarray(picture[..., ::-1]) for picture in pictures[:7])
+    options = {"duration": 50, "lossless": True} if name == "a.webp" else {"duration": 50}
+    kind = "PNG" if name.endswith("png") else None
+    first.save(tmp_path / name, kind, save_all=True, append_images=others, **options)
+    reader = opened(tmp_path / name)
+    frames = read_all(reader)
+    assert reader.problem is None
+    assert [frame.name for frame in frames] == [f"{index:05d}" for index in range(7)]
+    assert {frame.length for frame in frames} == {7}
+    for frame, picture in zip(frames, pictures, strict=False):
+        np.testing.assert_array_equal(image_of(frame), picture)
+    frame_time = 1 / FRAME_RATE if name == "a.tif" else 0.05
+    np.testing.assert_allclose([frame.pts for frame in frames], np.arange(7) * frame_time)
+
+
+def test_a_cut_off_animation_gives_what_is_there_and_says_so(tmp_path: Path, pictures: list[Array]) -> None:
+    first, *others = (Image.fromarray(picture[..., ::-1]) for picture in pictures[:7])
+    first.save(tmp_path / "a.png", save_all=True, append_images=others)
+    whole = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a.png").write_bytes(whole[: len(whole) * 2 // 3])
+    reader = opened(tmp_path / "a.png")
+    assert 2 <= len(read_all(reader)) < 7
+    assert reader.problem is not None
+    assert "damaged: reading broke off" in reader.problem
 
 
 def test_two_images_of_one_stem_are_refused_since_their_masks_would_collide(tmp_path: Path) -> None:
@@ -179,6 +277,26 @@ def test_reading_a_video_twice_gives_the_same_bytes(tmp_path: Path, pictures: li
     assert first == second
 
 
+def test_what_a_dahua_recorder_exports_is_read(tmp_path: Path, pictures: list[Array]) -> None:
+    stream = write_video(tmp_path / "a.mkv", pictures[:10], "mpeg4")
+    with av.open(str(stream)) as video:
+        header = bytes(video.streams.video[0].codec_context.extradata or b"")
+        packets = [(packet.is_keyframe, bytes(packet)) for packet in video.demux() if packet.size]
+    size = struct.pack("<B3xHH", 0x82, 160, 120)
+    described = struct.pack("<4B", 0x81, 0, 1, 20) + size  # MPEG-4, 20 frames/s
+    chunks = []
+    for number, (is_key, data) in enumerate(packets):
+        payload = described + (header if is_key else b"") + data
+        length = 24 + len(payload) + 8
+        kind, date = 0xFD if is_key else 0xFC, 1 << 26 | 1 << 22 | 1 << 17
+        head = struct.pack("<4sB3xIIIHBx", b"DHAV", kind, number, length, date, number * 50, len(described))
+        chunks.append(head + payload + struct.pack("<4sI", b"dhav", length))
+    (tmp_path / "a.dav").write_bytes(b"".join(chunks))
+    frames = read_all(opened(tmp_path / "a.dav"))
+    np.testing.assert_allclose([frame.pts for frame in frames], np.arange(10) / 20, atol=1e-3)
+    assert np.abs(image_of(frames[9]).astype(int) - pictures[9]).mean() < 12
+
+
 def _rotate_in_header(path: Path, matrix: tuple[int, int, int, int]) -> None:
     """Overwrite the track's display matrix: (a, b, c, d) of x' = a·x + c·y, y' = b·x + d·y."""
     one = 0x10000
@@ -197,9 +315,13 @@ def _rotate_in_header(path: Path, matrix: tuple[int, int, int, int]) -> None:
         ((0, 1, -1, 0), (0, -1)),  # a quarter turn clockwise takes top left to top right
         ((-1, 0, 0, -1), (-1, -1)),
         ((0, -1, 1, 0), (-1, 0)),
+        ((-1, 0, 0, 1), (0, -1)),  # mirrored, as by the front camera of a phone
+        ((1, 0, 0, -1), (-1, 0)),
+        ((0, 1, 1, 0), (0, 0)),
+        ((0, -1, -1, 0), (-1, -1)),
     ],
 )
-def test_the_rotation_that_a_file_states_is_applied(
+def test_the_turn_or_mirror_that_a_file_states_is_applied(
     tmp_path: Path, matrix: tuple[int, int, int, int], bright_corner: tuple[int, int]
 ) -> None:
     picture = np.zeros((48, 64, 3), np.uint8)
@@ -210,6 +332,25 @@ def test_the_rotation_that_a_file_states_is_applied(
     assert image.shape == ((48, 64, 3) if matrix[0] else (64, 48, 3))
     corners = {corner: int(image[corner][0]) for corner in ((0, 0), (0, -1), (-1, 0), (-1, -1))}
     assert max(corners, key=lambda corner: corners[corner]) == bright_corner
+
+
+def test_pixels_that_are_not_square_are_told_also_when_they_are_turned(
+    tmp_path: Path, pictures: list[Array]
+) -> None:
+    path = tmp_path / "a.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=20)
+        assert isinstance(stream, VideoStream)
+        stream.height, stream.width = pictures[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.sample_aspect_ratio = Fraction(64, 45)
+        container.mux(stream.encode(VideoFrame.from_ndarray(pictures[0], format="bgr24")))
+        container.mux(stream.encode(None))
+    (frame,) = read_all(opened(path))
+    assert frame.pixel_aspect == pytest.approx(64 / 45)
+    _rotate_in_header(path, (0, 1, -1, 0))
+    (frame,) = read_all(opened(path))
+    assert frame.pixel_aspect == pytest.approx(45 / 64)
 
 
 def test_a_video_whose_picture_changes_its_size_is_read_to_its_end(
@@ -232,13 +373,41 @@ def test_a_recording_without_its_end_is_told_as_one(tmp_path: Path, pictures: li
         opened(path)
 
 
-def test_times_that_jump_back_are_told_as_they_are_and_every_frame_is_delivered(
-    tmp_path: Path, pictures: list[Array]
+@pytest.mark.parametrize("frames_each", [6, 40])
+def test_times_go_on_where_videos_were_joined(
+    tmp_path: Path, pictures: list[Array], frames_each: int
 ) -> None:
-    once = write_video(tmp_path / "a.ts", pictures[:6], "libx264").read_bytes()
+    once = write_video(tmp_path / "a.ts", pictures[:frames_each], "libx264").read_bytes()
     (tmp_path / "b.ts").write_bytes(once + once)
     frames = read_all(opened(tmp_path / "b.ts"))
-    np.testing.assert_allclose([frame.pts for frame in frames], [*np.arange(6) / 20] * 2, atol=1e-3)
+    np.testing.assert_allclose([frame.pts for frame in frames], np.arange(2 * frames_each) / 20, atol=1e-3)
+    assert frames[-1].length == 2 * frames_each
+
+
+def test_times_that_a_file_tells_out_of_order_are_put_in_order(tmp_path: Path, pictures: list[Array]) -> None:
+    # AVI has no times of presentation, so B-frames come with those of decoding.
+    frames = read_all(opened(write_video(tmp_path / "a.avi", pictures, "libx264")))
+    times = np.array([frame.pts for frame in frames])
+    assert len(frames) == 40
+    assert np.diff(times).min() > 0.04
+    assert np.abs(times - np.arange(40) / 20).max() < 0.16
+
+
+def test_a_video_of_variable_frame_rate_keeps_its_times(tmp_path: Path, pictures: list[Array]) -> None:
+    times = np.array([0.0, 0.04, 0.4, 0.41, 1.5, 1.6])
+    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=25)
+        assert isinstance(stream, VideoStream)
+        stream.height, stream.width = pictures[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for picture, time in zip(pictures, times, strict=False):
+            frame = VideoFrame.from_ndarray(picture, format="bgr24")
+            frame.pts, frame.time_base = round(time * 1000), Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    frames = read_all(opened(tmp_path / "a.mp4"))
+    np.testing.assert_allclose([frame.pts for frame in frames], times, atol=1e-3)
 
 
 def test_images_of_odd_sizes_and_palettes_are_read_as_they_are(tmp_path: Path) -> None:
@@ -297,6 +466,19 @@ def test_of_a_damaged_video_all_that_decodes_is_kept_and_the_damage_stated(
         assert len(frames) < len(pictures)
     assert reader.problem is not None
     assert "damaged or cut off" in reader.problem
+
+
+def test_a_frame_of_which_the_decoder_made_up_a_part_is_told(tmp_path: Path, pictures: list[Array]) -> None:
+    path = write_video(tmp_path / "a.ts", pictures, "mpeg2video")
+    assert not any(frame.concealed for frame in read_all(opened(path)))
+    content = path.read_bytes()
+    place = len(content) * 6 // 10
+    path.write_bytes(
+        content[:place] + bytes(byte ^ 0x55 for byte in content[place : place + 12]) + content[place + 12 :]
+    )
+    frames = read_all(opened(path))
+    assert [frame.concealed for frame in frames].count(True) == 1
+    assert {frame.status for frame in frames} == {"ok"}
 
 
 def _text_file(folder: Path) -> Path:
