@@ -136,7 +136,7 @@ def test_black_rows_at_the_border_are_bars_from_the_first_motion_on() -> None:
     gray = noise(1)[:, :80]
     gray[:8], gray[-5:] = 16, 10
     state = fixed_cells(FixedState.beginning(gray), gray, np.zeros_like(gray))
-    rows = state.cells.all(axis=1)
+    rows = np.all(state.cells, axis=1)
     assert rows[:8].all()
     assert rows[-5:].all()
     assert not state.cells[12:-9].any()

@@ -7,6 +7,7 @@ import pytest
 from flow_fakes import dense_flow, flow_gray
 
 from mlbs_actors.config import Config
+from mlbs_actors.footage.fixed import FixedState
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking import tracker
 from mlbs_actors.tracking.tracker import Tracked, track
@@ -26,14 +27,16 @@ def two_frames() -> tuple[Array, Array, Array]:
 def first(frame: Array) -> Tracked:
     before = empty_trajectories(CONFIG.trajectories)
     gray = flow_gray(frame, SIDE)
-    return track(before, np.zeros(0, bool), None, gray, gray, SHAPE, CONFIG)
+    fixed = FixedState.beginning(gray)
+    return track(before, np.zeros(0, bool), fixed, None, gray, gray, SHAPE, CONFIG)
 
 
 def followed(one: Array, other: Array) -> tuple[TrajectoryState, Tracked]:
-    before = first(one).trajectories
+    begun = first(one)
+    before = begun.trajectories
     grays = flow_gray(one, SIDE), flow_gray(other, SIDE)
     flow = dense_flow(*grays, SIDE, CONFIG)
-    return before, track(before, np.ones(len(before), bool), flow, *grays, SHAPE, CONFIG)
+    return before, track(before, np.ones(len(before), bool), begun.fixed, flow, *grays, SHAPE, CONFIG)
 
 
 def test_the_first_frame_only_begins_trajectories() -> None:
@@ -76,5 +79,5 @@ def test_a_crowd_does_not_make_the_camera_drive_where_one_homography_explains_th
     monkeypatch.setattr(tracker, "forward_motion", lambda *given: asked.append(given))
     grays = flow_gray(one, SIDE), flow_gray(other, SIDE)
     flow = dense_flow(*grays, SIDE, CONFIG)
-    track(before, background, flow, *grays, SHAPE, CONFIG)
+    track(before, background, FixedState.beginning(grays[0]), flow, *grays, SHAPE, CONFIG)
     assert len(asked) == (0 if told_by == "the ground" else 1)
