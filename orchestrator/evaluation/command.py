@@ -117,8 +117,9 @@ def _parser() -> argparse.ArgumentParser:
     what.add_argument(
         "--disturb",
         action="store_true",
-        help="run the engine as it is, then disturbed: parameters 20 %% off, frames left out, mirrored, and "
-        "cropped by 3 px, because there is no seed to change; prints the same and names the worst run. "
+        help="run the engine as it is, then disturbed: parameters 20 %% off, frames left out, mirrored, "
+        "cropped by 3 px, because there is no seed to change, a frame lost, in new light, and with a clock, "
+        "a logo, a bonnet or bars drawn over; prints the same and names the worst run. "
         "Each run is judged on the frames it has",
     )
     add(

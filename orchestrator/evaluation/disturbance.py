@@ -19,6 +19,7 @@ from typing import Any
 
 from mlbs_actors.config import Config, load_config
 from orchestrator.evaluation.datasets import SequenceChange
+from orchestrator.evaluation.disturbed_footage import FOOTAGE
 from orchestrator.evaluation.disturbed_sequences import (
     CroppedSequence,
     MirroredSequence,
@@ -147,6 +148,7 @@ DISTURBANCES: tuple[Disturbance, ...] = (
     Disturbance("first 3 frames left out", change=partial(SelectedFrames, first=3)),
     Disturbance("mirrored", change=MirroredSequence),
     Disturbance("cropped by 3 px (as another seed)", change=partial(CroppedSequence, pixels=3)),
+    *(Disturbance(name, change=change) for name, change in FOOTAGE.items()),
 )
 
 #: The row that the others are compared with.

@@ -11,10 +11,10 @@ from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
 from orchestrator.evaluation.datasets import Sequence
 
-__all__ = ["CroppedSequence", "MirroredSequence", "SelectedFrames", "every_second_frame"]
+__all__ = ["ChangedSequence", "CroppedSequence", "MirroredSequence", "SelectedFrames", "every_second_frame"]
 
 
-class _ChangedSequence:
+class ChangedSequence:
     """A derived sequence; subclasses map the frames and change the arrays."""
 
     def __init__(self, sequence: Sequence) -> None:
@@ -48,7 +48,7 @@ class _ChangedSequence:
         return array
 
 
-class MirroredSequence(_ChangedSequence):
+class MirroredSequence(ChangedSequence):
     """The sequence mirrored left to right."""
 
     def motion(self, index: int) -> Array | None:
@@ -60,7 +60,7 @@ class MirroredSequence(_ChangedSequence):
         return np.ascontiguousarray(array[:, ::-1])
 
 
-class CroppedSequence(_ChangedSequence):
+class CroppedSequence(ChangedSequence):
     """The sequence without its first rows and columns.
 
     Parameters
@@ -78,7 +78,7 @@ class CroppedSequence(_ChangedSequence):
         return np.ascontiguousarray(array[self._margin :, self._margin :])
 
 
-class SelectedFrames(_ChangedSequence):
+class SelectedFrames(ChangedSequence):
     """Every ``step``-th frame from frame ``first`` on, as a sequence of its own.
 
     Raises

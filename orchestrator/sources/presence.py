@@ -23,23 +23,8 @@ _IMAGE_SUFFIXES = frozenset(
 )
 
 _VIDEO_SUFFIXES = frozenset(
-    {
-        ".3gp",
-        ".avi",
-        ".dav",
-        ".flv",
-        ".m2ts",
-        ".m4v",
-        ".mkv",
-        ".mov",
-        ".mp4",
-        ".mpeg",
-        ".mpg",
-        ".mts",
-        ".ogv",
-        ".ts",
-    }
-    | {".webm", ".wmv"}
+    {".3gp", ".avi", ".dav", ".flv", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv"}
+    | {".ts", ".webm", ".wmv"}
 )
 
 #: A stem that ends in a number as Python writes a float, such as time.time(): without zeros at the end.

@@ -26,6 +26,7 @@ from orchestrator.evaluation.disturbance import (
     disturbance_variants,
     worst_run,
 )
+from orchestrator.evaluation.disturbed_footage import FOOTAGE
 from orchestrator.evaluation.disturbed_sequences import (
     CroppedSequence,
     MirroredSequence,
@@ -72,7 +73,9 @@ def shown_frames(sequence: Sequence) -> list[int]:
 
 
 @pytest.mark.parametrize(
-    "disturbance", [each for each in DISTURBANCES if each.change is not None], ids=lambda each: each.name
+    "disturbance",
+    [each for each in DISTURBANCES if each.change is not None and each.name not in FOOTAGE],
+    ids=lambda each: each.name,
 )
 def test_frames_and_truth_take_the_same_change(disturbance: Disturbance) -> None:
     assert disturbance.change is not None
@@ -85,6 +88,58 @@ def test_frames_and_truth_take_the_same_change(disturbance: Disturbance) -> None
         assert stem == original.stems[shown]
         assert sequence.has_truth(index) == original.has_truth(shown) == (truth is not None)
         assert truth is None or np.array_equal(truth, _truth_of(frame))
+
+
+class _GreySequence(NumberedSequence):
+    """Grey pictures, lighter from frame to frame, whose lower half is an object."""
+
+    def frame(self, index: int) -> Array:
+        return np.full((96, 128, 3), 60 + 10 * index, np.uint8)
+
+    def truth(self, index: int) -> Array | None:
+        return np.repeat(np.array([[0] * 128, [1] * 128], np.uint8), 48, axis=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "levels"),
+    [
+        ("one black frame", [0]),
+        ("one white frame", [255]),
+        ("one doubled frame", [70]),
+        ("one torn frame", [80]),
+    ],
+)
+def test_a_lost_frame_in_the_middle_is_not_judged(name: str, levels: list[int]) -> None:
+    sequence, original = FOOTAGE[name](_GreySequence(5)), _GreySequence(5)
+    assert np.unique(sequence.frame(2)).tolist() == levels
+    assert [sequence.has_truth(index) for index in range(5)] == [True, True, False, True, True]
+    assert sequence.truth(2) is None
+    for index in (0, 1, 3, 4):
+        np.testing.assert_array_equal(sequence.frame(index), original.frame(index))
+
+
+@pytest.mark.parametrize(
+    ("name", "colour"),
+    [("exposure × 1.9", [152] * 3), ("exposure × 0.5", [40] * 3), ("white balance", [64, 80, 96])],
+)
+def test_new_light_is_that_of_all_frames_from_the_middle_on(name: str, colour: list[int]) -> None:
+    sequence = FOOTAGE[name](_GreySequence(5))
+    assert sequence.frame(2)[0, 0].tolist() == colour
+    np.testing.assert_array_equal(sequence.frame(1), _GreySequence(5).frame(1))
+
+
+@pytest.mark.parametrize("name", ["a clock and a name", "a logo", "a bonnet", "black bars"])
+def test_what_is_drawn_over_is_not_judged_and_all_else_as_it_was(name: str) -> None:
+    sequence, original = FOOTAGE[name](_GreySequence(5)), _GreySequence(5)
+    truth, plain = sequence.truth(1), original.truth(1)
+    assert truth is not None
+    assert plain is not None
+    drawn = (sequence.frame(1) != original.frame(1)).any(axis=2)
+    covered = truth == 255
+    assert drawn.any()
+    assert covered[drawn].all()
+    assert covered.mean() < 0.3
+    np.testing.assert_array_equal(truth[~covered], plain[~covered])
 
 
 def test_a_mirrored_sequence_moves_the_other_way() -> None:
@@ -139,7 +194,7 @@ def test_a_scene_disturbed_is_scored_like_any_other() -> None:
 
 def test_fourteen_runs_are_disturbed_and_the_first_row_is_not() -> None:
     rows = disturbance_variants([])
-    assert len(rows) == 1 + len(DISTURBANCES) == 15
+    assert len(rows) == 1 + len(DISTURBANCES) == 27
     assert rows[0] == Variant(UNDISTURBED)
     assert len({row.name for row in rows}) == len(rows)
     assert all(row.overrides or row.change for row in rows[1:])
@@ -232,16 +287,16 @@ def test_the_table_names_the_worst_of_the_disturbed_runs(
     assert main(command) == 0
     heading, *lines = capsys.readouterr().out.splitlines()
     assert heading.split() == ["run", "two_label_f", "object_f", "clip"]
-    table, ends = lines[:15], lines[-2:]
+    table, ends = lines[:27], lines[-2:]
     assert table[0].split() == [UNDISTURBED, "100", "100", "100"]
-    blind = [line for line in table if not line.endswith("100")]
-    assert [line.rsplit(maxsplit=3)[0].strip() for line in blind] == ["trajectories × 1.2"]
+    blind = [line.rsplit(maxsplit=3)[0].strip() for line in table if not line.endswith("100")]
+    assert [name for name in blind if name not in FOOTAGE] == ["trajectories × 1.2"]
     assert ends == [
         f"worst {figure}: trajectories × 1.2, 0 (undisturbed 100)" for figure in ("two_label_f", "object_f")
     ]
     record = json.loads(figures.read_text())
     assert record["worst"] == dict.fromkeys(("two_label_f", "object_f"), "trajectories × 1.2")
-    assert len(record["rows"]) == 15
+    assert len(record["rows"]) == 27
 
 
 def test_a_sequence_too_short_to_be_disturbed_is_told_before_anything_runs(
