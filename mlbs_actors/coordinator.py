@@ -341,10 +341,7 @@ class Coordinator:
                 tracked.against_camera.advantage, trajectories.positions, trajectories.motions,
                 state.labels > BACKGROUND, side, config.flow,
             )  # fmt: skip
-        held = held_frame(
-            frame_index, trajectories, state.labels, camera, flow, tracked.against_camera, stage_ms, status,
-            match.light, tracked.fixed.cells,
-        )  # fmt: skip
+        held = held_frame(frame_index, tracked, state.labels, flow, stage_ms, status, match.light)
         state.held = (*state.held, held)
 
     def _pass_over(

@@ -19,7 +19,8 @@ from mlbs_actors.footage.light import unchanged
 from mlbs_actors.kernels.interpolation import sample_flow, sample_map
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import BACKGROUND, UNEXPLAINED_STEP, Array, FrameStatus
-from mlbs_actors.tracking.camera import CameraEvidence, camera_evidence
+from mlbs_actors.tracking.camera import camera_evidence
+from mlbs_actors.tracking.tracker import Tracked
 from mlbs_actors.tracking.trajectories import TrajectoryState
 
 __all__ = ["HeldFrame", "by_layer", "first_frame", "held_frame", "no_picture", "relabelled"]
@@ -71,18 +72,16 @@ class HeldFrame:
 
 def held_frame(
     frame_index: int,
-    trajectories: TrajectoryState,
+    tracked: Tracked,
     labels: Array,
-    camera: Array,
     flow: DenseFlow | None,
-    against_camera: CameraEvidence,
     stage_ms: Mapping[str, float],
     status: FrameStatus,
     light: Array,
-    fixed: Array,
 ) -> HeldFrame:
     """Collect what is held of the newest frame; ``flow`` is None in the first of an epoch."""
-    size = against_camera.unexplained.shape
+    trajectories, unexplained = tracked.trajectories, tracked.against_camera.unexplained
+    fixed, size = tracked.fixed.cells, unexplained.shape
     if not fixed.any():
         fixed = np.zeros((0, 0), bool)
     reliable = np.zeros(size, bool) if flow is None else flow.backward_reliable
@@ -93,10 +92,10 @@ def held_frame(
         trajectories.motions,
         labels,
         trajectories.evidence,
-        camera,
+        tracked.camera,
         np.zeros((*size, 2), np.float32) if flow is None else flow.backward,
         reliable & ~fixed if fixed.size else reliable,
-        _quantised(against_camera.unexplained),
+        _quantised(unexplained),
         stage_ms,
         status,
         light,
