@@ -260,7 +260,7 @@ def _differences(before: Any, now: Any, name: str = "") -> Iterator[str]:
 def _given(value: Any) -> str:
     if value is None:
         return "not given"
-    return ", ".join(value) if isinstance(value, list) else str(value)
+    return ", ".join(value) if isinstance(value, (list, dict)) else str(value)
 
 
 def describe_run(

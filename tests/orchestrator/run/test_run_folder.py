@@ -249,6 +249,16 @@ def test_a_run_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
             r"--max-frames \(was not given, now 7\)",
         ),
         (describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), None, 64), "--max-side"),
+        (
+            describe_run(
+                [listed("yard", "yard.mp4")],
+                Config(),
+                frozenset({"masks"}),
+                None,
+                ignored={"yard=/mask.png": "ab12"},
+            ),
+            r"files to --ignore \(was not given, now yard=/mask.png\)",
+        ),
     ):
         with pytest.raises(ConfigError, match=f"had other .*{words}"):
             folder.refuse_other(description)
