@@ -75,7 +75,7 @@ def test_a_layer_moves_to_a_process_of_its_own_as_soon_as_there_is_one_with_the_
     ray_session: RaySession, parts: FakeParts, tmp_path: Path
 ) -> None:
     node = Node(parts=parts, policy=PoolPolicy(spare=0))
-    pictures = [picture(t) for t in range(4)] + [picture(t, live=[1, 2, 3]) for t in range(4, 400)]
+    pictures = [picture(t) for t in range(4)] + [picture(t, live=[1, 2, 3]) for t in range(4, 4_000)]
     stream = node.start(spec("three", FakeReader([*pictures], tmp_path, slow_seconds=0.02)))
     busy, done = [], False
     while not done and 4 not in busy:
