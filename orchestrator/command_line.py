@@ -134,7 +134,7 @@ class Arguments:
             words += ["--max-frames", str(self.max_frames)]
         if self.max_side is not None:
             words += ["--max-side", str(self.max_side)]
-        for word in self.ignored.files:
+        for word in self.ignored.digests:
             words += ["--ignore", word]
         if self.watch:
             words.append("--watch")

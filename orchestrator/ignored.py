@@ -25,12 +25,15 @@ class IgnoredFile:
 
     Attributes
     ----------
+    path : Path
+        Absolute.
     mask : (h, w) bool
         What is fixed in the picture; of any size.
     digest : str
         SHA-256 of the file.
     """
 
+    path: Path
     mask: Array
     digest: str
 
@@ -41,31 +44,29 @@ class Ignored:
 
     Attributes
     ----------
-    files : mapping of str to IgnoredFile
-        By ``NAME=FILE`` for a stream, or ``FILE`` for all others, with absolute paths.
+    files : mapping of str or None to IgnoredFile
+        By the name of the stream; None for all others.
     """
 
-    files: Mapping[str, IgnoredFile]
+    files: Mapping[str | None, IgnoredFile]
 
     def mask_of(self, stream: str) -> Array | None:
         """Return the mask (h, w) bool of a stream, if it has one."""
-        everywhere = None
-        for word, file in self.files.items():
-            name, _ = _split(word)
-            if name == stream:
-                return file.mask
-            everywhere = file.mask if name is None else everywhere
-        return everywhere
+        file = self.files.get(stream, self.files.get(None))
+        return None if file is None else file.mask
 
     @property
     def streams(self) -> set[str]:
         """The streams that have a file of their own."""
-        return {name for name, _ in map(_split, self.files) if name is not None}
+        return {name for name in self.files if name is not None}
 
     @property
     def digests(self) -> dict[str, str]:
-        """The digest of each file, as in ``files``."""
-        return {word: file.digest for word, file in self.files.items()}
+        """The digest of each file, by ``NAME=FILE`` or ``FILE`` as :func:`read_ignored` takes them."""
+        return {
+            str(file.path) if name is None else f"{name}={file.path}": file.digest
+            for name, file in self.files.items()
+        }
 
 
 def read_ignored(words: Sequence[str]) -> Ignored:
@@ -81,16 +82,13 @@ def read_ignored(words: Sequence[str]) -> Ignored:
     ConfigError
         If a file cannot be read, or a stream has two.
     """
-    files: dict[str, IgnoredFile] = {}
-    names: set[str | None] = set()
+    files: dict[str | None, IgnoredFile] = {}
     for word in words:
         name, path = _split(word)
-        if name in names:
+        if name in files:
             whose = "all streams" if name is None else f"the stream {name!r}"
             raise ConfigError(f"--ignore names two files for {whose}; draw both into one mask.")
-        names.add(name)
-        absolute = str(path.absolute())
-        files[absolute if name is None else f"{name}={absolute}"] = _read(path)
+        files[name] = _read(path)
     return Ignored(files)
 
 
@@ -111,7 +109,7 @@ def _read(path: Path) -> IgnoredFile:
     ignored = _polygons(path, content) if mask is None else mask > 0
     if ignored.all():
         raise ConfigError(f"--ignore: {path} covers the whole picture; what is not 0 in it is ignored.")
-    return IgnoredFile(ignored, hashlib.sha256(content).hexdigest())
+    return IgnoredFile(path.absolute(), ignored, hashlib.sha256(content).hexdigest())
 
 
 def _polygons(path: Path, content: bytes) -> Array:

@@ -17,7 +17,7 @@ from orchestrator.evaluation.datasets import Sequence, SequenceChange
 from orchestrator.evaluation.disturbed_sequences import ChangedSequence
 from orchestrator.evaluation.metrics import NOT_JUDGED
 
-__all__ = ["FOOTAGE", "drawn_over", "with_lost_frame", "with_new_light"]
+__all__ = ["FOOTAGE"]
 
 #: Frames in which a ramp of the exposure reaches its end.
 _RAMP_FRAMES = 20
@@ -47,9 +47,9 @@ class _LostFrame(ChangedSequence):
 
 
 class _NewLight(ChangedSequence):
-    """From the middle on, every picture is multiplied."""
+    """From the middle on, each channel is multiplied, fully after ``ramp`` frames."""
 
-    def __init__(self, sequence: Sequence, gain: tuple[float, float, float], ramp: int) -> None:
+    def __init__(self, sequence: Sequence, gain: tuple[float, float, float], ramp: int = 1) -> None:
         super().__init__(sequence)
         self._gain, self._ramp = np.array(gain), ramp
         self._middle = len(sequence.stems) // 2
@@ -62,7 +62,7 @@ class _NewLight(ChangedSequence):
 
 
 class _DrawnOver(ChangedSequence):
-    """Something is drawn over each picture."""
+    """Something is drawn over each picture: ``draw(picture, covered, index)`` draws into both."""
 
     def __init__(self, sequence: Sequence, draw: Callable[[Array, Array, int], None]) -> None:
         super().__init__(sequence)
@@ -84,21 +84,6 @@ class _DrawnOver(ChangedSequence):
         picture, covered = np.ascontiguousarray(picture).copy(), np.zeros(picture.shape[:2], np.uint8)
         self._draw(picture, covered, index)
         return picture, covered > 0
-
-
-def with_lost_frame(lost: Callable[[Array, Array], Array]) -> SequenceChange:
-    """Replace the frame in the middle by ``lost(frame before, frame)``."""
-    return partial(_LostFrame, lost=lost)
-
-
-def with_new_light(blue: float, green: float, red: float, ramp: int = 1) -> SequenceChange:
-    """Multiply the channels from the middle on, fully after ``ramp`` frames."""
-    return partial(_NewLight, gain=(blue, green, red), ramp=ramp)
-
-
-def drawn_over(draw: Callable[[Array, Array, int], None]) -> SequenceChange:
-    """Draw over each picture with ``draw(picture, covered, index)``, into both arrays."""
-    return partial(_DrawnOver, draw=draw)
 
 
 def _filled(before: Array, frame: Array, level: int) -> Array:
@@ -161,16 +146,16 @@ def _bars(picture: Array, covered: Array, index: int) -> None:
 
 #: Accidents by the names of their rows.
 FOOTAGE: dict[str, SequenceChange] = {
-    "one black frame": with_lost_frame(partial(_filled, level=0)),
-    "one white frame": with_lost_frame(partial(_filled, level=255)),
-    "one doubled frame": with_lost_frame(_doubled),
-    "one torn frame": with_lost_frame(_torn),
-    "exposure × 1.9": with_new_light(1.9, 1.9, 1.9),
-    "exposure × 0.5": with_new_light(0.5, 0.5, 0.5),
-    "exposure × 1.9 in 20 frames": with_new_light(1.9, 1.9, 1.9, _RAMP_FRAMES),
-    "white balance": with_new_light(0.8, 1.0, 1.2),
-    "a clock and a name": drawn_over(_clock),
-    "a logo": drawn_over(_logo),
-    "a bonnet": drawn_over(_bonnet),
-    "black bars": drawn_over(_bars),
+    "one black frame": partial(_LostFrame, lost=partial(_filled, level=0)),
+    "one white frame": partial(_LostFrame, lost=partial(_filled, level=255)),
+    "one doubled frame": partial(_LostFrame, lost=_doubled),
+    "one torn frame": partial(_LostFrame, lost=_torn),
+    "exposure × 1.9": partial(_NewLight, gain=(1.9, 1.9, 1.9)),
+    "exposure × 0.5": partial(_NewLight, gain=(0.5, 0.5, 0.5)),
+    "exposure × 1.9 in 20 frames": partial(_NewLight, gain=(1.9, 1.9, 1.9), ramp=_RAMP_FRAMES),
+    "white balance": partial(_NewLight, gain=(0.8, 1.0, 1.2)),
+    "a clock and a name": partial(_DrawnOver, draw=_clock),
+    "a logo": partial(_DrawnOver, draw=_logo),
+    "a bonnet": partial(_DrawnOver, draw=_bonnet),
+    "black bars": partial(_DrawnOver, draw=_bars),
 }

@@ -27,7 +27,7 @@ def test_a_picture_and_polygons_become_masks_of_their_streams(tmp_path: Path) ->
     assert of_gate[: height // 4, : width // 2].all()
     assert of_gate.mean() == pytest.approx(0.125, abs=0.001)
     assert ignored.streams == {"gate"}
-    assert read_ignored(list(ignored.files)).digests == ignored.digests
+    assert read_ignored(list(ignored.digests)).digests == ignored.digests
 
 
 def test_a_stream_without_a_file_has_no_mask(tmp_path: Path) -> None:
