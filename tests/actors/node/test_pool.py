@@ -8,6 +8,7 @@ import signal
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from actor_fakes import (
     still_evidence,
     wait_until,
 )
+from ray.actor import ActorHandle
 from ray.exceptions import RayActorError
 
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
@@ -77,6 +79,14 @@ def test_a_birth_starts_a_process_only_where_few_are_left(ray_session: RaySessio
     end([pool])
 
 
+def has_died(actor: ActorHandle[Any]) -> bool:
+    try:
+        ray.get(actor.__ray_ready__.remote())
+    except RayActorError:
+        return True
+    return False
+
+
 def test_a_birth_takes_another_process_when_an_idle_one_has_died_unnoticed(
     ray_session: RaySession, parts: FakeParts
 ) -> None:
@@ -85,6 +95,7 @@ def test_a_birth_takes_another_process_when_an_idle_one_has_died_unnoticed(
     first, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
     ray.get(pool.release.remote(run, identity(first), None))
     ray.kill(first)
+    wait_until(lambda: has_died(first))
     second, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
     assert ray.get(second.__ray_ready__.remote())
     assert second != first
