@@ -1,7 +1,8 @@
 """Every parameter of the engine: frozen, validated, with its unit, meaning and paper section.
 
-One set serves all videos. Lengths are stated in px of a 640×480 frame and scale with the square root of
-the frame's area (:func:`length_scale`), so that the same object is treated alike at any resolution.
+One set serves all videos. Lengths are stated in px of a 640×480 frame and scale with the frame's side
+(:func:`length_scale`), so that the same object is treated alike at any resolution; in large frames they grow
+less, so that smaller things are seen in them.
 """
 
 from __future__ import annotations
@@ -28,14 +29,29 @@ __all__ = [
     "PosteriorConfig",
     "SegmentationConfig",
     "TrajectoriesConfig",
+    "detail",
     "length_scale",
     "load_config",
 ]
 
 
+#: Beyond so many sides of the reference frame a frame is large.
+LARGE = 1.3
+
+
 def length_scale(height: int, width: int) -> float:
-    """How many px of an ``height`` × ``width`` frame make one px of the 640×480 reference frame."""
-    return math.sqrt(height * width / (640 * 480))
+    """How many px of an ``height`` × ``width`` frame make one px of the 640×480 reference frame.
+
+    The side of a square of the same area counts in full up to ``LARGE`` sides of the reference frame (about
+    960×540), and beyond that with a power of 0.4: what is filmed at 1920×1080 is filmed for its detail.
+    """
+    side = math.sqrt(height * width / (640 * 480))
+    return side if side <= LARGE else LARGE * (side / LARGE) ** 0.4
+
+
+def detail(height: int, width: int) -> float:
+    """By how much things are smaller, in proportion, that a frame of this size is to show; 1 if not large."""
+    return math.sqrt(height * width / (640 * 480)) / length_scale(height, width)
 
 
 class _Section(BaseModel):
@@ -103,7 +119,9 @@ class TrajectoriesConfig(_Section):
         4.0, gt=1, description="The same where the camera's motion fails to explain the image."
     )
     dense_advantage: float = Field(
-        3.0, description="It fails where the flow explains the image better by this, × noise."
+        3.0,
+        description="It fails where the flow explains the image better by this, × noise; in large frames "
+        "less, as few cells of a small thing say so.",
     )
     consistency_relative: float = Field(
         0.01, ge=0, description="Forward–backward error allowed, × (|w|²+|w'|²)."

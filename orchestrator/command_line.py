@@ -89,7 +89,7 @@ class Arguments:
         Port of this machine where Ray exports the figures of the streams to Prometheus; 0 for the port of the
         cluster at ``address``.
     max_frames : int, optional
-        Frames to read of each stream.
+        Label maps to make of each stream.
     max_side : int, optional
         Longest side of the pictures that are processed, px.
     ignored : Ignored
@@ -298,7 +298,7 @@ def _parser() -> argparse.ArgumentParser:
         "--address, without PORT, with those of the cluster; needs pip install 'mlbs-actors[ray-metrics]'",
     )
     parser.add_argument(
-        "--max-frames", type=_positive, metavar="N", help="stop each stream after its first N frames"
+        "--max-frames", type=_positive, metavar="N", help="stop each stream after N label maps"
     )
     parser.add_argument(
         "--max-side",

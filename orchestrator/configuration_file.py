@@ -41,8 +41,8 @@ _MARKDOWN_HEAD = """\
 # Parameters
 
 One set of values serves all videos. § is a section of the paper. Most lengths are px of a 640×480 frame and
-scale with the square root of the frame's area. These are taken as they are: `consistency_px2`, and the
-section `motion` but for `flow_std_px`.
+scale with its side, in frames larger than 960×540 with the power of 0.4. These are taken as they are:
+`consistency_px2`, and the section `motion` but for `flow_std_px`.
 
 Change a value with `--set section.key=value`, or give a YAML file with `--config FILE`. The file may hold
 any subset; [`configs/default.yaml`](../configs/default.yaml) holds all. In Python:

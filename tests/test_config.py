@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from mlbs_actors.config import Config, length_scale, load_config
+from mlbs_actors.config import Config, detail, length_scale, load_config
 from mlbs_actors.errors import ConfigError
 
 
@@ -122,6 +122,13 @@ def test_a_configuration_survives_being_written_down() -> None:
 def test_lengths_scale_with_the_square_root_of_the_area() -> None:
     assert length_scale(480, 640) == 1.0
     assert length_scale(240, 320) == 0.5
-    assert length_scale(960, 1280) == 2.0
     assert length_scale(640, 480) == 1.0
-    assert length_scale(480, 4 * 640) == 2.0
+    assert length_scale(720, 720) == length_scale(540, 960)
+
+
+def test_in_large_frames_lengths_grow_less_than_the_frame() -> None:
+    """… so that smaller things are seen: at four times the side they are 2.3 times as long."""
+    assert detail(540, 960) == 1.0
+    assert length_scale(4 * 480, 4 * 640) == pytest.approx(2.26, abs=0.01)
+    assert detail(4 * 480, 4 * 640) == pytest.approx(4 / 2.26, abs=0.01)
+    assert length_scale(1080, 1920) == length_scale(1920, 1080)

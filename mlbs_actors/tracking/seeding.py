@@ -13,7 +13,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from mlbs_actors.config import TrajectoriesConfig, length_scale
+from mlbs_actors.config import TrajectoriesConfig, detail, length_scale
 from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.kernels.interpolation import sample_flow
 from mlbs_actors.kernels.jit import compiled
@@ -25,6 +25,9 @@ __all__ = ["seed_trajectories"]
 
 #: Least share of a frame that has structure enough for seeds.
 LEAST_STRUCTURED = 0.3
+#: In a large frame the dense grid asks for less evidence, by this power of the frame's detail: a small thing
+#: fills little of the window over which the evidence is a mean, and its texture is fine.
+FAINTER = 4
 
 
 def seed_trajectories(
@@ -89,7 +92,8 @@ def seed_trajectories(
         max(config.seed_spacing_px * scale, config.least_spacing_cells * side),
         max(config.dense_spacing_px * scale, config.least_dense_spacing_cells * side),
     )
-    seeds = _seeds(state.positions, ground, config.dense_advantage, (height, width), spacings)
+    least_advantage = config.dense_advantage / detail(height, width) ** FAINTER
+    seeds = _seeds(state.positions, ground, least_advantage, (height, width), spacings)
     count = len(seeds)
     motions = np.zeros((count, 2), np.float32) if flow is None else sample_flow(flow.backward, seeds, side)
     return TrajectoryState(

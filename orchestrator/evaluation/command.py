@@ -42,11 +42,13 @@ Score label maps against truth.
 
 Truth maps are PNG: 0 = background, 1 ... 254 = objects, 255 = not judged (an
 object where 0 and 255 are the only values, as in DAVIS 2016). Figures are percent, except
-extra (layers off the truth per 100 frames), switches (of identity), delay (median frames from an object's
-entry until it is found; synthetic scenes only) and ms (wall time a frame). The first two matter most:
+extra (layers off the truth per 100 frames), ids_on (labels that lie mostly on an object in at least three
+frames, mean over the objects), switches (of identity), delay (median frames from an object's entry until it
+is found; synthetic scenes only) and ms (wall time a frame). The first three matter most:
 
   two_label_f      moving against not moving: mean F of the frames;  j: the same with intersection over union
   object_f         every object of the truth on its own: mean F, 0 for a lost one
+  track_j          one label for each object over all frames: mean intersection over union
   multi_f          the same, and a layer the truth does not know counts as a lost one too (the paper's text)
   multi_f_matlab   as the paper's table was made: the background takes part, surplus layers do not count
   first ten, after start, davis: of these frames only (davis: without the first and the last)

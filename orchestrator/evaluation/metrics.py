@@ -13,6 +13,7 @@ failure, even a real small mover that the truth leaves out; :func:`object_level`
 from __future__ import annotations
 
 import math
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -31,12 +32,14 @@ __all__ = [
     "count_overlap",
     "entry_delays",
     "id_switches",
+    "ids_on",
     "jaccard",
     "match_objects",
     "moving_objects",
     "multi_label",
     "multi_label_matlab",
     "object_level",
+    "track_j",
     "two_label",
 ]
 
@@ -47,6 +50,7 @@ MIN_ENTRY_AREA = 400  # visible px from which an object counts as entered
 MIN_ENTRY_SPEED = 1.0  # px/frame against its surroundings
 SURROUNDINGS = 12  # width of the ring around an object that counts as its surroundings, px
 FOUND_IOU = 0.5
+MIN_FRAMES_ON = 3  # frames in which a label must lie on an object to count as one of its ids
 
 
 class Agreement(NamedTuple):
@@ -146,6 +150,15 @@ def _region_scores(overlap: FrameOverlap) -> tuple[Array, Array, Array]:
     return inside / label_area, inside / object_area, 2 * inside / (label_area + object_area)
 
 
+def _ious(overlap: FrameOverlap) -> Array:
+    """Return intersection over union of every (object, label) pair: (g, l) float64."""
+    counts = overlap.counts
+    inside = counts[1:, 1:]
+    union = counts[1:].sum(axis=1)[:, None] + counts[:, 1:].sum(axis=0)[None, :] - inside
+    ious: Array = inside / union
+    return ious
+
+
 def match_objects(overlap: FrameOverlap) -> dict[int, int]:
     """Map truth ids to label ids: the one-to-one assignment with the largest ΣF, without pairs of F = 0."""
     _, _, f = _region_scores(overlap)
@@ -224,6 +237,62 @@ def id_switches(overlaps: Iterable[FrameOverlap]) -> int:
     return switches
 
 
+def track_j(overlaps: Iterable[FrameOverlap]) -> float:
+    """Score one label for each truth object over the whole sequence, in [0, 1]; NaN without truth objects.
+
+    Objects and labels are matched one to one, with the largest sum of mean IoU. The result is the mean over
+    the truth objects; one without a label scores 0, surplus labels do not count.
+
+    Parameters
+    ----------
+    overlaps : iterable of FrameOverlap
+        The frames with truth.
+
+    Notes
+    -----
+    A pair's mean is over the frames in which the object or the label is there; if one is there alone, the
+    frame counts 0. DAVIS 2017's unsupervised task, whose matching this is, counts 1 for a frame with neither,
+    so that there a lost object gains by being out of sight.
+    """
+    ious: defaultdict[tuple[int, int], float] = defaultdict(float)
+    together: Counter[tuple[int, int]] = Counter()
+    object_frames: Counter[int] = Counter()
+    label_frames: Counter[int] = Counter()
+    for overlap in overlaps:
+        objects, labels = overlap.objects.tolist(), overlap.labels.tolist()
+        object_frames.update(objects)
+        label_frames.update(labels)
+        for (row, column), iou in np.ndenumerate(_ious(overlap)):
+            ious[objects[row], labels[column]] += iou
+            together[objects[row], labels[column]] += 1
+    if not object_frames:
+        return math.nan
+    means = np.zeros((len(object_frames), len(label_frames)))
+    for row, (truth_id, seen) in enumerate(object_frames.items()):
+        for column, (label, labelled) in enumerate(label_frames.items()):
+            pair = truth_id, label
+            means[row, column] = ious[pair] / (seen + labelled - together[pair])
+    rows, columns = linear_sum_assignment(means, maximize=True)
+    return float(means[rows, columns].sum() / len(object_frames))
+
+
+def ids_on(overlaps: Iterable[FrameOverlap]) -> float:
+    """Count the labels on a truth object, mean over the objects; NaN without truth objects.
+
+    A label is on an object if at least half of its judged pixels are in at least three frames with truth.
+    """
+    objects: set[int] = set()
+    frames: Counter[tuple[int, int]] = Counter()
+    for overlap in overlaps:
+        objects.update(overlap.objects.tolist())
+        mostly_on = 2 * overlap.counts[1:, 1:] >= overlap.counts[:, 1:].sum(axis=0)
+        rows, columns = np.nonzero(mostly_on)
+        frames.update(zip(overlap.objects[rows].tolist(), overlap.labels[columns].tolist(), strict=True))
+    if not objects:
+        return math.nan
+    return sum(count >= MIN_FRAMES_ON for count in frames.values()) / len(objects)
+
+
 def moving_objects(truth: Array, flow: Array) -> list[int]:
     """List truth ids that show ≥ 400 px and move ≥ 1 px/frame against their surroundings, ascending.
 
@@ -265,9 +334,7 @@ def entry_delays(overlaps: Iterable[FrameOverlap], entries: Mapping[int, int]) -
     """
     delays: dict[int, int | None] = dict.fromkeys(sorted(entries))
     for overlap in overlaps:
-        inside = overlap.counts[1:, 1:]
-        union = overlap.counts[1:].sum(axis=1)[:, None] + overlap.counts[:, 1:].sum(axis=0)[None, :] - inside
-        best = (inside / union).max(axis=1, initial=0.0)
+        best = _ious(overlap).max(axis=1, initial=0.0)
         for truth_id, iou in zip(overlap.objects.tolist(), best, strict=True):
             waiting = truth_id in entries and delays[truth_id] is None
             if waiting and overlap.index >= entries[truth_id] and iou >= FOUND_IOU:

@@ -1,7 +1,8 @@
 """All figures of one sequence, collected frame by frame: means by range of frames, and layers off the truth.
 
 Differs from the paper: it adds ``object_f`` and ``extra_layers``, which separate lost objects from layers
-that the truth does not have, and scores the frames of the start separately.
+that the truth does not have, ``track_j`` and ``ids_on``, which say whether an object keeps its label, and
+scores the frames of the start separately.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ from orchestrator.evaluation.metrics import (
     count_overlap,
     entry_delays,
     id_switches,
+    ids_on,
     jaccard,
     moving_objects,
     multi_label,
     multi_label_matlab,
     object_level,
+    track_j,
     two_label,
 )
 
@@ -97,10 +100,14 @@ class SequenceScore:
     all_frames, first_ten, after_start, davis : RangeScore
         Frames with truth: all; with index below ten; from index ``START_FRAMES`` on; without the first and
         the last of them (DAVIS's own protocol).
+    track_j : float
+        How well one label stays on each object, in [0, 1]; NaN where the truth has no object.
     extra_layers : float
         Extra layers per 100 labelled frames.
     extras : tuple of ExtraLayer
         The same, one by one, in ascending id.
+    ids_on : float
+        Labels on a truth object, mean over the objects; NaN where the truth has none.
     id_switches : int
     entry_delay : mapping of int to int or None
         Frames from an object's entry until it is found, by truth id; None: never found. Objects there from
@@ -112,8 +119,10 @@ class SequenceScore:
     first_ten: RangeScore
     after_start: RangeScore
     davis: RangeScore
+    track_j: float
     extra_layers: float
     extras: tuple[ExtraLayer, ...]
+    ids_on: float
     id_switches: int
     entry_delay: Mapping[int, int | None]
 
@@ -222,8 +231,10 @@ class SequenceScorer:
             first_ten=_score_range([overlap for overlap in self._overlaps if overlap.index < 10]),
             after_start=_score_range([o for o in self._overlaps if o.index >= START_FRAMES]),
             davis=_score_range(self._overlaps[1:-1]),
+            track_j=track_j(self._overlaps),
             extra_layers=100.0 * len(extras) / self._frames if self._frames else 0.0,
             extras=extras,
+            ids_on=ids_on(self._overlaps),
             id_switches=id_switches(self._overlaps),
             entry_delay=entry_delays(self._overlaps, self._entries),
         )

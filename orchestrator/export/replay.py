@@ -85,11 +85,11 @@ def inspected(
     given: deque[SourceFrame] = deque()
 
     def results() -> Iterator[Segmentation]:
-        for frame in islice(replayed(source), max_frames):
-            if frame.image is not None:
-                given.append(frame)
-                image = frame.image if max_side is None else shrunk(frame.image, max_side)
-                yield from subtractor.apply(image, concealed=frame.concealed)
+        pictures = ((frame, frame.image) for frame in replayed(source) if frame.image is not None)
+        for frame, image in islice(pictures, max_frames):
+            given.append(frame)
+            shown = image if max_side is None else shrunk(image, max_side)
+            yield from subtractor.apply(shown, concealed=frame.concealed)
         yield from subtractor.flush()
 
     known = iter(recorded)

@@ -19,6 +19,7 @@ from orchestrator.run.stream_state import ENDED, StreamState
 
 __all__ = [
     "PLACE_BYTES",
+    "STREAMS_A_CORE",
     "cores",
     "places",
     "places_here",
@@ -32,8 +33,8 @@ PLACE_BYTES = STREAM_BYTES + 4 * LAYER_BYTES
 #: Left for the driver, Ray's own processes, the sink and the object store, bytes.
 _RESERVED_BYTES = 1_500 * 2**20
 
-#: A stream's stages wait for one another: two on a core keep it busy.
-_STREAMS_A_CORE = 2
+#: Most streams for each core. A stream's stages wait for one another: two on a core keep it busy.
+STREAMS_A_CORE = 2
 
 
 def places(memory: NodeMemory, core_count: int) -> int:
@@ -51,7 +52,7 @@ def places(memory: NodeMemory, core_count: int) -> int:
         At least 1: a machine too small for the estimate may still hold one small stream.
     """
     by_memory = (memory.free - _RESERVED_BYTES) // PLACE_BYTES
-    return max(1, min(by_memory, core_count * _STREAMS_A_CORE))
+    return max(1, min(by_memory, core_count * STREAMS_A_CORE))
 
 
 def warn_of_cameras(cameras: int, streams: int, limit: int) -> str | None:

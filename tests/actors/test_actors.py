@@ -152,7 +152,7 @@ def test_drops_and_gaps_are_rows_and_counted_and_a_silent_camera_is_told_at_once
         status = statuses.get(t, "ok")
         answers.append(SourceFrame(t, image if status == "ok" else None, t / 25, f"{t:05d}", status))
         given += [image] if status == "ok" else []
-    stream = node.start(spec("camera", FakeCamera(answers, tmp_path), max_frames=10))
+    stream = node.start(spec("camera", FakeCamera(answers, tmp_path), max_frames=8))
     said = []
     while not (progress := stream.advance().result(timeout=200)).done:
         if progress.silence is not None:
@@ -228,12 +228,15 @@ def test_what_only_segmenter_and_layers_read_stays_in_few_slots_however_slow_the
     assert slots["frame"] > frames
 
 
-def test_a_stream_ends_after_its_most_frames(node: Node, tmp_path: Path) -> None:
-    reader = FakeReader([*crowd(30, 1)], tmp_path)
+def test_a_stream_ends_after_its_most_label_maps_however_many_frames_have_none(
+    node: Node, tmp_path: Path
+) -> None:
+    pictures = crowd(30, 1)
+    reader = FakeReader([None, *pictures[:4], None, None, *pictures[4:6], None, *pictures[6:]], tmp_path)
     [progress] = run_to_end(node.start(spec("most", reader, max_frames=7)))
-    assert (progress.read, progress.committed, len(rows(tmp_path))) == (7, 7, 7)
-    assert progress.length == 7
-    assert len((tmp_path / "reads").read_text().splitlines()) == 7
+    assert (progress.committed, progress.quarantined, progress.read) == (7, 4, 11)
+    assert (progress.length, len(rows(tmp_path))) == (11, 11)
+    assert len((tmp_path / "reads").read_text().splitlines()) == 11
 
 
 # ---- bounded

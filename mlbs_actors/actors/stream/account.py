@@ -24,7 +24,7 @@ class StreamAccount:
     Parameters
     ----------
     most_frames : int, optional
-        Length limit of the stream.
+        Label maps after which the stream ends.
 
     Attributes
     ----------
@@ -76,7 +76,9 @@ class StreamAccount:
 
     def progress(self, committed: int, layers: int, *, done: bool, kept_waiting: bool) -> StreamProgress:
         """Report the counts, with the mean times of the label maps since the last report."""
-        lengths = [length for length in (self._length, self._most_frames) if length is not None]
+        lengths = [] if self._length is None else [self._length]
+        if self._most_frames is not None:
+            lengths.append(self._most_frames + self.read - self.counts["ok"])
         means = {stage: total / self._labelled for stage, total in self._stage_sums.items()}
         self._stage_sums, self._labelled = {}, 0
         return StreamProgress(

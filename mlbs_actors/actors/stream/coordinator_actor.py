@@ -250,11 +250,12 @@ class CoordinatorActor:
         self._saved = state.position.rows
 
     def _begin_reading(self) -> None:
+        pictures = self._account.counts["ok"]
         try:
             if isinstance(self._source, LiveReadAhead):
-                self._source.go_on(self._account.position, self._account.read)
+                self._source.go_on(self._account.position, pictures)
             else:
-                self._source.begin()
+                self._source.begin(pictures)
                 self._to_skip = 0 if self._interrupted else self._account.read
         except RayError as error:
             raise self._reader_failure(error) from None

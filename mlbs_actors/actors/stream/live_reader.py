@@ -197,9 +197,9 @@ class LiveReadAhead(ReadAhead):
         self._answers = False
         self._forgotten = 0
 
-    def go_on(self, position: SourcePosition, frames: int) -> None:
-        """Continue after ``position`` and ``frames`` frames; instead of :meth:`begin`."""
-        self._pass_over(frames)
+    def go_on(self, position: SourcePosition, pictures: int) -> None:
+        """Continue after ``position`` and so many pictures; instead of :meth:`begin`."""
+        self._count(pictures)
         self._serve(ray.get(self._reader.go_on.remote(position)))
 
     def finish(self) -> None:

@@ -253,7 +253,7 @@ class StreamSpec:
     open_sink : callable
         Picklable; called once, in the sink process. Raises SinkError.
     max_frames : int, optional
-        The stream ends after this many frames of the source, those without a label map included.
+        The stream ends after this many label maps; frames of the source without one do not count.
     wants_background : callable, optional
             Picklable; returns for a source index whether the sink wants the background's appearance with
             that frame. By default it never does.

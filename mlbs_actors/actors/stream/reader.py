@@ -123,7 +123,7 @@ class ReadAhead:
     reader : Handle
         A :class:`ReaderActor`.
     max_frames : int or None
-        Frames after which to stop.
+        Pictures after which to stop; rows without one do not count.
     slots : SlotPool
         For the frames; the recipient of a frame releases its slot.
     memory : SharedMemory
@@ -140,13 +140,13 @@ class ReadAhead:
         self._asked: deque[Slot] = deque()
         self._channel: Channel | None = None
 
-    def begin(self) -> None:
-        """Start the reader, before the first :meth:`next`; raises as that does."""
+    def begin(self, pictures: int = 0) -> None:
+        """Start the reader of a stream that has so many pictures already; raises as :meth:`next` does."""
+        self._count(pictures)
         self._serve(ray.get(self._reader.address.remote()))
 
     def skip(self, frames: int) -> None:
         """Skip frames, before the first :meth:`next`; raises as that does."""
-        self._pass_over(frames)
         self._send(Skip(frames))
         self._receive()
 
@@ -170,8 +170,7 @@ class ReadAhead:
         if said is None:
             self.stop()
             return None
-        is_frame = isinstance(said, SourceFrame) and said.status != "gap"
-        if self._left is not None and not is_frame:
+        if self._left is not None:
             self._left += 1
         return None, said
 
@@ -213,9 +212,10 @@ class ReadAhead:
         ray.get(self._served, timeout=NOTICE_SECONDS)
         raise GetTimeoutError("A reader that was asked for more serves no more.")
 
-    def _pass_over(self, frames: int) -> None:
-        if self._left is not None:
-            self._left -= frames
+    def _count(self, pictures: int) -> None:
+        """Count pictures of earlier starts, unless there is no limit or no more is wanted."""
+        if self._left:
+            self._left -= pictures
 
     def _ask(self) -> None:
         if len(self._asked) >= LEAST_ASKED:

@@ -49,6 +49,16 @@ def test_the_length_is_the_source_s_or_what_is_wanted_of_it() -> None:
         assert told(account).length == expected
 
 
+def test_what_has_no_label_map_adds_to_the_length_if_a_number_of_label_maps_is_wanted() -> None:
+    account = StreamAccount(5)
+    for index, status in enumerate(("ok", "quarantined", "gap", "dropped", "ok")):
+        account.take(frame(index, status, length=9))
+    assert told(account).length == 7
+    for index in range(5, 8):
+        account.take(frame(index, "quarantined", length=9))
+    assert told(account).length == 9
+
+
 def test_stage_times_are_means_since_the_last_report() -> None:
     account = StreamAccount(None)
     account.label(labelled(cut=1.0))

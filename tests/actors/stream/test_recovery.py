@@ -573,6 +573,28 @@ def test_a_lost_pool_or_sink_takes_every_stream_back_and_all_go_on(
 @pytest.mark.long
 @pytest.mark.ray
 @pytest.mark.usefixtures("ray_session")
+def test_the_label_maps_of_all_starts_are_counted_together(parts: FakeParts, tmp_path: Path) -> None:
+    pictures = [picture(t, live=[1]) for t in range(200)]
+    given: list[Array | None] = [*pictures]
+    for number in range(0, 300, 3):
+        given.insert(number, None)
+    one = replace(spec("stopped", FakeReader(given, tmp_path / "r"), tmp_path), max_frames=150)
+    with started(parts) as node:
+        stream = node.start(one)
+        while stream.advance().result(timeout=60).committed < 40:
+            continue
+        stream.stop(drain=True)
+        interrupted = node.start(one).stop(drain=True)  # before it has read on
+        state = drive(node, one)["stopped"]
+    assert interrupted is not None
+    assert 0 < interrupted.committed < 150
+    assert (state.committed, state.quarantined, state.length) == (150, 75, 225)
+    assert as_rows(tmp_path / "stopped") == expected(parts, pictures[:150])
+
+
+@pytest.mark.long
+@pytest.mark.ray
+@pytest.mark.usefixtures("ray_session")
 def test_a_drained_stream_goes_on_where_it_was_interrupted_though_frames_were_held(
     parts: FakeParts, tmp_path: Path
 ) -> None:

@@ -8,18 +8,19 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, get_args
 
 import pyarrow.parquet as pq
 
 from benchmark.through_ray.process_costs import Process, process_tree
 from chaos.harness.injection import Injector
+from mlbs_actors.actors.stream.protocol import GapStatus
 from orchestrator.sinks.commit_log import read_commits
 
-__all__ = ["ExpectationError", "ObservedRun", "content", "expect", "still_running"]
+__all__ = ["ExpectationError", "ObservedRun", "content", "expect", "labelled", "still_running"]
 
 #: Time limit of a run, s.
 _RUN_SECONDS = 400.0
@@ -59,12 +60,17 @@ def content(stream: Path, *, committed: bool = False) -> dict[str, Any]:
     frames = [row["frame"] for row in rows]
     expect(frames == list(range(counted)), f"{stream.name}: the rows are not the {counted} committed frames")
     masks = {path.name: path.read_bytes() for path in sorted((stream / "masks").glob("*.png"))}
-    labelled = {f"{row['name']}.png" for row in rows if row["status"] == "ok"}
+    names = {f"{row['name']}.png" for row in labelled(rows)}
     if committed:
-        masks = {name: mask for name, mask in masks.items() if name in labelled}
-    expect(masks.keys() == labelled, f"{stream.name}: {len(masks)} masks for {len(labelled)} labelled frames")
+        masks = {name: mask for name, mask in masks.items() if name in names}
+    expect(masks.keys() == names, f"{stream.name}: {len(masks)} masks for {len(names)} labelled frames")
     frame_rows = [{key: row[key] for key in row if not key.startswith("ms_")} for row in rows]
     return {"masks": masks, "layers": layers, "frames": frame_rows}
+
+
+def labelled(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Select the frames that have a label map, their own or that of the picture before."""
+    return [row for row in rows if row["status"] not in get_args(GapStatus)]
 
 
 def _rows(stream: Path, table: str, most: int | None) -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from chaos.harness.observed_run import ExpectationError, ObservedRun, content, expect
+from chaos.harness.observed_run import ExpectationError, ObservedRun, content, expect, labelled
 from chaos.harness.reference import References
 
 __all__ = [
@@ -221,7 +221,7 @@ def expect_prefix(context: ScenarioContext, run: ObservedRun, *lines: str) -> No
 def first_frames(whole: dict[str, Any], frames: int) -> dict[str, Any]:
     """Return the first frames of a content."""
     rows = whole["frames"][:frames]
-    names = {f"{row['name']}.png" for row in rows if row["status"] == "ok"}
+    names = {f"{row['name']}.png" for row in labelled(rows)}
     return {
         "masks": {name: mask for name, mask in whole["masks"].items() if name in names},
         "layers": [row for row in whole["layers"] if row["frame"] < frames],

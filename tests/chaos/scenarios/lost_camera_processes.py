@@ -12,7 +12,7 @@ from PIL import Image
 
 from chaos.harness.camera import RATE, Camera, as_received, play
 from chaos.harness.injection import Injection, Injector
-from chaos.harness.observed_run import ObservedRun, content, expect
+from chaos.harness.observed_run import ObservedRun, content, expect, labelled
 from chaos.harness.reference import label_in_process
 from chaos.harness.scenario import RecoveryTime, ScenarioContext, expect_end, expect_no_secret, single_fault
 from mlbs_actors.messages import Array
@@ -55,15 +55,17 @@ class _CameraStream:
         door = run.status()["door"]
         rows: list[dict[str, Any]] = content(run.output / "door")["frames"]
         statuses = [row["status"] for row in rows]
-        counted = {key: statuses.count(key) for key in ("ok", "dropped", "gap")}
-        reported = {"ok": door["committed"], "dropped": door["dropped"], "gap": door["gaps"]}
+        with_labels = labelled(rows)
+        counted = {"labelled": len(with_labels)} | {key: statuses.count(key) for key in ("dropped", "gap")}
+        reported = {"labelled": door["committed"], "dropped": door["dropped"], "gap": door["gaps"]}
         expect(counted == reported, f"the rows are {counted}, the status says {reported}")
         expect(counted["gap"] == gaps, f"{counted['gap']} gaps are reported instead of {gaps}")
-        expect(door["read"] == counted["ok"] + counted["dropped"], f"{door['read']} were read, {counted}")
+        expect(
+            door["read"] == counted["labelled"] + counted["dropped"], f"{door['read']} were read, {counted}"
+        )
         times = [row["pts"] for row in rows]
         expect(times == sorted(times), "the times go back")
-        labelled = [row for row in rows if row["status"] == "ok"]
-        for row, labels in zip(labelled, label_in_process(self._given(rows)), strict=True):
+        for row, labels in zip(with_labels, label_in_process(self._given(rows)), strict=True):
             mask = np.asarray(Image.open(run.output / "door/masks" / f"{row['name']}.png"))
             expect(bool((mask == labels).all()), f"frame {row['frame']} is labelled otherwise")
 
@@ -75,7 +77,7 @@ class _CameraStream:
         for row in rows:
             if row["status"] != "gap" and last in (None, "gap"):
                 began = row["pts"]
-            if row["status"] == "ok":
+            if labelled([row]):
                 given.append(received[round((row["pts"] - began) * RATE)])
             last = row["status"]
         return given

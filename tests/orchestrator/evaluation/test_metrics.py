@@ -15,12 +15,14 @@ from orchestrator.evaluation.metrics import (
     count_overlap,
     entry_delays,
     id_switches,
+    ids_on,
     jaccard,
     match_objects,
     moving_objects,
     multi_label,
     multi_label_matlab,
     object_level,
+    track_j,
     two_label,
 )
 from orchestrator.evaluation.sequence_scorer import SequenceScorer
@@ -170,6 +172,82 @@ def test_identity_switches_compare_with_the_label_last_matched() -> None:
     # Object 1: 5, lost, 5 (no switch), 6 (one), 5 (two); object 2 keeps 9.
     labels = ["5 5 9 9", "0 0 9 9", "5 5 9 9", "6 6 9 9", "5 5 9 9"]
     assert id_switches(overlap("1 1 2 2", text) for text in labels) == 2
+
+
+def over_frames(*frames: tuple[str, str]) -> list[FrameOverlap]:
+    """Overlaps of frames given as (truth, labels)."""
+    return [overlap(truth, labels, index) for index, (truth, labels) in enumerate(frames)]
+
+
+def test_track_j_follows_one_label_through_all_frames() -> None:
+    # IoU of label 5: 1, 1/2, and 0 where 6 has taken its place; of label 6: 0, 0 (not there, 0 as well), 1.
+    frames = over_frames(("1 1 0", "5 5 0"), ("1 1 0", "5 0 0"), ("1 1 0", "6 6 0"))
+    assert track_j(frames) == pytest.approx((1 + 1 / 2 + 0) / 3)
+
+
+def test_track_j_matches_for_the_best_sum_over_the_sequence_and_not_in_each_frame() -> None:
+    # Labels 5 and 6 change places for one frame of four: each keeps its object, with 0 in that frame.
+    kept, changed = ("1 1 2 2", "5 5 6 6"), ("1 1 2 2", "6 6 5 5")
+    assert track_j(over_frames(kept, kept, changed, kept)) == pytest.approx(3 / 4)
+
+
+def test_track_j_leaves_out_frames_with_neither_and_counts_zero_where_one_is_alone() -> None:
+    both, neither = ("1 1", "5 5"), ("0 0", "0 0")
+    assert track_j(over_frames(both, neither, neither)) == 1
+    assert track_j(over_frames(both, ("1 1", "0 0"))) == 1 / 2  # the object alone
+    assert track_j(over_frames(both, ("0 0", "5 5"))) == 1 / 2  # the label alone
+
+
+def test_track_j_of_an_object_without_a_label_is_zero_and_surplus_labels_do_not_count() -> None:
+    assert track_j(over_frames(("1 1 2 2 0", "5 5 0 0 9"))) == 1 / 2
+    assert track_j(over_frames(("1 1 2 2 0", "0 0 0 0 0"))) == 0
+
+
+def test_ids_on_an_object_lie_there_with_half_of_their_pixels_in_three_frames() -> None:
+    truth = "1 1 1 1 1 2 2 0 0 0"
+    # On object 1: 5, and 6 with one of its two pixels. Not on it: 7 with one of its three, and 8, which lies
+    # there for two frames only. Object 2 has no label.
+    three, two = (truth, "5 5 0 6 7 0 0 6 7 7"), (truth, "5 5 8 6 7 0 0 6 7 7")
+    assert ids_on(over_frames(two, three, two)) == (2 + 0) / 2
+
+
+def test_figures_of_whole_sequences_leave_pixels_out_that_are_not_judged() -> None:
+    frames = over_frames(*[("1 1 255 255 255", "5 5 5 5 5")] * 3)
+    assert track_j(frames) == 1
+    assert ids_on(frames) == 1
+
+
+def test_figures_of_whole_sequences_are_unknown_without_objects() -> None:
+    assert math.isnan(track_j(over_frames(("0 0", "0 5"))))
+    assert math.isnan(ids_on(over_frames(("0 0", "0 5"))))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_figures_of_whole_sequences_equal_those_of_loops_over_masks(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = [rng.choice([0, 0, 1, 2, 4, 255], (4, 5)) * (rng.random() < 0.8) for _ in range(6)]
+    labels = [np.where(rng.random((4, 5)) < 0.6, t % 255, rng.integers(0, 4, (4, 5))) * 3 for t in truth]
+    objects = sorted(set(np.concatenate(truth).ravel().tolist()) - {0, 255})
+    ids = sorted(set(np.concatenate(labels).ravel().tolist()) - {0})
+    means: dict[tuple[int, int], float] = {}
+    on: dict[tuple[int, int], int] = {}
+    for truth_id, label in itertools.product(objects, ids):
+        ious, frames_on = [], 0
+        for true, found in zip(truth, labels, strict=True):
+            a, b = (true == truth_id)[true != 255], (found == label)[true != 255]
+            if (a | b).any():
+                ious.append((a & b).sum() / (a | b).sum())
+            frames_on += bool(b.any() and (a & b).sum() >= b.sum() / 2)
+        means[truth_id, label] = np.mean(ious) if ious else 0
+        on[truth_id, label] = frames_on
+    choices = itertools.permutations([*ids, *(None for _ in objects)], len(objects))
+    best = max(
+        sum(means[pair] for pair in zip(objects, chosen, strict=True) if pair[1] is not None)
+        for chosen in choices
+    )
+    counted = [count_overlap(found, true.astype(np.uint8)) for found, true in zip(labels, truth, strict=True)]
+    assert track_j(counted) == pytest.approx(best / len(objects))
+    assert ids_on(counted) == sum(count >= 3 for count in on.values()) / len(objects)
 
 
 def score_extra(lives: list[tuple[str, str | None]]) -> SequenceScorer:
