@@ -10,6 +10,7 @@ from typing import Any
 
 from benchmark.in_process.peers import PEERS
 from benchmark.measurements.births import measure_births
+from benchmark.measurements.capacity import measure_capacity
 from benchmark.measurements.layers import measure_layers
 from benchmark.measurements.memory import measure_memory
 from benchmark.measurements.methods import measure_methods
@@ -50,6 +51,8 @@ what can be measured (on --sequences where no scene is named):
   ray       the pipeline through Ray: rate, CPU time of all its processes, the share of Ray, start-up
   streams   1, 2, 4 and 8 streams at once through Ray, against what the cores could do
   memory    private memory of each kind of process (the driver is this program, larger than that of a run)
+  capacity  frames/s of one stream through Ray, from 640×480 to 3840×2160 with 1 to 16 objects (scene
+            steady-crowd), and how many cameras a core serves: --frames of the largest size; prints Markdown
 """
 
 METHODS = "methods"
@@ -96,6 +99,7 @@ def _measurements(peers: Sequence[str]) -> dict[str, Callable[[Settings], Measur
         "ray": measure_ray,
         "streams": measure_streams,
         "memory": measure_memory,
+        "capacity": measure_capacity,
     }
 
 

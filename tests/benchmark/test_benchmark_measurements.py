@@ -15,6 +15,7 @@ import pytest
 
 from benchmark.in_process.engine_run import EngineCall, EngineCost, play, steady_cost
 from benchmark.measurements.births import BirthCost, birth_cost, times_in_process, times_through_ray
+from benchmark.measurements.capacity import Capacity, cameras_a_core, capacity_table
 from benchmark.measurements.layers import (
     further_object_ms,
     layers_table,
@@ -182,6 +183,17 @@ def test_streams_are_held_against_cores_over_cpu_time() -> None:
     assert lines[2].split() == ["4", "15", "18", "120", "75", "%"]
 
 
+def test_a_core_serves_as_many_cameras_as_it_has_time_for_and_a_run_admits() -> None:
+    quick, slow = Capacity(80.0, 20.0, 3.0), Capacity(7.0, 250.0, 16.0)
+    assert cameras_a_core(quick, 5) == 2  # there would be time for nine
+    assert cameras_a_core(quick, 25) == pytest.approx(0.9 * 1000 / (25 * 20))
+    assert cameras_a_core(slow, 5) == pytest.approx(0.9 * 1000 / (5 * 250))
+    assert cameras_a_core(slow, 10) == 0  # one stream alone does seven frames a second
+    rows = capacity_table({"640×480": {3: quick}, "3840×2160": {16: slow}}).splitlines()
+    assert rows[2].startswith("| 640×480 | 3 | 3 | 80 | 20 | 2 | 2 | 1.8 |")
+    assert rows[3].endswith("| 16 | 16 | 7 | 250 | 0.72 | – | – |")
+
+
 def call(wall: float, *objects: set[int]) -> EngineCall:
     return EngineCall(wall, wall / 2, tuple(map(frozenset, objects)), {"cut": wall / 4})
 
@@ -319,6 +331,7 @@ with ray_settings(None) as scratch:
     from benchmark import command
     command.measure_layers = partial(command.measure_layers, objects=(1,), through_ray=(1, 4))
     command.measure_streams = partial(command.measure_streams, streams=(1,))
+    command.measure_capacity = partial(command.measure_capacity, sizes=((96, 64),), objects=(1, 3))
     command.measure_births = partial(command.measure_births, scenes=("late-entry",), size=(96, 64))
     sys.exit(command.main(sys.argv[1:], scratch))
 """
@@ -373,6 +386,16 @@ def test_streams_at_once_are_measured(tmp_path: Path) -> None:
     figures = measured("streams", tmp_path)[SMALL]
     assert figures["most_frames_a_second"] > 0
     assert figures["streams"]["1"]["frames_a_second"] > 0
+
+
+@pytest.mark.ray
+@pytest.mark.long
+def test_the_rate_of_a_stream_is_measured_by_size_and_objects(tmp_path: Path) -> None:
+    figures = measured("capacity", tmp_path)["96×64"]
+    for objects in ("1", "3"):
+        assert figures[objects]["frames_a_second"] > 0
+        assert figures[objects]["cpu_ms"] > 0
+        assert set(figures[objects]["cameras_a_core"]) == {"5", "10", "25"}
 
 
 @pytest.mark.ray
