@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import cv2
@@ -78,23 +78,13 @@ def run(pictures: Sequence[Array], config: Config, flush: bool = True) -> list[F
     return emitted + (coordinator.flush() if flush else [])
 
 
-def as_bytes(evidence: FrameEvidence) -> tuple[object, ...]:
+def as_bytes(evidence: FrameEvidence) -> dict[str, object]:
     """All that steers the rest, without the times."""
-    layers = [
-        (one.layer, one.kind, one.last_frame, one.positions.tobytes(), one.motions.tobytes())
-        for one in evidence.layers
-    ]
-    return (
-        evidence.frame_index,
-        evidence.shape,
-        evidence.camera.tobytes(),
-        evidence.flow.tobytes(),
-        evidence.flow_reliable.tobytes(),
-        evidence.unexplained.tobytes(),
-        layers,
-        evidence.retired,
-        evidence.latency_frames,
-    )
+    values = {one.name: getattr(evidence, one.name) for one in fields(evidence) if one.name != "stage_ms"}
+    return {
+        name: (value.shape, value.tobytes()) if isinstance(value, np.ndarray) else value
+        for name, value in values.items()
+    }
 
 
 def inside(positions: Array, x: float, y: float) -> Array:
