@@ -236,7 +236,7 @@ def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int, memor
     room = f"{count_of(cores(), 'core')}, {memory.available / 2**30:.1f} GiB of memory"
     _say(f"Starting Ray; {count}, up to {limit} at a time ({room}).")
     if not has_machine_code():
-        _say("This is the first run of this installation: it compiles for a minute or two, once.")
+        _say("This is the first run of this installation: it compiles for one to three minutes, once.")
     endless = sum(not spec.replayable and spec.max_frames is None for spec in due)
     if (warning := warn_of_cameras(endless, len(due), limit)) is not None:
         _say(warning)
