@@ -12,7 +12,8 @@ frames and of layer ids.
 Nor does the paper know frames that show nothing of the scene (:mod:`mlbs_actors.footage`). They are passed
 over: they carry the labels of the last picture, and the next picture is compared with that one. A frame in
 which the last picture is not found again waits for the next frame. If the last picture goes on there, the
-frame between was damaged; if the frame itself does, a new scene has begun with it.
+frame between was damaged; if the frame itself does, a new scene has begun with it. In a picture that does not
+tell the camera's motion the layers go on, but nothing is clustered.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.flow.estimate import LEAST_CELLS, FlowFunction, Picture, estimate_flow, picture_of
 from mlbs_actors.flow.focus import focus_blocks, focus_boxes
 from mlbs_actors.footage.continuation import continuation
-from mlbs_actors.footage.continuity import LEAST_FOUND, found_again, is_torn, rows_astray
+from mlbs_actors.footage.continuity import LEAST_FOUND, found_again, is_torn, rows_astray, tells_motion
 from mlbs_actors.footage.fixed import FixedState
 from mlbs_actors.footage.light import colour_samples, unchanged
 from mlbs_actors.footage.pictures import is_blank, repeats
@@ -96,6 +97,8 @@ class _Match:
     gray : (h, w) uint8
         The last picture, as the flow sees it, in the new light.
     astray : (rows,) float32
+    told : bool
+        Whether it tells the camera's motion.
     """
 
     status: FrameStatus
@@ -104,6 +107,7 @@ class _Match:
     light: Array
     gray: Array
     astray: Array
+    told: bool
 
 
 class Coordinator:
@@ -264,7 +268,7 @@ class Coordinator:
         side = cell_side(state.shape, config.grid.cell_px)
         flow, light, gray = None, unchanged(), state.picture.gray
         status: FrameStatus = "ok"
-        astray = np.zeros(0, np.float32)
+        astray, told = np.zeros(0, np.float32), True
         if state.pictures and min(picture.gray.shape) >= LEAST_CELLS:
             boxes = focus_boxes(state.focus, picture.gray.shape, config.flow) if state.focus.size else None
 
@@ -275,9 +279,10 @@ class Coordinator:
                 goes_on = continuation(state.picture, state.colours, picture, new.frame, search)
             flow, light, gray = goes_on.flow, goes_on.light, goes_on.gray
             if not goes_on.found:
-                return _Match("damaged", None, None, light, gray, astray)
+                return _Match("damaged", None, None, light, gray, astray, False)
             if goes_on.glaring and not lasting:
-                return _Match("flash", flow, None, light, gray, astray)
+                return _Match("flash", flow, None, light, gray, astray, False)
+            told = tells_motion(flow, gray, picture.gray)
         with _timed(stage_ms, "tracking"):
             known = state.labels == BACKGROUND if state.clustered else np.ones(len(state.labels), bool)
             fixed = state.fixed if state.pictures else FixedState.beginning(picture.gray, self.ignored)
@@ -286,7 +291,7 @@ class Coordinator:
                 astray = rows_astray(flow, tracked.camera, length_scale(*state.shape))
                 if not state.unsettled and is_torn(astray, state.astray):
                     status = "damaged"
-        return _Match(status, flow, tracked, light, gray, astray)
+        return _Match(status, flow, tracked, light, gray, astray, told)
 
     def _begins(self, unsettled: UnsettledFrame, picture: Picture) -> bool:
         """Whether a frame in which the last picture was not found goes on in the next one: a new scene."""
@@ -321,7 +326,7 @@ class Coordinator:
                 state.held[first], flow, match.gray, picture.gray, camera, config.trajectories
             )
             state.held = (*state.held[:first], known, *state.held[first + 1 :])
-        status: FrameStatus = "ok"
+        status: FrameStatus = "ok" if match.told else "untracked"
         if state.pictures == 0:
             status = "cut" if state.cut else "ok"
             state.epoch = frame_index
@@ -329,7 +334,11 @@ class Coordinator:
         state.picture, state.colours, state.astray = picture, colour_samples(frame, side), match.astray
         state.fixed = tracked.fixed
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
-        if self._clustering_due(frame_index):
+        if not match.told and self._clustering_due(frame_index) and not state.clustered:
+            # Nothing is known of what moves: all is background until the camera's motion is told.
+            state.labels, state.clustered = np.full(len(trajectories), BACKGROUND, np.int64), True
+            state.held = relabelled(state.held, trajectories, state.labels)
+        if match.told and self._clustering_due(frame_index):
             self._cluster(frame, frame_index, feedback, stage_ms)
         elif state.clustered:
             published = _published(feedback)

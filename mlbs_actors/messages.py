@@ -47,11 +47,12 @@ __all__ = [
 Array = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 LayerKind = Literal["background", "object", "other"]
 
-#: What a frame with a label map shows: the scene, or the first picture of another one (``"cut"``). The
+#: What a frame with a label map shows: the scene, the first picture of another one (``"cut"``), or too little
+#: to tell the camera's motion (``"untracked"``): layers go on there, but none begins. The
 #: others are no picture of it: they are of one brightness, repeat the last picture, are lit up for a moment,
 #: or do not fit between the pictures before and after. They carry the labels of the last picture, and nothing
 #: is learnt from them.
-FrameStatus = Literal["ok", "cut", "blank", "repeated", "flash", "damaged"]
+FrameStatus = Literal["ok", "cut", "untracked", "blank", "repeated", "flash", "damaged"]
 
 #: Those from which nothing is learnt.
 NO_PICTURE: frozenset[FrameStatus] = frozenset(("blank", "repeated", "flash", "damaged"))

@@ -5,6 +5,9 @@ alike: across the cuts of the data that the method is measured on, the share of 
 the textured places that correlate is 0–0.06, elsewhere at least 0.19. That serves better than histograms or
 differences, which fast pans, close passers-by and changes of light move as cuts do.
 
+By the same measures the camera's motion cannot be told where next to nothing is both confirmed and alike: the
+noise of a smooth picture is found nowhere again, and waves are, but each by itself.
+
 A torn picture is found by its rows: a band across the whole width that, all at once, no longer moves as the
 rest does.
 """
@@ -18,12 +21,23 @@ from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.camera import homography_motion
 
-__all__ = ["LEAST_FOUND", "SURELY_ALIKE", "correlated", "found_again", "is_torn", "rows_astray"]
+__all__ = [
+    "LEAST_FOUND",
+    "SURELY_ALIKE",
+    "correlated",
+    "found_again",
+    "is_torn",
+    "rows_astray",
+    "tells_motion",
+]
 
 #: Where so much is alike, a closer look is not needed.
 SURELY_ALIKE = 0.75
 #: Least product of the shares of confirmed flow and of correlated places.
 LEAST_FOUND = 0.1
+#: Least share of the frame in which both directions agree and lead to the like, for the camera's motion to be
+#: told: seas, skies and walls have at most 0.06, also with something that moves in front, real scenes 0.22.
+LEAST_TOLD = 0.12
 #: Side of the windows that are correlated, and from one looked-at cell to the next, cells.
 WINDOW, WINDOW_STEP = 10, 2
 #: A textured window's least variance, grey levels²; the least correlation of two that are alike; and the
@@ -63,6 +77,29 @@ def correlated(flow: DenseFlow, before: Array, gray: Array) -> float:
 
     The correlation does not depend on the light. Parameters as of :func:`found_again`.
     """
+    correlation, variance = _correlation(flow, before, gray)
+    textured = variance > TEXTURE
+    if textured.mean() < LEAST_TEXTURED:
+        return 1.0
+    return float((correlation[textured] > ALIKE).mean())
+
+
+def tells_motion(flow: DenseFlow, before: Array, gray: Array) -> bool:
+    """Whether enough is found again in the next picture to tell the camera's motion.
+
+    Faint structure counts as well, for fog hides little of the motion. Parameters as of :func:`found_again`,
+    but one direction of the flow may be the other turned around.
+    """
+    correlation, _ = _correlation(flow, before, gray)
+    confirmed = _windows(flow.backward_reliable[::WINDOW_STEP, ::WINDOW_STEP].astype(np.float32)) > 0.5
+    return float((confirmed & (correlation > ALIKE)).mean()) >= LEAST_TOLD
+
+
+def _correlation(flow: DenseFlow, before: Array, gray: Array) -> tuple[Array, Array]:
+    """Correlation of the windows along the flow, and the larger variance of each two, grey levels².
+
+    Both are 0 where the flow leads out of the picture.
+    """
     height, width = gray.shape
     ys, xs = np.mgrid[0:height:WINDOW_STEP, 0:width:WINDOW_STEP].astype(np.float32)
     moved = flow.backward[::WINDOW_STEP, ::WINDOW_STEP] / np.float32(flow.side)
@@ -74,10 +111,7 @@ def correlated(flow: DenseFlow, before: Array, gray: Array) -> float:
     var_old = np.maximum(_windows(old * old) - mean_old * mean_old, 1e-3)
     var_new = np.maximum(_windows(new * new) - mean_new * mean_new, 1e-3)
     correlation = (_windows(old * new) - mean_old * mean_new) / np.sqrt(var_old * var_new)
-    textured = inside & (np.maximum(var_old, var_new) > TEXTURE)
-    if textured.mean() < LEAST_TEXTURED:
-        return 1.0
-    return float((correlation[textured] > ALIKE).mean())
+    return inside * correlation, inside * np.maximum(var_old, var_new)
 
 
 def _windows(values: Array) -> Array:

@@ -36,7 +36,7 @@ LEAST_QUANTILES, LEAST_PLACES, LEAST_SPREAD = 5, 64, 4.0
 LEAST_CHANGE = 3.0
 #: It must leave at most this share of the differences between matched values, or it is none: where motion
 #: blurs a picture, its quantiles move, but no new light explains them.
-MOST_LEFT = 0.6
+MOST_LEFT = 0.85
 #: Share of the values that a new light cuts off above which what was seen before is lost for the most part.
 MOST_CUT_OFF = 0.05
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
+import cv2
 import numpy as np
 import pytest
 
@@ -166,6 +167,75 @@ def test_only_blank_frames_give_empty_label_maps() -> None:
     for result in labelled([np.zeros((96, 128, 3), np.uint8)] * 8):
         assert result.status == "blank"
         assert not result.labels.any()
+
+
+def texture(rng: np.random.Generator, height: int, width: int, contrast: float) -> Array:
+    fine = cv2.GaussianBlur(rng.normal(0, 1, (height, width, 3)), (0, 0), 2.0)
+    return np.asarray(contrast * fine / fine.std())
+
+
+def noisy(picture: Array, rng: np.random.Generator, noise: float = 2.0) -> Array:
+    return np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8)
+
+
+def sky(frames: int) -> list[Array]:
+    rng, (y, x) = np.random.default_rng(5), np.mgrid[0:240, 0:320]
+    shades = [150 + 0.2 * y + 20 * np.sin((x + 2 * index) / 160) for index in range(frames)]
+    return [noisy(np.stack([shade] * 3, axis=-1), rng) for shade in shades]
+
+
+def sea(frames: int) -> list[Array]:
+    rng, result = np.random.default_rng(6), []
+    waves = texture(rng, 240, 320, 18)
+    for _ in range(frames):
+        waves = 0.75 * waves + 0.66 * texture(rng, 240, 320, 18)
+        result.append(noisy(np.array([120, 90, 60]) + waves.mean(axis=2, keepdims=True), rng))
+    return result
+
+
+def night(frames: int) -> list[Array]:
+    rng = np.random.default_rng(7)
+    lights = rng.uniform((10, 10), (380, 230), (20, 2))
+    result = []
+    for index in range(frames):
+        picture = np.full((240, 320, 3), 6.0)
+        for x, y in lights:
+            cv2.circle(picture, (round(x - 2 * index), round(y)), 4, (200, 220, 240), -1)
+        result.append(noisy(picture, rng, 4.0))
+    return result
+
+
+@pytest.mark.parametrize("without_corners", [sky, sea, night])
+def test_where_the_motion_of_the_camera_cannot_be_told_the_row_says_so_and_nothing_is_born(
+    without_corners: Callable[[int], list[Array]],
+) -> None:
+    results = labelled(without_corners(16))
+    assert {result.status for result in results[1:]} == {"untracked"}
+    assert not any(result.labels.any() for result in results)
+
+
+def test_an_object_goes_on_before_a_sky_and_behind_it_the_camera_is_tracked_again() -> None:
+    rng = np.random.default_rng(8)
+    frames, step, edges = 80, 10, (340, 760)
+    width = 320 + step * frames
+    clear = np.clip((np.arange(width) - edges[0]) / 60, 0, 1) * np.clip(
+        (edges[1] - np.arange(width)) / 60, 0, 1
+    )
+    ground = 120 + (1 - clear[None, :, None]) * texture(rng, 240, width, 35)
+    patch = 120 + texture(rng, 40, 60, 45)
+    pictures = []
+    for index in range(frames):
+        picture = ground[:, step * index : step * index + 320].copy()
+        x, y = round(100 + 40 * np.sin(index / 6)), round(100 + 20 * np.cos(index / 9))
+        picture[y : y + 40, x : x + 60] = patch
+        pictures.append(noisy(picture, rng))
+    results = labelled(pictures)
+    untracked = [result.frame_index for result in results if result.status == "untracked"]
+    # Where hardly anything but the sky is seen, and not where much of the ground is.
+    assert set(range(38, 42)) <= set(untracked) <= set(range(30, 50))
+    assert {result.status for result in results} == {"ok", "untracked"}
+    (thing,) = {one.layer for result in results[30:] for one in result.layers if one.layer}
+    assert all((result.labels == thing).mean() > 0.02 for result in results[30:])
 
 
 def test_a_picture_is_blank_only_if_nearly_all_of_it_is_alike() -> None:
