@@ -58,5 +58,5 @@ def test_small_things_in_a_large_picture_are_found() -> None:
         frame = np.clip(frame + generator.normal(0, 1.5, frame.shape), 0, 255).astype(np.uint8)
         for result in subtractor.apply(frame):
             on_it = result.labels[500:532, at : at + 56] > 0
-            found += on_it.mean() > 0.8 and (result.labels > 0).sum() < 1.2 * on_it.size
+            found += bool(on_it.mean() > 0.8 and (result.labels > 0).sum() < 1.2 * on_it.size)
     assert found > frames // 2
