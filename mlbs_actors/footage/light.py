@@ -2,8 +2,9 @@
 
 Each channel is taken to have changed by a gain and an offset, cut off at 0 and 255: automatic exposure and
 white balance, clouds, flicker. They are fitted to the same places of the scene in both pictures, as the flow
-finds them: to quantiles, which neither noise nor a moving object bends, and which do not flatten the gain as
-a regression on noisy values does.
+finds them. A gain alone is the median of the ratios, which neither noise, nor a moving object, nor motion blur
+bends, so that it tells a change of 2 % a frame. Where a gain and an offset leave much less, they are fitted to
+quantiles, which do not flatten the gain as a regression on noisy values does, but move with motion blur.
 """
 
 from __future__ import annotations
@@ -30,13 +31,16 @@ STEP = 6
 QUANTILES = np.linspace(0.05, 0.95, 19)
 #: Levels that may be cut off say nothing of the gain.
 DARKEST, BRIGHTEST = 3, 252
+#: How far from there noise brings no value, grey levels.
+MARGIN = 12
 #: Least number of quantiles and of places for a fit, and least spread for a gain, grey levels.
 LEAST_QUANTILES, LEAST_PLACES, LEAST_SPREAD = 5, 64, 4.0
-#: A smaller change is none: what noise and new things at the border make of it, grey levels.
+#: A smaller gain of every channel, as a logarithm, is none.
+LEAST_GAIN = 0.015
+#: Below this difference between matched values there is no offset: noise, new things at the border, grey levels.
 LEAST_CHANGE = 3.0
-#: It must leave at most this share of the differences between matched values, or it is none: where motion
-#: blurs a picture, its quantiles move, but no new light explains them.
-MOST_LEFT = 0.85
+#: A gain and an offset must leave at most this share of what differs without an offset.
+MOST_LEFT = 0.6
 #: Share of the values that a new light cuts off above which what was seen before is lost for the most part.
 MOST_CUT_OFF = 0.05
 
@@ -99,16 +103,43 @@ def light_change(before: Array, after: Array) -> Array:
     (c, 256) uint8
         What each value of each channel has become; (0, 256) if the light is the same.
     """
-    if len(before) < LEAST_PLACES or (without := _difference(before, after)) < LEAST_CHANGE:
+    if len(before) < LEAST_PLACES:
         return unchanged()
-    old, new = _quantiles(before), _quantiles(after)
-    levels, tables = np.arange(256, dtype=np.float64), []
-    for channel in range(before.shape[1]):
-        gain, offset = _fitted(old[:, channel], new[:, channel])
-        tables.append(np.clip(np.rint(gain * levels + offset), 0, 255).astype(np.uint8))
-    change = np.stack(tables)
-    left = _difference(relit(before, change), after)
-    return change if left <= MOST_LEFT * without else unchanged()
+    gains = [_gain(old, new) for old, new in zip(before.T, after.T, strict=True)]
+    change, left = unchanged(), _difference(before, after)
+    if np.abs(np.log(gains)).max() >= LEAST_GAIN:
+        change = _table([(gain, 0.0) for gain in gains])
+        left = _difference(relit(before, change), after)
+    if left >= LEAST_CHANGE:
+        old, new = _quantiles(before).T, _quantiles(after).T
+        offset_too = _table([_gain_and_offset(*channel) for channel in zip(old, new, strict=True)])
+        if _difference(relit(before, offset_too), after) <= MOST_LEFT * left:
+            return offset_too
+    return change
+
+
+def _gain(old: Array, new: Array) -> float:
+    """By what a channel is multiplied: the median of the ratios of values that are not cut off.
+
+    The second time those are told by the first gain and the mean of both pictures: of values near the end of the
+    range, a bound on one picture would leave those that noise has darkened there.
+    """
+    ratios = new / np.maximum(old, 1).astype(np.float64)
+    mean, gain = np.sqrt(old * new.astype(np.float64)), 1.0
+    for _ in range(2):
+        whole = (mean > DARKEST) & (mean * np.sqrt(max(gain, 1.0 / gain)) < BRIGHTEST - MARGIN)
+        if whole.sum() < LEAST_PLACES:
+            break
+        gain = float(np.median(ratios[whole]))
+    return gain
+
+
+def _table(channels: list[tuple[float, float]]) -> Array:
+    """What each value becomes by each channel's gain and offset, (c, 256) uint8."""
+    levels = np.arange(256, dtype=np.float64)
+    return np.stack(
+        [np.clip(np.rint(gain * levels + offset), 0, 255).astype(np.uint8) for gain, offset in channels]
+    )
 
 
 def _difference(before: Array, after: Array) -> float:
@@ -165,7 +196,7 @@ def _quantiles(values: Array) -> Array:
     return np.sort(values, axis=0)[places].astype(np.float64)
 
 
-def _fitted(old: Array, new: Array) -> tuple[float, float]:
+def _gain_and_offset(old: Array, new: Array) -> tuple[float, float]:
     """Gain and offset between quantiles of a channel."""
     whole = (old > DARKEST) & (old < BRIGHTEST) & (new > DARKEST) & (new < BRIGHTEST)
     if whole.sum() < LEAST_QUANTILES:

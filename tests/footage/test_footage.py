@@ -266,6 +266,18 @@ def test_the_change_of_light_is_that_of_matched_colours(gain: float, offset: flo
     assert np.abs(relit(levels, light_change(before, after)) - expected).max() < 5.0
 
 
+@pytest.mark.parametrize("gain", [1.03, 1 / 1.03])
+def test_a_small_gain_is_told_where_much_is_cut_off_and_motion_blurs(gain: float) -> None:
+    rng = np.random.default_rng(3)
+    scene = rng.uniform(60, 330, (2000, 3))
+    before = np.clip(scene + rng.normal(0, 4, scene.shape), 0, 255).astype(np.uint8)
+    blurred = 0.9 * scene + 0.1 * scene.mean()
+    after = np.clip(gain * blurred + rng.normal(0, 4, scene.shape), 0, 255).astype(np.uint8)
+    change = light_change(before, after)
+    assert change.size
+    np.testing.assert_allclose(change[:, 200] / 200, gain, atol=0.012)
+
+
 def test_noise_and_moving_things_are_no_change_of_light() -> None:
     rng = np.random.default_rng(2)
     before = rng.integers(20, 230, (2000, 3)).astype(np.uint8)
