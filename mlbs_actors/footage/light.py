@@ -2,9 +2,10 @@
 
 Each channel is taken to have changed by a gain and an offset, cut off at 0 and 255: automatic exposure and
 white balance, clouds, flicker. They are fitted to the same places of the scene in both pictures, as the flow
-finds them. A gain alone is the median of the ratios, which neither noise, nor a moving object, nor motion blur
-bends, so that it tells a change of 2 % a frame. Where a gain and an offset leave much less, they are fitted to
-quantiles, which do not flatten the gain as a regression on noisy values does, but move with motion blur.
+finds them. A gain alone is the median of the ratios, which neither noise, nor a moving object, nor motion
+blur bends, so that it tells a change of 2 % a frame. Where a gain and an offset leave much less, they are
+fitted to quantiles, which do not flatten the gain as a regression on noisy values does, but move with motion
+blur.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ MARGIN = 12
 LEAST_QUANTILES, LEAST_PLACES, LEAST_SPREAD = 5, 64, 4.0
 #: A smaller gain of every channel, as a logarithm, is none.
 LEAST_GAIN = 0.015
-#: Below this difference between matched values there is no offset: noise, new things at the border, grey levels.
+#: A smaller difference between matched values is noise, and no offset, grey levels.
 LEAST_CHANGE = 3.0
 #: A gain and an offset must leave at most this share of what differs without an offset.
 MOST_LEFT = 0.6
@@ -121,8 +122,8 @@ def light_change(before: Array, after: Array) -> Array:
 def _gain(old: Array, new: Array) -> float:
     """By what a channel is multiplied: the median of the ratios of values that are not cut off.
 
-    The second time those are told by the first gain and the mean of both pictures: of values near the end of the
-    range, a bound on one picture would leave those that noise has darkened there.
+    The second time those are told by the first gain and the mean of both pictures: of values near the end of
+    the range, a bound on one picture would leave those that noise has darkened there.
     """
     ratios = new / np.maximum(old, 1).astype(np.float64)
     mean, gain = np.sqrt(old * new.astype(np.float64)), 1.0
