@@ -246,6 +246,18 @@ class LayersConfig(_Section):
     camera_relative: float = Field(
         0.06, ge=0, description="... and at least this share of the camera's own motion."
     )
+    scene_frames: int = Field(
+        4, ge=1, description="Frames over which depth alone may explain a label's motion."
+    )
+    scene_border: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="A young label is background if this share of its outline is the frame's border ...",
+    )
+    scene_obeying: float = Field(
+        0.75, ge=0, le=1, description="... and depth alone explains this share of it and of the background."
+    )
     same_motion_distance: float = Field(
         2.5, ge=0, description="Objects of any age below it at that quantile are one."
     )

@@ -31,6 +31,7 @@ from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
 from mlbs_actors.clustering.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.clustering.motion_merging import merge_by_motion
 from mlbs_actors.clustering.reidentification import colours_at
+from mlbs_actors.clustering.rigid_scene import Places, parts_of_scene
 from mlbs_actors.clustering.splitting import (
     background_first,
     bled_trajectories,
@@ -334,6 +335,8 @@ class Coordinator:
         state.picture, state.colours, state.astray = picture, colour_samples(frame, side), match.astray
         state.fixed = tracked.fixed
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
+        newest = Places(trajectories.ids, trajectories.positions)
+        state.places = (newest, *state.places)[: config.layers.scene_frames + 1]
         if not match.told and self._clustering_due(frame_index) and not state.clustered:
             # Nothing is known of what moves: all is background until the camera's motion is told.
             state.labels, state.clustered = np.full(len(trajectories), BACKGROUND, np.int64), True
@@ -463,6 +466,10 @@ class Coordinator:
             least = least_object_speed(state.trajectories, labels, speeds, config.layers, scale)
             registry.judge(speeds, least)
             ages = registry.ages(frame_index)
+            parts = registry.parts() | {new for new, origin in origins.items() if origin > BACKGROUND}
+            young = {one for one in speeds if ages.get(one, 0) < config.layers.young_frames} - parts
+            static = parts_of_scene(state.places, labels, young, state.shape, config.layers)
+            speeds |= dict.fromkeys(static, 0.0)
             split = labels
             labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)
             gone = set(speeds) - distinct_labels(labels)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.clustering.layer_registry import RegistryState
+from mlbs_actors.clustering.rigid_scene import Places
 from mlbs_actors.config import Config
 from mlbs_actors.flow.estimate import Picture
 from mlbs_actors.footage.fixed import FixedState
@@ -88,6 +89,8 @@ class CoordinatorState:
     trajectories : TrajectoryState
     labels : (n,) int64
         Label of each live trajectory after the last frame.
+    places : tuple of Places
+        Where the trajectories were in the last pictures, newest first.
     spreads : (T,) float64
         Noise scale of the last frames' displacements, newest first, px.
     registry : RegistryState
@@ -113,6 +116,7 @@ class CoordinatorState:
     focus: Array
     trajectories: TrajectoryState
     labels: Array
+    places: tuple[Places, ...]
     spreads: Array
     registry: RegistryState
     clustered: bool
@@ -137,6 +141,7 @@ class CoordinatorState:
             focus=np.zeros((0, 0), bool),
             trajectories=empty_trajectories(config.trajectories),
             labels=np.zeros(0, np.int64),
+            places=(),
             spreads=np.zeros(0),
             registry=RegistryState.empty(),
             clustered=False,

@@ -163,6 +163,10 @@ class LayerRegistry:
         known = {int(label): int(age) for label, age in zip(state.labels, ages, strict=True)}
         return {**known, BACKGROUND: np.iinfo(np.int64).max}
 
+    def parts(self) -> set[int]:
+        """Return the labels that were split off an object."""
+        return set(self.state.labels[self.state.origins != UNLABELLED].tolist())
+
     def live_layers(self, frame_index: int) -> tuple[int, ...]:
         """Return layer ids awake at the newest frame or a held one, without the background; ascending."""
         state = self.state

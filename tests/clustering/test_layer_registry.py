@@ -136,6 +136,7 @@ def test_what_falls_off_a_part_belongs_to_the_same_object() -> None:
     stream.see({"man": Thing(), "arm": Thing(part_of="man")})
     stream.see({"man": Thing(), "arm": Thing(), "hand": Thing(part_of="arm")})
     assert stream.layer_of("hand") == 1
+    assert stream.registry.parts() == {stream.labels["arm"], stream.labels["hand"]}
 
 
 def test_a_part_that_is_all_that_is_left_of_its_object_is_that_object() -> None:

@@ -1,0 +1,78 @@
+"""Near parts of a static scene, which reach the frame's border, are told from objects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mlbs_actors.clustering.rigid_scene import FOCAL, Places, border_share, obeying_shares, parts_of_scene
+from mlbs_actors.config import LayersConfig
+from mlbs_actors.messages import Array
+
+SHAPE = (480, 640)
+#: What the camera does between the two pictures, in units of the scene.
+SIDEWAYS, FORWARDS = np.array([0.3, 0.05, 0.02]), np.array([0.05, 0.0, 0.4])
+
+
+def seen(points: Array, camera: Array) -> Array:
+    """Where points (n, 3) of the scene are in the picture, px, (n, 2) float32."""
+    there = points - camera
+    centre = np.array([SHAPE[1] / 2, SHAPE[0] / 2])
+    return np.asarray(FOCAL * max(SHAPE) * there[:, :2] / there[:, 2:] + centre, np.float32)
+
+
+def scene(near: tuple[slice, slice], motion: Array, camera: Array) -> tuple[list[Places], Array]:
+    """A background of some depths, and something near, labelled 1, that moves itself by ``motion``."""
+    y, x = (one.reshape(-1) for one in np.mgrid[8 : SHAPE[0] : 16, 8 : SHAPE[1] : 16])
+    labels = np.zeros(len(x), np.int64)
+    inside = np.zeros(SHAPE, bool)
+    inside[near] = True
+    labels[inside[y, x]] = 1
+    generator = np.random.default_rng(1)
+    depth = np.where(labels == 1, 4.0, 12.0) + generator.uniform(0.0, 3.0, len(x))
+    rays = np.stack([x - SHAPE[1] / 2, y - SHAPE[0] / 2], axis=1) / (FOCAL * max(SHAPE))
+    points = np.concatenate([rays * depth[:, None], depth[:, None]], axis=1)
+    now, before = seen(points, np.zeros(3)), seen(points - (labels == 1)[:, None] * motion, -camera)
+    ids = np.arange(len(x))
+    noise = generator.normal(0, 0.1, before.shape).astype(np.float32)
+    return [Places(ids, now), Places(ids[5:], (before + noise)[5:])], labels
+
+
+LEFT, MIDDLE = (slice(0, 480), slice(0, 200)), (slice(150, 330), slice(200, 420))
+STILL, ITSELF = np.zeros(3), np.array([0.0, 0.4, 0.1])
+
+
+def test_the_outline_of_what_reaches_out_of_the_frame_is_partly_the_border() -> None:
+    places, labels = scene(LEFT, STILL, SIDEWAYS)
+    assert border_share(places[0].positions[labels == 1], SHAPE) == pytest.approx(0.6, abs=0.15)
+    places, labels = scene(MIDDLE, STILL, SIDEWAYS)
+    assert border_share(places[0].positions[labels == 1], SHAPE) == 0.0
+    assert border_share(np.zeros((2, 2), np.float32), SHAPE) == 0.0
+
+
+@pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
+def test_one_rigid_scene_holds_what_is_static_and_not_what_moves_itself(camera: Array) -> None:
+    places, labels = scene(LEFT, STILL, camera)
+    assert obeying_shares(places[1], places[0], labels, [1], SHAPE)[1] > 0.95
+    places, labels = scene(LEFT, ITSELF, camera)
+    assert obeying_shares(places[1], places[0], labels, [1], SHAPE)[1] < 0.5
+
+
+@pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
+def test_a_near_part_of_the_scene_is_background_and_an_object_is_not(camera: Array) -> None:
+    config = LayersConfig()
+    for near, motion, young, static in (
+        (LEFT, STILL, {0, 1}, [1]),
+        (LEFT, STILL, {0}, []),
+        (LEFT, ITSELF, {0, 1}, []),
+        (MIDDLE, STILL, {0, 1}, []),  # surrounded by the background: depth alone would explain too much
+    ):
+        places, labels = scene(near, motion, camera)
+        assert parts_of_scene(places, labels, young, SHAPE, config) == static
+
+
+def test_without_a_background_nothing_contradicts_the_scene() -> None:
+    places, labels = scene(LEFT, ITSELF, SIDEWAYS)
+    labels[labels == 0] = 2
+    assert obeying_shares(places[1], places[0], labels, [1], SHAPE) == {}
+    assert parts_of_scene(places, labels, {1}, SHAPE, LayersConfig()) == [1]
