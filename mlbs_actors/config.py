@@ -249,14 +249,17 @@ class LayersConfig(_Section):
     scene_frames: int = Field(
         4, ge=1, description="Frames over which depth alone may explain a label's motion."
     )
+    scene_area: float = Field(
+        0.05, ge=0, le=1, description="A young label of at least this share of the frame is background ..."
+    )
     scene_border: float = Field(
-        0.2,
-        ge=0,
-        le=1,
-        description="A young label is background if this share of its outline is the frame's border ...",
+        0.2, ge=0, le=1, description="... if this share of its outline is the frame's border ..."
     )
     scene_obeying: float = Field(
         0.75, ge=0, le=1, description="... and depth alone explains this share of it and of the background."
+    )
+    scene_contradicted: float = Field(
+        0.25, ge=0, le=1, description="If depth explains less of it, and the background, it moves by itself."
     )
     same_motion_distance: float = Field(
         2.5, ge=0, description="Objects of any age below it at that quantile are one."

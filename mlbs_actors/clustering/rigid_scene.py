@@ -5,8 +5,9 @@ camera's motion here, and what is nearer than the plane that it describes moves 
 the near bank of a river. Over some frames one essential matrix explains such a part and the background
 together, with a depth for each point. It explains an object as well if that moves evenly before a plane, so
 that alone refuses too much. But an object is mostly surrounded by the background, while near parts of the
-scene reach out of the frame. So a young label of whose outline a part is the frame's border is background,
-unless the matrix fails for it or for the background.
+scene reach out of the frame. So a large young label of whose outline a part is the frame's border is
+background, unless the matrix fails for it or for the background. A young label for which it fails, and not
+for the background, moves by itself, even if it is slower than the background's own parallax.
 
 The focal length is taken to be ``FOCAL`` of the longer side: between 0.7 and 1.8 the outcome is much the
 same.
@@ -24,7 +25,7 @@ from mlbs_actors.config import LayersConfig, length_scale
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.tracking.trajectories import evenly_spread
 
-__all__ = ["Places", "border_share", "obeying_shares", "parts_of_scene"]
+__all__ = ["Places", "border_share", "contradicting", "obeying_shares", "parts_of_scene"]
 
 #: Focal length, × the longer side of the frame.
 FOCAL = 1.1
@@ -83,13 +84,51 @@ def parts_of_scene(
     """
     at_border = [
         label
-        for label in sorted(set(young) - {BACKGROUND})
-        if border_share(places[0].positions[labels == label], shape) > config.scene_border
+        for label in sorted(young)
+        if _area_share(places[0].positions, labels == label, shape) >= config.scene_area
+        and border_share(places[0].positions[labels == label], shape) > config.scene_border
     ]
     if not at_border:
         return []
     shares = obeying_shares(places[-1], places[0], labels, at_border, shape)
-    return [label for label in at_border if shares.get(label, 1.0) >= config.scene_obeying]
+    return [label for label in at_border if min(shares.get(label, (1.0, 1.0))) >= config.scene_obeying]
+
+
+def contradicting(
+    places: Sequence[Places],
+    labels: Array,
+    slow: Collection[int],
+    shape: tuple[int, int],
+    config: LayersConfig,
+) -> list[int]:
+    """Find labels that no depth explains, while one rigid scene holds the background.
+
+    Parameters
+    ----------
+    places, labels, shape
+        As of :func:`parts_of_scene`.
+    slow : collection of int
+        Labels to judge.
+
+    Returns
+    -------
+    list of int
+        Ascending.
+    """
+    if not slow:
+        return []
+    shares = obeying_shares(places[-1], places[0], labels, sorted(slow), shape)
+    return [
+        label
+        for label, (own, background) in shares.items()
+        if own < config.scene_contradicted and background >= config.scene_obeying
+    ]
+
+
+def _area_share(positions: Array, own: Array, shape: tuple[int, int]) -> float:
+    """Share of the frame's squares that hold trajectories of a label."""
+    side = SQUARE_PX * length_scale(*shape)
+    return len(evenly_spread(positions, own, side)) * side**2 / (shape[0] * shape[1])
 
 
 def border_share(positions: Array, shape: tuple[int, int]) -> float:
@@ -124,7 +163,7 @@ def border_share(positions: Array, shape: tuple[int, int]) -> float:
 
 def obeying_shares(
     before: Places, now: Places, labels: Array, wanted: list[int], shape: tuple[int, int]
-) -> dict[int, float]:
+) -> dict[int, tuple[float, float]]:
     """Tell how well one rigid scene holds the background and a label.
 
     Parameters
@@ -140,9 +179,9 @@ def obeying_shares(
 
     Returns
     -------
-    dict of int to float
-        Label → the share of its trajectories, or of the background's if that is less, that obey the essential
-        matrix of both; without the labels that cannot be judged.
+    dict of int to (float, float)
+        Label → the shares of its trajectories and of the background's that obey the essential matrix of both;
+        without the labels that cannot be judged.
     """
     _, at, there = np.intersect1d(now.ids, before.ids, assume_unique=True, return_indices=True)
     scale, focal = length_scale(*shape), FOCAL * max(shape)
@@ -160,7 +199,7 @@ def obeying_shares(
         chosen = np.concatenate((background, evenly_spread(positions, own, SPACING_PX * scale)))
         obeys = _obeying(ends, starts, chosen, camera, scale)
         if obeys is not None:
-            shares[label] = float(min(obeys[own].mean(), obeys[background].mean()))
+            shares[label] = float(obeys[own].mean()), float(obeys[background].mean())
     return shares
 
 

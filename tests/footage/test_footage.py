@@ -267,11 +267,14 @@ def test_the_change_of_light_is_that_of_matched_colours(gain: float, offset: flo
 
 
 @pytest.mark.parametrize("gain", [1.03, 1 / 1.03])
-def test_a_small_gain_is_told_where_much_is_cut_off_and_motion_blurs(gain: float) -> None:
+@pytest.mark.parametrize(("brightest", "sharpness"), [(330, 1.0), (230, 0.9)])
+def test_a_small_gain_of_the_light_is_told_where_much_is_cut_off_and_in_motion_blur(
+    gain: float, brightest: float, sharpness: float
+) -> None:
     rng = np.random.default_rng(3)
-    scene = rng.uniform(60, 330, (2000, 3))
+    scene = rng.uniform(60, brightest, (2000, 3))
     before = np.clip(scene + rng.normal(0, 4, scene.shape), 0, 255).astype(np.uint8)
-    blurred = 0.9 * scene + 0.1 * scene.mean()
+    blurred = scene.mean() + sharpness * (scene - scene.mean())
     after = np.clip(gain * blurred + rng.normal(0, 4, scene.shape), 0, 255).astype(np.uint8)
     change = light_change(before, after)
     assert change.size
