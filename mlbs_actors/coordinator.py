@@ -31,7 +31,7 @@ from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
 from mlbs_actors.clustering.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.clustering.motion_merging import merge_by_motion
 from mlbs_actors.clustering.reidentification import colours_at
-from mlbs_actors.clustering.rigid_scene import Places, contradicting, parts_of_scene
+from mlbs_actors.clustering.rigid_scene import Places, judge_by_depth
 from mlbs_actors.clustering.splitting import (
     background_first,
     bled_trajectories,
@@ -470,8 +470,7 @@ class Coordinator:
             young = {one for one in speeds if ages.get(one, 0) < config.layers.young_frames}
             young -= parts | {BACKGROUND}
             slow = {one for one in young if speeds[one] < least}
-            static = parts_of_scene(state.places, labels, young, state.shape, config.layers)
-            moving = contradicting(state.places, labels, slow, state.shape, config.layers)
+            static, moving = judge_by_depth(state.places, labels, young, slow, state.shape, config.layers)
             speeds |= dict.fromkeys(static, 0.0) | dict.fromkeys(moving, least)
             split = labels
             labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)

@@ -25,7 +25,7 @@ from mlbs_actors.config import LayersConfig, length_scale
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.tracking.trajectories import evenly_spread
 
-__all__ = ["Places", "border_share", "contradicting", "obeying_shares", "parts_of_scene"]
+__all__ = ["Places", "border_share", "judge_by_depth", "obeying_shares"]
 
 #: Focal length, × the longer side of the frame.
 FOCAL = 1.1
@@ -57,14 +57,15 @@ class Places:
     positions: Array
 
 
-def parts_of_scene(
+def judge_by_depth(
     places: Sequence[Places],
     labels: Array,
     young: Collection[int],
+    slow: Collection[int],
     shape: tuple[int, int],
     config: LayersConfig,
-) -> list[int]:
-    """Find young labels that reach the frame's border and could be static parts of the scene.
+) -> tuple[list[int], list[int]]:
+    """Tell static parts of the scene, and what moves by itself, from how one rigid scene holds them.
 
     Parameters
     ----------
@@ -73,56 +74,33 @@ def parts_of_scene(
     labels : (n,) int64
         Of the newest.
     young : collection of int
-        Labels to judge.
+        Labels that may be parts of the scene.
+    slow : collection of int
+        Those of them that seem to rest.
     shape : (int, int)
         (H, W) of the frame.
 
     Returns
     -------
-    list of int
-        Ascending.
+    static : list of int
+        Labels that reach the frame's border and could be static parts of the scene; ascending.
+    moving : list of int
+        Slow labels that no depth explains, while one rigid scene holds the background; ascending.
     """
-    at_border = [
+    at_border = {
         label
-        for label in sorted(young)
+        for label in young
         if _area_share(places[0].positions, labels == label, shape) >= config.scene_area
         and border_share(places[0].positions[labels == label], shape) > config.scene_border
-    ]
-    if not at_border:
-        return []
-    shares = obeying_shares(places[-1], places[0], labels, at_border, shape)
-    return [label for label in at_border if min(shares.get(label, (1.0, 1.0))) >= config.scene_obeying]
-
-
-def contradicting(
-    places: Sequence[Places],
-    labels: Array,
-    slow: Collection[int],
-    shape: tuple[int, int],
-    config: LayersConfig,
-) -> list[int]:
-    """Find labels that no depth explains, while one rigid scene holds the background.
-
-    Parameters
-    ----------
-    places, labels, shape
-        As of :func:`parts_of_scene`.
-    slow : collection of int
-        Labels to judge.
-
-    Returns
-    -------
-    list of int
-        Ascending.
-    """
-    if not slow:
-        return []
-    shares = obeying_shares(places[-1], places[0], labels, sorted(slow), shape)
-    return [
+    }
+    shares = obeying_shares(places[-1], places[0], labels, sorted(at_border.union(slow)), shape)
+    static = [one for one in sorted(at_border) if min(shares.get(one, (1.0, 1.0))) >= config.scene_obeying]
+    moving = [
         label
         for label, (own, background) in shares.items()
-        if own < config.scene_contradicted and background >= config.scene_obeying
+        if label in slow and own < config.scene_contradicted and background >= config.scene_obeying
     ]
+    return static, moving
 
 
 def _area_share(positions: Array, own: Array, shape: tuple[int, int]) -> float:
@@ -183,6 +161,8 @@ def obeying_shares(
         Label → the shares of its trajectories and of the background's that obey the essential matrix of both;
         without the labels that cannot be judged.
     """
+    if not wanted:
+        return {}
     _, at, there = np.intersect1d(now.ids, before.ids, assume_unique=True, return_indices=True)
     scale, focal = length_scale(*shape), FOCAL * max(shape)
     camera = np.array([[focal, 0, shape[1] / 2], [0, focal, shape[0] / 2], [0, 0, 1]])
@@ -214,9 +194,7 @@ def _obeying(now: Array, before: Array, chosen: Array, camera: Array, scale: flo
         return None
     if essential is None or essential.shape != (3, 3):
         return None
-    _, rotation, translation, _ = cv2.recoverPose(
-        essential, now[chosen], before[chosen], camera, mask=inliers
-    )
+    _, rotation, translation, _ = cv2.recoverPose(essential, ends, starts, camera, mask=inliers)
     # Where points at infinity would have come from, and which way nearer ones did.
     turned = camera @ rotation @ np.linalg.inv(camera)
     farthest = cv2.perspectiveTransform(now[None], turned)[0]

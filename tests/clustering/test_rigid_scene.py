@@ -9,9 +9,8 @@ from mlbs_actors.clustering.rigid_scene import (
     FOCAL,
     Places,
     border_share,
-    contradicting,
+    judge_by_depth,
     obeying_shares,
-    parts_of_scene,
 )
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import Array
@@ -75,26 +74,26 @@ def test_a_near_part_of_the_scene_is_background_and_an_object_is_not(camera: Arr
         (MIDDLE, STILL, {1}, []),  # surrounded by the background: depth alone would explain too much
     ):
         places, labels = scene(near, motion, camera)
-        assert parts_of_scene(places, labels, young, SHAPE, config) == static
+        assert judge_by_depth(places, labels, young, set(), SHAPE, config) == (static, [])
 
 
 @pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
 def test_what_no_depth_explains_moves_by_itself(camera: Array) -> None:
     config = LayersConfig()
     places, labels = scene(MIDDLE, ITSELF, camera)
-    assert contradicting(places, labels, {1}, SHAPE, config) == [1]
-    assert contradicting(places, labels, set(), SHAPE, config) == []
+    assert judge_by_depth(places, labels, {1}, {1}, SHAPE, config) == ([], [1])
+    assert judge_by_depth(places, labels, {1}, set(), SHAPE, config) == ([], [])
     places, labels = scene(MIDDLE, STILL, camera)
-    assert contradicting(places, labels, {1}, SHAPE, config) == []
+    assert judge_by_depth(places, labels, {1}, {1}, SHAPE, config) == ([], [])
 
 
 def test_a_small_thing_at_the_border_is_no_part_of_the_scene() -> None:
     places, labels = scene((slice(200, 280), slice(0, 90)), STILL, SIDEWAYS)
-    assert parts_of_scene(places, labels, {1}, SHAPE, LayersConfig()) == []
+    assert judge_by_depth(places, labels, {1}, set(), SHAPE, LayersConfig()) == ([], [])
 
 
 def test_without_a_background_nothing_contradicts_the_scene() -> None:
     places, labels = scene(LEFT, ITSELF, SIDEWAYS)
     labels[labels == 0] = 2
     assert obeying_shares(places[1], places[0], labels, [1], SHAPE) == {}
-    assert parts_of_scene(places, labels, {1}, SHAPE, LayersConfig()) == [1]
+    assert judge_by_depth(places, labels, {1}, {1}, SHAPE, LayersConfig()) == ([1], [])
