@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.cells import mean_of_cells
-from mlbs_actors.config import Config, FlowConfig
+from mlbs_actors.config import Config, FlowConfig, detail
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow.bidirectional_search import search_both_ways
 from mlbs_actors.flow.consistency import DenseFlow, checked_flow
@@ -24,7 +24,7 @@ from mlbs_actors.flow.patch_search import PATCH
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["LEAST_CELLS", "FlowFunction", "Picture", "estimate_flow", "picture_of"]
+__all__ = ["LEAST_CELLS", "FlowFunction", "Picture", "estimate_flow", "gray_levels", "picture_of"]
 
 #: A frame with fewer cells on a side has no flow: two patches.
 LEAST_CELLS = 2 * PATCH
@@ -50,9 +50,33 @@ class Picture:
     image: Array
 
 
+def gray_levels(pixels: Array, shape: tuple[int, int]) -> Array:
+    """Reduce colours to one value each, in which a frame of this size is followed.
+
+    Parameters
+    ----------
+    pixels : (n, m, 3) uint8
+        BGR.
+    shape : (int, int)
+        (H, W) of the frame that they are from.
+
+    Returns
+    -------
+    (n, m) uint8
+        Their brightness; in a large frame, the mean of that and the brightest channel. What is small there
+        may have few places that are brighter or darker than what is around it, and only its colour to go by.
+    """
+    gray: Array = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
+    if detail(*shape) == 1.0:
+        return gray
+    brightest = cv2.max(cv2.max(pixels[..., 0], pixels[..., 1]), pixels[..., 2])
+    mixed: Array = cv2.addWeighted(gray, 0.5, brightest, 0.5, 0.0)
+    return mixed
+
+
 def picture_of(frame: Array, side: int, whole: bool) -> Picture:
     """Prepare a (H, W, 3) uint8 BGR frame with cells of ``side`` px; keep all of it if ``whole``."""
-    gray = mean_of_cells(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), side)
+    gray = mean_of_cells(gray_levels(frame, frame.shape[:2]), side)
     return Picture(gray, frame.copy() if whole else np.zeros((0, 0, 3), np.uint8))
 
 

@@ -9,10 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
-
 from mlbs_actors.flow.consistency import DenseFlow
-from mlbs_actors.flow.estimate import Picture
+from mlbs_actors.flow.estimate import Picture, gray_levels
 from mlbs_actors.footage.continuity import LEAST_FOUND, SURELY_ALIKE, correlated, found_again
 from mlbs_actors.footage.light import light_change, matched_colours, relit, saturates, strength
 from mlbs_actors.messages import Array
@@ -93,15 +91,13 @@ def continuation(
 def _light(colours: Array, frame: Array, flow: DenseFlow) -> tuple[Array, Array, bool]:
     """How the colours and the grey levels have changed, and whether much of them is cut off."""
     old, new = matched_colours(colours, frame, flow)
-    light, gray_light = light_change(old, new), light_change(_gray(old), _gray(new))
+    before, now = (_gray(one, frame.shape[:2]) for one in (old, new))
+    light, gray_light = light_change(old, new), light_change(before, now)
     return light, gray_light, strength(light) > SMALL_CHANGE and saturates(old, light)
 
 
-def _gray(colours: Array) -> Array:
-    if not len(colours):
-        return colours[:, :1]
-    gray: Array = cv2.cvtColor(colours[None], cv2.COLOR_BGR2GRAY)[0][:, None]
-    return gray
+def _gray(colours: Array, shape: tuple[int, int]) -> Array:
+    return gray_levels(colours[None], shape)[0][:, None] if len(colours) else colours[:, :1]
 
 
 def _relit_gray(gray: Array, change: Array) -> Array:

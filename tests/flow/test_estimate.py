@@ -13,7 +13,7 @@ from mlbs_actors.cells import mean_of_cells
 from mlbs_actors.config import Config
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow.consistency import DenseFlow, reliable_at
-from mlbs_actors.flow.estimate import estimate_flow, picture_of
+from mlbs_actors.flow.estimate import estimate_flow, gray_levels, picture_of
 from mlbs_actors.messages import Array, Region
 
 CONFIG = Config()
@@ -219,3 +219,12 @@ def test_what_is_no_flow_is_refused_in_a_sentence(returned: Any, complaint: str)
     pictures = [picture_of(one, 1, True) for one in moving_square()[:2]]
     with pytest.raises(FrameError, match=complaint):
         estimate_flow(pictures[0], pictures[1], 1, CONFIG, None, lambda *_: returned)
+
+
+@pytest.mark.parametrize("colour", [(60, 70, 185), (200, 90, 60)], ids=["red", "blue"])
+def test_in_a_large_frame_a_colour_as_bright_as_its_ground_stands_out(colour: tuple[int, int, int]) -> None:
+    pixels = np.array([[colour]], np.uint8)
+    brightness = gray_levels(pixels, (480, 640))
+    ground = np.full_like(pixels, brightness)
+    assert gray_levels(ground, (480, 640)) == brightness
+    assert gray_levels(pixels, (1080, 1920)).astype(int) - gray_levels(ground, (1080, 1920)) > 30
