@@ -373,6 +373,8 @@ class Coordinator:
             self.state.cut = cut and not state.pictures
             return shown
         if not state.pictures:
+            # After that much black, say, the first picture is that of another scene.
+            state.cut |= status == "blank" and frame_index + 1 - state.epoch >= config.init_frames
             return self._emit(frame_index)
         return self._emit(frame_index - config.lookahead) if state.clustered else []
 

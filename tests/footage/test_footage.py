@@ -128,11 +128,14 @@ def test_a_cut_begins_a_scene_whose_objects_have_new_ids(demo: SyntheticScene, p
         np.testing.assert_array_equal(cut.labels > 0, result.labels > 0)
 
 
-def test_a_scene_begins_after_the_blank_frames_before_it(pictures: list[Array]) -> None:
-    blank = [np.zeros_like(pictures[0])] * 12
+@pytest.mark.parametrize(("count", "status"), [(4, "ok"), (12, "cut")])
+def test_a_scene_begins_after_the_blank_frames_before_it(
+    pictures: list[Array], count: int, status: str
+) -> None:
+    blank = [np.zeros_like(pictures[0])] * count
     results, alone = labelled([*blank, *pictures]), labelled(pictures)
-    assert [result.status for result in results[:13]] == ["blank"] * 12 + ["ok"]
-    for late, result in zip(results[12:], alone, strict=True):
+    assert [result.status for result in results[: count + 1]] == ["blank"] * count + [status]
+    for late, result in zip(results[count:], alone, strict=True):
         np.testing.assert_array_equal(late.labels, result.labels)
 
 
