@@ -466,14 +466,14 @@ class Coordinator:
                 origins = {}
             speeds = label_speeds(speed, labels)
             least = least_object_speed(state.trajectories, labels, speeds, config.layers, scale)
-            registry.judge(speeds, least)
             ages = registry.ages(frame_index)
             parts = registry.parts() | {new for new, origin in origins.items() if origin > BACKGROUND}
             young = {one for one in speeds if ages.get(one, 0) < config.layers.young_frames}
             young -= parts | {BACKGROUND}
-            slow = {one for one in young if speeds[one] < least}
+            slow = {one for one in speeds if speeds[one] < least}
             static, moving = judge_by_depth(state.places, labels, young, slow, state.shape, config.layers)
             speeds |= dict.fromkeys(static, 0.0) | dict.fromkeys(moving, least)
+            registry.judge(speeds, least)
             split = labels
             labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)
             gone = set(speeds) - distinct_labels(labels)

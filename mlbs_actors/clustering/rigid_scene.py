@@ -1,13 +1,19 @@
-"""Depth is not motion: what reaches the frame's border, and moves as a part of the scene could (§4).
+"""Depth is not motion: what moves as a part of one rigid scene could is background (§4).
 
 Not in the paper, which has no camera model. A homography (:mod:`mlbs_actors.tracking.camera`) stands for the
 camera's motion here, and what is nearer than the plane that it describes moves against it: a rock, a wall,
-the near bank of a river. Over some frames one essential matrix explains such a part and the background
-together, with a depth for each point. It explains an object as well if that moves evenly before a plane, so
-that alone refuses too much. But an object is mostly surrounded by the background, while near parts of the
-scene reach out of the frame. So a large young label of whose outline a part is the frame's border is
-background, unless the matrix fails for it or for the background. A young label for which it fails, and not
-for the background, moves by itself, even if it is slower than the background's own parallax.
+the near bank of a river, a guard rail. Over some frames one essential matrix explains all that is static,
+with a depth for each point. It is fitted to three sets of trajectories, as each can mislead:
+
+* *The background's and one label's.* It explains an object as well, if that moves evenly before a plane. But
+  an object is mostly surrounded by the background, while near parts of the scene reach out of the frame. So a
+  large young label of whose outline a part is the frame's border is background, unless the matrix fails for
+  it or for the background.
+* *All.* A single label hardly bends it. A young label for which this matrix or the first fails, but not for
+  the background, moves by itself, even if it is slower than the background's own parallax.
+* *The background's.* It is well determined only if the background has depth, so that a homography explains
+  clearly less of it. Then what it explains in front of the camera is static, wherever it lies. Of the cars
+  beside a driving camera that keep its pace it says that they are behind infinity.
 
 The focal length is taken to be ``FOCAL`` of the longer side: between 0.7 and 1.8 the outcome is much the
 same.
@@ -21,11 +27,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from mlbs_actors.clustering.label_index import distinct_labels
 from mlbs_actors.config import LayersConfig, length_scale
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.tracking.trajectories import evenly_spread
 
-__all__ = ["Places", "border_share", "judge_by_depth", "obeying_shares"]
+__all__ = ["Places", "border_share", "judge_by_depth"]
 
 #: Focal length, × the longer side of the frame.
 FOCAL = 1.1
@@ -33,6 +40,9 @@ FOCAL = 1.1
 CONFIDENCE, MOST_SAMPLES = 0.999, 1000
 #: Distance to the epipolar line of a point that obeys, px, and what is added to it, × its parallax.
 INLIER_PX, INLIER_RELATIVE = 1.0, 0.02
+#: What is static has at most so many px of parallax towards the wrong side; which one that is, is known if so
+#: much of the background is on the right one.
+BEHIND_PX, IN_FRONT = 2.0, 0.95
 #: Least number of trajectories of a label, and of the background, to be judged.
 LEAST_TRACKS, LEAST_BACKGROUND = 8, 20
 #: Spacing of the points that stand for the background and for a label, px.
@@ -64,7 +74,7 @@ def judge_by_depth(
     slow: Collection[int],
     shape: tuple[int, int],
     config: LayersConfig,
-) -> tuple[list[int], list[int]]:
+) -> tuple[set[int], set[int]]:
     """Tell static parts of the scene, and what moves by itself, from how one rigid scene holds them.
 
     Parameters
@@ -74,33 +84,98 @@ def judge_by_depth(
     labels : (n,) int64
         Of the newest.
     young : collection of int
-        Labels that may be parts of the scene.
+        Labels of which it is not known whether they move.
     slow : collection of int
-        Those of them that seem to rest.
+        Labels, young or not, that seem to rest.
     shape : (int, int)
         (H, W) of the frame.
 
     Returns
     -------
-    static : list of int
-        Labels that reach the frame's border and could be static parts of the scene; ascending.
-    moving : list of int
-        Slow labels that no depth explains, while one rigid scene holds the background; ascending.
+    static : set of int
+        Labels, young or not, that seem to move only because they are near.
+    moving : set of int
+        Young slow labels that move by themselves.
     """
-    at_border = {
+    static = {
         label
         for label in young
         if _area_share(places[0].positions, labels == label, shape) >= config.scene_area
         and border_share(places[0].positions[labels == label], shape) > config.scene_border
     }
-    shares = obeying_shares(places[-1], places[0], labels, sorted(at_border.union(slow)), shape)
-    static = [one for one in sorted(at_border) if min(shares.get(one, (1.0, 1.0))) >= config.scene_obeying]
-    moving = [
-        label
-        for label, (own, background) in shares.items()
-        if label in slow and own < config.scene_contradicted and background >= config.scene_obeying
-    ]
+    pairs = _Pairs.between(places[-1], places[0], labels, shape)
+    background = pairs.spread([BACKGROUND], BACKGROUND_SPACING_PX)
+    if len(background) < LEAST_BACKGROUND:
+        return static, set()
+    judged = {label for label in distinct_labels(pairs.labels) if pairs.count(label) >= LEAST_TRACKS}
+    judged -= {BACKGROUND}
+    moving, slow_young = set(), judged.intersection(young).intersection(slow)
+    for label in sorted(slow_young | static & judged):
+        obeys = _obeying(pairs, np.concatenate((background, pairs.spread([label], SPACING_PX))))
+        if obeys is None:
+            continue
+        own, others = pairs.share(obeys, label), float(obeys[background].mean())
+        if min(own, others) < config.scene_obeying:
+            static.discard(label)
+        if label in slow_young and own < config.scene_contradicted and others >= config.scene_obeying:
+            moving.add(label)
+
+    background = pairs.spread([BACKGROUND, *static], BACKGROUND_SPACING_PX)
+    rest = pairs.spread(distinct_labels(pairs.labels) - static - {BACKGROUND}, SPACING_PX)
+    obeys = _obeying(pairs, np.concatenate((background, rest))) if slow_young - static else None
+    if obeys is not None and obeys[background].mean() >= config.scene_obeying:
+        moving |= {
+            label for label in slow_young - static if pairs.share(obeys, label) < config.scene_contradicted
+        }
+    fast = judged - static - set(slow)
+    obeys = _obeying(pairs, background, in_front=True) if fast else None
+    if obeys is not None and obeys[background].mean() >= config.scene_obeying:
+        flat = _obeying_homography(pairs, background)
+        if obeys[background].mean() - flat > config.scene_depth:
+            static |= {label for label in fast if pairs.share(obeys, label) >= config.scene_obeying}
     return static, moving
+
+
+@dataclass(frozen=True, slots=True)
+class _Pairs:
+    """The trajectories that are in two pictures.
+
+    Attributes
+    ----------
+    now, before : (m, 2) float64
+        Their places, px.
+    labels : (m,) int64
+    camera : (3, 3) float64
+        Takes directions to px.
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+    """
+
+    now: Array
+    before: Array
+    labels: Array
+    camera: Array
+    scale: float
+
+    @classmethod
+    def between(cls, before: Places, now: Places, labels: Array, shape: tuple[int, int]) -> _Pairs:
+        _, at, there = np.intersect1d(now.ids, before.ids, assume_unique=True, return_indices=True)
+        focal = FOCAL * max(shape)
+        camera = np.array([[focal, 0, shape[1] / 2], [0, focal, shape[0] / 2], [0, 0, 1]])
+        ends, starts = now.positions[at].astype(np.float64), before.positions[there].astype(np.float64)
+        return cls(ends, starts, labels[at], camera, length_scale(*shape))
+
+    def count(self, label: int) -> int:
+        return int((self.labels == label).sum())
+
+    def spread(self, labels: Collection[int], spacing: float) -> Array:
+        """Return indices (k,) of trajectories of some labels, at most one a square."""
+        chosen = np.isin(self.labels, list(labels))
+        return evenly_spread(self.now.astype(np.float32), chosen, spacing * self.scale)
+
+    def share(self, obeys: Array, label: int) -> float:
+        """Return the share of a label's trajectories that obey, (m,) bool."""
+        return float(obeys[self.labels == label].mean())
 
 
 def _area_share(positions: Array, own: Array, shape: tuple[int, int]) -> float:
@@ -139,68 +214,48 @@ def border_share(positions: Array, shape: tuple[int, int]) -> float:
     return float(1.0 - inside / outline.sum())
 
 
-def obeying_shares(
-    before: Places, now: Places, labels: Array, wanted: list[int], shape: tuple[int, int]
-) -> dict[int, tuple[float, float]]:
-    """Tell how well one rigid scene holds the background and a label.
+def _obeying(pairs: _Pairs, chosen: Array, *, in_front: bool = False) -> Array | None:
+    """Tell which trajectories obey the essential matrix of some of them.
 
     Parameters
     ----------
-    before, now : Places
-        Some pictures apart.
-    labels : (n,) int64
-        Of ``now``.
-    wanted : list of int
-        Labels to judge.
-    shape : (int, int)
-        (H, W) of the frame.
+    pairs : _Pairs
+    chosen : (k,) intp
+    in_front : bool
+        Whether they must not be behind infinity either, if it is known on which side that is.
 
     Returns
     -------
-    dict of int to (float, float)
-        Label → the shares of its trajectories and of the background's that obey the essential matrix of both;
-        without the labels that cannot be judged.
+    (m,) bool, or None
+        None if there is no matrix.
     """
-    if not wanted:
-        return {}
-    _, at, there = np.intersect1d(now.ids, before.ids, assume_unique=True, return_indices=True)
-    scale, focal = length_scale(*shape), FOCAL * max(shape)
-    camera = np.array([[focal, 0, shape[1] / 2], [0, focal, shape[0] / 2], [0, 0, 1]])
-    positions, labels = now.positions[at], labels[at]
-    ends, starts = positions.astype(np.float64), before.positions[there].astype(np.float64)
-    background = evenly_spread(positions, labels == BACKGROUND, BACKGROUND_SPACING_PX * scale)
-    if len(background) < LEAST_BACKGROUND:
-        return {}
-    shares = {}
-    for label in wanted:
-        own = labels == label
-        if own.sum() < LEAST_TRACKS:
-            continue
-        chosen = np.concatenate((background, evenly_spread(positions, own, SPACING_PX * scale)))
-        obeys = _obeying(ends, starts, chosen, camera, scale)
-        if obeys is not None:
-            shares[label] = float(obeys[own].mean()), float(obeys[background].mean())
-    return shares
-
-
-def _obeying(now: Array, before: Array, chosen: Array, camera: Array, scale: float) -> Array | None:
-    """Return which points (n, 2) px obey the essential matrix of the chosen ones; None if there is none."""
-    ends, starts = now[chosen], before[chosen]
+    ends, starts = pairs.now[chosen], pairs.before[chosen]
     try:
         essential, inliers = cv2.findEssentialMat(
-            ends, starts, camera, cv2.USAC_MAGSAC, CONFIDENCE, INLIER_PX * scale, MOST_SAMPLES
+            ends, starts, pairs.camera, cv2.USAC_MAGSAC, CONFIDENCE, INLIER_PX * pairs.scale, MOST_SAMPLES
         )
     except cv2.error:  # with points in random motion OpenCV may find no matrix, and fail on that
         return None
     if essential is None or essential.shape != (3, 3):
         return None
-    _, rotation, translation, _ = cv2.recoverPose(essential, ends, starts, camera, mask=inliers)
+    _, rotation, translation, _ = cv2.recoverPose(essential, ends, starts, pairs.camera, mask=inliers)
     # Where points at infinity would have come from, and which way nearer ones did.
-    turned = camera @ rotation @ np.linalg.inv(camera)
-    farthest = cv2.perspectiveTransform(now[None], turned)[0]
-    epipole = (camera @ translation).ravel()
+    turned = pairs.camera @ rotation @ np.linalg.inv(pairs.camera)
+    farthest = cv2.perspectiveTransform(pairs.now[None], turned)[0]
+    epipole = (pairs.camera @ translation).ravel()
     towards = epipole[:2] - epipole[2] * farthest
-    parallax = before - farthest
+    towards /= np.maximum(np.hypot(*towards.T), 1e-9)[:, None]
+    parallax = pairs.before - farthest
     off = np.abs(parallax[:, 0] * towards[:, 1] - parallax[:, 1] * towards[:, 0])
-    off /= np.maximum(np.hypot(*towards.T), 1e-9)
-    return np.asarray(off < INLIER_PX * scale + INLIER_RELATIVE * np.hypot(*parallax.T))
+    obeys = np.asarray(off < INLIER_PX * pairs.scale + INLIER_RELATIVE * np.hypot(*parallax.T))
+    along = (parallax * towards).sum(axis=1)
+    if in_front and (along[chosen] > -INLIER_PX * pairs.scale).mean() >= IN_FRONT:
+        obeys &= along > -BEHIND_PX * pairs.scale
+    return obeys
+
+
+def _obeying_homography(pairs: _Pairs, chosen: Array) -> float:
+    """Return the share of some trajectories (k,) that one homography explains."""
+    ends, starts = pairs.now[chosen], pairs.before[chosen]
+    matrix, inliers = cv2.findHomography(ends, starts, cv2.RANSAC, INLIER_PX * pairs.scale)
+    return 0.0 if matrix is None else float(inliers.mean())

@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mlbs_actors.clustering.rigid_scene import (
-    FOCAL,
-    Places,
-    border_share,
-    judge_by_depth,
-    obeying_shares,
-)
+from mlbs_actors.clustering.rigid_scene import FOCAL, Places, border_share, judge_by_depth
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import Array
 
@@ -27,7 +21,9 @@ def seen(points: Array, camera: Array) -> Array:
     return np.asarray(FOCAL * max(SHAPE) * there[:, :2] / there[:, 2:] + centre, np.float32)
 
 
-def scene(near: tuple[slice, slice], motion: Array, camera: Array) -> tuple[list[Places], Array]:
+def scene(
+    near: tuple[slice, slice], motion: Array, camera: Array, relief: float = 8.0
+) -> tuple[list[Places], Array]:
     """A background of some depths, and something near, labelled 1, that moves itself by ``motion``."""
     y, x = (one.reshape(-1) for one in np.mgrid[8 : SHAPE[0] : 16, 8 : SHAPE[1] : 16])
     labels = np.zeros(len(x), np.int64)
@@ -35,7 +31,7 @@ def scene(near: tuple[slice, slice], motion: Array, camera: Array) -> tuple[list
     inside[near] = True
     labels[inside[y, x]] = 1
     generator = np.random.default_rng(1)
-    depth = np.where(labels == 1, 4.0, 12.0) + generator.uniform(0.0, 3.0, len(x))
+    depth = np.where(labels == 1, 4.0, 12.0) + relief * generator.uniform(size=len(x))
     rays = np.stack([x - SHAPE[1] / 2, y - SHAPE[0] / 2], axis=1) / (FOCAL * max(SHAPE))
     points = np.concatenate([rays * depth[:, None], depth[:, None]], axis=1)
     now, before = seen(points, np.zeros(3)), seen(points - (labels == 1)[:, None] * motion, -camera)
@@ -45,6 +41,7 @@ def scene(near: tuple[slice, slice], motion: Array, camera: Array) -> tuple[list
 
 
 LEFT, MIDDLE = (slice(0, 480), slice(0, 200)), (slice(150, 330), slice(200, 420))
+CORNER = (slice(200, 280), slice(0, 90))
 STILL, ITSELF = np.zeros(3), np.array([0.0, 0.4, 0.1])
 
 
@@ -57,43 +54,51 @@ def test_the_outline_of_what_reaches_out_of_the_frame_is_partly_the_border() -> 
 
 
 @pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
-def test_one_rigid_scene_holds_what_is_static_and_not_what_moves_itself(camera: Array) -> None:
-    places, labels = scene(LEFT, STILL, camera)
-    assert min(obeying_shares(places[1], places[0], labels, [1], SHAPE)[1]) > 0.95
-    places, labels = scene(LEFT, ITSELF, camera)
-    assert min(obeying_shares(places[1], places[0], labels, [1], SHAPE)[1]) < 0.5
+def test_a_near_part_of_a_flat_scene_is_background_if_it_reaches_out_of_the_frame(camera: Array) -> None:
+    config = LayersConfig()
+    for near, motion, young, static in (
+        (LEFT, STILL, {1}, {1}),
+        (LEFT, STILL, set(), set()),
+        (MIDDLE, STILL, {1}, set()),  # surrounded by a plane: depth would explain too much
+        (CORNER, STILL, {1}, set()),  # small: the outcome hangs on a few trajectories
+    ):
+        places, labels = scene(near, motion, camera, relief=0.0)
+        assert judge_by_depth(places, labels, young, set(), SHAPE, config) == (static, set())
 
 
 @pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
-def test_a_near_part_of_the_scene_is_background_and_an_object_is_not(camera: Array) -> None:
+def test_a_scene_with_depth_tells_static_things_anywhere(camera: Array) -> None:
     config = LayersConfig()
-    for near, motion, young, static in (
-        (LEFT, STILL, {1}, [1]),
-        (LEFT, STILL, set(), []),
-        (LEFT, ITSELF, {1}, []),
-        (MIDDLE, STILL, {1}, []),  # surrounded by the background: depth alone would explain too much
+    for near, motion, static in (
+        (MIDDLE, STILL, {1}),
+        (CORNER, STILL, {1}),
+        (MIDDLE, ITSELF, set()),
+        (LEFT, ITSELF, set()),
     ):
         places, labels = scene(near, motion, camera)
-        assert judge_by_depth(places, labels, young, set(), SHAPE, config) == (static, [])
+        for young in ({1}, set()):
+            assert judge_by_depth(places, labels, young, set(), SHAPE, config) == (static, set())
+        assert judge_by_depth(places, labels, set(), {1}, SHAPE, config) == (set(), set())
+
+
+def test_what_keeps_pace_with_a_driving_camera_is_behind_infinity() -> None:
+    for speed, static in ((0.0, {1}), (1.5, set())):  # x the camera's
+        places, labels = scene(MIDDLE, speed * FORWARDS, FORWARDS)
+        assert judge_by_depth(places, labels, {1}, set(), SHAPE, LayersConfig()) == (static, set())
 
 
 @pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
 def test_what_no_depth_explains_moves_by_itself(camera: Array) -> None:
     config = LayersConfig()
     places, labels = scene(MIDDLE, ITSELF, camera)
-    assert judge_by_depth(places, labels, {1}, {1}, SHAPE, config) == ([], [1])
-    assert judge_by_depth(places, labels, {1}, set(), SHAPE, config) == ([], [])
+    assert judge_by_depth(places, labels, {1}, {1}, SHAPE, config) == (set(), {1})
+    assert judge_by_depth(places, labels, {1}, set(), SHAPE, config) == (set(), set())
+    assert judge_by_depth(places, labels, set(), {1}, SHAPE, config) == (set(), set())
     places, labels = scene(MIDDLE, STILL, camera)
-    assert judge_by_depth(places, labels, {1}, {1}, SHAPE, config) == ([], [])
-
-
-def test_a_small_thing_at_the_border_is_no_part_of_the_scene() -> None:
-    places, labels = scene((slice(200, 280), slice(0, 90)), STILL, SIDEWAYS)
-    assert judge_by_depth(places, labels, {1}, set(), SHAPE, LayersConfig()) == ([], [])
+    assert judge_by_depth(places, labels, {1}, {1}, SHAPE, config) == (set(), set())
 
 
 def test_without_a_background_nothing_contradicts_the_scene() -> None:
     places, labels = scene(LEFT, ITSELF, SIDEWAYS)
     labels[labels == 0] = 2
-    assert obeying_shares(places[1], places[0], labels, [1], SHAPE) == {}
-    assert judge_by_depth(places, labels, {1}, {1}, SHAPE, LayersConfig()) == ([1], [])
+    assert judge_by_depth(places, labels, {1}, {1}, SHAPE, LayersConfig()) == ({1}, set())
