@@ -40,6 +40,8 @@ FOCAL = 1.1
 CONFIDENCE, MOST_SAMPLES = 0.999, 1000
 #: Distance to the epipolar line of a point that obeys, px, and what is added to it, × its parallax.
 INLIER_PX, INLIER_RELATIVE = 1.0, 0.02
+#: Distance within which a homography explains a point, px: errors along the line count as well.
+PLANE_PX = 1.5
 #: What is static has at most so many px of parallax towards the wrong side; which one that is, is known if so
 #: much of the background is on the right one.
 BEHIND_PX, IN_FRONT = 2.0, 0.95
@@ -257,5 +259,5 @@ def _obeying(pairs: _Pairs, chosen: Array, *, in_front: bool = False) -> Array |
 def _obeying_homography(pairs: _Pairs, chosen: Array) -> float:
     """Return the share of some trajectories (k,) that one homography explains."""
     ends, starts = pairs.now[chosen], pairs.before[chosen]
-    matrix, inliers = cv2.findHomography(ends, starts, cv2.RANSAC, INLIER_PX * pairs.scale)
+    matrix, inliers = cv2.findHomography(ends, starts, cv2.RANSAC, PLANE_PX * pairs.scale)
     return 0.0 if matrix is None else float(inliers.mean())
