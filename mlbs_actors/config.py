@@ -282,7 +282,7 @@ class LayersConfig(_Section):
     )
     probation_frames: int = Field(2, ge=0, description="Frames a split must last before it becomes a layer.")
     part_probation_frames: int = Field(
-        12, ge=0, description="The same for what falls off an object; until then it is a part of it."
+        30, ge=0, description="The same for what falls off an object; until then it is a part of it."
     )
     min_tracks: int = Field(5, ge=1, description="A layer with fewer trajectories falls asleep.")
     coast_frames: int = Field(
