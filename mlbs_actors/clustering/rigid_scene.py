@@ -45,8 +45,8 @@ PLANE_PX = 1.5
 #: What is static has at most so many px of parallax towards the wrong side; which one that is, is known if so
 #: much of the background is on the right one.
 BEHIND_PX, IN_FRONT = 2.0, 0.95
-#: Least number of trajectories of a label, and of the background, to be judged.
-LEAST_TRACKS, LEAST_BACKGROUND = 8, 20
+#: Least number of points that stand for the background.
+LEAST_BACKGROUND = 20
 #: Spacing of the points that stand for the background and for a label, px.
 BACKGROUND_SPACING_PX, SPACING_PX = 20.0, 12.0
 #: Side of the squares of which an outline is made, px, and fewest of them.
@@ -109,7 +109,7 @@ def judge_by_depth(
     background = pairs.spread([BACKGROUND], BACKGROUND_SPACING_PX)
     if len(background) < LEAST_BACKGROUND:
         return static, set()
-    judged = {label for label in distinct_labels(pairs.labels) if pairs.count(label) >= LEAST_TRACKS}
+    judged = {label for label in distinct_labels(pairs.labels) if pairs.count(label) >= config.min_tracks}
     judged -= {BACKGROUND}
     moving, slow_young = set(), judged.intersection(young).intersection(slow)
     for label in sorted(slow_young | static & judged):

@@ -11,7 +11,7 @@ from mlbs_actors.messages import Array
 
 SHAPE = (480, 640)
 #: What the camera does between the two pictures, in units of the scene.
-SIDEWAYS, FORWARDS = np.array([0.3, 0.05, 0.02]), np.array([0.05, 0.0, 0.4])
+SIDEWAYS, FORWARDS = np.array([0.3, 0.05, 0.02]), np.array([0.05, 0.0, 0.8])
 
 
 def seen(points: Array, camera: Array) -> Array:
