@@ -130,11 +130,10 @@ def judge_by_depth(
             label for label in slow_young - static if pairs.share(obeys, label) < config.scene_contradicted
         }
     fast = judged - static - set(slow)
-    obeys = _obeying(pairs, background, in_front=True) if fast else None
-    if obeys is not None and obeys[background].mean() >= config.scene_obeying:
-        flat = _obeying_homography(pairs, background)
-        if obeys[background].mean() - flat > config.scene_depth:
-            static |= {label for label in fast if pairs.share(obeys, label) >= config.scene_obeying}
+    flat = _obeying_homography(pairs, background) if fast else 1.0
+    obeys = _obeying(pairs, background, in_front=True) if flat < 1.0 - config.scene_depth else None
+    if obeys is not None and obeys[background].mean() > max(config.scene_obeying, flat + config.scene_depth):
+        static |= {label for label in fast if pairs.share(obeys, label) >= config.scene_obeying}
     return static, moving
 
 
