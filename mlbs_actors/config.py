@@ -262,10 +262,7 @@ class LayersConfig(_Section):
         0.25, ge=0, le=1, description="If depth explains less of it, and the background, it moves by itself."
     )
     scene_depth: float = Field(
-        0.15,
-        ge=0,
-        le=1,
-        description="A background has depth if a plane explains it so much worse.",
+        0.15, ge=0, le=1, description="A background has depth if a plane explains it so much worse."
     )
     same_motion_distance: float = Field(
         2.5, ge=0, description="Objects of any age below it at that quantile are one."

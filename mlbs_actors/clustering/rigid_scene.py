@@ -111,30 +111,56 @@ def judge_by_depth(
         return static, set()
     judged = {label for label in distinct_labels(pairs.labels) if pairs.count(label) >= config.min_tracks}
     judged -= {BACKGROUND}
-    moving, slow_young = set(), judged.intersection(young).intersection(slow)
-    for label in sorted(slow_young | static & judged):
+    resting = judged.intersection(young).intersection(slow)
+    left, moving = _by_single_labels(pairs, background, resting, static & judged, config)
+    static -= left
+    background = pairs.spread([BACKGROUND, *static], BACKGROUND_SPACING_PX)
+    moving |= _by_all(pairs, background, resting - static, static, config)
+    static |= _by_background(pairs, background, judged - static - set(slow), config)
+    return static, moving
+
+
+def _by_single_labels(
+    pairs: _Pairs, background: Array, resting: set[int], at_border: set[int], config: LayersConfig
+) -> tuple[set[int], set[int]]:
+    """Return the labels at the border that are no parts of the scene, and the resting ones that move."""
+    left, moving = set(), set()
+    for label in sorted(resting | at_border):
         obeys = _obeying(pairs, np.concatenate((background, pairs.spread([label], SPACING_PX))))
         if obeys is None:
             continue
         own, others = pairs.share(obeys, label), float(obeys[background].mean())
         if min(own, others) < config.scene_obeying:
-            static.discard(label)
-        if label in slow_young and own < config.scene_contradicted and others >= config.scene_obeying:
+            left.add(label)
+        if label in resting and own < config.scene_contradicted and others >= config.scene_obeying:
             moving.add(label)
+    return left, moving
 
-    background = pairs.spread([BACKGROUND, *static], BACKGROUND_SPACING_PX)
-    rest = pairs.spread(distinct_labels(pairs.labels) - static - {BACKGROUND}, SPACING_PX)
-    obeys = _obeying(pairs, np.concatenate((background, rest))) if slow_young - static else None
-    if obeys is not None and obeys[background].mean() >= config.scene_obeying:
-        moving |= {
-            label for label in slow_young - static if pairs.share(obeys, label) < config.scene_contradicted
-        }
-    fast = judged - static - set(slow)
-    flat = _obeying_homography(pairs, background) if fast else 1.0
-    obeys = _obeying(pairs, background, in_front=True) if flat < 1.0 - config.scene_depth else None
-    if obeys is not None and obeys[background].mean() > max(config.scene_obeying, flat + config.scene_depth):
-        static |= {label for label in fast if pairs.share(obeys, label) >= config.scene_obeying}
-    return static, moving
+
+def _by_all(
+    pairs: _Pairs, background: Array, resting: set[int], static: set[int], config: LayersConfig
+) -> set[int]:
+    """Return the resting labels that the matrix of all trajectories leaves."""
+    if not resting:
+        return set()
+    others = pairs.spread(distinct_labels(pairs.labels) - static - {BACKGROUND}, SPACING_PX)
+    obeys = _obeying(pairs, np.concatenate((background, others)))
+    if obeys is None or obeys[background].mean() < config.scene_obeying:
+        return set()
+    return {label for label in resting if pairs.share(obeys, label) < config.scene_contradicted}
+
+
+def _by_background(pairs: _Pairs, background: Array, fast: set[int], config: LayersConfig) -> set[int]:
+    """Return the labels that are static by the background's own matrix; none if it has no depth."""
+    if not fast:
+        return set()
+    flat = _obeying_homography(pairs, background)
+    if flat >= 1.0 - config.scene_depth:  # depth cannot explain so much more
+        return set()
+    obeys = _obeying(pairs, background, in_front=True)
+    if obeys is None or obeys[background].mean() <= max(config.scene_obeying, flat + config.scene_depth):
+        return set()
+    return {label for label in fast if pairs.share(obeys, label) >= config.scene_obeying}
 
 
 @dataclass(frozen=True, slots=True)

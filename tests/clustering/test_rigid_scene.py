@@ -1,4 +1,4 @@
-"""Near parts of a static scene, which reach the frame's border, are told from objects."""
+"""Static parts of a scene that move only because they are near are told from objects."""
 
 from __future__ import annotations
 
