@@ -471,7 +471,9 @@ class Coordinator:
             young = {one for one in speeds if ages.get(one, 0) < config.layers.young_frames}
             young -= parts | {BACKGROUND}
             slow = {one for one in speeds if speeds[one] < least}
-            static, moving = judge_by_depth(state.places, labels, young, slow, state.shape, config.layers)
+            static, moving = judge_by_depth(
+                state.places, labels, young, slow, state.fixed.cells, state.shape, config.layers
+            )
             speeds |= dict.fromkeys(static, 0.0) | dict.fromkeys(moving, least)
             registry.judge(speeds, least)
             split = labels

@@ -32,7 +32,7 @@ from mlbs_actors.config import LayersConfig, length_scale
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.tracking.trajectories import evenly_spread
 
-__all__ = ["Places", "border_share", "judge_by_depth"]
+__all__ = ["Places", "border_share", "judge_by_depth", "squares"]
 
 #: Focal length, × the longer side of the frame.
 FOCAL = 1.1
@@ -51,6 +51,8 @@ LEAST_BACKGROUND = 20
 BACKGROUND_SPACING_PX, SPACING_PX = 20.0, 12.0
 #: Side of the squares of which an outline is made, px, and fewest of them.
 SQUARE_PX, LEAST_SQUARES = 24.0, 4
+#: A square of which so much is fixed in the picture shows none of the scene.
+MOST_FIXED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +76,7 @@ def judge_by_depth(
     labels: Array,
     young: Collection[int],
     slow: Collection[int],
+    fixed: Array,
     shape: tuple[int, int],
     config: LayersConfig,
 ) -> tuple[set[int], set[int]]:
@@ -89,6 +92,8 @@ def judge_by_depth(
         Labels of which it is not known whether they move.
     slow : collection of int
         Labels, young or not, that seem to rest.
+    fixed : (h, w) bool
+        Cells that are fixed in the picture: the scene ends at a bonnet as at the frame's border.
     shape : (int, int)
         (H, W) of the frame.
 
@@ -99,12 +104,11 @@ def judge_by_depth(
     moving : set of int
         Young slow labels that move by themselves.
     """
-    static = {
-        label
-        for label in young
-        if _area_share(places[0].positions, labels == label, shape) >= config.scene_area
-        and border_share(places[0].positions[labels == label], shape) > config.scene_border
-    }
+    static = set()
+    for label in young:
+        taken, scene = squares(places[0].positions[labels == label], fixed, shape)
+        if taken.mean() >= config.scene_area and border_share(taken, scene) > config.scene_border:
+            static.add(label)
     pairs = _Pairs.between(places[-1], places[0], labels, shape)
     background = pairs.spread([BACKGROUND], BACKGROUND_SPACING_PX)
     if len(background) < LEAST_BACKGROUND:
@@ -205,26 +209,21 @@ class _Pairs:
         return float(obeys[self.labels == label].mean())
 
 
-def _area_share(positions: Array, own: Array, shape: tuple[int, int]) -> float:
-    """Share of the frame's squares that hold trajectories of a label."""
-    side = SQUARE_PX * length_scale(*shape)
-    return len(evenly_spread(positions, own, side)) * side**2 / (shape[0] * shape[1])
-
-
-def border_share(positions: Array, shape: tuple[int, int]) -> float:
-    """Share of the outline of some trajectories that is the frame's border.
+def squares(positions: Array, fixed: Array, shape: tuple[int, int]) -> tuple[Array, Array]:
+    """Squares of the frame that hold some trajectories, and those that show the scene.
 
     Parameters
     ----------
     positions : (n, 2) float32
         px.
+    fixed : (h, w) bool
+        Cells that are fixed in the picture.
     shape : (int, int)
         (H, W) of the frame.
 
     Returns
     -------
-    float
-        0 to 1, of the squares with trajectories that are not surrounded by such; 0 if those are few.
+    taken, scene : (rows, columns) bool
     """
     side = SQUARE_PX * length_scale(*shape)
     rows, columns = (max(round(length / side), 3) for length in shape)
@@ -232,13 +231,34 @@ def border_share(positions: Array, shape: tuple[int, int]) -> float:
     x = np.clip((positions[:, 0] * columns / shape[1]).astype(np.intp), 0, columns - 1)
     taken = np.zeros((rows, columns), bool)
     taken[y, x] = True
-    inner = np.zeros_like(taken)
-    inner[1:-1, 1:-1] = taken[:-2, 1:-1] & taken[2:, 1:-1] & taken[1:-1, :-2] & taken[1:-1, 2:]
-    outline = taken & ~inner
+    share = cv2.resize(fixed.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    return taken, share < MOST_FIXED
+
+
+def border_share(taken: Array, scene: Array) -> float:
+    """Share of an outline that is the border of what shows the scene.
+
+    Parameters
+    ----------
+    taken, scene : (rows, columns) bool
+        Of :func:`squares`.
+
+    Returns
+    -------
+    float
+        0 to 1, of the taken squares that are not surrounded by such; 0 if those are few.
+    """
+    outline = taken & ~_surrounded(taken)
     if outline.sum() < LEAST_SQUARES:
         return 0.0
-    inside = outline[1:-1, 1:-1].sum()
-    return float(1.0 - inside / outline.sum())
+    return float((outline & ~_surrounded(scene)).sum() / outline.sum())
+
+
+def _surrounded(squares: Array) -> Array:
+    """Which squares have all four beside them in the frame, and such as they are."""
+    inner = np.zeros_like(squares)
+    inner[1:-1, 1:-1] = squares[:-2, 1:-1] & squares[2:, 1:-1] & squares[1:-1, :-2] & squares[1:-1, 2:]
+    return squares & inner
 
 
 def _obeying(pairs: _Pairs, chosen: Array, *, in_front: bool = False) -> Array | None:
