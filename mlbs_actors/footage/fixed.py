@@ -41,8 +41,9 @@ UNCHANGING = 4
 LEAST_COMPANY = 3
 #: Gaps up to this width between fixed cells are closed, and all are widened by this, cells.
 GAP, MARGIN = 9, 2
-#: Least share of the border of an unchanging part that is fixed if the part is.
-LEAST_ENCLOSED = 0.85
+#: Least share of the border of an unchanging part that is fixed if the part is, and the largest such part, as
+#: a share of the picture: of a camera that stands still nearly all is unchanging.
+LEAST_ENCLOSED, LARGEST_ENCLOSED = 0.5, 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +159,7 @@ def _completed(voted: Array, unchanging: Array) -> Array:
         border += np.bincount(own[at_border], minlength=count)
         fixed += np.bincount(own[at_border & (beside > 0)], minlength=count)
     enclosed = (fixed > 0) & (fixed >= LEAST_ENCLOSED * border)
+    enclosed &= np.bincount(parts.reshape(-1), minlength=count) <= LARGEST_ENCLOSED * parts.size
     enclosed[0] = False
     cells = np.where(enclosed[parts], np.uint8(1), closed)
     return cv2.dilate(cells, np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)) > 0
