@@ -18,7 +18,7 @@ tell the camera's motion the layers go on, but nothing is clustered.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -30,6 +30,7 @@ from mlbs_actors.clustering.affinity import TrajectoryGraph, displacement_spread
 from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
 from mlbs_actors.clustering.layer_registry import LayerRegistry, RegistryState
 from mlbs_actors.clustering.motion_merging import merge_by_motion
+from mlbs_actors.clustering.parts import objects_beneath
 from mlbs_actors.clustering.reidentification import colours_at
 from mlbs_actors.clustering.rigid_scene import Places, judge_by_depth
 from mlbs_actors.clustering.splitting import (
@@ -236,7 +237,8 @@ class Coordinator:
             return shown
         if match.status != "flash":
             self._settle()
-        _published(feedback)  # the layers must keep pace
+        if feedback is not None:
+            feedback()  # the layers must keep pace
         self.state.lost += int(lost)
         self.state.unsettled = (*self.state.unsettled, UnsettledFrame(new, match.status, lost))
         return shown
@@ -344,10 +346,10 @@ class Coordinator:
         if match.told and self._clustering_due(frame_index):
             self._cluster(frame, frame_index, feedback, stage_ms)
         elif state.clustered:
-            published = _published(feedback)
+            latest = None if feedback is None else feedback()
             with _timed(stage_ms, "clustering"):
                 registry = LayerRegistry(config.layers, state.shape, state.registry)
-                self._observe(registry, labels, frame, frame_index, published)
+                self._observe(registry, labels, frame, frame_index, latest)
         if state.clustered:
             state.focus = focus_blocks(
                 tracked.against_camera.advantage, trajectories.positions, trajectories.motions,
@@ -361,7 +363,8 @@ class Coordinator:
     ) -> list[FrameEvidence]:
         """Have a frame that shows nothing new carry the labels of the last picture."""
         self._settle()
-        _published(feedback)  # the layers must keep pace
+        if feedback is not None:
+            feedback()  # the layers must keep pace
         state, config = self.state, self.config.layers
         state.held = (*state.held, no_picture(frame_index, status))
         if not state.clustered and len(state.held) >= config.init_frames:
@@ -480,11 +483,16 @@ class Coordinator:
             labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)
             gone = set(speeds) - distinct_labels(labels)
             registry.forget({label: int(labels[split == label][0]) for label in gone})
-            # Objects of the first clustering date from the first frame.
-            labels = registry.admit(labels, frame_index if state.clustered else state.epoch, origins)
-        published = _published(feedback)
+        latest = None if feedback is None else feedback()
         with _timed(stage_ms, "clustering"):
-            self._observe(registry, labels, frame, frame_index, published)
+            moved = state.trajectories
+            beneath = objects_beneath(
+                registry.unknown(labels), labels, moved.positions, moved.motions, frame_index, latest
+            )
+            # Objects of the first clustering date from the first frame.
+            born = frame_index if state.clustered else state.epoch
+            labels = registry.admit(labels, born, {**origins, **beneath})
+            self._observe(registry, labels, frame, frame_index, latest)
             probation = config.layers.probation_frames if state.clustered else 0
             state.labels = registry.promote(state.labels, frame_index, probation)
             state.registry = registry.state
@@ -497,9 +505,10 @@ class Coordinator:
         labels: Array,
         frame: Array,
         frame_index: int,
-        published: Collection[int],
+        latest: Segmentation | None,
     ) -> None:
         state = self.state
+        published = [] if latest is None else [one.layer for one in latest.layers]
         state.labels = registry.observe(
             labels,
             state.trajectories.positions,
@@ -569,11 +578,6 @@ class Coordinator:
             motions=motions,
             retired=tuple(sorted(retired)),
         )
-
-
-def _published(feedback: Callable[[], Segmentation] | None) -> list[int]:
-    """Return the layers that own pixels of the label map that may be read."""
-    return [] if feedback is None else [one.layer for one in feedback().layers]
 
 
 @contextmanager

@@ -196,6 +196,10 @@ class LayerRegistry:
         self.state = replace(self.state, origins=np.array(origins, np.int64))
         self._select(~np.isin(self.state.labels, list(merged)))
 
+    def unknown(self, labels: Array) -> set[int]:
+        """Return the labels among ``labels`` (n,) int64 that are new."""
+        return distinct_labels(labels) - set(self.state.labels.tolist()) - {BACKGROUND, UNLABELLED}
+
     def admit(self, labels: Array, frame_index: int, origins: Mapping[int, int]) -> Array:
         """Replace the labels that are new since the last frame by candidate labels.
 
@@ -205,15 +209,14 @@ class LayerRegistry:
             Unknown labels ≥ 0 are taken for new clusters.
         frame_index : int
         origins : mapping of int to int
-            New label → the one it was split off.
+            New label → the object, or part of one, that it was split off or has appeared on.
 
         Returns
         -------
         (n,) int64
         """
-        known = set(self.state.labels.tolist()) | {BACKGROUND, UNLABELLED}
         objects = self._objects()
-        for label in sorted(distinct_labels(labels) - known):
+        for label in sorted(self.unknown(labels)):
             candidate = self.state.next_candidate
             labels = np.where(labels == label, candidate, labels)
             state = self.state
@@ -368,6 +371,7 @@ class LayerRegistry:
             state = replace(state, next_layer=state.next_layer + 1)
         else:
             label, born, pooled = int(state.labels[sleeper]), state.born[sleeper], bool(state.pooled[sleeper])
+            state.origins[row] = state.origins[sleeper]
             state.judged[row] += state.judged[sleeper]
             state.moving[row] += state.moving[sleeper]
         state.labels[row], state.born[row], state.pooled[row] = label, born, pooled
