@@ -187,8 +187,16 @@ class LayerRegistry:
         Parameters
         ----------
         merged : mapping of int to int
-            Label → the one that it was merged into; its parts now belong to that.
+            Label → the one that it was merged into; its parts now belong to that. An object that was merged
+            into the background is kept as long as it has other parts, and lives on in them.
         """
+        state = self.state
+        parts = [
+            origin
+            for label, origin in zip(state.labels.tolist(), state.origins.tolist(), strict=True)
+            if label < UNLABELLED and label not in merged
+        ]
+        merged = {one: into for one, into in merged.items() if into != BACKGROUND or one not in parts}
         if not merged:
             return
         objects = self._objects()
