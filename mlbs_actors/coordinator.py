@@ -38,6 +38,7 @@ from mlbs_actors.clustering.splitting import (
     bled_trajectories,
     label_speeds,
     least_object_speed,
+    outgrowing,
     propagate_labels,
     residual_speed,
     split_labels,
@@ -452,6 +453,7 @@ class Coordinator:
             graph = self._graph()
             affinity = graph.matrix()
         with _timed(stage_ms, "clustering"):
+            spacing = config.trajectories.seed_spacing_px * scale
             speed = residual_speed(state.trajectories, config.layers.speed_frames)
             bled = bled_trajectories(state.trajectories, speed, config.layers, scale)
             if state.clustered:
@@ -464,7 +466,6 @@ class Coordinator:
                 origins = split_origins(carried, labels)
             else:
                 labels, _ = split_labels(affinity, np.full(len(bled), UNLABELLED), config.affinity, 0, bled)
-                spacing = config.trajectories.seed_spacing_px * scale
                 labels = background_first(labels, state.trajectories, scale, spacing)
                 origins = {}
             speeds = label_speeds(speed, labels)
@@ -477,7 +478,10 @@ class Coordinator:
             static, moving = judge_by_depth(
                 state.places, labels, young, slow, state.fixed.cells, state.shape, config.layers
             )
-            speeds |= dict.fromkeys(static, 0.0) | dict.fromkeys(moving, least)
+            if state.clustered:
+                new, places = young - registry.objects(), state.trajectories.positions
+                static |= outgrowing(labels, new, places, spacing, state.shape)
+            speeds |= dict.fromkeys(moving, least) | dict.fromkeys(static, 0.0)
             registry.judge(speeds, least)
             split = labels
             labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)

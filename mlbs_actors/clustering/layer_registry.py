@@ -163,6 +163,10 @@ class LayerRegistry:
         known = {int(label): int(age) for label, age in zip(state.labels, ages, strict=True)}
         return {**known, BACKGROUND: np.iinfo(np.int64).max}
 
+    def objects(self) -> set[int]:
+        """Return the labels that are layers, awake or asleep."""
+        return set(self.state.labels[self.state.labels > BACKGROUND].tolist())
+
     def parts(self) -> set[int]:
         """Return the labels that were split off an object."""
         return set(self.state.labels[self.state.origins != UNLABELLED].tolist())

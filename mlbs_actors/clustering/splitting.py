@@ -15,7 +15,7 @@ Differs from the paper, which trusts the N-cut alone:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -41,11 +41,15 @@ __all__ = [
     "bled_trajectories",
     "label_speeds",
     "least_object_speed",
+    "outgrowing",
     "propagate_labels",
     "residual_speed",
     "split_labels",
     "split_origins",
 ]
+
+#: A new label that covers so many times the background's area, and this share of the frame, is background.
+OUTGROWING, LEAST_SCENE = 2.0, 0.1
 
 
 def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConfig) -> Array:
@@ -301,3 +305,35 @@ def background_first(labels: Array, trajectories: TrajectoryState, scale: float,
     for position, cluster in enumerate(order):
         renumbered[labels == cluster] = position
     return renumbered
+
+
+def outgrowing(
+    labels: Array, among: Collection[int], positions: Array, spacing: float, shape: tuple[int, int]
+) -> set[int]:
+    """Find new labels that cover far more of the picture than the background does.
+
+    After an object has filled the frame, of the background only what was seen before is known as such: a
+    piece of the sky, say. What appears around it is the scene.
+
+    Parameters
+    ----------
+    labels : (n,) int64
+    among : collection of int
+        The labels to look at.
+    positions : (n, 2) float32
+        Of the trajectories, px.
+    spacing : float
+        A square of this side counts once, so that area decides, px.
+    shape : (int, int)
+        (H, W) of the frame.
+
+    Returns
+    -------
+    set of int
+    """
+
+    def area(label: int) -> float:
+        return len(evenly_spread(positions, labels == label, spacing)) * spacing**2
+
+    least = max(OUTGROWING * area(BACKGROUND), LEAST_SCENE * shape[0] * shape[1])
+    return {label for label in among if area(label) > least}
