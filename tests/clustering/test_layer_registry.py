@@ -192,7 +192,7 @@ def test_when_an_object_is_merged_into_another_its_parts_go_with_it() -> None:
 
 
 @pytest.mark.parametrize("pooled", [False, True])
-def test_a_part_of_an_object_that_became_background_brings_no_old_id_back(pooled: bool) -> None:
+def test_an_object_that_became_background_lives_on_in_its_part(pooled: bool) -> None:
     stream = Stream(CONFIG.model_copy(update={"max_layers": 3}) if pooled else CONFIG)
     things = {
         "large": Thing(tracks=30),
@@ -201,9 +201,21 @@ def test_a_part_of_an_object_that_became_background_brings_no_old_id_back(pooled
     }
     stream.see(things, at_once=True)
     stream.see({**things, "arm": Thing(tracks=4, part_of="man")})
-    assert (stream.layer_of("man") == stream.registry.state.other) == pooled
+    man = stream.layer_of("man")
+    assert (man == stream.registry.state.other) == pooled
     stream.registry.forget({stream.labels["man"]: BACKGROUND})
-    assert stream.layer_of("arm") is None
+    del things["man"]
+    stream.see({**things, "arm": Thing(tracks=4)})
+    assert stream.layer_of("arm") == man
+    assert stream.labels["arm"] not in stream.registry.parts()
+
+
+def test_an_object_that_became_background_with_its_parts_is_forgotten() -> None:
+    stream = Stream()
+    stream.see({"man": Thing()}, at_once=True)
+    stream.see({"man": Thing(), "arm": Thing(part_of="man")})
+    stream.registry.forget(dict.fromkeys(stream.labels.values(), BACKGROUND))
+    assert not stream.registry.state.labels.size
 
 
 def test_what_falls_off_the_background_belongs_to_no_layer_at_first() -> None:

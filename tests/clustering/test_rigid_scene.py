@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mlbs_actors.clustering.rigid_scene import FOCAL, Places, border_share, judge_by_depth
+from mlbs_actors.clustering.rigid_scene import FOCAL, Places, border_share, judge_by_depth, squares
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import Array
 
 SHAPE = (480, 640)
+#: Nothing is fixed in the picture.
+SCENE = np.zeros((120, 160), bool)
 #: What the camera does between the two pictures, in units of the scene.
 SIDEWAYS, FORWARDS = np.array([0.3, 0.05, 0.02]), np.array([0.05, 0.0, 0.8])
 
@@ -46,11 +48,20 @@ STILL, ITSELF = np.zeros(3), np.array([0.0, 0.4, 0.1])
 
 
 def test_the_outline_of_what_reaches_out_of_the_frame_is_partly_the_border() -> None:
-    places, labels = scene(LEFT, STILL, SIDEWAYS)
-    assert border_share(places[0].positions[labels == 1], SHAPE) == pytest.approx(0.6, abs=0.15)
-    places, labels = scene(MIDDLE, STILL, SIDEWAYS)
-    assert border_share(places[0].positions[labels == 1], SHAPE) == 0.0
-    assert border_share(np.zeros((2, 2), np.float32), SHAPE) == 0.0
+    for near, share in ((LEFT, 0.6), (MIDDLE, 0.0)):
+        places, labels = scene(near, STILL, SIDEWAYS)
+        taken, showing = squares(places[0].positions[labels == 1], SCENE, SHAPE)
+        assert border_share(taken, showing) == pytest.approx(share, abs=0.15 * (share > 0))
+    assert border_share(*squares(np.zeros((2, 2), np.float32), SCENE, SHAPE)) == 0.0
+
+
+def test_the_scene_ends_where_the_picture_is_fixed() -> None:
+    places, labels = scene((slice(200, 380), slice(150, 490)), STILL, SIDEWAYS, relief=0.0)
+    bonnet = SCENE.copy()
+    bonnet[95:] = True
+    config = LayersConfig()
+    for fixed, static in ((SCENE, set()), (bonnet, {1})):
+        assert judge_by_depth(places, labels, {1}, set(), fixed, SHAPE, config) == (static, set())
 
 
 @pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
@@ -63,7 +74,7 @@ def test_a_near_part_of_a_flat_scene_is_background_if_it_reaches_out_of_the_fram
         (CORNER, STILL, {1}, set()),  # small: the outcome hangs on a few trajectories
     ):
         places, labels = scene(near, motion, camera, relief=0.0)
-        assert judge_by_depth(places, labels, young, set(), SHAPE, config) == (static, set())
+        assert judge_by_depth(places, labels, young, set(), SCENE, SHAPE, config) == (static, set())
 
 
 @pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
@@ -77,28 +88,28 @@ def test_a_scene_with_depth_tells_static_things_anywhere(camera: Array) -> None:
     ):
         places, labels = scene(near, motion, camera)
         for young in ({1}, set()):
-            assert judge_by_depth(places, labels, young, set(), SHAPE, config) == (static, set())
-        assert judge_by_depth(places, labels, set(), {1}, SHAPE, config) == (set(), set())
+            assert judge_by_depth(places, labels, young, set(), SCENE, SHAPE, config) == (static, set())
+        assert judge_by_depth(places, labels, set(), {1}, SCENE, SHAPE, config) == (set(), set())
 
 
 def test_what_keeps_pace_with_a_driving_camera_is_behind_infinity() -> None:
     for speed, static in ((0.0, {1}), (1.5, set())):  # x the camera's
         places, labels = scene(MIDDLE, speed * FORWARDS, FORWARDS)
-        assert judge_by_depth(places, labels, {1}, set(), SHAPE, LayersConfig()) == (static, set())
+        assert judge_by_depth(places, labels, {1}, set(), SCENE, SHAPE, LayersConfig()) == (static, set())
 
 
 @pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
 def test_what_no_depth_explains_moves_by_itself(camera: Array) -> None:
     config = LayersConfig()
     places, labels = scene(MIDDLE, ITSELF, camera)
-    assert judge_by_depth(places, labels, {1}, {1}, SHAPE, config) == (set(), {1})
-    assert judge_by_depth(places, labels, {1}, set(), SHAPE, config) == (set(), set())
-    assert judge_by_depth(places, labels, set(), {1}, SHAPE, config) == (set(), set())
+    assert judge_by_depth(places, labels, {1}, {1}, SCENE, SHAPE, config) == (set(), {1})
+    assert judge_by_depth(places, labels, {1}, set(), SCENE, SHAPE, config) == (set(), set())
+    assert judge_by_depth(places, labels, set(), {1}, SCENE, SHAPE, config) == (set(), set())
     places, labels = scene(MIDDLE, STILL, camera)
-    assert judge_by_depth(places, labels, {1}, {1}, SHAPE, config) == (set(), set())
+    assert judge_by_depth(places, labels, {1}, {1}, SCENE, SHAPE, config) == (set(), set())
 
 
 def test_without_a_background_nothing_contradicts_the_scene() -> None:
     places, labels = scene(LEFT, ITSELF, SIDEWAYS)
     labels[labels == 0] = 2
-    assert judge_by_depth(places, labels, {1}, {1}, SHAPE, LayersConfig()) == ({1}, set())
+    assert judge_by_depth(places, labels, {1}, {1}, SCENE, SHAPE, LayersConfig()) == ({1}, set())

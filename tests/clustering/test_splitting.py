@@ -14,6 +14,7 @@ from mlbs_actors.clustering.splitting import (
     bled_trajectories,
     label_speeds,
     least_object_speed,
+    outgrowing,
     propagate_labels,
     residual_speed,
     split_labels,
@@ -246,3 +247,29 @@ def test_what_counts_as_moving_grows_with_the_camera_and_with_what_it_leaves_une
     assert least(0.0, 20.0) > least(0.0, 10.0) > floor
     state = trajectories(np.full((20, 2), 50.0), np.zeros((20, 4, 2)))
     assert least_object_speed(state, np.ones(20, np.int64), {1: 9.0}, LAYERS, 2.0) == pytest.approx(2 * floor)
+
+
+# The scene
+
+
+@pytest.mark.parametrize(
+    ("sky", "ground", "among", "found"),
+    [
+        (4, 60, {1}, {1}),
+        (4, 60, {2}, set()),  # small
+        (4, 60, set(), set()),
+        (40, 60, {1}, set()),  # less than twice the background
+        (0, 4, {1}, set()),  # so small that it may be an object in an empty sky
+    ],
+)
+def test_what_is_new_and_far_larger_than_the_background_is_the_scene(
+    sky: int, ground: int, among: set[int], found: set[int]
+) -> None:
+    places = np.stack(np.meshgrid(np.arange(5.0, 200, 10), np.arange(5.0, 100, 10)), axis=-1)
+    places = places.reshape(-1, 2).astype(np.float32)
+    labels = np.full(len(places), UNLABELLED)
+    labels[:sky], labels[100 : 100 + ground], labels[185:] = BACKGROUND, 1, 2
+    crowded = np.repeat(places[:sky], 50, axis=0)  # area counts, not trajectories
+    positions = np.concatenate([places, crowded])
+    labels = np.concatenate([labels, np.full(len(crowded), BACKGROUND)])
+    assert outgrowing(labels, among, positions, 10.0, (100, 200)) == found

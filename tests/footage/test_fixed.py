@@ -10,7 +10,7 @@ import pytest
 
 from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.errors import ConfigError
-from mlbs_actors.footage.fixed import FixedState, fixed_cells
+from mlbs_actors.footage.fixed import FixedState, _completed, fixed_cells
 from mlbs_actors.messages import Array, Segmentation
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
@@ -130,6 +130,18 @@ def test_edges_that_stay_are_fixed_with_the_flat_parts_between_them() -> None:
     assert state.cells[22:42, 22:58].all()
     assert not state.cells[:14].any()
     assert not state.cells[:, :14].any()
+
+
+def test_a_flat_part_is_fixed_if_half_of_its_border_is_and_it_is_not_most_of_the_picture() -> None:
+    voted, unchanging = np.zeros((60, 80), bool), np.zeros((60, 80), bool)
+    voted[40:42, :50], unchanging[42:] = True, True  # the edge of a bonnet, but for the last third of it
+    assert _completed(voted, unchanging)[42:].all()
+    assert not _completed(voted, unchanging)[:36].any()
+    voted[40:42, 20:] = False
+    assert not _completed(voted, unchanging)[50:, 30:].any()
+    voted[40:42] = True
+    unchanging[:] = True  # the camera stands still
+    assert not _completed(voted, unchanging)[:30].any()
 
 
 def test_black_rows_at_the_border_are_bars_from_the_first_motion_on() -> None:
