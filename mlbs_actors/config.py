@@ -229,6 +229,9 @@ class LayersConfig(_Section):
     least_moving: float = Field(
         0.25, ge=0, le=1, description="Share of its life in which a label must have moved to count as older."
     )
+    moving_clusterings: int = Field(
+        10, ge=1, description="What has moved in so many clusterings counts as older however long it rests."
+    )
     merge_quantile: float = Field(
         0.3, ge=0, le=1, description="Quantile of motion distances across a border."
     )

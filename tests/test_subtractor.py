@@ -166,7 +166,7 @@ def test_a_frame_may_be_a_view_and_is_left_as_it_was(
     assert as_bytes(run(views)) == as_bytes(results)
 
 
-@pytest.mark.parametrize("name", ["no-mover", "static-empty"])
+@pytest.mark.parametrize("name", ["no-mover", "near-scene", "static-empty"])
 def test_without_a_mover_every_label_is_background(name: str) -> None:
     results = run(pictures_of(scene(name, frames=60), 16))
     assert len(results) == 16
@@ -180,6 +180,14 @@ def test_a_walker_before_a_still_camera_is_found() -> None:
     results = run(pictures_of(video, 20))
     found = [overlap(one.labels, video.labels(one.frame_index)) for one in results[10:]]
     assert np.mean(found) > 0.4
+
+
+@pytest.mark.parametrize(("name", "frames"), [("walker", 60), ("rest", 240)])
+def test_a_walker_and_a_car_that_rests_keep_one_id(name: str, frames: int) -> None:
+    video = scene(name, frames=frames, width=240, height=180)
+    results = run(pictures_of(video, frames))
+    assert np.mean([overlap(one.labels == 1, video.labels(one.frame_index)) for one in results[10:]]) > 0.8
+    assert {layer.layer for one in results[10:] for layer in one.layers} == {1}
 
 
 def test_a_look_ahead_delays_every_result_and_says_so() -> None:

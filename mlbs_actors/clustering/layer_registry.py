@@ -155,10 +155,11 @@ class LayerRegistry:
         """Return the frames since birth of every label, the background being older than all.
 
         A label that has hardly moved in all its life stays as young as on its first frame: foreground parts
-        of a static scene can look like an object for a while, and would remain one for ever.
+        of a static scene can look like an object for a while, and would remain one for ever. One that has
+        moved often enough is an object however long it rests.
         """
-        state = self.state
-        proven = state.moving >= self.config.least_moving * state.judged
+        state, config = self.state, self.config
+        proven = state.moving >= np.minimum(config.least_moving * state.judged, config.moving_clusterings)
         ages = np.where(proven, frame_index - state.born, 0)
         known = {int(label): int(age) for label, age in zip(state.labels, ages, strict=True)}
         return {**known, BACKGROUND: np.iinfo(np.int64).max}

@@ -122,6 +122,46 @@ def _static_walker(stage: Stage) -> None:
     stage.walker(1, (95 * _to_and_fro(stage.time, 220), 30 + 1.2 * np.cos(stage.time * 4 * np.pi / 26)), 95)
 
 
+def _walker(stage: Stage) -> None:
+    stage.pan(1.5)
+    stage.background()
+    stage.walker(1, (60 * _to_and_fro(stage.time, 180), 30 + 1.2 * np.cos(stage.time * 4 * np.pi / 26)), 95)
+
+
+def _rest(stage: Stage) -> None:
+    stage.x = 25 * np.sin(stage.time / 14)
+    stage.y = 4 * np.sin(stage.time / 10)
+    stage.background()
+    start, end = 40, 40 + min(max(stage.frames - 80, 0), 300)
+    driven = np.minimum(stage.time, start) + np.maximum(stage.time - end, 0)
+    stage.thing(1, (-70 + 2.2 * driven, 50), (28, 18), in_world=True)
+
+
+def _hidden(stage: Stage) -> None:
+    stage.x = 12 * np.sin(stage.time / 17)
+    stage.background()
+    before, behind = 40, 60
+    driven = np.minimum(stage.time, before) + np.maximum(stage.time - before - behind, 0)
+    stage.thing(1, (-95 + 2.2 * driven, 30), (24, 17), in_world=True)
+    stage.thing(0, (-7, 38), (36, 32), in_world=True)
+
+
+def _twins(stage: Stage) -> None:
+    stage.pan(0.5)
+    stage.street()
+    car = vehicle(stage.texture_rng(), (66, 32), (196, 128, 52), stage.unit)
+    stage.painted(1, car, (90 * _to_and_fro(stage.time, 120), 30.0))
+    stage.painted(2, car, (-90 * _to_and_fro(stage.time, 120), 44.0))
+
+
+def _near_scene(stage: Stage) -> None:
+    stage.slope = 2.2 * SLOPE
+    stage.pan(1.6)
+    stage.y = 2.5 * np.sin(stage.time * 0.45)
+    stage.roll = 0.01 * np.sin(stage.time * 0.22)
+    stage.background(props=14)
+
+
 def _camera_stops(stage: Stage) -> None:
     pause = min(stage.frames // 3, 60)
     stage.x = 2.0 * (np.minimum(stage.time, pause) + np.clip(stage.time - 2 * pause, 0, 60))
@@ -205,6 +245,13 @@ SCRIPTS: dict[str, Script] = {
     "leave": Script("two objects, one of which leaves", _leave),
     "no-mover": Script("moving camera and parallax, nothing else moves", _no_mover),
     "static-walker": Script("still camera; one walker with swinging arms and legs", _static_walker),
+    "walker": Script("panning camera; one walker with swinging arms and legs", _walker),
+    "rest": Script("an object drives, rests for up to 300 frames, and goes on; the camera sways", _rest),
+    "hidden": Script("an object stays behind a rock for 60 frames and comes out again", _hidden),
+    "twins": Script("two cars that look alike pass each other, again and again", _twins),
+    "near-scene": Script(
+        "strong parallax and many near bushes under a walking camera, nothing moves", _near_scene
+    ),
     "camera-stops": Script("the camera stops and goes on; two objects move all the time", _camera_stops),
     "static-empty": Script("still camera, nothing moves: only sensor noise", _static_empty),
     "parallax": Script("strong parallax and many near bushes; one object", _parallax),

@@ -494,6 +494,18 @@ def test_a_label_that_has_hardly_moved_stays_as_young_as_on_its_first_frame() ->
     assert ages[stream.labels["kerb"]] == 0
 
 
+def test_what_has_moved_often_enough_may_rest_for_ever() -> None:
+    stream = Stream()
+    for frame in range(100):
+        stream.see({"car": Thing(), "kerb": Thing(place=(300.0, 300.0))})
+        moved = {"car": CONFIG.moving_clusterings, "kerb": CONFIG.moving_clusterings - 1}
+        speeds = {stream.labels[name]: 2.0 * (frame < count) for name, count in moved.items()}
+        stream.registry.judge(speeds, 1.0)
+    ages = stream.registry.ages(99)
+    assert ages[stream.labels["car"]] == 99
+    assert ages[stream.labels["kerb"]] == 0
+
+
 def test_what_has_no_trajectories_is_not_judged() -> None:
     stream = Stream()
     for _ in range(6):

@@ -13,7 +13,7 @@ from mlbs_actors.messages import Array
 from orchestrator.sources.scene_scripts import SCRIPTS
 from orchestrator.sources.synthetic import SyntheticScene, scene, scene_from_uri
 
-MOVERS = sorted(SCRIPTS.keys() - {"no-mover", "static-empty"})
+MOVERS = sorted(SCRIPTS.keys() - {"no-mover", "near-scene", "static-empty"})
 
 
 def source_pixels(flow: Array) -> tuple[Array, Array]:
