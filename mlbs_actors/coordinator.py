@@ -82,6 +82,8 @@ __all__ = ["Coordinator"]
 LASTING_LIGHT = 3
 #: After so many frames in which the last picture is not found, the scene is taken for another one.
 LONGEST_LOSS = 5
+#: An object rests if less than this share of its trajectories has evidence of motion.
+RESTING = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -562,10 +564,15 @@ class Coordinator:
             # All models are of another scene or size, the background's too.
             retired, state.evaluated = set(state.evaluated), {}
         # Where the camera's motion explains the image as well, a trajectory is no evidence of an object: flow
-        # bleeds from an object over the smooth road beside it.
+        # bleeds from an object over the smooth road beside it. But of an object at rest none is left.
         least = np.float32(self.config.layers.least_evidence)
+        proof = held.evidence.copy()
+        for layer in registry.lasting_layers():
+            own = owner == layer
+            if own.any() and (proof[own] >= least).mean() < RESTING:
+                proof[own] = least
         positions, motions, starts = by_layer(
-            np.array(live), owner, held.evidence, least, held.positions, held.motions
+            np.array(live), owner, proof, least, held.positions, held.motions
         )
         tracks = []
         for one, start, end in zip(live, starts[:-1].tolist(), starts[1:].tolist(), strict=True):

@@ -178,6 +178,12 @@ class LayerRegistry:
         awake = (state.labels > 0) & (state.born <= frame_index) & (state.seen >= frame_index)
         return tuple(sorted(set(self.layers_of(state.labels[awake]).tolist())))
 
+    def lasting_layers(self) -> set[int]:
+        """Return the layers, but "other", that have moved so often that they are objects however long they rest."""
+        state = self.state
+        lasting = (state.labels > BACKGROUND) & ~state.pooled
+        return set(state.labels[lasting & (state.moving >= self.config.moving_clusterings)].tolist())
+
     def layers_of(self, labels: Array) -> Array:
         """Return layer ids of labels, (n,) int64, −1 for none.
 
