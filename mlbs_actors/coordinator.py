@@ -18,33 +18,18 @@ tell the camera's motion the layers go on, but nothing is clustered.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from time import perf_counter
 
 import numpy as np
 
 from mlbs_actors.cells import cell_side
-from mlbs_actors.clustering.affinity import TrajectoryGraph, displacement_spread, trajectory_graph
+from mlbs_actors.clustering.affinity import displacement_spread
 from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
 from mlbs_actors.clustering.layer_registry import LayerRegistry, RegistryState
-from mlbs_actors.clustering.motion_merging import merge_by_motion
-from mlbs_actors.clustering.parts import objects_beneath
-from mlbs_actors.clustering.reidentification import colours_at
-from mlbs_actors.clustering.rigid_scene import Places, judge_by_depth
-from mlbs_actors.clustering.splitting import (
-    background_first,
-    bled_trajectories,
-    label_speeds,
-    least_object_speed,
-    outgrowing,
-    propagate_labels,
-    residual_speed,
-    split_labels,
-    split_origins,
-)
+from mlbs_actors.clustering.rigid_scene import Places
 from mlbs_actors.config import Config, length_scale
+from mlbs_actors.coordinator_labels import cluster, observe
 from mlbs_actors.coordinator_state import CoordinatorState, NewFrame, UnsettledFrame
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow.consistency import DenseFlow
@@ -65,6 +50,7 @@ from mlbs_actors.messages import (
     LayerTracks,
     Segmentation,
 )
+from mlbs_actors.stages import timed
 from mlbs_actors.tracking.frame_buffer import (
     HeldFrame,
     by_layer,
@@ -195,7 +181,7 @@ class Coordinator:
             self._begin_epoch(frame_index)
             return ended + self.step(frame_index, frame, None, concealed)
         stage_ms: dict[str, float] = {}
-        with _timed(stage_ms, "flow"):
+        with timed(stage_ms, "flow"):
             side = cell_side(shape, self.config.grid.cell_px)
             picture = picture_of(frame, side, self.flow is not None)
         self.state.shape = shape
@@ -281,7 +267,7 @@ class Coordinator:
             def search(before: Picture, closely: bool) -> DenseFlow:
                 return estimate_flow(before, picture, side, config, None if closely else boxes, self.flow)
 
-            with _timed(stage_ms, "flow"):
+            with timed(stage_ms, "flow"):
                 goes_on = continuation(state.picture, state.colours, picture, new.frame, search)
             flow, light, gray = goes_on.flow, goes_on.light, goes_on.gray
             if not goes_on.found:
@@ -289,7 +275,7 @@ class Coordinator:
             if goes_on.glaring and not lasting:
                 return _Match("flash", flow, None, light, gray, astray, False)
             told = tells_motion(flow, gray, picture.gray)
-        with _timed(stage_ms, "tracking"):
+        with timed(stage_ms, "tracking"):
             known = state.labels == BACKGROUND if state.clustered else np.ones(len(state.labels), bool)
             fixed = state.fixed if state.pictures else FixedState.beginning(picture.gray, self.ignored)
             tracked = track(state.trajectories, known, fixed, flow, gray, picture.gray, state.shape, config)
@@ -319,7 +305,7 @@ class Coordinator:
         assert tracked is not None
         assert state.shape is not None
         side = cell_side(state.shape, config.grid.cell_px)
-        with _timed(stage_ms, "tracking"):
+        with timed(stage_ms, "tracking"):
             trajectories, camera = tracked.trajectories, tracked.camera
             labels = np.full(len(trajectories), UNLABELLED, np.int64)
             labels[: len(tracked.survivors)] = state.labels[tracked.survivors]
@@ -347,12 +333,12 @@ class Coordinator:
             state.labels, state.clustered = np.full(len(trajectories), BACKGROUND, np.int64), True
             state.held = relabelled(state.held, trajectories, state.labels)
         if match.told and self._clustering_due(frame_index):
-            self._cluster(frame, frame_index, feedback, stage_ms)
+            cluster(state, frame, frame_index, feedback, config, stage_ms)
         elif state.clustered:
             latest = None if feedback is None else feedback()
-            with _timed(stage_ms, "clustering"):
+            with timed(stage_ms, "clustering"):
                 registry = LayerRegistry(config.layers, state.shape, state.registry)
-                self._observe(registry, labels, frame, frame_index, latest)
+                observe(state, registry, labels, frame, frame_index, latest)
         if state.clustered:
             state.focus = focus_blocks(
                 tracked.against_camera.advantage, trajectories.positions, trajectories.motions,
@@ -397,7 +383,7 @@ class Coordinator:
         if state.pictures and not state.clustered:
             # Fewer frames than the first clustering wants: cluster those there are.
             colourless = np.zeros((*(state.shape or (0, 0)), 3), np.uint8)
-            self._cluster(colourless, state.next_frame - 1, None, {})
+            cluster(state, colourless, state.next_frame - 1, None, self.config, {})
         return self._emit(state.next_frame - 1)
 
     def _check(self, frame_index: int, frame: Array) -> None:
@@ -432,98 +418,6 @@ class Coordinator:
         if not self.state.clustered:
             return self.state.pictures >= layers.init_frames
         return age < 2 * layers.init_frames or age % layers.clustering_period == 0
-
-    def _graph(self) -> TrajectoryGraph:
-        state, history = self.state, self.config.trajectories.history_frames
-        spreads = np.concatenate([state.spreads, np.full(history - len(state.spreads), state.spreads[-1])])
-        assert state.shape is not None
-        return trajectory_graph(state.trajectories, spreads, state.shape, self.config.affinity)
-
-    def _cluster(
-        self,
-        frame: Array,
-        frame_index: int,
-        feedback: Callable[[], Segmentation] | None,
-        stage_ms: dict[str, float],
-    ) -> None:
-        """Decide the label of every live trajectory, and with it which layers live."""
-        state, config = self.state, self.config
-        assert state.shape is not None
-        scale = length_scale(*state.shape)
-        registry = LayerRegistry(config.layers, state.shape, state.registry)
-        with _timed(stage_ms, "affinity"):
-            graph = self._graph()
-            affinity = graph.matrix()
-        with _timed(stage_ms, "clustering"):
-            spacing = config.trajectories.seed_spacing_px * scale
-            speed = residual_speed(state.trajectories, config.layers.speed_frames)
-            bled = bled_trajectories(state.trajectories, speed, config.layers, scale)
-            if state.clustered:
-                carried = propagate_labels(affinity, state.labels, config.affinity)
-                fresh = max(registry.state.next_layer, int(carried.max(initial=0)) + 1)
-                labels, firm = split_labels(
-                    affinity, carried, config.affinity, fresh, bled, registry.spared_labels()
-                )
-                registry.spare(firm)
-                origins = split_origins(carried, labels)
-            else:
-                labels, _ = split_labels(affinity, np.full(len(bled), UNLABELLED), config.affinity, 0, bled)
-                labels = background_first(labels, state.trajectories, scale, spacing)
-                origins = {}
-            speeds = label_speeds(speed, labels)
-            least = least_object_speed(state.trajectories, labels, speeds, config.layers, scale)
-            ages = registry.ages(frame_index)
-            parts = registry.parts() | {new for new, origin in origins.items() if origin > BACKGROUND}
-            young = {one for one in speeds if ages.get(one, 0) < config.layers.young_frames}
-            young -= parts | {BACKGROUND}
-            slow = {one for one in speeds if speeds[one] < least}
-            static, moving = judge_by_depth(
-                state.places, labels, young, slow, state.fixed.cells, state.shape, config.layers
-            )
-            if state.clustered:
-                new, places = young - registry.objects(), state.trajectories.positions
-                static |= outgrowing(labels, new, places, spacing, state.shape)
-            speeds |= dict.fromkeys(moving, least) | dict.fromkeys(static, 0.0)
-            registry.judge(speeds, least)
-            split = labels
-            labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)
-            gone = set(speeds) - distinct_labels(labels)
-            registry.forget({label: int(labels[split == label][0]) for label in gone})
-        latest = None if feedback is None else feedback()
-        with _timed(stage_ms, "clustering"):
-            moved = state.trajectories
-            beneath = objects_beneath(
-                registry.unknown(labels), labels, moved.positions, moved.motions, frame_index, latest
-            )
-            # Objects of the first clustering date from the first frame.
-            born = frame_index if state.clustered else state.epoch
-            labels = registry.admit(labels, born, {**origins, **beneath})
-            self._observe(registry, labels, frame, frame_index, latest)
-            probation = config.layers.probation_frames if state.clustered else 0
-            state.labels = registry.promote(state.labels, frame_index, probation)
-            state.registry = registry.state
-        state.clustered = True
-        state.held = relabelled(state.held, state.trajectories, state.labels)
-
-    def _observe(
-        self,
-        registry: LayerRegistry,
-        labels: Array,
-        frame: Array,
-        frame_index: int,
-        latest: Segmentation | None,
-    ) -> None:
-        state = self.state
-        published = [] if latest is None else [one.layer for one in latest.layers]
-        state.labels = registry.observe(
-            labels,
-            state.trajectories.positions,
-            state.trajectories.motions,
-            colours_at(frame, state.trajectories.positions),
-            frame_index,
-            published,
-        )
-        state.registry = registry.state
 
     def _emit(self, last: int) -> list[FrameEvidence]:
         """Return the evidence of the held frames up to ``last``."""
@@ -589,10 +483,3 @@ class Coordinator:
             motions=motions,
             retired=tuple(sorted(retired)),
         )
-
-
-@contextmanager
-def _timed(stage_ms: dict[str, float], stage: str) -> Iterator[None]:
-    start = perf_counter()
-    yield
-    stage_ms[stage] = stage_ms.get(stage, 0.0) + 1e3 * (perf_counter() - start)

@@ -179,7 +179,7 @@ class LayerRegistry:
         return tuple(sorted(set(self.layers_of(state.labels[awake]).tolist())))
 
     def lasting_layers(self) -> set[int]:
-        """Return the layers, but "other", that have moved so often that they are objects however long they rest."""
+        """Return the layers, but "other", that are objects however long they rest: they have moved often."""
         state = self.state
         lasting = (state.labels > BACKGROUND) & ~state.pooled
         return set(state.labels[lasting & (state.moving >= self.config.moving_clusterings)].tolist())

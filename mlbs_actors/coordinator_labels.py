@@ -1,0 +1,151 @@
+"""Which trajectory belongs to which layer: one clustering of a stream (§4).
+
+:func:`cluster` goes from the affinities to the labels, step by step: carry the last labels on, split clusters,
+judge which move, merge those that do not or that move together, and let the registry decide which are layers.
+Each step is explained in its own module.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.sparse as sp
+
+from mlbs_actors.clustering.affinity import trajectory_graph
+from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
+from mlbs_actors.clustering.layer_registry import LayerRegistry
+from mlbs_actors.clustering.motion_merging import merge_by_motion
+from mlbs_actors.clustering.parts import objects_beneath
+from mlbs_actors.clustering.reidentification import colours_at
+from mlbs_actors.clustering.rigid_scene import judge_by_depth
+from mlbs_actors.clustering.splitting import (
+    background_first,
+    bled_trajectories,
+    label_speeds,
+    least_object_speed,
+    outgrowing,
+    propagate_labels,
+    residual_speed,
+    split_labels,
+    split_origins,
+)
+from mlbs_actors.config import Config, length_scale
+from mlbs_actors.coordinator_state import CoordinatorState
+from mlbs_actors.messages import BACKGROUND, Array, Segmentation
+from mlbs_actors.stages import timed
+from mlbs_actors.tracking.frame_buffer import relabelled
+
+__all__ = ["cluster", "observe"]
+
+
+def cluster(
+    state: CoordinatorState,
+    frame: Array,
+    frame_index: int,
+    feedback: Callable[[], Segmentation] | None,
+    config: Config,
+    stage_ms: dict[str, float],
+) -> None:
+    """Decide the label of every live trajectory, and with it which layers live.
+
+    Parameters
+    ----------
+    state : CoordinatorState
+        Its labels, registry and held frames are brought up to date.
+    frame : (H, W, 3) uint8
+    frame_index : int
+    feedback : callable or None
+        Returns a Segmentation shortly before; called late.
+    config : Config
+    stage_ms : dict of str to float
+    """
+    assert state.shape is not None
+    registry = LayerRegistry(config.layers, state.shape, state.registry)
+    with timed(stage_ms, "affinity"):
+        missing = config.trajectories.history_frames - len(state.spreads)
+        spreads = np.concatenate([state.spreads, np.full(missing, state.spreads[-1])])
+        graph = trajectory_graph(state.trajectories, spreads, state.shape, config.affinity)
+        affinity = graph.matrix()
+    with timed(stage_ms, "clustering"):
+        speed = residual_speed(state.trajectories, config.layers.speed_frames)
+        split, origins = _split(state, registry, affinity, speed, config)
+        ages = registry.ages(frame_index)
+        speeds, least = _judged(state, registry, split, origins, ages, label_speeds(speed, split), config)
+        registry.judge(speeds, least)
+        labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)
+        gone = set(speeds) - distinct_labels(labels)
+        registry.forget({label: int(labels[split == label][0]) for label in gone})
+    latest = None if feedback is None else feedback()
+    with timed(stage_ms, "clustering"):
+        positions, motions = state.trajectories.positions, state.trajectories.motions
+        new = registry.unknown(labels)
+        origins |= objects_beneath(new, labels, positions, motions, frame_index, latest)
+        # Objects of the first clustering date from the first frame.
+        labels = registry.admit(labels, frame_index if state.clustered else state.epoch, origins)
+        observe(state, registry, labels, frame, frame_index, latest)
+        probation = config.layers.probation_frames if state.clustered else 0
+        state.labels = registry.promote(state.labels, frame_index, probation)
+        state.registry = registry.state
+    state.clustered = True
+    state.held = relabelled(state.held, state.trajectories, state.labels)
+
+
+def observe(
+    state: CoordinatorState,
+    registry: LayerRegistry,
+    labels: Array,
+    frame: Array,
+    frame_index: int,
+    latest: Segmentation | None,
+) -> None:
+    """Record in the registry where the labels (n,) int64 are; parameters as of :func:`cluster`."""
+    published = [] if latest is None else [one.layer for one in latest.layers]
+    positions, motions = state.trajectories.positions, state.trajectories.motions
+    colours = colours_at(frame, positions)
+    state.labels = registry.observe(labels, positions, motions, colours, frame_index, published)
+    state.registry = registry.state
+
+
+def _split(
+    state: CoordinatorState, registry: LayerRegistry, affinity: sp.csr_array, speed: Array, config: Config
+) -> tuple[Array, dict[int, int]]:
+    """Carry the labels on and split them; return the labels, and from which each new one was split off."""
+    assert state.shape is not None
+    scale = length_scale(*state.shape)
+    bled = bled_trajectories(state.trajectories, speed, config.layers, scale)
+    if not state.clustered:
+        labels, _ = split_labels(affinity, np.full(len(bled), UNLABELLED), config.affinity, 0, bled)
+        spacing = config.trajectories.seed_spacing_px * scale
+        return background_first(labels, state.trajectories, scale, spacing), {}
+    carried = propagate_labels(affinity, state.labels, config.affinity)
+    fresh = max(registry.state.next_layer, int(carried.max(initial=0)) + 1)
+    labels, firm = split_labels(affinity, carried, config.affinity, fresh, bled, registry.spared_labels())
+    registry.spare(firm)
+    return labels, split_origins(carried, labels)
+
+
+def _judged(
+    state: CoordinatorState,
+    registry: LayerRegistry,
+    labels: Array,
+    origins: dict[int, int],
+    ages: dict[int, int],
+    speeds: dict[int, float],
+    config: Config,
+) -> tuple[dict[int, float], float]:
+    """Return how fast each label moves by itself, and how fast objects do at least, px/frame."""
+    assert state.shape is not None
+    scale = length_scale(*state.shape)
+    least = least_object_speed(state.trajectories, labels, speeds, config.layers, scale)
+    parts = registry.parts() | {new for new, origin in origins.items() if origin > BACKGROUND}
+    young = {one for one in speeds if ages.get(one, 0) < config.layers.young_frames}
+    young -= parts | {BACKGROUND}
+    slow = {one for one in speeds if speeds[one] < least}
+    static, moving = judge_by_depth(
+        state.places, labels, young, slow, state.fixed.cells, state.shape, config.layers
+    )
+    if state.clustered:
+        new, spacing = young - registry.objects(), config.trajectories.seed_spacing_px * scale
+        static |= outgrowing(labels, new, state.trajectories.positions, spacing, state.shape)
+    return speeds | dict.fromkeys(moving, least) | dict.fromkeys(static, 0.0), least
