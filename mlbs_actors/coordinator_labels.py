@@ -1,8 +1,8 @@
 """Which trajectory belongs to which layer: one clustering of a stream (§4).
 
-:func:`cluster` goes from the affinities to the labels, step by step: carry the last labels on, split clusters,
-judge which move, merge those that do not or that move together, and let the registry decide which are layers.
-Each step is explained in its own module.
+:func:`cluster` goes from the affinities to the labels, step by step: carry the last labels on, split
+clusters, judge which move, merge those that do not or that move together, and let the registry decide which
+are layers. Each step is explained in its own module.
 """
 
 from __future__ import annotations
