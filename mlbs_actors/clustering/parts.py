@@ -31,7 +31,7 @@ def objects_beneath(
     Parameters
     ----------
     clusters : collection of int
-        Labels to look at.
+        Labels to look at, each of at least one trajectory.
     labels : (n,) int64
         Label of each trajectory.
     positions, motions : (n, 2) float32

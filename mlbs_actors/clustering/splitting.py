@@ -49,7 +49,7 @@ __all__ = [
 ]
 
 #: A new label that covers so many times the background's area, and this share of the frame, is background.
-OUTGROWING, LEAST_SCENE = 2.0, 0.1
+OUTGROWING, LEAST_SCENE = 2.0, 0.05
 
 
 def propagate_labels(affinity: sp.csr_array, labels: Array, config: AffinityConfig) -> Array:

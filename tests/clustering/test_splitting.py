@@ -268,7 +268,7 @@ def test_what_is_new_and_far_larger_than_the_background_is_the_scene(
     places = np.stack(np.meshgrid(np.arange(5.0, 200, 10), np.arange(5.0, 100, 10)), axis=-1)
     places = places.reshape(-1, 2).astype(np.float32)
     labels = np.full(len(places), UNLABELLED)
-    labels[:sky], labels[100 : 100 + ground], labels[185:] = BACKGROUND, 1, 2
+    labels[:sky], labels[100 : 100 + ground], labels[192:] = BACKGROUND, 1, 2
     crowded = np.repeat(places[:sky], 50, axis=0)  # area counts, not trajectories
     positions = np.concatenate([places, crowded])
     labels = np.concatenate([labels, np.full(len(crowded), BACKGROUND)])
