@@ -146,6 +146,6 @@ def _judged(
         state.places, labels, young, slow, state.fixed.cells, state.shape, config.layers
     )
     if state.clustered:
-        new, spacing = young - registry.objects(), config.trajectories.seed_spacing_px * scale
+        new, spacing = young - registry.layer_labels(), config.trajectories.seed_spacing_px * scale
         static |= outgrowing(labels, new, state.trajectories.positions, spacing, state.shape)
     return speeds | dict.fromkeys(moving, least) | dict.fromkeys(static, 0.0), least

@@ -38,7 +38,7 @@ class RegistryState:
     born : (k,) int64
         Frame of birth.
     origins : (k,) int64
-        Label that a candidate was split off, −1 if none.
+        Label of the object that it was split off or has appeared on, −1 if none.
     seen : (k,) int64
         Last frame awake; older than the newest frame = asleep.
     judged, moving : (k,) int64
@@ -164,12 +164,12 @@ class LayerRegistry:
         known = {int(label): int(age) for label, age in zip(state.labels, ages, strict=True)}
         return {**known, BACKGROUND: np.iinfo(np.int64).max}
 
-    def objects(self) -> set[int]:
+    def layer_labels(self) -> set[int]:
         """Return the labels that are layers, awake or asleep."""
         return set(self.state.labels[self.state.labels > BACKGROUND].tolist())
 
     def parts(self) -> set[int]:
-        """Return the labels that were split off an object."""
+        """Return the labels that were split off an object, or have appeared on one."""
         return set(self.state.labels[self.state.origins != UNLABELLED].tolist())
 
     def live_layers(self, frame_index: int) -> tuple[int, ...]:

@@ -32,7 +32,7 @@ from mlbs_actors.config import LayersConfig, length_scale
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.tracking.trajectories import evenly_spread
 
-__all__ = ["Places", "border_share", "judge_by_depth", "squares"]
+__all__ = ["Places", "border_share", "judge_by_depth", "scene_squares", "taken_squares"]
 
 #: Focal length, × the longer side of the frame.
 FOCAL = 1.1
@@ -104,9 +104,9 @@ def judge_by_depth(
     moving : set of int
         Young slow labels that move by themselves.
     """
-    static = set()
+    static, scene = set(), scene_squares(fixed, shape)
     for label in young:
-        taken, scene = squares(places[0].positions[labels == label], fixed, shape)
+        taken = taken_squares(places[0].positions[labels == label], shape)
         if taken.mean() >= config.scene_area and border_share(taken, scene) > config.scene_border:
             static.add(label)
     pairs = _Pairs.between(places[-1], places[0], labels, shape)
@@ -209,30 +209,40 @@ class _Pairs:
         return float(obeys[self.labels == label].mean())
 
 
-def squares(positions: Array, fixed: Array, shape: tuple[int, int]) -> tuple[Array, Array]:
-    """Squares of the frame that hold some trajectories, and those that show the scene.
+def taken_squares(positions: Array, shape: tuple[int, int]) -> Array:
+    """Squares of the frame that hold some trajectories.
 
     Parameters
     ----------
     positions : (n, 2) float32
         px.
-    fixed : (h, w) bool
-        Cells that are fixed in the picture.
     shape : (int, int)
         (H, W) of the frame.
 
     Returns
     -------
-    taken, scene : (rows, columns) bool
+    (rows, columns) bool
     """
-    side = SQUARE_PX * length_scale(*shape)
-    rows, columns = (max(round(length / side), 3) for length in shape)
+    rows, columns = _squares_of(shape)
     y = np.clip((positions[:, 1] * rows / shape[0]).astype(np.intp), 0, rows - 1)
     x = np.clip((positions[:, 0] * columns / shape[1]).astype(np.intp), 0, columns - 1)
     taken = np.zeros((rows, columns), bool)
     taken[y, x] = True
+    return taken
+
+
+def scene_squares(fixed: Array, shape: tuple[int, int]) -> Array:
+    """Squares of the frame that show the scene, (rows, columns) bool; parameters as of `judge_by_depth`."""
+    rows, columns = _squares_of(shape)
     share = cv2.resize(fixed.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
-    return taken, share < MOST_FIXED
+    return np.asarray(share < MOST_FIXED)
+
+
+def _squares_of(shape: tuple[int, int]) -> tuple[int, int]:
+    """Rows and columns of squares in a frame."""
+    side = SQUARE_PX * length_scale(*shape)
+    rows, columns = (max(round(length / side), 3) for length in shape)
+    return rows, columns
 
 
 def border_share(taken: Array, scene: Array) -> float:
@@ -241,7 +251,7 @@ def border_share(taken: Array, scene: Array) -> float:
     Parameters
     ----------
     taken, scene : (rows, columns) bool
-        Of :func:`squares`.
+        Of :func:`taken_squares` and :func:`scene_squares`.
 
     Returns
     -------

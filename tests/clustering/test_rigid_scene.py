@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mlbs_actors.clustering.rigid_scene import FOCAL, Places, border_share, judge_by_depth, squares
+from mlbs_actors.clustering.rigid_scene import (
+    FOCAL,
+    Places,
+    border_share,
+    judge_by_depth,
+    scene_squares,
+    taken_squares,
+)
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import Array
 
@@ -48,11 +55,12 @@ STILL, ITSELF = np.zeros(3), np.array([0.0, 0.4, 0.1])
 
 
 def test_the_outline_of_what_reaches_out_of_the_frame_is_partly_the_border() -> None:
+    showing = scene_squares(SCENE, SHAPE)
     for near, share in ((LEFT, 0.6), (MIDDLE, 0.0)):
         places, labels = scene(near, STILL, SIDEWAYS)
-        taken, showing = squares(places[0].positions[labels == 1], SCENE, SHAPE)
+        taken = taken_squares(places[0].positions[labels == 1], SHAPE)
         assert border_share(taken, showing) == pytest.approx(share, abs=0.15 * (share > 0))
-    assert border_share(*squares(np.zeros((2, 2), np.float32), SCENE, SHAPE)) == 0.0
+    assert border_share(taken_squares(np.zeros((2, 2), np.float32), SHAPE), showing) == 0.0
 
 
 def test_the_scene_ends_where_the_picture_is_fixed() -> None:
