@@ -301,6 +301,8 @@ class LayerSummary:
         Mean motion t−1 → t, px/frame.
     confidence : float
         Mean posterior of the label over its pixels, in [0, 1].
+    part_of : int
+        Layer that it is a part of, 0 if it is an object of its own; always 0 in what is published.
     """
 
     layer: int
@@ -310,6 +312,7 @@ class LayerSummary:
     centroid: tuple[float, float]
     velocity: tuple[float, float]
     confidence: float
+    part_of: int = 0
 
 
 @pickled_by_values

@@ -21,6 +21,7 @@ from mlbs_actors.inspection import FrameInspection, inspect_frame
 from mlbs_actors.layer.layer import Layer
 from mlbs_actors.layer.layer_state import LayerState
 from mlbs_actors.messages import Array, FrameEvidence, LayerKind, Segmentation, readonly
+from mlbs_actors.segmentation.attached_parts import join_parts
 from mlbs_actors.segmentation.segmenter import Segmenter, SegmenterState
 from mlbs_actors.state_file import capture
 
@@ -205,4 +206,4 @@ class MultilayerSubtractor:
         self._published[index] = segmentation
         if self._inspector is not None:
             self._inspector(inspect_frame(self.config, evidence, self._layers, posteriors, segmentation))
-        return segmentation
+        return join_parts(segmentation)

@@ -9,6 +9,8 @@ published map is the cleaned one (specks, holes and contact shadows removed), an
 layer other than the background can own nothing outside its region, so nearby regions form independent groups
 (:mod:`mlbs_actors.segmentation.region_groups`); in them the layers' proposals
 (:mod:`mlbs_actors.segmentation.proposals`) are labelled (:mod:`mlbs_actors.segmentation.group_labelling`).
+Layers that are parts of one object keep their own labels here; they get one id only in what is published
+(:mod:`mlbs_actors.segmentation.attached_parts`).
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
+from mlbs_actors.segmentation.attached_parts import PartsState, find_parts
 from mlbs_actors.segmentation.group_labelling import LayerStatistics, Proposals, Scene, label_proposals
 from mlbs_actors.segmentation.proposals import proposal_boxes
 from mlbs_actors.segmentation.region_groups import group_regions
@@ -51,6 +54,7 @@ class SegmenterState:
         Frame of the last picture; −1 before the first one.
     labels, normaliser, fallback, layers
         Of its :class:`~mlbs_actors.messages.Segmentation`; empty before the first picture of an epoch.
+    parts : PartsState
     """
 
     next_frame: int
@@ -59,12 +63,19 @@ class SegmenterState:
     normaliser: Array
     fallback: Array
     layers: tuple[LayerSummary, ...]
+    parts: PartsState
 
     @staticmethod
     def beginning() -> SegmenterState:
         """Before the first frame."""
         return SegmenterState(
-            0, -1, np.zeros((0, 0), np.uint16), np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.int8), ()
+            0,
+            -1,
+            np.zeros((0, 0), np.uint16),
+            np.zeros((0, 0), np.uint8),
+            np.zeros((0, 0), np.int8),
+            (),
+            PartsState.empty(),
         )
 
 
@@ -132,7 +143,13 @@ class Segmenter:
         for group in group_regions(regions, (grid.height, grid.width)):
             members = [posteriors[0], *(posteriors[1 + position] for position in group.members)]
             summaries += self._label_group(group.box, members, evidence, scene, result, stage_ms)
-        layers = tuple(sorted(summaries, key=lambda one: one.layer))
+        live = {one.layer for one in evidence.tracks if one.kind == "object"}
+        parts = find_parts(self.state.parts, result.labels, evidence.frame_index, live)
+        part_of = parts.objects()
+        layers = tuple(
+            replace(one, part_of=part_of.get(one.layer, 0))
+            for one in sorted(summaries, key=lambda one: one.layer)
+        )
         for shared in (result.labels, result.normaliser, result.fallback):  # the layers read them back
             shared.setflags(write=False)
         camera = posteriors[0].velocity
@@ -154,6 +171,7 @@ class Segmenter:
             result.normaliser,
             result.fallback,
             layers,
+            parts,
         )
         return segmentation
 
@@ -170,7 +188,13 @@ class Segmenter:
             grid = in_cells(Region(0, 0, evidence.shape[1], evidence.shape[0]), side)
             nothing = _Maps.of_background(evidence.shape, (grid.height, grid.width))
             state = SegmenterState(
-                state.next_frame, -1, nothing.labels, nothing.normaliser, nothing.fallback, ()
+                state.next_frame,
+                -1,
+                nothing.labels,
+                nothing.normaliser,
+                nothing.fallback,
+                (),
+                PartsState.empty(),
             )
         self.state = replace(state, next_frame=evidence.frame_index + 1)
         return Segmentation(

@@ -27,6 +27,7 @@ from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import LayerAppearance, Segmentation
 from mlbs_actors.pickling import pickled_by_values
+from mlbs_actors.segmentation.attached_parts import join_parts
 
 __all__ = ["GapRow", "LabelRow", "Record", "SinkActor"]
 
@@ -106,7 +107,7 @@ class SinkActor:
             segmentation, frame = memory.load(row.segmentation), memory.load(row.frame)
             background = None if row.background is None else memory.load(row.background)
             with order.step(frame.index, after=frame.index - 1):
-                committed = sink.write(segmentation, frame, background)
+                committed = sink.write(join_parts(segmentation), frame, background)
         return committed
 
     def keep(self, run: int, snapshot: Snapshot) -> bool:

@@ -1,0 +1,205 @@
+"""Which layers are parts of one object: limbs, a head, a turned body (§7).
+
+A limb that moves by itself for long enough is a layer of its own, with its own motion and colours, which is
+how it is segmented best. But it is not another object. A layer that appears in contact with a larger one, or
+touches it widely in its first frames, is its part, and has its id in what is published, until the two have
+been apart for some frames: then it is an object from there on. Layers that have met later, such as people
+who pass each other, are two objects however closely they touch.
+
+Not in the paper, where each layer is an object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from mlbs_actors.messages import Array, LayerSummary, Region, Segmentation
+
+__all__ = ["PartsState", "find_parts", "join_parts"]
+
+#: Label maps are looked at with so many rows or columns, whichever are fewer.
+_ROWS = 240
+#: Layers as near as this are in contact, in those rows.
+_REACH = 4
+#: A layer's outline in contact with an object, of a part that appears, and as long as it is one.
+_LEAST_CONTACT = 0.1
+#: The same of a layer that becomes a part within its first frames.
+_WIDE_CONTACT = 0.3
+#: A layer becomes a part within so many frames after the one that it appears in, or never.
+_FIRST_FRAMES = 4
+#: Largest area of a part that appears, relative to the layer that it touches.
+_LARGEST_PART = 0.7
+#: A part is an object after more frames than this without contact.
+_MOST_APART = 6
+
+
+@dataclass(frozen=True, slots=True)
+class PartsState:
+    """The layers that have owned pixels, and what they are parts of; one in each row.
+
+    Attributes
+    ----------
+    layers : (k,) int64
+        Ascending.
+    appeared : (k,) int64
+        Frame in which each first owned pixels.
+    part_of : (k,) int64
+        Layer that it is a part of, 0 if it is an object of its own.
+    apart : (k,) int64
+        Frames since a part was last in contact with its object.
+    """
+
+    layers: Array
+    appeared: Array
+    part_of: Array
+    apart: Array
+
+    @staticmethod
+    def empty() -> PartsState:
+        """Before the first layer."""
+        return PartsState(*(np.zeros(0, np.int64) for _ in range(4)))
+
+    def objects(self) -> dict[int, int]:
+        """Return layer → the layer that it is a part of, of all parts."""
+        rows = zip(self.layers.tolist(), self.part_of.tolist(), strict=True)
+        return {layer: whole for layer, whole in rows if whole}
+
+
+@dataclass(slots=True)
+class _Layer:
+    """One row of the state."""
+
+    appeared: int
+    part_of: int = 0
+    apart: int = 0
+
+
+def find_parts(state: PartsState, labels: Array, frame_index: int, live: Collection[int]) -> PartsState:
+    """Decide which layers of a label map are parts of which others.
+
+    Parameters
+    ----------
+    state : PartsState
+        Of the frame before.
+    labels : (H, W) uint16
+        Layer of every pixel, 0 = background.
+    frame_index : int
+    live : collection of int
+        Layers of one object each that are not retired.
+
+    Returns
+    -------
+    PartsState
+    """
+    step = max(1, round(min(labels.shape) / _ROWS))
+    coarse = labels[::step, ::step]
+    areas = np.bincount(coarse.ravel())
+    rows = zip(
+        *(one.tolist() for one in (state.layers, state.appeared, state.part_of, state.apart)), strict=True
+    )
+    layers = {layer: _Layer(*row) for layer, *row in rows if layer in live}
+    present = [layer for layer in np.flatnonzero(areas).tolist() if layer in live]
+    new = {layer: _Layer(frame_index) for layer in present if layer not in layers}
+    layers |= new
+    for layer in present:
+        own = layers[layer]
+        if own.part_of:
+            contact = sum(
+                share
+                for other, share in _contacts(coarse, layer, present).items()
+                if own.part_of in (other, layers[other].part_of)
+            )
+            own.apart = 0 if contact >= _LEAST_CONTACT else own.apart + 1
+            if own.apart > _MOST_APART:
+                own.part_of = 0
+        elif frame_index - own.appeared <= _FIRST_FRAMES:
+            contacts: dict[int, float] = {}
+            for other, share in _contacts(coarse, layer, present).items():
+                whole = layers[other].part_of or other
+                older = (layers[other].appeared, -areas[other]) < (own.appeared, -areas[layer])
+                if older and whole != layer and areas[layer] <= _LARGEST_PART * areas[other]:
+                    contacts[whole] = contacts.get(whole, 0.0) + share
+            best = max(contacts, key=lambda one: contacts[one], default=0)
+            if best and contacts[best] >= (_LEAST_CONTACT if layer in new else _WIDE_CONTACT):
+                own.part_of, own.apart = best, 0
+                for one in layers.values():
+                    if one.part_of == layer:
+                        one.part_of = best
+    ordered = sorted(layers.items())
+    return PartsState(
+        np.array([layer for layer, _ in ordered], np.int64),
+        np.array([one.appeared for _, one in ordered], np.int64),
+        np.array([one.part_of for _, one in ordered], np.int64),
+        np.array([one.apart for _, one in ordered], np.int64),
+    )
+
+
+def _contacts(coarse: Array, layer: int, present: Collection[int]) -> dict[int, float]:
+    """Return the share of a layer's outline that is as near as ``_REACH`` to each other layer near it."""
+    x, y, width, height = cv2.boundingRect((coarse == layer).astype(np.uint8))
+    top, left = max(y - _REACH - 1, 0), max(x - _REACH - 1, 0)
+    window = coarse[top : y + height + _REACH + 1, left : x + width + _REACH + 1]
+    own = (window == layer).astype(np.uint8)
+    outline = cv2.dilate(own, np.ones((3, 3), np.uint8)) > own
+    near = np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8)
+    shares = {}
+    for other in np.unique(window).tolist():
+        if other != layer and other in present:
+            beside = cv2.dilate((window == other).astype(np.uint8), near) > 0
+            share = float((outline & beside).sum()) / max(int(outline.sum()), 1)
+            if share > 0:
+                shares[other] = share
+    return shares
+
+
+def join_parts(segmentation: Segmentation) -> Segmentation:
+    """Give the parts of an object its id: what is published.
+
+    Parameters
+    ----------
+    segmentation : Segmentation
+        Of layers.
+
+    Returns
+    -------
+    Segmentation
+        Of objects. Box and area are those of all parts together, other values the mean of their pixels.
+    """
+    layers = segmentation.layers
+    if not any(one.part_of for one in layers):
+        return segmentation
+    renamed = np.arange(max(one.layer for one in layers) + 1, dtype=segmentation.labels.dtype)
+    members: dict[int, list[LayerSummary]] = {}
+    for one in layers:
+        whole = one.part_of or one.layer
+        renamed[one.layer] = whole
+        members.setdefault(whole, []).append(one)
+    labels = renamed[segmentation.labels]
+    labels.setflags(write=False)
+    joined = tuple(_joined(whole, parts) for whole, parts in sorted(members.items()))
+    return replace(segmentation, labels=labels, layers=joined)
+
+
+def _joined(whole: int, parts: list[LayerSummary]) -> LayerSummary:
+    area = sum(one.area for one in parts)
+    left = min(one.region.x for one in parts)
+    top = min(one.region.y for one in parts)
+    right = max(one.region.x + one.region.width for one in parts)
+    bottom = max(one.region.y + one.region.height for one in parts)
+
+    def mean(values: list[float]) -> float:
+        return sum(one.area * value for one, value in zip(parts, values, strict=True)) / area
+
+    return LayerSummary(
+        layer=whole,
+        kind=parts[0].kind,
+        region=Region(left, top, right - left, bottom - top),
+        area=area,
+        centroid=(mean([one.centroid[0] for one in parts]), mean([one.centroid[1] for one in parts])),
+        velocity=(mean([one.velocity[0] for one in parts]), mean([one.velocity[1] for one in parts])),
+        confidence=mean([one.confidence for one in parts]),
+    )
