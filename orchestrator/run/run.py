@@ -26,10 +26,12 @@ from orchestrator.monitor.address import MonitorAddress
 from orchestrator.monitor.board import Board
 from orchestrator.monitor.ray_metrics import RayMetrics
 from orchestrator.monitor.server import serving
+from orchestrator.program import command_line_of
 from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
 from orchestrator.report.page import render_report
 from orchestrator.run.admission import cores, places, places_here, warn_of_cameras
+from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.driver import Driver, Observer, SpecChange
 from orchestrator.run.durable_files import replace_file
 from orchestrator.run.list_watch import ListWatch
@@ -59,7 +61,7 @@ def run(
     ----------
     arguments : Arguments
     streams : sequence of ListedStream
-        The streams listed in ``arguments.streams``.
+        Of the list, then of the arguments.
     missing : mapping of str to str
         Streams without a source → what is wrong; they fail, the others run.
     config : Config
@@ -77,7 +79,8 @@ def run(
     folder = RunFolder(arguments.output.resolve())
     sourceless = [stream for stream in streams if stream.name in missing]
     for stream in sourceless:
-        _say(f"{arguments.streams}, line {stream.line}: {missing[stream.name]}")
+        place = f"{arguments.streams}, line {stream.line}: " if stream.line else ""
+        _say(place + missing[stream.name])
     if arguments.watch:  # their lines are ignored until they are corrected
         streams, sourceless = [stream for stream in streams if stream.name not in missing], []
     ended = {
@@ -170,12 +173,15 @@ class _Job:
         self._folder = folder
         self._live = live
         self.description = self._described()
-        self._watch = ListWatch(
-            arguments.streams,
-            streams,
-            lambda name: folder.stream(name).exists(),
-            lambda text: _say(mask(text)),
-        )
+        self._watch = None
+        if arguments.watch and arguments.streams is not None:
+            unlisted = {stream.name for stream in streams if stream.line is None}
+            self._watch = ListWatch(
+                arguments.streams,
+                [stream for stream in streams if stream.name not in unlisted],
+                lambda name: name in unlisted or folder.stream(name).exists(),
+                lambda text: _say(mask(text)),
+            )
 
     @property
     def specs(self) -> list[StreamSpec]:
@@ -184,7 +190,7 @@ class _Job:
 
     def changes(self) -> SpecChange | None:
         """Return changes to the list."""
-        change = self._watch.look()
+        change = None if self._watch is None else self._watch.look()
         if change is None:
             return None
         self._streams += change.added
@@ -230,6 +236,8 @@ class _Job:
 def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int, memory: NodeMemory) -> None:
     """Announce the run, and anything about it that may surprise."""
     count = count_of(len(due), "stream")
+    if [spec.source for spec in due] == [DEMO]:
+        _say(f"This is a built-in scene; for a video of your own: {command_line_of('VIDEO')}")
     if arguments.address is not None:
         _say(f"Joining Ray at {arguments.address}; {count}.")
         return
@@ -320,7 +328,7 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
     done = sum(state.state == "done" for state in states)
     lines = [f"{done} of {count_of(len(states), 'stream')} complete. Results: {folder.path}"]
     lines += [
-        f"  line {state.line}, {state.name} ({state.state}): {state.error}"
+        f"  {f'line {state.line}, ' if state.line else ''}{state.name} ({state.state}): {state.error}"
         for state in states
         if state.error is not None
     ]
