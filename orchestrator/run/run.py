@@ -41,7 +41,8 @@ from orchestrator.run.stream_state import StreamState, after_failure, exit_code,
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.overlay import overlays
 from orchestrator.sinks.record import StreamRecord, ends_group, has_snapshot, recorded_frames
-from orchestrator.sources.address import SourceKind
+from orchestrator.sources.address import SourceAddress, SourceKind
+from orchestrator.sources.lengths import finding_lengths
 from orchestrator.sources.opening import open_reader
 from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
@@ -110,9 +111,11 @@ def run(
             folder.refuse_if_used([stream.name for stream in streams])
         due = [spec for spec in job.specs if spec.name not in ended]
         onlookers: list[Observer] = []
+        lengths: Callable[[], dict[str, int]] = dict
         if at_work := bool(due) or arguments.watch:
             onlookers = session.enter_context(_monitored(arguments.monitor, live))
             _announce(due, arguments, limit, memory)
+            lengths = session.enter_context(finding_lengths(job.files(due[1:]), scratch))
             session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
         if at_work and arguments.ray_metrics is not None:
             onlookers.append(RayMetrics())
@@ -122,7 +125,7 @@ def run(
             folder.create(job.description)
             hold.enter_context(folder.locked())
         if at_work:
-            states, exit_status = _drive(job, ended, limit, status, onlookers, folder, arguments)
+            states, exit_status = _drive(job, ended, limit, lengths(), status, onlookers, folder, arguments)
         else:
             states = tuple(ended[spec.name] for spec in job.specs)
             exit_status = exit_code(states, None)
@@ -187,6 +190,11 @@ class _Job:
     def specs(self) -> list[StreamSpec]:
         """All streams, in the driver's form."""
         return [self._spec(stream) for stream in self._streams]
+
+    def files(self, specs: Sequence[StreamSpec]) -> dict[str, SourceAddress]:
+        """Return the sources of those of ``specs`` that are no cameras, by name."""
+        names = {spec.name for spec in specs if spec.replayable}
+        return {stream.name: stream.source for stream in self._streams if stream.name in names}
 
     def changes(self) -> SpecChange | None:
         """Return changes to the list."""
@@ -254,6 +262,7 @@ def _drive(
     job: _Job,
     ended: Mapping[str, StreamState],
     limit: int,
+    lengths: Mapping[str, int],
     status: StatusFile,
     onlookers: Sequence[Observer],
     folder: RunFolder,
@@ -281,6 +290,7 @@ def _drive(
                 limit=most,
                 observers=[status, *onlookers, progress],
                 interruption=interruption,
+                lengths=lengths,
                 ended=ended,
                 changes=job.changes if arguments.watch else None,
             )
