@@ -238,6 +238,11 @@ def _refuse_source_behind(flag: str, words: Sequence[str | None]) -> None:
 
 
 def _folder(text: str) -> Path:
+    if text[1:3] in (":\\", ":/"):
+        raise ConfigError(
+            f"--output takes a folder of this machine, not {text!r}; where WSL has the drives of Windows: "
+            f"--output {shlex.quote(f'/mnt/{text[0].lower()}/' + text[3:].replace(chr(92), '/'))}"
+        )
     if "://" in text:
         raise ConfigError(
             f"--output takes a folder of this machine, not {mask(text)!r}; mount the storage and name the "

@@ -97,7 +97,8 @@ def _sources_of(word: str) -> list[SourceAddress]:
         source = argument_address(word)
         if word.endswith(".txt") and Path(source.location).is_file():
             raise ConfigError(
-                f"{word} is a text file; if it is a list of streams: {command_line_of('--streams', word)}"
+                f"the file {word} is text; {command_line_of('--streams', word)} would read it as a list of "
+                "streams"
             )
         return parts_of(source) or [source]
     except (ConfigError, SourceError) as error:

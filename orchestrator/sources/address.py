@@ -94,12 +94,17 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
             return _synthetic_address(text)
         case "file":
             path = unquote(text.removeprefix("file://").removeprefix("file:"))
-            raise ConfigError(f"a file is named by its path alone: {shlex.quote(path)}")
+            raise ConfigError(f"a file has no scheme; write {shlex.quote(path)}, its path alone")
         case drive if len(drive) == 1:
             path = text[2:].replace("\\", "/").lstrip("/")
-            there = f": {shlex.quote(f'/mnt/{drive}/{path}')}" if "/" in path else ", with / for each \\"
+            # Without quotes a shell has removed its backslashes, and so the ends of its folders.
+            there = (
+                shlex.quote(f"/mnt/{drive}/{path}")
+                if "/" in path
+                else f"the path with / for \\ from /mnt/{drive}/ on"
+            )
             raise ConfigError(
-                f"{drive.upper()}: is a drive of Windows; in WSL its files are in /mnt/{drive}{there}"
+                f"{drive.upper()}: is a drive of Windows; write {there}, where WSL has its files"
             )
         case other:
             raise ConfigError(

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import ray
 from camera_server import PASSWORD, camera, free_port, needs_rtsp_server
 from PIL import Image
 
@@ -114,7 +115,7 @@ def test_set_may_be_given_once_or_often() -> None:
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        (["--resume", "--watch"], "cannot go with --resume"),
+        (["--resume", "--watch", "--streams", "l"], "cannot go with --resume"),
         (["--monitor", "web"], "PORT or HOST:PORT"),
         (["--monitor", "0.0.0.0:70000"], "PORT or HOST:PORT"),
         (["--save", "mask"], "knows no 'mask'"),
@@ -124,11 +125,13 @@ def test_set_may_be_given_once_or_often() -> None:
         (["--address", ":6379"], "HOST:PORT"),
         (["--address", "head:port"], "HOST:PORT"),
         (["--output", "s3://bucket/out"], "mount the storage"),
+        (["--output", r"C:\my out"], "--output '/mnt/c/my out'"),
+        (["--watch", "a.mp4"], "--watch reads a list again"),
     ],
 )
 def test_what_is_not_there_is_refused_with_a_sentence(flags: list[str], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
-        parse(["--streams", "list.txt", *flags])
+        parse([*([] if "--watch" in flags else ["--streams", "list.txt"]), *flags])
 
 
 @pytest.mark.parametrize(
@@ -364,6 +367,18 @@ def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) ->
     assert "Starting Ray" not in ended.stderr
     assert json.loads(ended.stdout)["state"] == "done"
     assert (folder.path / "report.html").stat().st_size
+
+
+def test_a_ray_that_does_not_run_on_this_machine_is_told_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def init(**_: object) -> None:
+        raise ConnectionError("Could not find any running Ray instance")
+
+    monkeypatch.setattr(ray, "init", init)
+    monkeypatch.setattr(ray, "shutdown", lambda: None)  # other tests use theirs
+    with pytest.raises(ConfigError, match="finds no Ray on this machine; start it"):
+        ray_session.ray_session("auto", tmp_path).__enter__()
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere.invalid:6379"])

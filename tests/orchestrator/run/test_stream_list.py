@@ -239,9 +239,9 @@ def test_a_folder_given_for_the_list_is_told_in_one_sentence(tmp_path: Path) -> 
         ("My Clips/*.MP4", "put it in quotes: 'My Clips/*.MP4'."),
         ("no My Clip", "put a path that holds spaces in quotes: no 'My Clip'."),
         ("https://host/a.mp4", "download the video and name its file"),
-        ("file:///My%20Clips/a.mp4", "by its path alone: '/My Clips/a.mp4'"),
-        (r"'C:\Me\a b.mp4'", "in WSL its files are in /mnt/c: '/mnt/c/Me/a b.mp4'"),
-        (r"C:\Me\a.mp4", r"in WSL its files are in /mnt/c, with / for each \."),
+        ("file:///My%20Clips/a.mp4", "write '/My Clips/a.mp4', its path alone"),
+        (r"'C:\Me\a b.mp4'", "write '/mnt/c/Me/a b.mp4', where WSL"),
+        (r"C:\Me\a.mp4", r"write the path with / for \ from /mnt/c/ on,"),
     ],
 )
 def test_a_mistaken_line_is_told_what_to_write(tmp_path: Path, line: str, words: str) -> None:
