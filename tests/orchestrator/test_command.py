@@ -587,6 +587,29 @@ def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(
     assert "Traceback" not in everything
 
 
+@pytest.mark.ray
+def test_a_video_named_as_an_argument_has_its_results_beside_it_and_a_second_run_does_not_touch_them(
+    tmp_path: Path,
+) -> None:
+    video = tmp_path / "my clips/street [1].mp4"
+    video.parent.mkdir()
+    writer = cv2.VideoWriter(str(tmp_path / "x.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 25, (160, 120))
+    street = scene("demo", frames=8, width=160, height=120)
+    for index in range(8):
+        writer.write(street.frame(index))
+    writer.release()
+    (tmp_path / "x.mp4").rename(video)
+    for number in ("", "-2"):
+        ended = command(video, "--max-frames", "8", "--save", "masks")
+        assert ended.returncode == 0, ended.stderr
+        output = tmp_path / f"my clips/street [1]-objects{number}"
+        assert f"Results: {output}\n" in ended.stderr
+        assert len(_masks(output / "street [1]")) == 8
+    ended = command(video, "--max-frames", "8", "--save", "masks", "--resume")
+    assert "1 stream ended before" in ended.stderr
+    assert f"Results: {output}\n" in ended.stderr
+
+
 def _session_folders(driver: int) -> set[Path]:
     """Those of one run, told by its process: other runs may begin meanwhile."""
     return set(Path("/tmp").glob(f"mlbs-ray-*/session_*_{driver}"))
