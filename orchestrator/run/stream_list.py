@@ -1,4 +1,4 @@
-"""The list of streams: one stream per line, ``URI`` or ``NAME URI``, shell quoting, ``#`` comments.
+"""The list of streams: one stream per line, ``SOURCE`` or ``NAME SOURCE``, shell quoting, ``#`` comments.
 
 A folder or glob of videos is one stream per video, and so is a glob of folders of images.
 
@@ -119,14 +119,14 @@ def parse_stream_list(path: Path) -> tuple[tuple[ListedStream, ...], dict[int, s
                 if stream.name in first_line:
                     raise ConfigError(
                         f"the name {stream.name!r} is taken by line {first_line[stream.name]}; "
-                        "give this stream another one by writing NAME URI"
+                        "give this stream another one by writing NAME SOURCE"
                     )
                 first_line[stream.name] = number
                 streams.append(stream)
         except (ConfigError, SourceError) as error:
             faults[number] = mask(str(error)).rstrip(".")
     if not streams and not faults:
-        raise ConfigError(f"The list {path} holds no stream; write one a line, as NAME URI.")
+        raise ConfigError(f"The list {path} holds no stream; write one a line, as NAME SOURCE.")
     if len(streams) > MAX_STREAMS:
         raise ConfigError(f"The list {path} holds more than {MAX_STREAMS} streams; split it.")
     return tuple(streams), faults
@@ -229,7 +229,8 @@ def _refuse_unquoted(text: str, words: Sequence[str], folder: Path) -> None:
         # No camera is shown: quotes would hide its password from what masks it.
         example = "" if "://" in text else f": {words[0]} {shlex.quote(' '.join(words[1:]))}"
         raise ConfigError(
-            f"has {len(words)} words, not URI or NAME URI; put a path that holds spaces in quotes{example}"
+            f"has {len(words)} words, not SOURCE or NAME SOURCE; "
+            f"put a path that holds spaces in quotes{example}"
         )
 
 
@@ -263,7 +264,7 @@ def _without_comment(text: str) -> str:
 
 
 def _check_name(name: str, *, given: bool) -> None:
-    advice = "choose another name" if given else "give it a name by writing NAME URI"
+    advice = "choose another name" if given else "give it a name by writing NAME SOURCE"
     if not name or "/" in name or "\\" in name or name.startswith((".", "-")) or "***" in name:
         raise ConfigError(f"{name!r} cannot be the name of a stream's folder; {advice}")
     if len(name.encode()) > MAX_NAME_BYTES:

@@ -81,7 +81,7 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
             machine that runs the stream.
     """
     if not text or len(text.encode()) > _MAX_ADDRESS_BYTES:
-        raise ConfigError(f"the URI must have 1 to {_MAX_ADDRESS_BYTES} bytes")
+        raise ConfigError(f"a source is named by 1 to {_MAX_ADDRESS_BYTES} bytes")
     match = _SCHEME.match(text)
     if match is None:
         return _path_address(text, folder)

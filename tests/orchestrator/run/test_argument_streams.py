@@ -106,7 +106,7 @@ def test_demo_is_the_built_in_scene_of_the_demo_list_unless_there_is_such_a_file
         (["C:\\Me\\a.mp4"], "C: is a drive of Windows; write /mnt/c/Me/a.mp4, where WSL has its files."),
         (["https://host/a.mp4?x=1"], "download the video and name its file."),
         (["s3://bucket/a.mp4"], "'s3' is no known kind of source"),
-        ([""], "The URI must have"),
+        ([""], "A source is named by 1 to"),
         ([os.fsdecode(b"\xff.mp4")], "is not UTF-8 text; rename the file."),
     ],
 )

@@ -181,7 +181,7 @@ def test_a_name_that_comes_twice_is_refused_and_says_where_it_was(tmp_path: Path
     message = refusal(tmp_path, "a/frames\nb/frames\n")
     assert "line 2:" in message
     assert "line 1" in message
-    assert "NAME URI" in message
+    assert "NAME SOURCE" in message
 
 
 @pytest.mark.parametrize("text", ["", "\n\n", "# nothing\n"])
