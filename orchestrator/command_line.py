@@ -16,7 +16,7 @@ from orchestrator.credentials import mask
 from orchestrator.ignored import Ignored, read_ignored
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.program import command_line_of, program_name
-from orchestrator.run.argument_streams import argument_address, default_output
+from orchestrator.run.argument_streams import DEMO, argument_address, default_output
 
 __all__ = ["SAVABLE", "SAVED", "Arguments", "parse"]
 
@@ -194,7 +194,7 @@ def parse(argv: Sequence[str]) -> Arguments:
                 f"Name a video, a folder of videos or images, or a camera: {command_line_of('street.mp4')}; "
                 f"or try {command_line_of('demo')}. All else: {command_line_of('--help')}"
             )
-        sources = ("demo",)
+        sources = (DEMO,)
     if given.output is not None:
         output = _folder(given.output)
     else:

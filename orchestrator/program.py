@@ -7,6 +7,8 @@ import shlex
 import sys
 from pathlib import Path
 
+from orchestrator.credentials import mask
+
 __all__ = ["command_line_of", "program_name"]
 
 #: Set by scripts/run to the path by which it was called.
@@ -22,5 +24,5 @@ def program_name() -> str:
 
 
 def command_line_of(*words: str) -> str:
-    """Write the command with these arguments so that a shell takes it as it is meant."""
-    return f"{program_name()} {shlex.join(words)}"
+    """Write the command with these arguments so that a shell takes it as it is meant, without credentials."""
+    return f"{program_name()} {shlex.join(map(mask, words))}"

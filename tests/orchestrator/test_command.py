@@ -31,6 +31,7 @@ from orchestrator.__main__ import main
 from orchestrator.command_line import SAVED, parse
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.ray_session import ray_settings
+from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.run.stream_state import StreamState
@@ -103,7 +104,7 @@ def test_the_command_of_a_run_finds_its_sources_from_any_folder(
     assert asked.streams is None
     assert asked.sources == (
         *(str(tmp_path / "12:30 x.mp4"), str(tmp_path / "clips/*.mp4"), "rtsp://host/door"),
-        "synthetic:street?frames=60",
+        DEMO,
     )
 
 
@@ -244,7 +245,7 @@ def test_the_main_script_becomes_the_program_that_signals_are_for(tmp_path: Path
 
 
 def test_the_main_script_runs_the_demo_where_no_source_is_named_and_other_commands_ask_for_one() -> None:
-    assert parse(["--or-demo", "--max-frames", "3"]).sources == ("demo",)
+    assert parse(["--or-demo", "--max-frames", "3"]).sources == (DEMO,)
     assert parse(["--or-demo", "a.mp4"]).sources == ("a.mp4",)
     assert parse(["--or-demo", "--streams", "l"]).sources == ()
     with pytest.raises(ConfigError, match="Name a video"):

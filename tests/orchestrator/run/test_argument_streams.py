@@ -100,6 +100,7 @@ def test_demo_is_the_built_in_scene_of_the_demo_list_unless_there_is_such_a_file
         (["My", "Clips/DJI 1.MP4"], "put it in quotes: python -m orchestrator 'My Clips/DJI 1.MP4'"),
         (["My", "Clips/*.MP4"], "put it in quotes: python -m orchestrator 'My Clips/*.MP4'"),
         (["x.mp4", "My", "Clips/DJI", "1.MP4"], "python -m orchestrator x.mp4 'My Clips/DJI 1.MP4'"),
+        (["rtsp://bob:it's@host/x", "My", "Clips"], "'rtsp://***@host/x' 'My Clips'"),
         (["yard/1.png", "yard/2.png"], "name the folder, yard, or put the glob in quotes: 'yard/*.png'"),
         (["list.txt"], "; python -m orchestrator --streams list.txt would read it as a list of streams."),
         (["mixed 1"], "name one kind by a glob such as '{}/mixed 1/*.mp4'."),
