@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
 from orchestrator.ignored import Ignored, read_ignored
+from orchestrator.mistaken_flags import refuse_source_behind, unknown_flag
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.program import command_line_of, program_name
 from orchestrator.run.argument_streams import DEMO, argument_address, default_output
@@ -174,13 +173,13 @@ def parse(argv: Sequence[str]) -> Arguments:
     given, unknown = parser.parse_known_intermixed_args(argv)
     if unknown:
         known = [f"--{name.replace('_', '-')}" for name in vars(given) if name not in ("sources", "or_demo")]
-        parser.error(_unknown_flag(unknown[0], known))
+        parser.error(unknown_flag(unknown[0], known))
     for flag, words in (
         ("--set", given.set),
         ("--monitor", [given.monitor]),
         ("--ray-metrics", [given.ray_metrics]),
     ):
-        _refuse_source_behind(flag, words)
+        refuse_source_behind(flag, words)
     if given.resume and given.watch:
         raise ConfigError("--watch cannot go with --resume; leave one of them out.")
     if given.watch and given.streams is None:
@@ -215,26 +214,6 @@ def parse(argv: Sequence[str]) -> Arguments:
         ignored=read_ignored(given.ignore),
         watch=given.watch,
     )
-
-
-def _unknown_flag(word: str, known: Sequence[str]) -> str:
-    """Say that there is no such flag, and which one may be meant."""
-    if os.path.lexists(word):
-        return f"{word} begins like a flag; to name the file write {shlex.quote(f'./{word}')}"
-    flag = word.partition("=")[0]
-    near = [name for name in known if name.startswith(flag if flag.startswith("--") else f"-{flag}")]
-    near = near if len(near) == 1 else get_close_matches(flag, known, 1)
-    return f"there is no {flag}; " + (f"did you mean {near[0]}?" if near else "--help lists all flags")
-
-
-def _refuse_source_behind(flag: str, words: Sequence[str | None]) -> None:
-    """Raise ConfigError if a flag was given a source for one of its values."""
-    for word in words:
-        if word and os.path.lexists(word):
-            raise ConfigError(
-                f"{flag} takes the words behind it, here {word!r}; name your sources first: "
-                f"{command_line_of(word, flag)} …"
-            )
 
 
 def _folder(text: str) -> Path:

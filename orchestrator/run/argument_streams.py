@@ -108,12 +108,11 @@ def _sources_of(word: str) -> list[SourceAddress]:
 
 def _refuse_unquoted(words: Sequence[str]) -> None:
     """Raise ConfigError if several words are the path of one source with spaces."""
-    for start, word in enumerate(words):
-        if is_source(word):
-            continue
+    exists = [is_source(word) for word in words]
+    for start in range(len(words)):
         for end in range(start + 2, min(start + _MOST_WORDS, len(words)) + 1):
             path = " ".join(words[start:end])
-            if is_source(path):
+            if not all(exists[start:end]) and is_source(path):
                 fixed = [*words[:start], path, *words[end:]]
                 raise ConfigError(
                     f"The path {path} holds spaces, so put it in quotes: {command_line_of(*fixed)}"

@@ -116,6 +116,11 @@ def test_a_mistaken_argument_is_told_what_to_type(folder: Path, words: list[str]
     assert expected.format(folder) in refusal(*words)
 
 
+def test_a_path_with_spaces_is_told_to_be_quoted_also_where_its_first_word_is_a_file() -> None:
+    touch("My Clips/a.mp4", "My/b.mp4")
+    assert "'My Clips/a.mp4'" in refusal("My", "Clips/a.mp4")
+
+
 def test_missing_files_are_named_and_fail_alone_unless_nothing_is_left(folder: Path) -> None:
     Path("a.mp4").write_text("a")
     assert list(missing_sources(None, argument_streams(["a.mp4", "b.mp4"]))) == ["b"]
