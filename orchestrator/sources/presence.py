@@ -195,6 +195,11 @@ def images_of(location: str) -> list[Path]:
             f"There are no images in {location} itself; for a stream a folder write "
             f"{shlex.quote(f'{location}/*')}."
         )
+    if not visible and (deeper := _files_of(f"{location}/*/*", _VIDEO_SUFFIXES)):
+        videos = shlex.quote(f"{location}/*/*{deeper[0].suffix}")
+        raise SourceError(
+            f"There are no videos in {location} itself; for those in its folders write {videos}."
+        )
     if not visible:
         raise SourceError(
             f"There are no videos and no images at {location}; check the path, and whether the names of the "

@@ -131,6 +131,13 @@ def test_missing_files_are_named_and_fail_alone_unless_nothing_is_left(folder: P
     ]
 
 
+def test_a_folder_of_folders_of_videos_is_told_how_to_be_named(folder: Path) -> None:
+    touch("DCIM/100/a.MP4", "DCIM/101/a.MP4")
+    with pytest.raises(ConfigError, match=r"for those in its folders write '.*DCIM/\*/\*\.MP4'"):
+        missing_sources(None, argument_streams(["DCIM"]))
+    assert [name for name, _ in named("DCIM/*/*.MP4")] == ["a", "a-2"]
+
+
 def test_a_folder_without_pictures_is_told_which_are_read(folder: Path) -> None:
     touch("empty/notes.doc")
     with pytest.raises(ConfigError, match=r"There are no videos and no images at .*empty; .* mp4, .* png,"):
