@@ -9,8 +9,9 @@ from collections.abc import Sequence
 
 __all__ = ["main"]
 
-#: Modules of the extra ``run``, which ``MultilayerSubtractor`` alone does not need.
-_NEEDED = ("av", "filelock", "jinja2", "PIL", "pyarrow", "pycocotools", "ray", "rich")
+#: OpenCV, which nothing requires, as its packages exclude each other, and the modules of the extra ``run``,
+#: which ``MultilayerSubtractor`` alone does not need.
+_NEEDED = ("cv2", "av", "filelock", "jinja2", "PIL", "pyarrow", "pycocotools", "ray", "rich")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -21,8 +22,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGINT, _exit)
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
+        extras = "run,headless" if "cv2" in missing else "run"
         print(
-            f"Packages are missing that a run needs ({', '.join(missing)}); pip install 'mlbs-actors[run]'.",
+            f"Packages are missing that a run needs ({', '.join(missing)}); "
+            f"pip install 'mlbs-actors[{extras}]'",
             file=sys.stderr,
         )
         return 2

@@ -11,13 +11,14 @@ from orchestrator.command_line import parse
 from orchestrator.credentials import mask
 from orchestrator.interruption import StopAtOnce
 from orchestrator.ray_session import ray_settings
+from orchestrator.run.argument_streams import argument_streams
 from orchestrator.run.stream_list import missing_sources, read_stream_list
 
 __all__ = ["run_command"]
 
 
 def run_command(argv: Sequence[str]) -> int:
-    """Run the streams of a list.
+    """Run the streams of a list and of the arguments.
 
     Parameters
     ----------
@@ -31,10 +32,11 @@ def run_command(argv: Sequence[str]) -> int:
     """
     try:
         arguments = parse(argv)
-        streams = read_stream_list(arguments.streams)
+        streams = () if arguments.streams is None else read_stream_list(arguments.streams)
+        streams += argument_streams(arguments.sources, [stream.name for stream in streams])
         unknown = sorted(arguments.ignored.streams - {stream.name for stream in streams})
         if unknown and not arguments.watch:
-            raise ConfigError(f"--ignore names the stream {unknown[0]!r}, which is not in the list.")
+            raise ConfigError(f"--ignore names the stream {unknown[0]!r}, which is not one of this run.")
         config = load_config(arguments.config, arguments.overrides)
         missing = missing_sources(arguments.streams, streams)
         with ray_settings(arguments.address) as scratch:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +12,10 @@ from pathlib import Path
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
 from orchestrator.ignored import Ignored, read_ignored
+from orchestrator.mistaken_flags import refuse_source_behind, unknown_flag
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
+from orchestrator.program import command_line_of, program_name
+from orchestrator.run.argument_streams import DEMO, argument_address, default_output
 
 __all__ = ["SAVABLE", "SAVED", "Arguments", "parse"]
 
@@ -24,15 +28,25 @@ SAVED = SAVABLE[:3]
 #: Least ``--max-side``, px: in smaller pictures there is hardly a trajectory.
 LEAST_SIDE = 64
 
+_EXAMPLES = """\
+examples:
+  {program} street.mp4                     one video; results in street-objects, beside it
+  {program} clips/ rtsp://host/stream      each video of a folder, and a camera; results in out
+  {program} demo --max-frames 30           the beginning of a built-in scene
+
+"""
+
 _EPILOG = """\
-the list of streams, one a line (shell quoting, # comments, relative paths count from the list's folder):
-  URI                     the stream is named after the last part of its path
-  NAME URI
-a URI is a video file, a folder or a glob of images, rtsp://HOST/PATH, rtsps://HOST/PATH, http://HOST/PATH or
-https://HOST/PATH (MJPEG), /dev/videoN or a made scene, synthetic:demo?frames=60&seed=1
-a folder or a glob of videos is a stream for each of them, named after the file, or NAME-FILE; so is a glob of
-folders of images, such as 'DAVIS/JPEGImages/480p/*', and of images in many folders, 'moseg_dataset/*/*.ppm'
+a SOURCE is a video file, a folder or a glob of images, rtsp://HOST/PATH, rtsps://HOST/PATH, http://HOST/PATH
+or https://HOST/PATH (MJPEG), /dev/videoN, demo or another made scene, synthetic:demo?frames=60&seed=1
+a folder or a glob of videos is a stream for each of them; so is a glob of folders of images, such as
+'DAVIS/JPEGImages/480p/*', and of images in many folders, 'moseg_dataset/*/*.ppm'
+a stream is named after the last part of its source's path; of several clip.mp4 the second one is clip-2
 a camera is read until --max-frames or a signal; one that goes away is tried again until it is back
+
+the list of streams, one a line (shell quoting, # comments, relative paths count from the list's folder):
+  SOURCE
+  NAME SOURCE             a name of your own; of a folder or glob of videos NAME-FILE
 
 output:
   DIR/run.json                   what was asked for, with versions and hashes
@@ -69,8 +83,10 @@ class Arguments:
 
     Attributes
     ----------
-    streams : Path
-        The list of streams.
+    sources : tuple of str
+        Sources named as arguments.
+    streams : Path, optional
+        The list of streams, which come before them.
     output : Path
         Folder of the record.
     config : Path, optional
@@ -98,7 +114,8 @@ class Arguments:
         Whether the list is read again when it changes.
     """
 
-    streams: Path
+    sources: tuple[str, ...]
+    streams: Path | None
     output: Path
     config: Path | None
     overrides: tuple[str, ...]
@@ -118,11 +135,11 @@ class Arguments:
             sys.executable,
             "-m",
             "orchestrator",
-            "--streams",
-            str(self.streams.absolute()),
-            "--output",
-            output,
+            *(argument_address(source).location for source in self.sources),
         ]
+        if self.streams is not None:
+            words += ["--streams", str(self.streams.absolute())]
+        words += ["--output", output]
         if self.config is not None:
             words += ["--config", str(self.config.absolute())]
         if self.overrides:
@@ -151,14 +168,42 @@ def parse(argv: Sequence[str]) -> Arguments:
     SystemExit
         From argparse: 0 after ``--help``, 2 if the arguments do not fit the usage.
     """
-    given = _parser().parse_args(argv)
+    parser = _parser()
+    # Intermixed: sources may stand before and after flags.
+    given, unknown = parser.parse_known_intermixed_args(argv)
+    if unknown:
+        known = [f"--{name.replace('_', '-')}" for name in vars(given) if name not in ("sources", "or_demo")]
+        parser.error(unknown_flag(unknown[0], known))
+    for flag, words in (
+        ("--set", given.set),
+        ("--monitor", [given.monitor]),
+        ("--ray-metrics", [given.ray_metrics]),
+    ):
+        refuse_source_behind(flag, words)
     if given.resume and given.watch:
         raise ConfigError("--watch cannot go with --resume; leave one of them out.")
+    if given.watch and given.streams is None:
+        raise ConfigError(
+            "--watch reads a list again; write your sources into one and name it with --streams."
+        )
+    sources = tuple(given.sources)
+    if not sources and given.streams is None:
+        if not given.or_demo:
+            raise ConfigError(
+                f"Name a video, a folder of videos or images, or a camera: {command_line_of('street.mp4')}; "
+                f"or try {command_line_of('demo')}. All else: {command_line_of('--help')}"
+            )
+        sources = (DEMO,)
+    if given.output is not None:
+        output = _folder(given.output)
+    else:
+        output = Path("out") if given.streams else default_output(sources, resume=given.resume)
     return Arguments(
+        sources=sources,
         streams=given.streams,
-        output=_folder(given.output),
+        output=output,
         config=given.config,
-        overrides=tuple(given.overrides),
+        overrides=tuple(given.set),
         address=None if given.address is None else _cluster_address(given.address),
         resume=given.resume,
         save=_parts(given.save),
@@ -172,6 +217,11 @@ def parse(argv: Sequence[str]) -> Arguments:
 
 
 def _folder(text: str) -> Path:
+    if text[1:3] in (":\\", ":/"):
+        raise ConfigError(
+            f"--output takes a folder of this machine, not {text!r}; where WSL has the drives of Windows: "
+            f"--output {shlex.quote(f'/mnt/{text[0].lower()}/' + text[3:].replace(chr(92), '/'))}"
+        )
     if "://" in text:
         raise ConfigError(
             f"--output takes a folder of this machine, not {mask(text)!r}; mount the storage and name the "
@@ -237,26 +287,39 @@ def _side(text: str) -> int:
     return int(text)
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose help begins with examples."""
+
+    def format_help(self) -> str:
+        """Return the help."""
+        return _EXAMPLES.format(program=self.prog) + super().format_help()
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m orchestrator",
+    parser = _Parser(
+        prog=program_name(),
+        usage="%(prog)s [SOURCE ...] [--streams LIST] [--output DIR] [flags]",
         description="Segment every independently moving object in many moving-camera videos at once: "
         "a label map for every frame of every stream.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("--streams", type=Path, required=True, metavar="LIST", help="the list of streams")
+    parser.add_argument("sources", nargs="*", metavar="SOURCE", help="a video or another source, see below")
+    parser.add_argument(
+        "--streams", type=Path, metavar="LIST", help="a list of streams, which come before those of SOURCE"
+    )
+    parser.add_argument("--or-demo", action="store_true", help=argparse.SUPPRESS)  # of scripts/run
     parser.add_argument(
         "--output",
-        default="out",
         metavar="DIR",
-        help="folder for the results; one that holds a run is refused without --resume (default: out)",
+        help="folder for the results; one that holds a run is refused without --resume (default: out; "
+        "without a list, NAME-objects beside a single file or folder; and if that is there, out-2 and so on, "
+        "with --resume the last one)",
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML file with parameters")
     parser.add_argument(
         "--set",
-        dest="overrides",
         nargs="+",
         action="extend",
         default=[],

@@ -13,13 +13,13 @@ __all__ = ["MASK", "mask"]
 #: Replacement of a secret.
 MASK = "***"
 
-# Greedy up to the last @ of the word: a password may itself hold "/", "@" or ":".
-_USER_INFO = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)[^\s'\"]*@")
+# Greedy up to the last @ of the word: a password may itself hold "/", "@", ":" or a quote.
+_USER_INFO = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)\S*@")
 
 # "password=…" in a query, or in the path as some recorders want it; the value ends at & or white space,
 # because a password may hold any other separator.
 _SECRET_PARAMETER = re.compile(
-    r"((?:password|passwd|passphrase|pass|pwd|secret|token|api_?key|key|auth|signature|sig)=)[^\s&'\"]+",
+    r"((?:password|passwd|passphrase|pass|pwd|secret|token|api_?key|key|auth|signature|sig)=)[^\s&]+",
     re.IGNORECASE,
 )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from datetime import timedelta
 from typing import Protocol, TextIO
@@ -17,7 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from orchestrator.run.stream_state import ENDED, StreamState
+from orchestrator.run.stream_state import ENDED, StreamState, frames_left
 
 __all__ = ["JsonLines", "LiveTable", "Progress", "progress_for"]
 
@@ -26,6 +26,9 @@ _LINE_SECONDS = 5.0
 
 #: Least number of streams in the table, and lines reserved for a note.
 _LEAST_SHOWN, _NOTE_LINES = 3, 2
+
+#: Window over which the rate of a run is measured, which bridges the starts of its files, s: most and least.
+_RATE_SECONDS, _LEAST_RATE_SECONDS = 30.0, 3.0
 
 _STYLES = {"running": "green", "done": "dim", "partial": "yellow", "failed": "red", "waiting": "dim"}
 
@@ -88,10 +91,13 @@ class LiveTable:
     Parameters
     ----------
     console : rich.console.Console
+    clock : callable
+        Monotonic time, s.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
         self._console = console
+        self._throughput = _Throughput(clock)
         # Messages to the same terminal go above the table, which would overwrite them.
         above = sys.stderr.isatty()
         self._live = Live(console=console, refresh_per_second=4, redirect_stdout=False, redirect_stderr=above)
@@ -106,6 +112,7 @@ class LiveTable:
         self._live.stop()
 
     def _table(self, states: Sequence[StreamState]) -> Group:
+        total_left = _left(states, self._throughput.after(states))
         states = sorted(states, key=lambda state: state.rank)
         shown: list[StreamState] = []
         room = self._console.height - 7
@@ -131,11 +138,43 @@ class LiveTable:
                 _read(state),
                 str(state.committed),
                 rate,
-                "" if left is None else str(timedelta(seconds=round(left))),
+                "" if left is None else _time(left),
                 str(state.layers) if state.layers else "",
                 str(lost) if lost else "",
             )
-        return Group(table, Text(notes + _summary(states, len(shown))))
+        return Group(table, Text(notes + _summary(states, len(shown)) + total_left))
+
+
+class _Throughput:
+    """The rate at which all files of a run together are read.
+
+    Parameters
+    ----------
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._read: dict[str, int] = {}
+        self._samples: deque[tuple[float, int]] = deque()  # time, frames so far
+
+    def after(self, states: Sequence[StreamState]) -> float:
+        """Add the states; return frames/s, 0 while it is unknown."""
+        now, frames = self._clock(), self._samples[-1][1] if self._samples else 0
+        for state in states:
+            # What a stream has read at its first report may be of an earlier run.
+            if state.length is not None and state.read:
+                frames += max(state.read - self._read.get(state.name, state.read), 0)
+                self._read[state.name] = state.read
+        if self._read:
+            self._samples.append((now, frames))
+        while len(self._samples) > 2 and self._samples[0][0] < now - _RATE_SECONDS:
+            self._samples.popleft()
+        if not self._samples or now - self._samples[0][0] < _LEAST_RATE_SECONDS:
+            return 0.0
+        started, already = self._samples[0]
+        return (frames - already) / (now - started)
 
 
 def _note(state: StreamState) -> str:
@@ -156,3 +195,15 @@ def _summary(states: Sequence[StreamState], shown: int) -> str:
     rate = sum(state.frames_per_second for state in states)
     totals = f"{frames[0]} frames read, {frames[1]} committed, {rate:.1f} frames/s"
     return f"{parts}{f' ({hidden} not shown)' if hidden else ''}\n{totals}"
+
+
+def _left(states: Sequence[StreamState], rate: float) -> str:
+    """Describe the time that several files have left at a rate, frames/s; empty while it is unknown."""
+    frames, more = frames_left(states)
+    if len(states) < 2 or not (rate and frames):
+        return ""
+    return f", {'more than ' if more else ''}{_time(frames / rate)} left"
+
+
+def _time(seconds: float) -> str:
+    return str(timedelta(seconds=round(seconds)))

@@ -223,6 +223,11 @@ def _start_failure(address: str | None, error: Exception) -> MlbsError:
             f"Ray could not be started on this machine: {reason}. "
             "Look for free memory, and for space in /tmp and /dev/shm."
         )
+    if address == "auto" and isinstance(error, ConnectionError):
+        return ConfigError(
+            "--address auto finds no Ray on this machine; start it as a node with ray start, or give the "
+            "HOST:PORT of a cluster."
+        )
     return ConfigError(
         f"The Ray cluster at {address} cannot be joined: {reason}. "
         "Check --address, and that this machine is one of its nodes."

@@ -70,6 +70,8 @@ class Driver:
     observers : sequence of Observer
     interruption : Interruption
         Checked between events.
+    lengths : mapping of str to int, optional
+        Frames that waiting streams will read, as far as known; for display only.
     ended : mapping of str to StreamState, optional
         Streams that have no source, or ended in an earlier run; they are not started.
     changes : callable, optional
@@ -86,14 +88,16 @@ class Driver:
         limit: int | Callable[[], int],
         observers: Sequence[Observer],
         interruption: Interruption,
+        lengths: Mapping[str, int] | None = None,
         ended: Mapping[str, StreamState] | None = None,
         changes: Callable[[], SpecChange | None] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._specs = {spec.name: spec for spec in specs}
-        self._states = {spec.name: StreamState(spec.name, line=spec.line) for spec in specs} | dict(
-            ended or {}
-        )
+        known = lengths or {}
+        self._states = {
+            spec.name: StreamState(spec.name, line=spec.line, length=_to_read(spec, known)) for spec in specs
+        } | dict(ended or {})
         self._host = host
         self._limit = limit if callable(limit) else lambda: limit
         self._observers = observers
@@ -273,6 +277,11 @@ class Driver:
     def _show(self) -> None:
         for observer in self._observers:
             observer.update(self.states)
+
+
+def _to_read(spec: StreamSpec, lengths: Mapping[str, int]) -> int | None:
+    length = lengths.get(spec.name)
+    return length if length is None or spec.max_frames is None else min(length, spec.max_frames)
 
 
 class _Rate:

@@ -101,6 +101,7 @@ class ListWatch:
 
     def _is_usable(self, stream: ListedStream, faults: dict[int, str]) -> bool:
         """Whether a line can be used; else its fault is added."""
+        assert stream.line is not None  # of the list
         if stream.name in self._present and self._present[stream.name] == stream.source:
             return True
         if stream.name in self._present or self._has_record(stream.name):

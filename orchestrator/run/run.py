@@ -26,10 +26,12 @@ from orchestrator.monitor.address import MonitorAddress
 from orchestrator.monitor.board import Board
 from orchestrator.monitor.ray_metrics import RayMetrics
 from orchestrator.monitor.server import serving
+from orchestrator.program import command_line_of
 from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
 from orchestrator.report.page import render_report
 from orchestrator.run.admission import cores, places, places_here, warn_of_cameras
+from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.driver import Driver, Observer, SpecChange
 from orchestrator.run.durable_files import replace_file
 from orchestrator.run.list_watch import ListWatch
@@ -39,7 +41,8 @@ from orchestrator.run.stream_state import StreamState, after_failure, exit_code,
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.overlay import overlays
 from orchestrator.sinks.record import StreamRecord, ends_group, has_snapshot, recorded_frames
-from orchestrator.sources.address import SourceKind
+from orchestrator.sources.address import SourceAddress, SourceKind
+from orchestrator.sources.lengths import finding_lengths
 from orchestrator.sources.opening import open_reader
 from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
@@ -59,7 +62,7 @@ def run(
     ----------
     arguments : Arguments
     streams : sequence of ListedStream
-        The streams listed in ``arguments.streams``.
+        Of the list, then of the arguments.
     missing : mapping of str to str
         Streams without a source → what is wrong; they fail, the others run.
     config : Config
@@ -77,7 +80,8 @@ def run(
     folder = RunFolder(arguments.output.resolve())
     sourceless = [stream for stream in streams if stream.name in missing]
     for stream in sourceless:
-        _say(f"{arguments.streams}, line {stream.line}: {missing[stream.name]}")
+        place = f"{arguments.streams}, line {stream.line}: " if stream.line else ""
+        _say(place + missing[stream.name])
     if arguments.watch:  # their lines are ignored until they are corrected
         streams, sourceless = [stream for stream in streams if stream.name not in missing], []
     ended = {
@@ -107,9 +111,11 @@ def run(
             folder.refuse_if_used([stream.name for stream in streams])
         due = [spec for spec in job.specs if spec.name not in ended]
         onlookers: list[Observer] = []
+        lengths: Callable[[], dict[str, int]] = dict
         if at_work := bool(due) or arguments.watch:
             onlookers = session.enter_context(_monitored(arguments.monitor, live))
             _announce(due, arguments, limit, memory)
+            lengths = session.enter_context(finding_lengths(job.files(due[1:]), scratch))
             session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
         if at_work and arguments.ray_metrics is not None:
             onlookers.append(RayMetrics())
@@ -119,7 +125,7 @@ def run(
             folder.create(job.description)
             hold.enter_context(folder.locked())
         if at_work:
-            states, exit_status = _drive(job, ended, limit, status, onlookers, folder, arguments)
+            states, exit_status = _drive(job, ended, limit, lengths(), status, onlookers, folder, arguments)
         else:
             states = tuple(ended[spec.name] for spec in job.specs)
             exit_status = exit_code(states, None)
@@ -170,21 +176,29 @@ class _Job:
         self._folder = folder
         self._live = live
         self.description = self._described()
-        self._watch = ListWatch(
-            arguments.streams,
-            streams,
-            lambda name: folder.stream(name).exists(),
-            lambda text: _say(mask(text)),
-        )
+        self._watch = None
+        if arguments.watch and arguments.streams is not None:
+            unlisted = {stream.name for stream in streams if stream.line is None}
+            self._watch = ListWatch(
+                arguments.streams,
+                [stream for stream in streams if stream.name not in unlisted],
+                lambda name: name in unlisted or folder.stream(name).exists(),
+                lambda text: _say(mask(text)),
+            )
 
     @property
     def specs(self) -> list[StreamSpec]:
         """All streams, in the driver's form."""
         return [self._spec(stream) for stream in self._streams]
 
+    def files(self, specs: Sequence[StreamSpec]) -> dict[str, SourceAddress]:
+        """Return the sources of those of ``specs`` that are no cameras, by name."""
+        names = {spec.name for spec in specs if spec.replayable}
+        return {stream.name: stream.source for stream in self._streams if stream.name in names}
+
     def changes(self) -> SpecChange | None:
         """Return changes to the list."""
-        change = self._watch.look()
+        change = None if self._watch is None else self._watch.look()
         if change is None:
             return None
         self._streams += change.added
@@ -230,6 +244,8 @@ class _Job:
 def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int, memory: NodeMemory) -> None:
     """Announce the run, and anything about it that may surprise."""
     count = count_of(len(due), "stream")
+    if [spec.source for spec in due] == [DEMO]:
+        _say(f"This is a built-in scene; for a video of your own: {command_line_of('VIDEO')}")
     if arguments.address is not None:
         _say(f"Joining Ray at {arguments.address}; {count}.")
         return
@@ -246,6 +262,7 @@ def _drive(
     job: _Job,
     ended: Mapping[str, StreamState],
     limit: int,
+    lengths: Mapping[str, int],
     status: StatusFile,
     onlookers: Sequence[Observer],
     folder: RunFolder,
@@ -273,6 +290,7 @@ def _drive(
                 limit=most,
                 observers=[status, *onlookers, progress],
                 interruption=interruption,
+                lengths=lengths,
                 ended=ended,
                 changes=job.changes if arguments.watch else None,
             )
@@ -320,7 +338,7 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
     done = sum(state.state == "done" for state in states)
     lines = [f"{done} of {count_of(len(states), 'stream')} complete. Results: {folder.path}"]
     lines += [
-        f"  line {state.line}, {state.name} ({state.state}): {state.error}"
+        f"  {f'line {state.line}, ' if state.line else ''}{state.name} ({state.state}): {state.error}"
         for state in states
         if state.error is not None
     ]

@@ -1,4 +1,4 @@
-"""The list of streams: one stream per line, ``URI`` or ``NAME URI``, shell quoting, ``#`` comments.
+"""The list of streams: one stream per line, ``SOURCE`` or ``NAME SOURCE``, shell quoting, ``#`` comments.
 
 A folder or glob of videos is one stream per video, and so is a glob of folders of images.
 
@@ -18,12 +18,15 @@ from pathlib import Path
 from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.wording import count_of
 from orchestrator.credentials import mask
-from orchestrator.sources.address import SourceAddress, SourceKind, parse_address
-from orchestrator.sources.presence import image_folders_of, require_source, videos_of
+from orchestrator.program import command_line_of
+from orchestrator.sources.address import SourceAddress, parse_address
+from orchestrator.sources.presence import is_source, parts_of, require_source
 
 __all__ = [
     "MAX_BYTES",
+    "MAX_NAME_BYTES",
     "MAX_STREAMS",
+    "RESERVED_NAMES",
     "ListedStream",
     "missing_sources",
     "parse_stream_list",
@@ -33,8 +36,8 @@ __all__ = [
 MAX_BYTES = 8 * 2**20
 MAX_STREAMS = 10_000
 
-_MAX_NAME_BYTES = 100
-_RESERVED_NAMES = frozenset({"run.json", "status.json", "report.html", "ray.log"})
+MAX_NAME_BYTES = 100
+RESERVED_NAMES = frozenset({"run.json", "status.json", "report.html", "ray.log"})
 _LINES_SHOWN = 20
 #: Magic bytes of JPEG, PNG, AVI and WebP, Matroska and MPEG: the user gave the video instead of a list.
 _MEDIA_BEGINNINGS = (b"\xff\xd8\xff", b"\x89PNG", b"RIFF", b"\x1aE\xdf\xa3", b"\x00\x00\x01")
@@ -42,20 +45,20 @@ _MEDIA_BEGINNINGS = (b"\xff\xd8\xff", b"\x89PNG", b"RIFF", b"\x1aE\xdf\xa3", b"\
 
 @dataclass(frozen=True, slots=True)
 class ListedStream:
-    """One stream of the list.
+    """One stream of the list or of the command line.
 
     Attributes
     ----------
     name : str
-        Unique in the list, and a plain file name.
+        Unique in the run, and a plain file name.
     source : SourceAddress
-    line : int
-        Line number in the list, from 1.
+    line : int, optional
+        Line number in the list, from 1; None if it is not from a list.
     """
 
     name: str
     source: SourceAddress
-    line: int
+    line: int | None
 
 
 def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
@@ -81,7 +84,8 @@ def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
     if faults:
         report = _fault_report(path, faults)
         # A missing source is no fault of the list; but the message should name both.
-        if missing := {stream.line: sentence.rstrip(".") for stream, sentence in _sourceless(streams)}:
+        sourceless = _sourceless(streams)
+        if missing := {one.line: sentence.rstrip(".") for one, sentence in sourceless if one.line}:
             report += "\nOf the other lines, these could not run:\n" + _listing(missing)
         raise ConfigError(report)
     return streams
@@ -115,28 +119,27 @@ def parse_stream_list(path: Path) -> tuple[tuple[ListedStream, ...], dict[int, s
                 if stream.name in first_line:
                     raise ConfigError(
                         f"the name {stream.name!r} is taken by line {first_line[stream.name]}; "
-                        "give this stream another one by writing NAME URI"
+                        "give this stream another one by writing NAME SOURCE"
                     )
                 first_line[stream.name] = number
                 streams.append(stream)
         except (ConfigError, SourceError) as error:
             faults[number] = mask(str(error)).rstrip(".")
     if not streams and not faults:
-        raise ConfigError(f"The list {path} holds no stream; write one a line, as NAME URI.")
+        raise ConfigError(f"The list {path} holds no stream; write one a line, as NAME SOURCE.")
     if len(streams) > MAX_STREAMS:
         raise ConfigError(f"The list {path} holds more than {MAX_STREAMS} streams; split it.")
     return tuple(streams), faults
 
 
-def missing_sources(path: Path, streams: Sequence[ListedStream]) -> dict[str, str]:
+def missing_sources(path: Path | None, streams: Sequence[ListedStream]) -> dict[str, str]:
     """Find streams without a source.
 
     Parameters
     ----------
-    path : Path
+    path : Path, optional
         The list, for messages.
     streams : sequence of ListedStream
-        Its streams.
 
     Returns
     -------
@@ -150,8 +153,10 @@ def missing_sources(path: Path, streams: Sequence[ListedStream]) -> dict[str, st
     """
     missing = {stream.name: sentence for stream, sentence in _sourceless(streams)}
     if len(missing) == len(streams):
-        faults = {stream.line: missing[stream.name].rstrip(".") for stream in streams}
-        raise ConfigError(_fault_report(path, faults))
+        listed = {stream.line: missing[stream.name].rstrip(".") for stream in streams if stream.line}
+        given = [missing[stream.name] for stream in streams if stream.line is None]
+        report = [] if path is None else [_fault_report(path, listed)]
+        raise ConfigError("\n".join([*report, *given[:_LINES_SHOWN]]))
     return missing
 
 
@@ -167,7 +172,10 @@ def _sourceless(streams: Sequence[ListedStream]) -> Iterator[tuple[ListedStream,
 def _lines(path: Path) -> list[bytes]:
     try:
         if path.is_dir():
-            raise ConfigError(f"{path} is a folder; write a list with the line NAME {path} and give that.")
+            raise ConfigError(
+                f"{path} is a folder, not a list of streams; leave out --streams: "
+                f"{command_line_of(str(path))}"
+            )
         if not path.is_file():
             raise ConfigError(f"There is no list of streams at {path}; give an existing file with --streams.")
         with path.open("rb") as file:
@@ -176,7 +184,8 @@ def _lines(path: Path) -> list[bytes]:
         raise ConfigError(f"The list {path} cannot be read: {error}.") from error
     if content.startswith(_MEDIA_BEGINNINGS) or content[4:8] == b"ftyp":
         raise ConfigError(
-            f"{path} is a video or picture; write a list with the line NAME {path} and give that."
+            f"{path} is a video or picture, not a list of streams; leave out --streams: "
+            f"{command_line_of(str(path))}"
         )
     if len(content) > MAX_BYTES:
         raise ConfigError(f"The list {path} is larger than {MAX_BYTES // 2**20} MiB; split it.")
@@ -196,22 +205,33 @@ def _parse_line(raw: bytes, number: int, folder: Path) -> list[ListedStream]:
         raise ConfigError("has a quote or backslash without its partner") from None
     if not words:
         return []
-    if len(words) > 2:
-        raise ConfigError(f"has {len(words)} words, not URI or NAME URI; quote a path that holds spaces")
+    _refuse_unquoted(text, words, folder)
     source = parse_address(words[-1], folder)
     given = words[0] if len(words) == 2 else None
-    parts: dict[Path, str] = {}  # of a line that is several streams
-    if source.kind is SourceKind.PATH:
-        parts = {video: video.stem for video in videos_of(source.location)}
-        parts |= {folder: name for name, folder in image_folders_of(source.location).items()}
+    parts = parts_of(source)
     if not parts:
         name = source.default_name if given is None else given
         return [_named(name, source, number, is_given=given is not None)]
     prefix = "" if given is None else f"{given}-"
-    return [
-        _named(prefix + name, SourceAddress(SourceKind.PATH, str(path), name), number, is_given=False)
-        for path, name in parts.items()
-    ]
+    return [_named(prefix + part.default_name, part, number, is_given=False) for part in parts]
+
+
+def _refuse_unquoted(text: str, words: Sequence[str], folder: Path) -> None:
+    """Raise ConfigError if a line has too many words, or its words are a path with spaces."""
+    if len(words) < 2 or (len(words) == 2 and is_source(str(folder / words[1]))):
+        return
+    text = _without_comment(text).strip()
+    name, _, rest = text.partition(" ")
+    for start, path in (("", text), (f"{name} ", rest.strip())):
+        if is_source(str(folder / path)):
+            raise ConfigError(f"has a path with spaces; put it in quotes: {start}{shlex.quote(path)}")
+    if len(words) > 2:
+        # No camera is shown: quotes would hide its password from what masks it.
+        example = "" if "://" in text else f": {words[0]} {shlex.quote(' '.join(words[1:]))}"
+        raise ConfigError(
+            f"has {len(words)} words, not SOURCE or NAME SOURCE; "
+            f"put a path that holds spaces in quotes{example}"
+        )
 
 
 def _named(name: str, source: SourceAddress, number: int, *, is_given: bool) -> ListedStream:
@@ -244,12 +264,12 @@ def _without_comment(text: str) -> str:
 
 
 def _check_name(name: str, *, given: bool) -> None:
-    advice = "choose another name" if given else "give it a name by writing NAME URI"
+    advice = "choose another name" if given else "give it a name by writing NAME SOURCE"
     if not name or "/" in name or "\\" in name or name.startswith((".", "-")) or "***" in name:
         raise ConfigError(f"{name!r} cannot be the name of a stream's folder; {advice}")
-    if len(name.encode()) > _MAX_NAME_BYTES:
-        raise ConfigError(f"the name is longer than {_MAX_NAME_BYTES} bytes; {advice}")
-    if name.lower() in _RESERVED_NAMES:
+    if len(name.encode()) > MAX_NAME_BYTES:
+        raise ConfigError(f"the name is longer than {MAX_NAME_BYTES} bytes; {advice}")
+    if name.lower() in RESERVED_NAMES:
         raise ConfigError(f"{name!r} is the name of a file of the run; {advice}")
 
 

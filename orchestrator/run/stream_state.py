@@ -21,6 +21,7 @@ __all__ = [
     "after_progress",
     "after_removal",
     "exit_code",
+    "frames_left",
     "stopped",
     "with_record",
 ]
@@ -214,6 +215,20 @@ def after_removal(state: StreamState, progress: StreamProgress | None) -> Stream
     if state.committed:
         sentence = "Removed from the list; what was committed is kept."
     return replace(state, state="partial", layers=0, frames_per_second=0.0, error=sentence)
+
+
+def frames_left(states: Iterable[StreamState]) -> tuple[int, bool]:
+    """Count the frames of all files that are still to be read.
+
+    Returns
+    -------
+    int
+    bool
+        Whether there are more, because not all files that wait have a known length.
+    """
+    going_on = [state for state in states if state.state not in ENDED]
+    frames = sum(max(state.length - state.read, 0) for state in going_on if state.length is not None)
+    return frames, any(state.length is None and state.state in ("waiting", "starting") for state in going_on)
 
 
 def exit_code(states: Iterable[StreamState], signal_number: int | None) -> int:

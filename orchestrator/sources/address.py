@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from urllib.parse import parse_qsl
+from urllib.parse import parse_qsl, unquote
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
@@ -22,6 +23,7 @@ __all__ = ["SourceAddress", "SourceKind", "fixed_part", "has_wildcards", "parse_
 
 _MAX_ADDRESS_BYTES = 4096
 _SCHEME = re.compile(r"([^/:]*):")  # wider than the standard's: libav knows "subfile,,start,0,,:"
+_VIDEO_ENDINGS = frozenset({".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm"})
 _CAMERA = re.compile(r"/dev/video\d{1,4}")
 
 
@@ -79,7 +81,7 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
             machine that runs the stream.
     """
     if not text or len(text.encode()) > _MAX_ADDRESS_BYTES:
-        raise ConfigError(f"the URI must have 1 to {_MAX_ADDRESS_BYTES} bytes")
+        raise ConfigError(f"a source is named by 1 to {_MAX_ADDRESS_BYTES} bytes")
     match = _SCHEME.match(text)
     if match is None:
         return _path_address(text, folder)
@@ -90,6 +92,20 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
             return _network_address(text)
         case "synthetic":
             return _synthetic_address(text)
+        case "file":
+            path = unquote(text.removeprefix("file://").removeprefix("file:"))
+            raise ConfigError(f"a file has no scheme; write {shlex.quote(path)}, its path alone")
+        case drive if len(drive) == 1:
+            path = text[2:].replace("\\", "/").lstrip("/")
+            # Without quotes a shell has removed its backslashes, and so the ends of its folders.
+            there = (
+                shlex.quote(f"/mnt/{drive}/{path}")
+                if "/" in path
+                else f"the path with / for \\ from /mnt/{drive}/ on"
+            )
+            raise ConfigError(
+                f"{drive.upper()}: is a drive of Windows; write {there}, where WSL has its files"
+            )
         case other:
             raise ConfigError(
                 f"{other[:40]!r} is no known kind of source; use a path, rtsp://, rtsps://, http://, "
@@ -126,6 +142,10 @@ def _network_address(text: str) -> SourceAddress:
     match = re.fullmatch(r"[a-z]+://[^/\s?#]+([^\s]*)", text)
     if match is None:
         raise ConfigError(f"a camera's address is written {text.partition(':')[0]}://HOST/PATH")
+    if text.startswith("http") and Path(match[1].partition("?")[0]).suffix.lower() in _VIDEO_ENDINGS:
+        raise ConfigError(
+            "only cameras that send MJPEG are read over HTTP; download the video and name its file"
+        )
     if "@" in match[1]:
         # libav would take what comes before the mark for the host, and ask the network for it.
         raise ConfigError(

@@ -87,7 +87,11 @@ def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer
     except (av.error.FFmpegError, OSError, ValueError) as error:
         # Neither the message nor the chained error may contain libav's text: it quotes the address.
         other = is_http and isinstance(error, av.error.InvalidDataError)
-        why = "it sends no MJPEG, and nothing else is read over HTTP" if other else reason(error)
+        why = (
+            "it sends no MJPEG, and nothing else is read over HTTP; download a video and name its file"
+            if other
+            else reason(error)
+        )
         raise SourceError(f"Cannot open {address}: {why}.") from None
     if not container.streams.video:
         container.close()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import glob
 import os
 import re
+import shlex
 from collections.abc import Collection
 from decimal import Decimal
 from functools import partial
@@ -16,7 +17,15 @@ from pathlib import Path
 from mlbs_actors.errors import SourceError
 from orchestrator.sources.address import SourceAddress, SourceKind, fixed_part, has_wildcards
 
-__all__ = ["holds_images", "image_folders_of", "images_of", "require_source", "videos_of"]
+__all__ = [
+    "has_video_name",
+    "holds_images",
+    "images_of",
+    "is_image",
+    "is_source",
+    "parts_of",
+    "require_source",
+]
 
 _IMAGE_SUFFIXES = frozenset(
     {".apng", ".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
@@ -29,6 +38,45 @@ _VIDEO_SUFFIXES = frozenset(
 
 #: A stem that ends in a number as Python writes a float, such as time.time(): without zeros at the end.
 _DECIMAL_STEM = re.compile(r"(.*[^\d.])?\d+\.(0|\d*[1-9])")
+
+
+def has_video_name(path: str) -> bool:
+    """Whether a name ends as those of videos do."""
+    return Path(path).suffix.lower() in _VIDEO_SUFFIXES
+
+
+def is_image(path: str) -> bool:
+    """Whether there is a file at a path whose name ends as those of images do."""
+    return Path(path).suffix.lower() in _IMAGE_SUFFIXES and os.path.isfile(path)  # noqa: PTH113, it also takes long names
+
+
+def is_source(path: str) -> bool:
+    """Whether something is at a path, or matches it as a glob."""
+    try:
+        return os.path.lexists(path) or (has_wildcards(path) and any(glob.iglob(_pattern(path))))  # noqa: PTH207
+    except (OSError, ValueError):
+        return False  # such as a name that is too long
+
+
+def parts_of(source: SourceAddress) -> list[SourceAddress]:
+    """List the streams that one source stands for.
+
+    Returns
+    -------
+    list of SourceAddress
+        Of a folder or glob of videos, each video; of a glob of folders of images, each folder; otherwise
+        empty.
+
+    Raises
+    ------
+    SourceError
+        If the choice is ambiguous.
+    """
+    if source.kind is not SourceKind.PATH:
+        return []
+    parts = [(video.stem, video) for video in _videos_of(source.location)]
+    parts += list(_image_folders_of(source.location).items())
+    return [SourceAddress(SourceKind.PATH, str(path), name) for name, path in parts]
 
 
 def require_source(address: SourceAddress) -> None:
@@ -53,7 +101,7 @@ def _require_path(address: SourceAddress) -> None:
     if holds_images(address):
         images_of(address.location)
     elif not path.exists():
-        raise SourceError(f"There is no file or folder {address}; correct its line in the list of streams.")
+        raise SourceError(f"There is no file or folder {address}; check the path.")
     elif not path.is_file():
         # A pipe would block its reader for ever.
         raise SourceError(f"{address} is no regular file; name a video file or a folder of images.")
@@ -75,7 +123,7 @@ def holds_images(address: SourceAddress) -> bool:
     )
 
 
-def videos_of(location: str) -> list[Path]:
+def _videos_of(location: str) -> list[Path]:
     """List the videos of a folder, or those that match a glob, in natural order; empty if there are none.
 
     Raises
@@ -92,12 +140,12 @@ def videos_of(location: str) -> list[Path]:
     if videos and (images := _files_of(location, _IMAGE_SUFFIXES)):
         raise SourceError(
             f"{location} holds videos and images, such as {videos[0].name} and {images[0].name}; "
-            f"name one kind by a glob such as 'folder/*{videos[0].suffix}'."
+            f"name one kind by a glob such as {_quoted_glob(videos[0])}."
         )
     return videos
 
 
-def image_folders_of(location: str) -> dict[str, Path]:
+def _image_folders_of(location: str) -> dict[str, Path]:
     """Find the folders of images that match a glob, or whose images do, in natural order.
 
     Returns
@@ -142,19 +190,28 @@ def images_of(location: str) -> list[Path]:
         If there are none, or the masks of two would have the same name.
     """
     visible = _files_of(location, _IMAGE_SUFFIXES)
-    if not visible and image_folders_of(f"{location}/*"):
+    if not visible and _image_folders_of(f"{location}/*"):
         raise SourceError(
-            f"There are no images in {location} itself; for a stream a folder write '{location}/*'."
+            f"There are no images in {location} itself; for a stream a folder write "
+            f"{shlex.quote(f'{location}/*')}."
+        )
+    if not visible and (deeper := _files_of(f"{location}/*/*", _VIDEO_SUFFIXES)):
+        videos = shlex.quote(f"{location}/*/*{deeper[0].suffix}")
+        raise SourceError(
+            f"There are no videos in {location} itself; for those in its folders write {videos}."
         )
     if not visible:
-        raise SourceError(f"There are no images at {location}; check the path ({_suffix_list()} are read).")
+        raise SourceError(
+            f"There are no videos and no images at {location}; check the path, and whether the names of the "
+            f"files end in {_suffix_list(_VIDEO_SUFFIXES)} or, for images, {_suffix_list(_IMAGE_SUFFIXES)}."
+        )
     first_of: dict[str, Path] = {}
     for path in visible:
         other = first_of.setdefault(path.stem, path)
         if other is not path:
             raise SourceError(
                 f"{other} and {path} would have the same mask, {path.stem}.png; "
-                f"name one kind of file by a glob such as '{path.parent}/*{path.suffix}'."
+                f"name one kind of file by a glob such as {_quoted_glob(path)}."
             )
     return visible
 
@@ -191,5 +248,10 @@ def _natural_order(path: Path, number: str = r"\d+") -> tuple[list[tuple[int, De
     return key, str(path)
 
 
-def _suffix_list() -> str:
-    return ", ".join(sorted(suffix.removeprefix(".") for suffix in _IMAGE_SUFFIXES))
+def _quoted_glob(path: Path) -> str:
+    """Write the glob of a file's kind in its folder, as a shell and a list of streams take it."""
+    return shlex.quote(str(path.parent / f"*{path.suffix}"))
+
+
+def _suffix_list(suffixes: Collection[str]) -> str:
+    return ", ".join(sorted(suffix.removeprefix(".") for suffix in suffixes))

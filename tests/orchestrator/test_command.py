@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import ray
 from camera_server import PASSWORD, camera, free_port, needs_rtsp_server
 from PIL import Image
 
@@ -30,6 +31,7 @@ from orchestrator.__main__ import main
 from orchestrator.command_line import SAVED, parse
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.ray_session import ray_settings
+from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.run.stream_state import StreamState
@@ -92,6 +94,20 @@ def test_the_command_of_a_run_asks_for_the_same(tmp_path: Path) -> None:
     assert (asked.overrides, asked.save, asked.max_frames) == (given.overrides, given.save, given.max_frames)
 
 
+def test_the_command_of_a_run_finds_its_sources_from_any_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "12:30 x.mp4").touch()
+    given = parse(["12:30 x.mp4", "clips/*.mp4", "rtsp://host/door", "demo"])
+    asked = parse(given.command("elsewhere")[3:])
+    assert asked.streams is None
+    assert asked.sources == (
+        *(str(tmp_path / "12:30 x.mp4"), str(tmp_path / "clips/*.mp4"), "rtsp://host/door"),
+        DEMO,
+    )
+
+
 def test_set_may_be_given_once_or_often() -> None:
     arguments = parse(["--streams", "l", "--set", "a.b=1", "c.d=2", "--set", "e.f=3"])
     assert arguments.overrides == ("a.b=1", "c.d=2", "e.f=3")
@@ -100,7 +116,7 @@ def test_set_may_be_given_once_or_often() -> None:
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        (["--resume", "--watch"], "cannot go with --resume"),
+        (["--resume", "--watch", "--streams", "l"], "cannot go with --resume"),
         (["--monitor", "web"], "PORT or HOST:PORT"),
         (["--monitor", "0.0.0.0:70000"], "PORT or HOST:PORT"),
         (["--save", "mask"], "knows no 'mask'"),
@@ -110,11 +126,13 @@ def test_set_may_be_given_once_or_often() -> None:
         (["--address", ":6379"], "HOST:PORT"),
         (["--address", "head:port"], "HOST:PORT"),
         (["--output", "s3://bucket/out"], "mount the storage"),
+        (["--output", r"C:\my out"], "--output '/mnt/c/my out'"),
+        (["--watch", "a.mp4"], "--watch reads a list again"),
     ],
 )
 def test_what_is_not_there_is_refused_with_a_sentence(flags: list[str], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
-        parse(["--streams", "list.txt", *flags])
+        parse([*([] if "--watch" in flags else ["--streams", "list.txt"]), *flags])
 
 
 @pytest.mark.parametrize(
@@ -200,53 +218,129 @@ def test_a_missing_list_ends_with_status_2() -> None:
     assert "/nowhere/list.txt" in ended.stderr
 
 
-def _with_stubs(folder: Path) -> Path:
-    """A copy of scripts/run beside stubs of what it calls; its Python prints its arguments, a line each."""
-    for stub, does in (("scripts/setup", ""), (".venv/bin/python", "printf '%s\\n' \"$@\"")):
+def _with_stubs(folder: Path, python: str) -> Path:
+    """A copy of scripts/run beside stubs of what it calls."""
+    for stub, does in (("scripts/setup", ""), (".venv/bin/python", python)):
         (folder / stub).parent.mkdir(parents=True)
         (folder / stub).write_text(f"#!/bin/sh\n{does}\n")
         (folder / stub).chmod(0o755)
     return Path(shutil.copy(REPOSITORY / "scripts/run", folder / "scripts/run"))
 
 
+@pytest.mark.parametrize("given", [[], ["--max-frames", "3"], ["my clip.mp4", "--output=x"]])
+def test_the_main_script_passes_its_arguments_on_with_the_name_by_which_it_was_called(
+    tmp_path: Path, given: list[str]
+) -> None:
+    script = _with_stubs(tmp_path / "root", 'printf \'%s\\n\' "$MLBS_COMMAND" "$@"')
+    ended = subprocess.run([script, *given], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert ended.stdout.splitlines() == [str(script), "-m", "orchestrator", "--or-demo", *given]
+
+
+def test_the_main_script_becomes_the_program_that_signals_are_for(tmp_path: Path) -> None:
+    script = _with_stubs(tmp_path / "root", "kill -TERM $$\nexit 3")
+    assert subprocess.run([script], cwd=tmp_path, check=False).returncode == -signal.SIGTERM
+
+
+# Sources as arguments
+
+
+def test_the_main_script_runs_the_demo_where_no_source_is_named_and_other_commands_ask_for_one() -> None:
+    assert parse(["--or-demo", "--max-frames", "3"]).sources == (DEMO,)
+    assert parse(["--or-demo", "a.mp4"]).sources == ("a.mp4",)
+    assert parse(["--or-demo", "--streams", "l"]).sources == ()
+    with pytest.raises(ConfigError, match="Name a video"):
+        parse(["--max-frames", "3"])
+
+
+def test_sources_stand_before_between_and_after_flags_and_beside_a_list() -> None:
+    given = parse(["a b.mp4", "--max-frames", "3", "c.mp4", "--streams", "l", "--resume", "demo"])
+    assert given.sources == ("a b.mp4", "c.mp4", "demo")
+    assert given.streams == Path("l")
+
+
 @pytest.mark.parametrize(
-    ("flags", "there", "expected"),
+    ("given", "there", "output"),
     [
-        ([], [], ["--streams", "DEMO", "--output", "out"]),
-        ([], ["out", "out-2"], ["--streams", "DEMO", "--output", "out-3"]),
-        (["--max-frames", "3"], ["out"], ["--streams", "DEMO", "--output", "out-2", "--max-frames", "3"]),
-        (["--output=x"], [], ["--streams", "DEMO", "--output=x"]),
-        (["--streams", "l", "--max-frames", "3"], ["out"], ["--streams", "l", "--max-frames", "3"]),
-        (["--streams=l"], [], ["--streams=l"]),
-        (["--help"], [], ["--help"]),
+        (["clips/a b.mp4"], [], "clips/a b-objects"),
+        (["clips/a b.mp4"], ["clips/a b-objects"], "clips/a b-objects-2"),
+        (["clips/a b.mp4"], ["clips/a b-objects", "clips/a b-objects-2"], "clips/a b-objects-3"),
+        (["clips/a b.mp4", "--resume"], ["clips/a b-objects", "clips/a b-objects-2"], "clips/a b-objects-2"),
+        (["clips/a b.mp4", "--resume"], [], "clips/a b-objects"),
+        (["clips/"], [], "clips-objects"),
+        (["."], [], "out"),
+        (["clips/*.mp4"], [], "out"),
+        (["clips/a b.mp4", "clips"], ["out"], "out-2"),
+        (["rtsp://host/a.b"], [], "out"),
+        (["demo"], ["out", "out-2"], "out-3"),
+        (["clips/a b.mp4", "--streams", "l"], ["out"], "out"),
+        (["--streams", "l"], ["out"], "out"),
+        (["clips/a b.mp4", "--output", "x"], ["x"], "x"),
     ],
 )
-def test_the_main_script_takes_the_demo_list_where_no_list_is_given(
-    tmp_path: Path, flags: list[str], there: list[str], expected: list[str]
+def test_results_go_beside_a_single_source_else_into_out_and_never_over_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], there: list[str], output: str
 ) -> None:
-    root, elsewhere = tmp_path / "root", tmp_path / "elsewhere"
-    elsewhere.mkdir()
+    (tmp_path / "clips").mkdir()
+    (tmp_path / "clips/a b.mp4").touch()
     for name in there:
-        (elsewhere / name).mkdir()
-    ended = subprocess.run(
-        [_with_stubs(root), *flags], cwd=elsewhere, capture_output=True, text=True, timeout=20, check=True
-    )
-    demo = str(root / "configs/streams.txt")
-    arguments = ["-m", "orchestrator", *(demo if word == "DEMO" else word for word in expected)]
-    assert ended.stdout.splitlines() == arguments
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert parse(given).output == Path(output)
 
 
-@pytest.mark.parametrize("flags", [[], ["--streams", "l"]])
-def test_the_main_script_says_how_to_use_own_videos_and_becomes_the_program_that_signals_are_for(
-    tmp_path: Path, flags: list[str]
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--out", "x", "a.mp4"], "there is no --out; did you mean --output?"),
+        (["--frames=3"], "did you mean --max-frames?"),
+        (["-o", "x"], "did you mean --output?"),
+        (["--bogus"], "there is no --bogus; --help lists all flags"),
+        (["--", "-a.mp4"], "to name the file write ./-a.mp4"),
+    ],
+)
+def test_an_unknown_flag_is_told_with_the_one_that_is_meant(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    flags: list[str],
+    words: str,
 ) -> None:
-    script = _with_stubs(tmp_path / "root")
-    python = tmp_path / "root/.venv/bin/python"
-    python.write_text("#!/bin/sh\nkill -TERM $$\nexit 3\n")
-    started = subprocess.Popen([script, *flags], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    _, stderr = started.communicate(timeout=20)
-    assert started.returncode == -signal.SIGTERM
-    assert ("For your own videos" in stderr) == (not flags)
+    (tmp_path / "-a.mp4").touch()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit):
+        parse(flags)
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("flag", ["--set", "--monitor", "--ray-metrics"])
+def test_a_video_behind_a_flag_that_takes_it_for_its_value_is_told_where_to_stand(
+    tmp_path: Path, flag: str
+) -> None:
+    video = tmp_path / "a b.mp4"
+    video.touch()
+    with pytest.raises(ConfigError, match="name your sources first: .*'.*/a b.mp4' " + flag):
+        parse([flag, str(video)])
+
+
+@pytest.mark.parametrize(
+    ("script", "started", "name"),
+    [
+        ("scripts/run", "/x/orchestrator/__main__.py", "scripts/run"),
+        ("my clone/scripts/run", "/x/orchestrator/__main__.py", "'my clone/scripts/run'"),
+        ("", "/home/me/.local/bin/mlbs-actors", "mlbs-actors"),
+        ("", "/x/orchestrator/__main__.py", "python -m orchestrator"),
+    ],
+)
+def test_the_help_begins_with_examples_of_the_command_that_was_typed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], script: str, started: str, name: str
+) -> None:
+    monkeypatch.setenv("MLBS_COMMAND", script)
+    monkeypatch.setattr(sys, "argv", [started])
+    with pytest.raises(SystemExit):
+        parse(["--help"])
+    first, *examples = capsys.readouterr().out.split("\n\n")[0].splitlines()
+    assert first == "examples:"
+    assert [line.startswith(f"  {name} ") for line in examples] == [True] * 3
 
 
 def test_an_output_folder_that_holds_a_run_is_refused_untouched(tmp_path: Path) -> None:
@@ -262,6 +356,7 @@ def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) ->
     given = ("--streams", stream_list(tmp_path, "street street.mp4"), "--output", tmp_path / "out")
     (tmp_path / "street.mp4").write_bytes(b"read before")
     arguments = parse([str(word) for word in given])
+    assert arguments.streams is not None
     streams, config = read_stream_list(arguments.streams), Config()
     folder = RunFolder(tmp_path / "out")
     folder.create(describe_run(streams, config, arguments.save, None))
@@ -273,6 +368,18 @@ def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) ->
     assert "Starting Ray" not in ended.stderr
     assert json.loads(ended.stdout)["state"] == "done"
     assert (folder.path / "report.html").stat().st_size
+
+
+def test_a_ray_that_does_not_run_on_this_machine_is_told_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def init(**_: object) -> None:
+        raise ConnectionError("Could not find any running Ray instance")
+
+    monkeypatch.setattr(ray, "init", init)
+    monkeypatch.setattr(ray, "shutdown", lambda: None)  # other tests use theirs
+    with pytest.raises(ConfigError, match="finds no Ray on this machine; start it"):
+        ray_session.ray_session("auto", tmp_path).__enter__()
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere.invalid:6379"])
@@ -479,6 +586,29 @@ def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(
     everything += "".join(path.read_text() for path in output.glob("*.*"))
     assert "hunter2" not in everything
     assert "Traceback" not in everything
+
+
+@pytest.mark.ray
+def test_a_video_named_as_an_argument_has_its_results_beside_it_and_a_second_run_does_not_touch_them(
+    tmp_path: Path,
+) -> None:
+    video = tmp_path / "my clips/street [1].mp4"
+    video.parent.mkdir()
+    writer = cv2.VideoWriter(str(tmp_path / "x.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 25, (160, 120))
+    street = scene("demo", frames=8, width=160, height=120)
+    for index in range(8):
+        writer.write(street.frame(index))
+    writer.release()
+    (tmp_path / "x.mp4").rename(video)
+    for number in ("", "-2"):
+        ended = command(video, "--max-frames", "8", "--save", "masks")
+        assert ended.returncode == 0, ended.stderr
+        output = tmp_path / f"my clips/street [1]-objects{number}"
+        assert f"Results: {output}\n" in ended.stderr
+        assert len(_masks(output / "street [1]")) == 8
+    ended = command(video, "--max-frames", "8", "--save", "masks", "--resume")
+    assert "1 stream ended before" in ended.stderr
+    assert f"Results: {output}\n" in ended.stderr
 
 
 def _session_folders(driver: int) -> set[Path]:

@@ -19,6 +19,7 @@ from orchestrator.credentials import mask
         ("two: rtsp://a:b@c/d and rtsps://e:f@g/h.", "two: rtsp://***@c/d and rtsps://***@g/h."),
         ("rtsp://host/a?Password=pw&channel=1", "rtsp://host/a?Password=***&channel=1"),
         ("rtsp://host/a?api_key=pw", "rtsp://host/a?api_key=***"),
+        ("rtsp://host/a?pwd=it's&channel=1", "rtsp://host/a?pwd=***&channel=1"),
         ("[Errno 111] refused: 'rtsp://bob:pw@host/a'", "[Errno 111] refused: 'rtsp://***@host/a'"),
     ],
 )
@@ -33,7 +34,7 @@ def test_what_holds_no_secret_stays_readable(text: str) -> None:
     assert mask(text) == text
 
 
-@given(st.text(st.characters(min_codepoint=33, max_codepoint=126, exclude_characters="'\""), min_size=1))
+@given(st.text(st.characters(min_codepoint=33, max_codepoint=126), min_size=1))
 def test_no_password_of_printable_characters_survives(password: str) -> None:
     assert mask(f"failed: rtsp://user:{password}@camera/stream !") == "failed: rtsp://***@camera/stream !"
 

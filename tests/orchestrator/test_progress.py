@@ -106,6 +106,31 @@ def test_the_table_adds_up_what_all_streams_have_done() -> None:
     assert "150 frames read, 104 committed, 6.2 frames/s" in shown
 
 
+def test_the_table_shows_how_long_all_files_together_take_at_the_rate_of_the_last_half_minute() -> None:
+    now = 0.0
+    console = Console(file=io.StringIO(), force_terminal=True, width=110, height=40, no_color=True)
+    progress = LiveTable(console, lambda: now)
+    others = [
+        StreamState("waits", length=1500),
+        StreamState("ended", "done", read=70, length=70),
+        StreamState("camera", "running", read=900),
+    ]
+
+    def shown(read: int, *more: StreamState) -> str:
+        progress.update([StreamState("a", "running", read=read, length=2000), *others, *more])
+        with console.capture() as captured:
+            console.print(progress._live.get_renderable())
+        return captured.get()
+
+    assert " left" not in shown(1000).partition("frames read")[2]
+    now = 10.0
+    assert "frames/s, 0:04:00 left" in shown(1100)  # 900 + 1500 at 10 a second
+    assert "frames/s, more than 0:04:00 left" in shown(1100, StreamState("unknown"))
+    now = 50.0
+    assert " left" not in shown(1100).partition("frames read")[2]  # nothing was read for long
+    progress.close()
+
+
 def test_a_table_of_more_streams_than_fit_shows_those_at_work_and_counts_the_others() -> None:
     states = [StreamState(f"w{number}") for number in range(200)]
     states[150] = StreamState("busy", "running", read=5)

@@ -389,6 +389,14 @@ def test_a_signal_while_a_stream_goes_back_leaves_it_to_be_resumed() -> None:
     assert (states["bad"].state, states["bad"].interrupted) == ("partial", True)
 
 
+def test_a_waiting_stream_is_shown_with_what_it_will_read_of_its_length() -> None:
+    specs = [spec("a", 5), spec("b", 50), spec("c")]
+    driver = Driver(
+        specs, FakeHost({}), limit=1, observers=[], interruption=Interruption(), lengths={"a": 20, "b": 20}
+    )
+    assert [state.length for state in driver.states] == [5, 20, None]
+
+
 def test_streams_that_ended_in_an_earlier_run_are_left_alone() -> None:
     host = FakeHost({"new": FakeStream(4)})
     ended = {"old": StreamState("old", "done", read=9, committed=9)}

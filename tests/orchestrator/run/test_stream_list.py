@@ -181,7 +181,7 @@ def test_a_name_that_comes_twice_is_refused_and_says_where_it_was(tmp_path: Path
     message = refusal(tmp_path, "a/frames\nb/frames\n")
     assert "line 2:" in message
     assert "line 1" in message
-    assert "NAME URI" in message
+    assert "NAME SOURCE" in message
 
 
 @pytest.mark.parametrize("text", ["", "\n\n", "# nothing\n"])
@@ -221,13 +221,33 @@ def test_a_video_or_picture_given_for_the_list_is_told_in_one_sentence(
     given = tmp_path / "street.mp4"
     for length in (0, 9 * 2**20):
         given.write_bytes(content + bytes(length))
-        with pytest.raises(ConfigError, match="is a video or picture; write a list"):
+        with pytest.raises(ConfigError, match=f"not a list of streams; leave out --streams: .* {given}"):
             read_stream_list(given)
 
 
 def test_a_folder_given_for_the_list_is_told_in_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="is a folder; write a list with the line NAME"):
+    with pytest.raises(ConfigError, match="is a folder, not a list of streams; leave out --streams"):
         read_stream_list(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("My Clips/DJI 1.MP4", "put it in quotes: 'My Clips/DJI 1.MP4'."),
+        ("My Clips", "put it in quotes: 'My Clips'."),
+        ("my My Clips  # all", "put it in quotes: my 'My Clips'."),
+        ("My Clips/*.MP4", "put it in quotes: 'My Clips/*.MP4'."),
+        ("no My Clip", "put a path that holds spaces in quotes: no 'My Clip'."),
+        ("https://host/a.mp4", "download the video and name its file"),
+        ("file:///My%20Clips/a.mp4", "write '/My Clips/a.mp4', its path alone"),
+        (r"'C:\Me\a b.mp4'", "write '/mnt/c/Me/a b.mp4', where WSL"),
+        (r"C:\Me\a.mp4", r"write the path with / for \ from /mnt/c/ on,"),
+    ],
+)
+def test_a_mistaken_line_is_told_what_to_write(tmp_path: Path, line: str, words: str) -> None:
+    (tmp_path / "My Clips").mkdir()
+    (tmp_path / "My Clips/DJI 1.MP4").touch()
+    assert words in refusal(tmp_path, f"{line}\n")
 
 
 def test_a_folder_or_glob_of_videos_is_a_stream_for_each(tmp_path: Path) -> None:

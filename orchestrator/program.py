@@ -1,0 +1,28 @@
+"""The name of the command, as its user typed it: for the help, and for advice that can be pasted."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from pathlib import Path
+
+from orchestrator.credentials import mask
+
+__all__ = ["command_line_of", "program_name"]
+
+#: Set by scripts/run to the path by which it was called.
+_VARIABLE = "MLBS_COMMAND"
+
+
+def program_name() -> str:
+    """Return the words that start the command."""
+    if script := os.environ.get(_VARIABLE):
+        return shlex.quote(script)
+    name = Path(sys.argv[0]).name
+    return name if name == "mlbs-actors" else "python -m orchestrator"
+
+
+def command_line_of(*words: str) -> str:
+    """Write the command with these arguments so that a shell takes it as it is meant, without credentials."""
+    return f"{program_name()} {shlex.join(map(mask, words))}"
