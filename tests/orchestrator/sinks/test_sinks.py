@@ -293,6 +293,8 @@ def test_only_what_was_asked_for_is_written(tmp_path: Path) -> None:
         "commits.jsonl",
         "frames-00000000.parquet",
         "layers-00000000.parquet",
+        "objects.csv",
+        "objects.json",
     ]
 
 
@@ -300,7 +302,7 @@ def test_two_records_of_the_same_frames_have_the_same_bytes(tmp_path: Path) -> N
     fill(tmp_path / "a", 40, frozenset({"masks", "parquet"})).close(whole=True)
     fill(tmp_path / "b", 40, frozenset({"masks", "parquet"})).close(whole=True)
     names = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*") if path.is_file())
-    assert len(names) == 40 + 3 * 2 + 3
+    assert len(names) == 40 + 3 * 2 + 2 + 3
     for name in names:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
 
