@@ -11,8 +11,9 @@ from mlbs_actors.errors import ConfigError
 from mlbs_actors.wording import count_of
 from orchestrator.export.recorded_stream import recorded_stream, streams_of
 from orchestrator.export.replay import with_pictures
-from orchestrator.sinks.overlay import OverlayVideo
+from orchestrator.sinks.overlay import OverlayVideo, overlay_remarks
 from orchestrator.sinks.record import recorded_frames
+from orchestrator.sources.address import SourceAddress, parse_address
 
 __all__ = ["draw_overlay", "write_overlays"]
 
@@ -62,7 +63,7 @@ def draw_overlay(stream: Path, source: str, path: Path) -> list[str]:
     list of str
         What is missing, and why.
     """
-    overlay, drawn, missing = OverlayVideo(path), 0, 0
+    overlay, drawn, missing = OverlayVideo(path, _sound_of(source)), 0, 0
     pairs = with_pictures(recorded_stream(stream), source)
     for frame, picture in track(
         pairs, stream.name, recorded_frames(stream), console=Console(stderr=True), transient=True
@@ -74,12 +75,18 @@ def draw_overlay(stream: Path, source: str, path: Path) -> list[str]:
         overlay.add(picture, frame.labels(), frame.index, frame.pts, regions, frame.pixel_aspect)
         drawn += 1
     overlay.close()
-    error = path.with_suffix(".error")
-    if error.exists():
-        return [f"{stream.name}: {error.read_text(encoding='utf-8').strip()}"]
+    if drawn and not path.exists():
+        return [f"{stream.name}: {remark}" for remark in overlay_remarks(path)]
     if missing:
         return [
             f"The source of stream {stream.name!r} gave {drawn} of its {count_of(drawn + missing, 'frame')} "
             "again, in the size recorded; the others are not in its overlay."
         ]
     return []
+
+
+def _sound_of(source: str) -> SourceAddress | None:
+    try:
+        return parse_address(source, Path("/"))
+    except ConfigError:
+        return None

@@ -18,7 +18,7 @@ from orchestrator.report.history import LONG_SECONDS, StreamHistory, frame_range
 from orchestrator.report.pictures import StripPicture, overlay_strip
 from orchestrator.sinks.object_files import OBJECTS_CSV
 from orchestrator.sinks.object_list import SeenObject
-from orchestrator.sinks.overlay import overlays
+from orchestrator.sinks.overlay import overlay_path, overlay_remarks, overlays
 
 __all__ = ["render_report"]
 
@@ -44,7 +44,7 @@ class _Stream:
     has_folder: bool
     has_list: bool
     status: dict[str, Any]
-    overlay_error: str | None
+    faults: list[str]
     overlays: tuple[str, ...]
     history: StreamHistory | None
     lives: list[SeenObject]
@@ -109,7 +109,6 @@ def render_report(folder: Path) -> str:
 
 def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) -> _Stream:
     history = read_history(folder)
-    error = folder / "overlay.error"
     lives: list[SeenObject] = []
     strip: list[StripPicture] = []
     lost: list[str] = []
@@ -128,7 +127,7 @@ def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) ->
         has_folder=folder.is_dir(),
         has_list=(folder / OBJECTS_CSV).exists(),
         status=status,
-        overlay_error=error.read_text(encoding="utf-8").strip() if error.exists() else None,
+        faults=[*([status["error"]] if status["error"] else []), *overlay_remarks(overlay_path(folder, 0))],
         overlays=tuple(path.name for _, path in overlays(folder)),
         history=history,
         lives=lives,

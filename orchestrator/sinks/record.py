@@ -32,6 +32,7 @@ from orchestrator.sinks.overlay import OverlayVideo, overlay_path
 from orchestrator.sinks.record_tables import part_path, read_rows
 from orchestrator.sinks.snapshot_folder import SNAPSHOTS, SnapshotFolder
 from orchestrator.sinks.tables import FrameRow, ResultRow, stages_of, write_frames, write_layers
+from orchestrator.sources.address import SourceAddress
 
 __all__ = ["FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "ends_group", "has_snapshot", "recorded_frames"]
 
@@ -66,6 +67,8 @@ class StreamRecord:
         Receives every frame, for the monitor.
     replayable : bool
         Whether uncommitted rows can be read again after the end of the run.
+    source : SourceAddress, optional
+        Of the stream, whose sound the overlay gets.
 
     Attributes
     ----------
@@ -85,6 +88,7 @@ class StreamRecord:
         live: LivePicture | None = None,
         *,
         replayable: bool = True,
+        source: SourceAddress | None = None,
     ) -> None:
         self._folder = folder
         self._name = name
@@ -118,7 +122,7 @@ class StreamRecord:
         self._label_maps = 0 if before is None else before.label_maps
         self._committed = self._label_maps
         overlay = overlay_path(folder, self._log.rows)
-        self._overlay = OverlayVideo(overlay) if "overlay" in save else None
+        self._overlay = OverlayVideo(overlay, source) if "overlay" in save else None
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
