@@ -118,7 +118,7 @@ def read_history(folder: Path) -> StreamHistory | None:
         unusual=unusual,
         lost=lost,
         gaps=tuple(gaps),
-        lives=tuple(ObjectList(read_rows(folder)).objects),
+        lives=tuple(ObjectList().add(read_rows(folder)).objects),
         stages=_stages(table.filter(pa.array(ok))),
     )
 

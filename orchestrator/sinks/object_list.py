@@ -20,7 +20,7 @@ from mlbs_actors.messages import LayerKind, LayerSummary, Region
 from orchestrator.sinks.endings import SEEN, Ending, ending
 from orchestrator.sinks.tables import FrameRow, ResultRow
 
-__all__ = ["ObjectList", "SeenObject", "Sighting"]
+__all__ = ["ListState", "ObjectList", "SeenObject", "Sighting"]
 
 #: Least time between two points of a path, s.
 _POINT_SECONDS = 1.0
@@ -132,48 +132,81 @@ class SeenObject:
             self.path.append(here)
 
 
+@dataclass(slots=True)
+class ListState:
+    """All that the list consists of, but for the newest label map itself.
+
+    Attributes
+    ----------
+    rows : int
+        Rows of the record so far.
+    label_maps : int
+        Those of them that have one.
+    newest : (int, float), optional
+        Frame and time of the newest of these, s.
+    objects : mapping of int to SeenObject
+        By their ids.
+    """
+
+    rows: int
+    label_maps: int
+    newest: tuple[int, float] | None
+    objects: dict[int, SeenObject]
+
+    @classmethod
+    def begun(cls) -> ListState:
+        """Begin with a record's first row."""
+        return cls(rows=0, label_maps=0, newest=None, objects={})
+
+
 class ObjectList:
     """The objects of one stream.
 
     Parameters
     ----------
-    rows : iterable of FrameRow
-        Rows of the record from its start.
+    state : ListState, optional
+        Where to continue; by default at the record's start.
+    shown : ResultRow, optional
+        The newest label map before that, if there is one.
+
+    Attributes
+    ----------
+    state : ListState
     """
 
-    def __init__(self, rows: Iterable[FrameRow] = ()) -> None:
-        self._objects: dict[int, SeenObject] = {}
-        self._label_maps = 0
-        self._place: tuple[int, float] | None = None  # frame and time of the newest label map
-        self._shown: ResultRow | None = None  # and its contents
-        for row in rows:
-            self.add(row)
+    def __init__(self, state: ListState | None = None, shown: ResultRow | None = None) -> None:
+        self.state = ListState.begun() if state is None else state
+        self._shown = shown
 
     @property
     def objects(self) -> list[SeenObject]:
         """All objects, in ascending id."""
-        return [self._objects[layer] for layer in sorted(self._objects)]
+        return [self.state.objects[layer] for layer in sorted(self.state.objects)]
 
-    def add(self, row: FrameRow) -> None:
-        """Add the next row; those without a label map say nothing of objects."""
-        if row.result is None:
-            return
-        before = () if self._shown is None else self._shown.layers
-        shown_before = {layer.layer for layer in before}
-        for layer in row.result.layers:
-            here, seen = Sighting.of(layer, row), self._objects.get(layer.layer)
+    def add(self, rows: Iterable[FrameRow]) -> ObjectList:
+        """Add the next rows; those without a label map say nothing of objects. Returns the list."""
+        for row in rows:
+            self.state.rows = row.frame + 1
+            if row.result is not None:
+                self._add(row, row.result)
+        return self
+
+    def _add(self, row: FrameRow, result: ResultRow) -> None:
+        objects, before = self.state.objects, self._shown
+        shown_before = set() if before is None else {layer.layer for layer in before.layers}
+        for layer in result.layers:
+            here, seen = Sighting.of(layer, row), objects.get(layer.layer)
             if seen is None:
-                self._objects[layer.layer] = SeenObject.begun(layer, here)
+                objects[layer.layer] = SeenObject.begun(layer, here)
             else:
                 seen.continues(layer, here, unbroken=layer.layer in shown_before)
-        if self._shown is not None:
-            shown = {layer.layer for layer in row.result.layers}
-            for place, layer in enumerate(before):
+        if before is not None:
+            shown = {layer.layer for layer in result.layers}
+            for place, layer in enumerate(before.layers):
                 if layer.layer not in shown:
-                    how = ending(place, self._shown, row.result, cut=row.status == "cut")
-                    self._objects[layer.layer].ending = how
-        self._label_maps += 1
-        self._place, self._shown = (row.frame, row.pts), row.result
+                    objects[layer.layer].ending = ending(place, before, result, cut=row.status == "cut")
+        self.state.label_maps += 1
+        self.state.newest, self._shown = (row.frame, row.pts), result
 
     def csv(self, *, complete: bool) -> str:
         """Format as CSV, a line per object.
@@ -200,11 +233,11 @@ class ObjectList:
 
     def json(self, stream: str, *, complete: bool) -> str:
         """Format as JSON; parameters as for :meth:`csv`, and the stream's name."""
-        frame, pts = self._place or (None, None)
+        frame, pts = self.state.newest or (None, None)
         content = {
             "stream": stream,
             "complete": complete,
-            "label_maps": self._label_maps,
+            "label_maps": self.state.label_maps,
             "last_frame": frame,
             "last_s": None if pts is None else _seconds(pts),
             "objects": [_described(one, complete=complete) for one in self.objects],

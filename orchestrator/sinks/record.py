@@ -29,7 +29,7 @@ from orchestrator.sinks.label_image import encode_label_image, encode_picture
 from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.object_files import ObjectFiles
 from orchestrator.sinks.overlay import OverlayVideo, overlay_path
-from orchestrator.sinks.record_tables import part_path, read_rows
+from orchestrator.sinks.record_tables import part_path
 from orchestrator.sinks.snapshot_folder import SNAPSHOTS, SnapshotFolder
 from orchestrator.sinks.tables import FrameRow, ResultRow, stages_of, write_frames, write_layers
 from orchestrator.sources.address import SourceAddress
@@ -108,7 +108,7 @@ class StreamRecord:
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
             tables = "parquet" in save
-            self._objects = ObjectFiles(folder, name, read_rows(folder)) if tables else None
+            self._objects = ObjectFiles(folder, name) if tables else None
             self._cutouts = _by_frame(folder / "cutouts")
         except OSError as error:
             raise self._unwritable(error) from None
@@ -247,7 +247,7 @@ class StreamRecord:
             self._log.add(last, self._snapshots.name_after(last + 1), provisional=self._provisional)
             self._snapshots.forget_before(last + 1)
             if self._objects is not None:
-                self._objects.add(rows)
+                self._objects.add(rows, provisional=self._provisional)
         self._rows = self._rows[len(rows) :]
         self._unpublished = [(frame, path) for frame, path in self._unpublished if frame >= before]
         self._withdrawn = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -38,15 +39,19 @@ def read_table(folder: Path, name: _Table) -> pa.Table:
     return pa.concat_tables(tables) if tables else pa.table({})
 
 
-def read_rows(folder: Path) -> Iterator[FrameRow]:
-    """Yield the committed rows of a stream whose tables were saved, one part at a time; without stage times.
+def read_rows(folder: Path, begin: int = 0, end: float = math.inf) -> Iterator[FrameRow]:
+    """Yield committed rows of a stream whose tables were saved, one part at a time; without stage times.
 
     Parameters
     ----------
     folder : Path
         Of the stream; one that is not there has no rows.
+    begin, end : int
+        Only parts whose rows are all from ``begin`` to before ``end``.
     """
     for commit in read_commits(folder):
+        if commit.first < begin or commit.last >= end:
+            continue
         paths = [part_path(folder, name, commit.first) for name in _TABLES]
         if not all(path.exists() for path in paths):
             continue

@@ -51,7 +51,7 @@ def squares(
 
 def listed(*maps: Segmentation) -> ObjectList:
     """A list of these label maps, ten a second."""
-    return ObjectList(
+    return ObjectList().add(
         FrameRow(index, index / 10, one.status, ResultRow.of(one, 1.0), str(index))
         for index, one in enumerate(maps)
     )
@@ -204,6 +204,44 @@ def test_a_resumed_stream_has_the_list_of_an_undisturbed_one(
         assert (tmp_path / "yard" / name).read_bytes() == (undisturbed / name).read_bytes()
 
 
+def begun(folder: Path) -> None:
+    """A record of a stream that lost a process after frame 38, in which an object is hidden."""
+    record = StreamRecord(folder, "yard", TABLES)
+    for index in range(39):
+        record.write(wandering(index), frame(index))
+    record.close(whole=False)
+
+
+def finished(folder: Path) -> None:
+    record = StreamRecord(folder, "yard", TABLES)
+    for index in range(LONG):
+        record.write(wandering(index), frame(index))
+    record.close(whole=True)
+
+
+def test_a_long_record_is_not_read_again_from_its_start(tmp_path: Path, undisturbed: Path) -> None:
+    begun(tmp_path / "yard")
+    for first in (0, FIRST_COMMIT):
+        for path in (tmp_path / "yard").glob(f"*-{first:08d}.parquet"):
+            path.unlink()
+    finished(tmp_path / "yard")
+    assert (tmp_path / "yard" / OBJECTS_JSON).read_bytes() == (undisturbed / OBJECTS_JSON).read_bytes()
+
+
+@pytest.mark.parametrize("state", [None, b"", b'{"rows": 32}', b'{"rows": 1000, "objects": {}}'])
+def test_without_a_usable_state_the_list_is_made_from_the_tables(
+    tmp_path: Path, undisturbed: Path, state: bytes | None
+) -> None:
+    begun(tmp_path / "yard")
+    (kept,) = (path for path in (tmp_path / "yard").iterdir() if path.name == ".objects")
+    if state is None:
+        kept.unlink()
+    else:
+        kept.write_bytes(state)
+    finished(tmp_path / "yard")
+    assert (tmp_path / "yard" / OBJECTS_JSON).read_bytes() == (undisturbed / OBJECTS_JSON).read_bytes()
+
+
 @given(st.lists(st.dictionaries(st.integers(1, 4), st.floats(0, 40), max_size=4), max_size=8))
 def test_every_object_of_the_label_maps_is_listed_and_no_other(lefts: list[dict[int, float]]) -> None:
     maps = [
@@ -224,7 +262,7 @@ def test_files_that_take_long_to_write_are_written_rarely(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undisturbed: Path
 ) -> None:
     now = [0.0]
-    files = ObjectFiles(tmp_path, "yard", (), lambda: now[0])
+    files = ObjectFiles(tmp_path, "yard", lambda: now[0])
     made = ObjectList.csv
 
     def slow(self: ObjectList, *, complete: bool) -> str:
@@ -236,7 +274,7 @@ def test_files_that_take_long_to_write_are_written_rarely(
     for row in read_rows(undisturbed):
         now[0] += 1.0
         before = now[0]
-        files.add([row])
+        files.add([row], provisional=False)
         written += [row.frame] * (now[0] > before)
     assert written == [0, 25, 50]
     files.write(complete=True)
