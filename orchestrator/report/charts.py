@@ -17,6 +17,7 @@ __all__ = ["css_colour", "object_count_chart", "stage_chart", "timeline_chart"]
 
 _WIDTH, _LEFT, _RIGHT = 900, 60, 36  # of every chart, and margins for its labels; units of the SVG
 _ROW, _PLOT, _AXIS = 18, 150, 42  # heights: a layer's row, a plot, the frame numbers and seconds below
+_TICK_LABEL = 40  # least distance of two numbers below
 _POINTS = 240  # of a curve: longer streams are averaged
 
 _LINE = Markup('<line x1="{}" y1="{}" x2="{}" y2="{}" class="{}"/>')
@@ -47,10 +48,12 @@ class _FrameAxis:
             + _TEXT.format(self.x(tick), top + 18, "middle", f"{tick:.0f}")
             for tick in frames
         ]
-        marks += [
-            _TEXT.format(self.x(np.interp(tick, pts, self.history.frames)), top + 34, "middle", f"{tick:g}")
-            for tick in _round_numbers(float(pts[0]), float(pts[-1]))
-        ]
+        free_from = 0.0  # seconds of a gap lie close together
+        for tick in _round_numbers(float(pts[0]), float(pts[-1])):
+            x = self.x(float(np.interp(tick, pts, self.history.frames)))
+            if x >= free_from:
+                marks.append(_TEXT.format(x, top + 34, "middle", f"{tick:g}"))
+                free_from = x + _TICK_LABEL
         return (
             _LINE.format(_LEFT, top, _WIDTH - _RIGHT, top, "axis")
             + Markup("").join(marks)
