@@ -314,6 +314,11 @@ class LayerSummary:
     confidence: float
     part_of: int = 0
 
+    @property
+    def object(self) -> int:
+        """Id of its object: its own, or that of the layer that it is a part of."""
+        return self.part_of or self.layer
+
 
 @pickled_by_values
 @dataclass(frozen=True, slots=True)

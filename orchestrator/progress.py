@@ -126,7 +126,7 @@ class LiveTable:
         table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
         for heading in ("stream", "state"):
             table.add_column(heading, no_wrap=True)
-        for heading in ("read", "committed", "frames/s", "left", "layers", "lost"):
+        for heading in ("read", "committed", "frames/s", "left", "objects", "lost"):
             table.add_column(heading, justify="right", no_wrap=True)
         for state in shown:
             rate = f"{state.frames_per_second:.1f}" if state.frames_per_second else ""
@@ -139,7 +139,7 @@ class LiveTable:
                 str(state.committed),
                 rate,
                 "" if left is None else _time(left),
-                str(state.layers) if state.layers else "",
+                str(state.objects) if state.layers else "",
                 str(lost) if lost else "",
             )
         return Group(table, Text(notes + _summary(states, len(shown)) + total_left))

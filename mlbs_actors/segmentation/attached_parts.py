@@ -175,9 +175,8 @@ def join_parts(segmentation: Segmentation) -> Segmentation:
     renamed = np.arange(max(one.layer for one in layers) + 1, dtype=segmentation.labels.dtype)
     members: dict[int, list[LayerSummary]] = {}
     for one in layers:
-        whole = one.part_of or one.layer
-        renamed[one.layer] = whole
-        members.setdefault(whole, []).append(one)
+        renamed[one.layer] = one.object
+        members.setdefault(one.object, []).append(one)
     labels = renamed[segmentation.labels]
     labels.setflags(write=False)
     joined = tuple(_joined(whole, parts) for whole, parts in sorted(members.items()))

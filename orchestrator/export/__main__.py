@@ -11,7 +11,10 @@ from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.export.coco import write_coco
+from orchestrator.export.csv_table import write_csv
+from orchestrator.export.mot import write_mot
 from orchestrator.export.mots import write_mots
+from orchestrator.export.overlay import write_overlays
 from orchestrator.export.palette_masks import write_davis, write_youtube_vos
 from orchestrator.run.durable_files import temporary_path
 
@@ -29,17 +32,25 @@ def _write_rerun(run: Path, out: Path, *, internals: bool = False) -> None:
         print(remark, file=sys.stderr)
 
 
+def _write_overlays(run: Path, out: Path) -> None:
+    for remark in write_overlays(run, out):
+        print(remark, file=sys.stderr)
+
+
 #: Formats by name.
 FORMATS: dict[str, Callable[[Path, Path], None]] = {
+    "csv": write_csv,
     "coco": write_coco,
+    "mot": write_mot,
     "mots": write_mots,
     "davis": write_davis,
     "youtube-vos": write_youtube_vos,
+    "overlay": _write_overlays,
     "rerun": _write_rerun,
 }
 
 #: Those that are one file; the others are folders.
-_FILES = ("coco", "rerun")
+_FILES = ("csv", "coco", "rerun")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -47,8 +58,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m orchestrator.export",
         description="Write what a run has committed in the format of other tools.",
-        epilog="coco: one JSON file; mots: a text file a stream; davis, youtube-vos: indexed PNG masks; "
-        "rerun: a recording for the viewer of rerun.io",
+        epilog="csv: one table, a row per frame and object; coco: one JSON file; mot, mots: a text file a "
+        "stream, of boxes or masks; davis, youtube-vos: indexed PNG masks; overlay: videos with the labels, "
+        "drawn anew; rerun: a recording for the viewer of rerun.io",
         allow_abbrev=False,
     )
     parser.add_argument("format", choices=FORMATS)

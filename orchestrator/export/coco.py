@@ -15,10 +15,10 @@ CATEGORY = 1
 
 
 def write_coco(run: Path, out: Path) -> None:
-    """Write the run's objects as COCO instances.
+    """Write the run's objects as COCO instances, with the keys that its extensions to videos have.
 
-    Each stream that has a label map is a video; ``track_id`` of an annotation is the layer's id, unique
-    within its video.
+    Each stream that has a label map is a video, with its mean frame rate; ``track_id`` of an annotation is
+    the layer's id, unique within its video.
 
     Parameters
     ----------
@@ -30,9 +30,12 @@ def write_coco(run: Path, out: Path) -> None:
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for name in streams_of(run):
+        times: list[float] = []
         for frame in recorded_stream(run / name):
-            if not videos or videos[-1]["name"] != name:
-                videos.append({"id": len(videos) + 1, "name": name})
+            if not times:
+                size = {"width": frame.width, "height": frame.height}
+                videos.append({"id": len(videos) + 1, "name": name, **size})
+            times.append(frame.pts)
             image = {
                 "id": len(images) + 1,
                 "file_name": f"{name}/{frame.name}.png",
@@ -40,6 +43,7 @@ def write_coco(run: Path, out: Path) -> None:
                 "height": frame.height,
                 "video_id": len(videos),
                 "frame_id": frame.index,
+                "seconds": frame.pts,
             }
             images.append(image)
             for one in frame.objects:
@@ -58,7 +62,12 @@ def write_coco(run: Path, out: Path) -> None:
                         "iscrowd": 0,
                     }
                 )
+        if times:
+            span = times[-1] - times[0]
+            videos[-1] |= {"length": len(times), "fps": round((len(times) - 1) / span, 4) if span else None}
     content = {
+        "info": {"description": f"Moving objects of {run.resolve().name}, segmented by mlbs-actors"},
+        "licenses": [],
         "categories": [{"id": CATEGORY, "name": "object"}],
         "videos": videos,
         "images": images,

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 from pycocotools import mask as coco_mask
 
 from mlbs_actors.errors import ConfigError
-from mlbs_actors.messages import Array, Region
-from orchestrator.sinks.commit_log import read_commits
-from orchestrator.sinks.record_tables import part_path
+from mlbs_actors.messages import Array, LayerKind, Region
+from orchestrator.sinks.record_tables import read_rows
 
 __all__ = ["RecordedFrame", "RecordedObject", "description_of", "recorded_stream", "streams_of"]
 
@@ -27,6 +25,7 @@ class RecordedObject:
     Attributes
     ----------
     layer : int
+    kind : {"object", "other"}
     region : Region
     area : int
         px.
@@ -38,6 +37,7 @@ class RecordedObject:
     """
 
     layer: int
+    kind: LayerKind
     region: Region
     area: int
     centroid: tuple[float, float]
@@ -64,6 +64,8 @@ class RecordedFrame:
         px/frame, x before y.
     objects : tuple of RecordedObject
         In ascending layer id.
+    pixel_aspect : float
+        How wide a pixel is to be shown for its height.
     """
 
     index: int
@@ -73,6 +75,7 @@ class RecordedFrame:
     width: int
     camera_motion: tuple[float, float]
     objects: tuple[RecordedObject, ...]
+    pixel_aspect: float = 1.0
 
     def labels(self) -> Array:
         """The label map, (H, W) uint16."""
@@ -119,27 +122,31 @@ def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
     folder : Path
         Of the stream; one that is not there has no frames.
     """
-    for commit in read_commits(folder):
-        objects: dict[int, list[RecordedObject]] = {}
-        for row in pq.read_table(part_path(folder, "layers", commit.first)).to_pylist():
-            one = RecordedObject(
-                layer=row["layer"],
-                region=Region(row["x"], row["y"], row["w"], row["h"]),
-                area=row["area"],
-                centroid=(row["cx"], row["cy"]),
-                velocity=(row["vx"], row["vy"]),
-                confidence=row["confidence"],
-                code=row["rle"],
+    for row in read_rows(folder):
+        result = row.result
+        if result is None or row.name is None:
+            continue
+        objects = tuple(
+            RecordedObject(
+                layer=layer.layer,
+                kind=layer.kind,
+                region=layer.region,
+                area=layer.area,
+                centroid=layer.centroid,
+                velocity=layer.velocity,
+                confidence=layer.confidence,
+                code=code,
             )
-            objects.setdefault(row["frame"], []).append(one)
-        for row in pq.read_table(part_path(folder, "frames", commit.first)).to_pylist():
-            if row["name"] is not None:
-                yield RecordedFrame(
-                    index=row["frame"],
-                    pts=row["pts"],
-                    name=row["name"],
-                    height=row["height"],
-                    width=row["width"],
-                    camera_motion=(row["camera_dx"], row["camera_dy"]),
-                    objects=tuple(objects.get(row["frame"], ())),
-                )
+            for layer, code in zip(result.layers, result.run_length_codes, strict=True)
+        )
+        height, width = result.shape
+        yield RecordedFrame(
+            index=row.frame,
+            pts=row.pts,
+            name=row.name,
+            height=height,
+            width=width,
+            camera_motion=result.camera_motion,
+            objects=objects,
+            pixel_aspect=result.pixel_aspect,
+        )

@@ -22,7 +22,7 @@ from orchestrator.sources.address import SourceKind, parse_address
 from orchestrator.sources.opening import open_reader
 from orchestrator.working_size import enlarged, shrunk
 
-__all__ = ["InspectedFrame", "inspected", "replayed"]
+__all__ = ["InspectedFrame", "inspected", "replayed", "with_pictures"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +54,18 @@ def replayed(source: str) -> Iterator[SourceFrame]:
                 yield frame
     except (ConfigError, SourceError):
         return
+
+
+def with_pictures(
+    frames: Iterable[RecordedFrame], source: str
+) -> Iterator[tuple[RecordedFrame, Array | None]]:
+    """Pair recorded frames with the pictures of their source, None where those cannot be read again."""
+    pictures = replayed(source)
+    newest = next(pictures, None)
+    for frame in frames:
+        while newest is not None and newest.index < frame.index:
+            newest = next(pictures, None)
+        yield frame, newest.image if newest is not None and newest.index == frame.index else None
 
 
 def inspected(

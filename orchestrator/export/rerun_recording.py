@@ -6,7 +6,7 @@ camera. Internals (:mod:`orchestrator.export.rerun_internals`) are computed agai
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from orchestrator.export.recorded_stream import (
     recorded_stream,
     streams_of,
 )
-from orchestrator.export.replay import inspected, replayed
+from orchestrator.export.replay import inspected, with_pictures
 from orchestrator.export.rerun_internals import layer_rgb, layout, write_internals
 from orchestrator.ignored import read_ignored
 
@@ -64,7 +64,7 @@ def write_rerun(run: Path, out: Path, *, internals: bool = False) -> list[str]:
         recording.save(out)
         recording.set_log_time_enabled(False)  # the time of the export is irrelevant
         for name, source in sources.items():
-            _StreamLog(recording, name).write(_with_pictures(recorded_stream(run / name), source))
+            _StreamLog(recording, name).write(with_pictures(recorded_stream(run / name), source))
         return _add_internals(recording, run, sources) if internals else []
 
 
@@ -129,18 +129,6 @@ class _StreamLog:
 
     def _log(self, entity: Any, *place: str, static: bool = False) -> None:
         self._recording.log(rerun.new_entity_path([self._name, *place]), entity, static=static)
-
-
-def _with_pictures(
-    frames: Iterable[RecordedFrame], source: str
-) -> Iterator[tuple[RecordedFrame, Array | None]]:
-    """Pair the frames with their pictures, None for those that cannot be read."""
-    pictures = replayed(source)
-    newest = next(pictures, None)
-    for frame in frames:
-        while newest is not None and newest.index < frame.index:
-            newest = next(pictures, None)
-        yield frame, newest.image if newest is not None and newest.index == frame.index else None
 
 
 def _jpeg(picture: Array) -> bytes:

@@ -9,13 +9,15 @@ import numpy as np
 from markupsafe import Markup
 
 from mlbs_actors.messages import Array
-from orchestrator.report.history import LayerLife, StageTimes, StreamHistory, frame_ranges
+from orchestrator.report.history import StageTimes, StreamHistory, frame_ranges
 from orchestrator.sinks.layer_colours import layer_colour
+from orchestrator.sinks.object_list import SeenObject
 
 __all__ = ["css_colour", "object_count_chart", "stage_chart", "timeline_chart"]
 
 _WIDTH, _LEFT, _RIGHT = 900, 60, 36  # of every chart, and margins for its labels; units of the SVG
-_ROW, _PLOT, _AXIS = 18, 150, 26  # heights: a layer's row, a plot, the frame numbers below
+_ROW, _PLOT, _AXIS = 18, 150, 42  # heights: a layer's row, a plot, the frame numbers and seconds below
+_TICK_LABEL = 40  # least distance of two numbers below
 _POINTS = 240  # of a curve: longer streams are averaged
 
 _LINE = Markup('<line x1="{}" y1="{}" x2="{}" y2="{}" class="{}"/>')
@@ -26,10 +28,11 @@ _SVG = Markup('<svg viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>')
 
 @dataclass(frozen=True, slots=True)
 class _FrameAxis:
-    """The horizontal axis of frames."""
+    """The horizontal axis of frames, with the seconds that some of them come at."""
 
     first: int
     last: int
+    history: StreamHistory
 
     def x(self, frame: float) -> float:
         """Return where a frame begins; the last one ends at the right edge."""
@@ -38,16 +41,24 @@ class _FrameAxis:
 
     def drawn(self, top: float) -> Markup:
         """Draw the numbers below a chart that ends at ``top``."""
-        ticks = [tick for tick in _round_numbers(self.first, self.last) if tick == int(tick)]
+        frames = [tick for tick in _round_numbers(self.first, self.last) if tick == int(tick)]
+        pts = self.history.pts
         marks = [
             _LINE.format(self.x(tick), top, self.x(tick), top + 4, "axis")
             + _TEXT.format(self.x(tick), top + 18, "middle", f"{tick:.0f}")
-            for tick in ticks
+            for tick in frames
         ]
+        free_from = 0.0  # seconds of a gap lie close together
+        for tick in _round_numbers(float(pts[0]), float(pts[-1])):
+            x = self.x(float(np.interp(tick, pts, self.history.frames)))
+            if x >= free_from:
+                marks.append(_TEXT.format(x, top + 34, "middle", f"{tick:g}"))
+                free_from = x + _TICK_LABEL
         return (
             _LINE.format(_LEFT, top, _WIDTH - _RIGHT, top, "axis")
             + Markup("").join(marks)
             + _TEXT.format(_LEFT - 8, top + 18, "end", "frame")
+            + _TEXT.format(_LEFT - 8, top + 34, "end", "s")
         )
 
 
@@ -57,7 +68,7 @@ def css_colour(layer: int) -> str:
     return f"#{red:02x}{green:02x}{blue:02x}"
 
 
-def timeline_chart(history: StreamHistory, lives: Sequence[LayerLife]) -> Markup:
+def timeline_chart(history: StreamHistory, lives: Sequence[SeenObject]) -> Markup:
     """Draw a row a layer: a bar while it is seen, a line while not, how it ends.
 
     At the top are lost frames, and those that are no ordinary picture.
@@ -86,7 +97,10 @@ def timeline_chart(history: StreamHistory, lives: Sequence[LayerLife]) -> Markup
             _LINE.format(axis.x(life.spans[0][0]), middle, axis.x(life.spans[-1][1] + 1), middle, "hidden")
         )
         for first, last in life.spans:
-            title = f"layer {life.layer}: frames {first} to {last}"
+            title = (
+                f"object {life.layer}: frames {first} to {last}, "
+                f"{history.seconds_at(first):.2f} s to {history.seconds_at(last):.2f} s"
+            )
             width = max(axis.x(last + 1) - axis.x(first), 1.5)
             rows.append(bar.format(axis.x(first), top + 3, width, _ROW - 6, css_colour(life.layer), title))
         rows.append(_TEXT.format(axis.x(life.spans[-1][1] + 1) + 4, top + _ROW - 5, "", life.ending.sign))
@@ -115,7 +129,7 @@ def stage_chart(history: StreamHistory, stages: Sequence[StageTimes], colours: S
 def _axis(history: StreamHistory) -> _FrameAxis:
     lost = [frame for _, frames in history.lost for frame in frames]
     frames = [*history.frames[[0, -1]].tolist(), *lost]
-    return _FrameAxis(min(frames), max(frames))
+    return _FrameAxis(min(frames), max(frames), history)
 
 
 def _plot(

@@ -9,10 +9,13 @@ import numpy as np
 import pyarrow as pa
 
 from mlbs_actors.messages import Array
-from orchestrator.report.endings import ENDING_COLUMNS, Ending, ending
-from orchestrator.sinks.record_tables import read_table
+from orchestrator.sinks.object_list import ObjectList, SeenObject
+from orchestrator.sinks.record_tables import read_rows, read_table
 
-__all__ = ["LayerLife", "StageTimes", "StreamHistory", "frame_ranges", "read_history"]
+__all__ = ["LONG_SECONDS", "StageTimes", "StreamHistory", "frame_ranges", "read_history"]
+
+#: Objects that were seen for a shorter time are limbs, glimpses and errors for the most part, s.
+LONG_SECONDS = 1.0
 
 #: Stages in the order of processing; others come after these.
 _ORDER = (
@@ -27,31 +30,6 @@ _ORDER = (
     "cut",
     "cleaning",
 )
-
-
-@dataclass(frozen=True, slots=True)
-class LayerLife:
-    """When one object was seen.
-
-    Attributes
-    ----------
-    layer : int
-    kind : str
-    spans : tuple of (int, int)
-        First and last frame of every unbroken stretch; between them it was hidden, or not found.
-    frames : int
-        Frames in which it owns pixels.
-    mean_area : float
-        px, over these.
-    ending : Ending
-    """
-
-    layer: int
-    kind: str
-    spans: tuple[tuple[int, int], ...]
-    frames: int
-    mean_area: float
-    ending: Ending
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +61,7 @@ class StreamHistory:
         By status, the frames without a label map.
     gaps : tuple of (float, float)
         Begin and end of each time without pictures, s.
-    lives : tuple of LayerLife
+    lives : tuple of SeenObject
         In ascending id, which is the order of their births.
     stages : tuple of StageTimes
     """
@@ -95,8 +73,17 @@ class StreamHistory:
     unusual: tuple[tuple[str, tuple[int, ...]], ...]
     lost: tuple[tuple[str, tuple[int, ...]], ...]
     gaps: tuple[tuple[float, float], ...]
-    lives: tuple[LayerLife, ...]
+    lives: tuple[SeenObject, ...]
     stages: tuple[StageTimes, ...]
+
+    @property
+    def long_lives(self) -> list[SeenObject]:
+        """The objects that were seen for :data:`LONG_SECONDS` or longer."""
+        return [life for life in self.lives if life.seconds >= LONG_SECONDS]
+
+    def seconds_at(self, frame: int) -> float:
+        """Return the time of a frame with a label map, s."""
+        return float(self.pts[np.searchsorted(self.frames, frame)])
 
     def objects_in(self, frame: int) -> list[int]:
         """Ids of the objects that are seen in a frame."""
@@ -123,8 +110,6 @@ def read_history(folder: Path) -> StreamHistory | None:
     gaps = zip(
         pts[status == "gap"].tolist(), np.append(pts[1:], pts[-1])[status == "gap"].tolist(), strict=True
     )
-    layers = read_table(folder, "layers", [*ENDING_COLUMNS, "kind"])
-    shapes = np.stack([_numbers(table, side)[ok].astype(np.int64) for side in ("height", "width")], axis=1)
     return StreamHistory(
         frames=frames[ok],
         pts=pts[ok],
@@ -133,7 +118,7 @@ def read_history(folder: Path) -> StreamHistory | None:
         unusual=unusual,
         lost=lost,
         gaps=tuple(gaps),
-        lives=_lives(layers, frames[ok], shapes),
+        lives=tuple(ObjectList().add(read_rows(folder)).objects),
         stages=_stages(table.filter(pa.array(ok))),
     )
 
@@ -153,27 +138,6 @@ def _numbers(table: pa.Table, column: str) -> Array:
     """Return a column as float64, NaN for null."""
     numbers: Array = table[column].cast(pa.float64()).to_numpy()
     return numbers
-
-
-def _lives(table: pa.Table, frames: Array, shapes: Array) -> tuple[LayerLife, ...]:
-    if not table.num_rows:
-        return ()
-    layer, frame = table["layer"].to_numpy(), table["frame"].to_numpy()
-    area, kind = table["area"].to_numpy(), np.asarray(table["kind"].to_pylist())
-    order = np.lexsort((frame, layer))
-    starts = np.flatnonzero(np.diff(layer[order], prepend=-1))
-    lives = []
-    for rows in np.split(order, starts[1:]):
-        # Counted in frames with a label map: an undecodable frame does not hide an object.
-        place = np.searchsorted(frames, frame[rows])
-        pieces = np.split(frame[rows], np.flatnonzero(np.diff(place) > 1) + 1)
-        spans = tuple((int(piece[0]), int(piece[-1])) for piece in pieces)
-        first, last = int(rows[0]), int(rows[-1])
-        how = ending(last, table, frames, shapes)
-        lives.append(
-            LayerLife(int(layer[first]), str(kind[first]), spans, len(rows), float(area[rows].mean()), how)
-        )
-    return tuple(lives)
 
 
 def _stages(table: pa.Table) -> tuple[StageTimes, ...]:

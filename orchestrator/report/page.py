@@ -14,9 +14,11 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.wording import count_of
 from orchestrator.report import charts
-from orchestrator.report.history import LayerLife, StreamHistory, frame_ranges, read_history
+from orchestrator.report.history import LONG_SECONDS, StreamHistory, frame_ranges, read_history
 from orchestrator.report.pictures import StripPicture, overlay_strip
-from orchestrator.sinks.overlay import overlays
+from orchestrator.sinks.object_files import OBJECTS_CSV
+from orchestrator.sinks.object_list import SeenObject
+from orchestrator.sinks.overlay import overlay_path, overlay_remarks, overlays
 
 __all__ = ["render_report"]
 
@@ -40,11 +42,12 @@ class _Stream:
     name: str
     source: str
     has_folder: bool
+    has_list: bool
     status: dict[str, Any]
-    overlay_error: str | None
+    faults: list[str]
     overlays: tuple[str, ...]
     history: StreamHistory | None
-    lives: list[LayerLife]
+    lives: list[SeenObject]
     strip: list[StripPicture]
     lost: list[str]
 
@@ -81,7 +84,13 @@ def render_report(folder: Path) -> str:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    environment.globals |= {"charts": charts, "count_of": count_of, "stage_colours": _stage_colours}
+    environment.globals |= {
+        "charts": charts,
+        "count_of": count_of,
+        "stage_colours": _stage_colours,
+        "long_time": f"{LONG_SECONDS:g} s or longer",
+        "objects_csv": OBJECTS_CSV,
+    }
     return environment.get_template("report.html").render(
         run=run,
         status=status,
@@ -100,8 +109,7 @@ def render_report(folder: Path) -> str:
 
 def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) -> _Stream:
     history = read_history(folder)
-    error = folder / "overlay.error"
-    lives: list[LayerLife] = []
+    lives: list[SeenObject] = []
     strip: list[StripPicture] = []
     lost: list[str] = []
     if history is not None:
@@ -117,8 +125,9 @@ def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) ->
         name=folder.name,
         source=source,
         has_folder=folder.is_dir(),
+        has_list=(folder / OBJECTS_CSV).exists(),
         status=status,
-        overlay_error=error.read_text(encoding="utf-8").strip() if error.exists() else None,
+        faults=[*([status["error"]] if status["error"] else []), *overlay_remarks(overlay_path(folder, 0))],
         overlays=tuple(path.name for _, path in overlays(folder)),
         history=history,
         lives=lives,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from dataclasses import replace
 from functools import partial
@@ -38,8 +38,9 @@ from orchestrator.run.list_watch import ListWatch
 from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import StreamState, after_failure, exit_code, stopped, with_record
+from orchestrator.run.whole_overlays import is_in_parts, is_lost, make_whole
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
-from orchestrator.sinks.overlay import overlays
+from orchestrator.sinks.overlay import overlay_path, overlay_remarks, overlays
 from orchestrator.sinks.record import StreamRecord, ends_group, has_snapshot, recorded_frames
 from orchestrator.sources.address import SourceAddress, SourceKind
 from orchestrator.sources.lengths import finding_lengths
@@ -136,6 +137,7 @@ def run(
         states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
         try:
             status.finish(states, exit_status)
+            _make_overlays_whole(job.specs, {spec.name for spec in due}, states, folder, arguments.save)
             replace_file(folder.path / "report.html", render_report(folder.path).encode())
         except OSError as error:
             raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
@@ -230,7 +232,9 @@ class _Job:
             name=stream.name,
             config=self._config,
             open_reader=reader,
-            open_sink=partial(record, folder, stream.name, save, picture, replayable=replayable),
+            open_sink=partial(
+                record, folder, stream.name, save, picture, replayable=replayable, source=stream.source
+            ),
             max_frames=self._arguments.max_frames,
             wants_background=ends_group if "background" in save else None,
             source=str(stream.source),
@@ -306,6 +310,32 @@ def _drive(
     return driver.states, exit_status
 
 
+def _make_overlays_whole(
+    specs: Sequence[StreamSpec],
+    due: Collection[str],
+    states: Sequence[StreamState],
+    folder: RunFolder,
+    save: frozenset[str],
+) -> None:
+    """Draw anew the overlays of ended streams that are in parts or, of the streams ``due``, were lost."""
+    if not save >= {"overlay", "parquet"}:
+        return
+    ended = {
+        state.name
+        for state in states
+        if state.state in ("done", "partial") and state.committed and not state.interrupted
+    }
+    for spec in specs:
+        stream = folder.stream(spec.name)
+        wanted = is_in_parts(stream) or (spec.name in due and is_lost(stream))
+        if spec.replayable and spec.name in ended and wanted:
+            try:
+                make_whole(stream, spec.source, _say)
+            except KeyboardInterrupt:
+                _say("The overlay stays as it is; to try again, give the same command with --resume.")
+                return
+
+
 def _not_to_be_resumed(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[str, StreamState]:
     """Select streams that are not resumed: those that ended, and cameras without a snapshot."""
     words = (
@@ -344,9 +374,9 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
     ]
     lines += [f"  {state.name}: {note}" for state in states if (note := state.memory_note) is not None]
     lines += [
-        f"  {state.name}: {error.read_text(encoding='utf-8').strip()}"
+        f"  {state.name}: {remark}"
         for state in states
-        if (error := folder.stream(state.name) / "overlay.error").exists()
+        for remark in overlay_remarks(overlay_path(folder.stream(state.name), 0))
     ]
     begun = [state.name for state in states if state.committed]
     if begun:

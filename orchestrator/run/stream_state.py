@@ -44,6 +44,8 @@ class StreamState:
         See :class:`mlbs_actors.actors.stream.protocol.StreamProgress`.
     layers : int
         Live layers, the background included.
+    objects : int
+        Objects in the newest label map: layers that own a pixel of it.
     frames_per_second : float
         Recent rate at which frames were read; 0 when not running, and while a camera sends nothing.
     latency_ms : float
@@ -78,6 +80,7 @@ class StreamState:
     interrupted: bool = False
     length: int | None = None
     without_process: int = 0
+    objects: int = 0
 
     @property
     def queued(self) -> int:
@@ -141,6 +144,7 @@ def after_progress(state: StreamState, progress: StreamProgress, frames_per_seco
         quarantined=progress.quarantined,
         gaps=progress.gaps,
         layers=progress.layers,
+        objects=progress.objects,
         frames_per_second=0.0 if silence.state else frames_per_second,
         latency_ms=sum(progress.stage_ms.values()) or state.latency_ms,
         error=None if error is None else mask(error),
@@ -151,7 +155,7 @@ def after_progress(state: StreamState, progress: StreamProgress, frames_per_seco
 
 def after_end(state: StreamState, progress: StreamProgress) -> StreamState:
     """Return the state after the source's end: done, partial if damaged, failed without a label map."""
-    counted = replace(after_progress(state, progress, 0.0), layers=0)
+    counted = replace(after_progress(state, progress, 0.0), layers=0, objects=0)
     if counted.committed == 0:
         return after_failure(counted, counted.error or "The source holds no frame that could be decoded.")
     if counted.error is not None:
@@ -164,7 +168,7 @@ def after_end(state: StreamState, progress: StreamProgress) -> StreamState:
 
 def after_failure(state: StreamState, error: str) -> StreamState:
     """Return the state after an error that ended the stream; its counts stay."""
-    return replace(state, state="failed", layers=0, frames_per_second=0.0, error=mask(error))
+    return replace(state, state="failed", layers=0, objects=0, frames_per_second=0.0, error=mask(error))
 
 
 def after_loss(state: StreamState, error: str) -> StreamState:
@@ -195,7 +199,7 @@ def after_interruption(state: StreamState, progress: StreamProgress | None) -> S
     kept = "what was read is kept" if progress is not None else "what was committed is kept"
     sentence = f"Interrupted after {count_of(counted.read, 'frame')}; {kept}."
     return replace(
-        counted, state="partial", layers=0, frames_per_second=0.0, error=sentence, interrupted=True
+        counted, state="partial", layers=0, objects=0, frames_per_second=0.0, error=sentence, interrupted=True
     )
 
 
@@ -214,7 +218,7 @@ def after_removal(state: StreamState, progress: StreamProgress | None) -> Stream
     sentence = "Removed from the list before it had a result."
     if state.committed:
         sentence = "Removed from the list; what was committed is kept."
-    return replace(state, state="partial", layers=0, frames_per_second=0.0, error=sentence)
+    return replace(state, state="partial", layers=0, objects=0, frames_per_second=0.0, error=sentence)
 
 
 def frames_left(states: Iterable[StreamState]) -> tuple[int, bool]:

@@ -10,13 +10,27 @@ import av
 import av.error
 import cv2
 import numpy as np
+from av.packet import Packet
 from av.video.frame import VideoFrame
 
+from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array, Region
 from orchestrator.run.durable_files import publish, temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels
+from orchestrator.sources.address import SourceAddress
+from orchestrator.sources.libav import reason
+from orchestrator.sources.sound import SoundReader
 
-__all__ = ["TICK", "OverlayVideo", "overlay_path", "overlays", "presentation_times"]
+__all__ = [
+    "TICK",
+    "OverlayVideo",
+    "forget_overlay",
+    "move_overlay",
+    "overlay_path",
+    "overlay_remarks",
+    "overlays",
+    "presentation_times",
+]
 
 _TIME_BASE = Fraction(1, 90_000)
 #: Least time between two frames, s.
@@ -24,6 +38,7 @@ TICK = float(_TIME_BASE)
 
 _NOMINAL_RATE = 25  # only a hint to the encoder; every frame carries its own time
 _SMALLEST_SIDE = 16  # least that H.264 encoders accept, px
+_ERROR, _NOTE = _REMARKS = (".error", ".note")  # suffixes of the files beside a video
 _KEY_FRAMES = 32  # interval of key frames, to which players and reports can seek
 
 
@@ -35,6 +50,26 @@ def overlay_path(folder: Path, first: int) -> Path:
 def overlays(folder: Path) -> list[tuple[int, Path]]:
     """List first frames and files of a stream's videos, in order."""
     return sorted((int(path.stem.partition("-")[2] or 0), path) for path in folder.glob("overlay*.mp4"))
+
+
+def overlay_remarks(path: Path) -> list[str]:
+    """Return what was written beside a video: why there is none, or why it lacks sound."""
+    beside = (path.with_suffix(suffix) for suffix in _REMARKS)
+    return [remark.read_text(encoding="utf-8").strip() for remark in beside if remark.exists()]
+
+
+def forget_overlay(path: Path) -> None:
+    """Delete a video, its draft, and what was written beside it, as far as they are there."""
+    for one in (temporary_path(path), path, *(path.with_suffix(suffix) for suffix in _REMARKS)):
+        one.unlink(missing_ok=True)
+
+
+def move_overlay(path: Path, to: Path) -> None:
+    """Rename a video, with what was written beside it."""
+    for suffix in _REMARKS:
+        if path.with_suffix(suffix).exists():
+            path.with_suffix(suffix).replace(to.with_suffix(suffix))
+    path.replace(to)
 
 
 def presentation_times(pts: Array) -> Array:
@@ -64,15 +99,21 @@ class OverlayVideo:
     Parameters
     ----------
     path : Path
-        The mp4 file; ``overlay.error`` beside it says why there is none, if so.
+        The mp4 file; ``overlay.error`` beside it says why there is none, if so, and ``overlay.note`` why it
+        lacks sound.
+    sound : SourceAddress, optional
+        The source, whose sound is copied if it is a file that has some.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, sound: SourceAddress | None = None) -> None:
         self._path = path
+        self._source_of_sound = sound
+        self._sound: SoundReader | None = None
+        self._sound_stream: av.AudioStream | None = None
         self._container: av.container.OutputContainer | None = None
         self._stream: av.VideoStream | None = None
         self._failed = False
-        self._last_pts = -1
+        self._first_pts, self._last_pts, self._frames = 0, -1, 0
 
     def add(
         self,
@@ -103,8 +144,12 @@ class OverlayVideo:
             planes = np.asarray(cv2.cvtColor(drawn, cv2.COLOR_BGR2YUV_I420), np.uint8)
             frame = VideoFrame.from_numpy_buffer(planes, format="yuv420p")
             self._last_pts = max(self._last_pts + 1, round(pts / TICK))
+            if not self._frames:
+                self._first_pts = self._last_pts
+            self._frames += 1
             frame.pts, frame.time_base = self._last_pts, _TIME_BASE
-            container.mux(stream.encode(frame))
+            self._mux(container, stream.encode(frame))
+            self._copy_sound(self._last_pts * TICK)
         except (av.error.FFmpegError, OSError, ValueError) as error:
             self._give_up(error)
 
@@ -113,12 +158,64 @@ class OverlayVideo:
         if self._failed or self._container is None or self._stream is None:
             return
         try:
-            self._container.mux(self._stream.encode(None))
+            self._mux(self._container, self._stream.encode(None))
+            self._copy_sound((self._last_pts + self._duration) * TICK)
             self._container.close()
             publish([self._path])
         except (av.error.FFmpegError, OSError, ValueError) as error:
             self._give_up(error)
         self._container = self._stream = None
+        self._end_sound()
+
+    @property
+    def _duration(self) -> int:
+        """Mean duration of a frame so far, ticks."""
+        if self._frames < 2:
+            return round(1 / _NOMINAL_RATE / TICK)
+        return round((self._last_pts - self._first_pts) / (self._frames - 1))
+
+    def _mux(self, container: av.container.OutputContainer, packets: list[Packet[av.VideoStream]]) -> None:
+        # Only the last one counts, for nothing follows it. With any other duration the file would have
+        # another frame rate than its frames have.
+        for packet in packets:
+            packet.duration = self._duration
+        container.mux(packets)
+
+    def _copy_sound(self, until: float) -> None:
+        """Copy the sound before a time, s; a fault there ends the sound alone."""
+        if self._sound is None or self._sound_stream is None or self._container is None:
+            return
+        try:
+            for packet in self._sound.until(until):
+                # One that ends at the first frame is kept, too: decoding the next one begins with it.
+                if _end_of(packet) >= self._first_pts * TICK:
+                    packet.stream = self._sound_stream
+                    self._container.mux(packet)
+        except (av.error.FFmpegError, OSError, ValueError) as error:
+            self._note(f"The sound ends at {until:.1f} s: {reason(error)}.")
+            self._end_sound()
+
+    def _open_sound(self, container: av.container.OutputContainer) -> None:
+        if self._source_of_sound is None:
+            return
+        try:
+            self._sound = SoundReader.of(self._source_of_sound)
+            if self._sound is not None:
+                codec = self._sound.stream.codec_context.name
+                if codec in container.supported_codecs:
+                    self._sound_stream = container.add_stream_from_template(self._sound.stream)
+                    return
+                self._note(f"The overlay has no sound: {codec} cannot be put into an mp4 file.")
+        except SourceError as error:
+            self._note(f"The overlay has no sound. {error}")
+        except (av.error.FFmpegError, OSError, ValueError) as error:
+            self._note(f"The overlay has no sound: {reason(error)}.")
+        self._end_sound()
+
+    def _end_sound(self) -> None:
+        if self._sound is not None:
+            self._sound.close()
+        self._sound = self._sound_stream = None
 
     def _opened(
         self, shape: tuple[int, ...], pixel_aspect: float
@@ -134,16 +231,28 @@ class OverlayVideo:
             self._stream.codec_context.thread_count = 1
             # A fixed quantiser: choosing one for each frame takes a sixth of the encoder's time.
             self._stream.options = {"preset": "ultrafast", "qp": "26", "g": str(_KEY_FRAMES)}
+            self._open_sound(self._container)
         return self._container, self._stream
 
     def _give_up(self, error: Exception) -> None:
         self._failed = True
         self._container = self._stream = None
+        self._end_sound()
         temporary_path(self._path).unlink(missing_ok=True)
+        self._say(_ERROR, f"The overlay could not be written: {error}")
+
+    def _note(self, sentence: str) -> None:
+        self._say(_NOTE, sentence)
+
+    def _say(self, suffix: str, sentence: str) -> None:
         try:
-            self._path.with_suffix(".error").write_text(f"The overlay could not be written: {error}\n")
+            self._path.with_suffix(suffix).write_text(f"{sentence}\n", encoding="utf-8")
         except OSError:
             return  # the same full or lost disk; the record reports it
+
+
+def _end_of(packet: Packet[av.AudioStream]) -> float:
+    return float(((packet.pts or 0) + (packet.duration or 0)) * packet.time_base)
 
 
 def _even(length: int) -> int:

@@ -27,10 +27,12 @@ from orchestrator.sinks.commit_log import CommitLog, read_commits
 from orchestrator.sinks.cutouts import cutouts
 from orchestrator.sinks.label_image import encode_label_image, encode_picture
 from orchestrator.sinks.live_picture import LivePicture
+from orchestrator.sinks.object_files import ObjectFiles
 from orchestrator.sinks.overlay import OverlayVideo, overlay_path
 from orchestrator.sinks.record_tables import part_path
 from orchestrator.sinks.snapshot_folder import SNAPSHOTS, SnapshotFolder
 from orchestrator.sinks.tables import FrameRow, ResultRow, stages_of, write_frames, write_layers
+from orchestrator.sources.address import SourceAddress
 
 __all__ = ["FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "ends_group", "has_snapshot", "recorded_frames"]
 
@@ -65,6 +67,8 @@ class StreamRecord:
         Receives every frame, for the monitor.
     replayable : bool
         Whether uncommitted rows can be read again after the end of the run.
+    source : SourceAddress, optional
+        Of the stream, whose sound the overlay gets.
 
     Attributes
     ----------
@@ -84,6 +88,7 @@ class StreamRecord:
         live: LivePicture | None = None,
         *,
         replayable: bool = True,
+        source: SourceAddress | None = None,
     ) -> None:
         self._folder = folder
         self._name = name
@@ -102,6 +107,8 @@ class StreamRecord:
             with self._log.exclusive():
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
+            tables = "parquet" in save
+            self._objects = ObjectFiles(folder, name) if tables else None
             self._cutouts = _by_frame(folder / "cutouts")
         except OSError as error:
             raise self._unwritable(error) from None
@@ -115,7 +122,7 @@ class StreamRecord:
         self._label_maps = 0 if before is None else before.label_maps
         self._committed = self._label_maps
         overlay = overlay_path(folder, self._log.rows)
-        self._overlay = OverlayVideo(overlay) if "overlay" in save else None
+        self._overlay = OverlayVideo(overlay, source) if "overlay" in save else None
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
@@ -185,6 +192,9 @@ class StreamRecord:
         try:
             if self._replayable or self._provisional or whole:
                 self._commit()
+            if self._objects is not None:
+                with self._log.exclusive():
+                    self._objects.write(complete=whole)
             for _, path in self._unpublished:
                 temporary_path(path).unlink(missing_ok=True)
         except OSError as error:
@@ -236,6 +246,8 @@ class StreamRecord:
             publish(files)
             self._log.add(last, self._snapshots.name_after(last + 1), provisional=self._provisional)
             self._snapshots.forget_before(last + 1)
+            if self._objects is not None:
+                self._objects.add(rows, provisional=self._provisional)
         self._rows = self._rows[len(rows) :]
         self._unpublished = [(frame, path) for frame, path in self._unpublished if frame >= before]
         self._withdrawn = []

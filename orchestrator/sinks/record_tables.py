@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from mlbs_actors.messages import LayerSummary, Region
 from orchestrator.sinks.commit_log import read_commits
+from orchestrator.sinks.tables import FrameRow, ResultRow
 
-__all__ = ["part_path", "read_table"]
+__all__ = ["part_path", "read_rows", "read_table"]
+
+_Table = Literal["frames", "layers"]
+_TABLES: tuple[_Table, _Table] = ("layers", "frames")
 
 
-def part_path(folder: Path, name: Literal["frames", "layers"], first: int) -> Path:
+def part_path(folder: Path, name: _Table, first: int) -> Path:
     """Return the path of the part of a table whose commit begins with frame ``first``."""
     return folder / f"{name}-{first:08d}.parquet"
 
 
-def read_table(
-    folder: Path, name: Literal["frames", "layers"], columns: Sequence[str] | None = None
-) -> pa.Table:
+def read_table(folder: Path, name: _Table) -> pa.Table:
     """Read committed rows of one table of a stream; without columns if the tables were not saved.
 
     Parameters
@@ -29,14 +33,63 @@ def read_table(
     folder : Path
         Of the stream.
     name : {"frames", "layers"}
-    columns : sequence of str, optional
-        The columns to read, all by default; those that a part lacks are left out.
     """
     parts = [part_path(folder, name, commit.first) for commit in read_commits(folder)]
-    tables = []
-    for part in parts:
-        if part.exists():
-            schema = pq.read_schema(part)
-            wanted = None if columns is None else [column for column in columns if column in schema.names]
-            tables.append(pq.read_table(part, columns=wanted))
+    tables = [pq.read_table(part) for part in parts if part.exists()]
     return pa.concat_tables(tables) if tables else pa.table({})
+
+
+def read_rows(folder: Path, begin: int = 0, end: float = math.inf) -> Iterator[FrameRow]:
+    """Yield committed rows of a stream whose tables were saved, one part at a time; without stage times.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the stream; one that is not there has no rows.
+    begin, end : int
+        Only parts whose rows are all from ``begin`` to before ``end``.
+    """
+    for commit in read_commits(folder):
+        if commit.first < begin or commit.last >= end:
+            continue
+        paths = [part_path(folder, name, commit.first) for name in _TABLES]
+        if not all(path.exists() for path in paths):
+            continue
+        of_layers, of_frames = map(_without_times, paths)
+        layers: dict[int, list[dict[str, Any]]] = {}
+        for row in of_layers:
+            layers.setdefault(row["frame"], []).append(row)
+        for row in of_frames:
+            result = None if row["name"] is None else _result(row, layers.get(row["frame"], []))
+            yield FrameRow(row["frame"], row["pts"], row["status"], result, row["name"])
+
+
+def _without_times(path: Path) -> list[dict[str, Any]]:
+    """Read a part without the columns of stage times, which are half of its columns."""
+    with pq.ParquetFile(path) as part:
+        columns = [name for name in part.schema_arrow.names if not name.startswith("ms_")]
+        rows: list[dict[str, Any]] = part.read(columns=columns).to_pylist()
+    return rows
+
+
+def _result(frame: dict[str, Any], layers: Sequence[dict[str, Any]]) -> ResultRow:
+    return ResultRow(
+        layers=tuple(
+            LayerSummary(
+                layer=row["layer"],
+                kind=row["kind"],
+                region=Region(row["x"], row["y"], row["w"], row["h"]),
+                area=row["area"],
+                centroid=(row["cx"], row["cy"]),
+                velocity=(row["vx"], row["vy"]),
+                confidence=row["confidence"],
+            )
+            for row in layers
+        ),
+        run_length_codes=tuple(row["rle"] for row in layers),
+        shape=(frame["height"], frame["width"]),
+        pixel_aspect=frame.get("pixel_aspect", 1.0),  # tables of earlier versions do not have it
+        camera_motion=(frame["camera_dx"], frame["camera_dy"]),
+        latency_frames=frame["latency_frames"],
+        stage_ms={},
+    )

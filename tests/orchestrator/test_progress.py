@@ -52,15 +52,18 @@ def table(states: list[StreamState], height: int = 40, width: int = 110) -> str:
     return console.file.getvalue()
 
 
-def test_the_table_shows_frames_rate_layers_state_and_faults() -> None:
+def test_the_table_shows_frames_rate_objects_state_and_faults() -> None:
     shown = table(
         [
-            StreamState("yard", "running", read=120, committed=96, layers=4, frames_per_second=17.25),
+            StreamState(
+                "yard", "running", read=120, committed=96, layers=9, objects=4, frames_per_second=17.25
+            ),
             StreamState("[red]x", "failed", error="The file [b]is gone."),
         ]
     )
-    for text in ("yard", "running", "120", "96", "17.2", "4", "[red]x", "The file [b]is gone."):
+    for text in ("yard", "running", "120", "96", "17.2", " 4 ", "[red]x", "The file [b]is gone."):
         assert text in shown
+    assert " 9 " not in shown  # a layer without a pixel is no object, nor is the background
 
 
 def test_the_table_shows_how_much_is_left_where_that_is_known_and_what_a_start_waits_for() -> None:

@@ -47,6 +47,7 @@ class StreamAccount:
         self._length: int | None = None  # as stated by the source
         self._stage_sums: dict[str, float] = {}
         self._labelled = 0
+        self._objects = 0  # in the newest label map
 
     def restore(self, counts: Mapping[SourceStatus, int], position: SourcePosition) -> None:
         """Go back to a snapshot."""
@@ -64,8 +65,9 @@ class StreamAccount:
         self._length = frame.length
 
     def label(self, segmentation: Segmentation) -> None:
-        """Add the stage times of a label map."""
+        """Add the stage times of a label map, and count its objects."""
         self._labelled += 1
+        self._objects = len({layer.object for layer in segmentation.layers})
         for stage, milliseconds in segmentation.stage_ms.items():
             self._stage_sums[stage] = self._stage_sums.get(stage, 0.0) + milliseconds
 
@@ -94,4 +96,5 @@ class StreamAccount:
             silence=self.silence,
             length=min(lengths, default=None),
             kept_waiting=kept_waiting,
+            objects=0 if done else self._objects,
         )

@@ -323,6 +323,8 @@ class StreamProgress:
         Whether the burst ended early because the source had no frame ready.
     without_process : int
         Layers without a process of their own because the node's memory is too short.
+    objects : int
+        Objects in the newest label map: layers that own a pixel of it.
     """
 
     read: int
@@ -338,6 +340,7 @@ class StreamProgress:
     length: int | None = None
     kept_waiting: bool = False
     without_process: int = 0
+    objects: int = 0
 
 
 class RunningStream(Protocol):

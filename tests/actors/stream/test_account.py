@@ -9,6 +9,7 @@ import numpy as np
 from mlbs_actors import Segmentation
 from mlbs_actors.actors.stream.account import StreamAccount
 from mlbs_actors.actors.stream.protocol import SourceFrame, SourceSilence, StreamProgress
+from mlbs_actors.messages import LayerSummary, Region
 
 
 def frame(index: int, status: str = "ok", length: int | None = None) -> SourceFrame:
@@ -78,3 +79,16 @@ def test_an_account_goes_on_from_a_snapshot() -> None:
     before.take(frame(3))
     assert told(account) == told(before)
     assert replace(account.position, time=0.0) == replace(before.position, time=0.0)
+
+
+def test_objects_are_the_layers_that_own_a_pixel_of_the_newest_label_map() -> None:
+    account = StreamAccount(None)
+    assert told(account).objects == 0
+    for ids in ((3, 5), (5,)):
+        account.label(replace(labelled(), layers=tuple(owner(layer) for layer in ids)))
+    assert told(account).objects == 1
+    assert account.progress(2, 4, done=True, kept_waiting=False).objects == 0
+
+
+def owner(layer: int) -> LayerSummary:
+    return LayerSummary(layer, "object", Region(0, 0, 2, 2), 4, (0.5, 0.5), (0.0, 0.0), 1.0)

@@ -13,6 +13,9 @@ import numpy as np
 
 from chaos.harness.observed_run import ExpectationError, ObservedRun, content, expect, labelled
 from chaos.harness.reference import References
+from orchestrator.sinks.object_files import OBJECTS_CSV
+from orchestrator.sinks.object_list import ObjectList
+from orchestrator.sinks.record_tables import read_rows
 
 __all__ = [
     "BYSTANDER",
@@ -204,7 +207,11 @@ def expect_identical(context: ScenarioContext, run: ObservedRun, *lines: str) ->
     """Expect that these streams, by default both, are those of an undisturbed run."""
     for line in lines or LINES:
         name = line.split()[0]
-        expect(content(run.output / name) == context.expected(line), f"{name} is not as without the fault")
+        stream = run.output / name
+        expect(content(stream) == context.expected(line), f"{name} is not as without the fault")
+        objects = ObjectList().add(read_rows(stream)).csv(complete=True)
+        listed = (stream / OBJECTS_CSV).read_text(encoding="utf-8")
+        expect(listed == objects, f"{name}: {OBJECTS_CSV} is not what the tables say")
 
 
 def expect_prefix(context: ScenarioContext, run: ObservedRun, *lines: str) -> None:

@@ -10,10 +10,12 @@ from typing import Any
 
 import duckdb
 import numpy as np
+import pyarrow.csv
 import pytest
 from PIL import Image
 from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
+from pycocotools.cocoeval import COCOeval
 from record_fakes import HEIGHT, WIDTH, frame, segmentation, write_run, write_stream
 
 from mlbs_actors.errors import MlbsError
@@ -59,6 +61,54 @@ def test_coco_is_read_by_pycocotools_and_gives_back_every_mask(run: Path, tmp_pa
             assert mask[y : y + height, x : x + width].sum() == mask.sum()
             labels[mask] = annotation["track_id"]
         np.testing.assert_array_equal(labels, masks(run, stream)[name])
+    # What readers of videos go by: the order and time of the frames, and the ids that join them.
+    for video in coco.dataset["videos"]:
+        assert (video["width"], video["height"], video["length"]) == (WIDTH, HEIGHT, 39)
+        assert video["fps"] == pytest.approx(38 / 3.9, abs=1e-4)
+        images = [image for image in coco.dataset["images"] if image["video_id"] == video["id"]]
+        assert [image["frame_id"] for image in images] == [index for index in range(40) if index != 10]
+        assert [image["seconds"] for image in images] == [image["frame_id"] / 10 for image in images]
+    tracks = {(one["video_id"], one["track_id"]) for one in coco.dataset["annotations"]}
+    assert tracks == {(1, 3), (1, 5), (2, 3), (2, 5)}
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_cocoeval_takes_a_coco_export_for_results_of_itself(run: Path, tmp_path: Path) -> None:
+    truth = COCO(str(export("coco", run, tmp_path / "run.json")))
+    judged = COCOeval(truth, truth.loadRes(truth.dataset["annotations"]), "segm")
+    judged.evaluate()
+    judged.accumulate()
+    judged.summarize()
+    assert judged.stats[0] == 1.0
+
+
+def test_csv_is_one_table_of_every_object_in_every_frame_with_its_time(run: Path, tmp_path: Path) -> None:
+    table = pyarrow.csv.read_csv(export("csv", run, tmp_path / "run.csv"))
+    of_tables = duckdb.execute(
+        "SELECT stream, frame, pts, layer, kind, x, y, w, h, area, cx, cy, vx, vy, confidence "
+        f"FROM '{run}/*/layers-*.parquet' JOIN '{run}/*/frames-*.parquet' USING (stream, frame) "
+        "ORDER BY stream = 'gate', frame, layer"
+    ).fetchall()
+    assert len(of_tables) == 2 * (39 + 34)
+    assert [tuple(row.values()) for row in table.to_pylist()] == of_tables
+    names = "stream frame seconds id kind x y w h area cx cy vx vy confidence"
+    assert table.column_names == names.split()
+
+
+def test_mot_has_a_box_a_line_counted_from_one(run: Path, tmp_path: Path) -> None:
+    out = export("mot", run, tmp_path / "mot")
+    assert sorted(path.name for path in out.iterdir()) == ["gate.txt", "gone.txt", "yard.txt"]
+    lines = np.loadtxt(out / "yard.txt", delimiter=",")
+    assert lines.shape == (39 + 34, 10)
+    assert lines[:3].tolist() == [
+        [1, 3, 1, 6, 8, 10, 0.75, -1, -1, -1],
+        [1, 5, 1, 18, 8, 10, 0.75, -1, -1, -1],
+        [2, 3, 2, 6, 8, 10, 0.75, -1, -1, -1],
+    ]
+    saved = masks(run, "yard")
+    for index, layer, left, top, width, height in lines[:, :6].astype(int).tolist():
+        y, x = np.nonzero(saved[f"img{index - 1:03d}"] == layer)
+        assert (x.min() + 1, y.min() + 1, np.ptp(x) + 1, np.ptp(y) + 1) == (left, top, width, height)
 
 
 def test_lines_of_mots_are_read_by_pycocotools_and_give_back_every_mask(run: Path, tmp_path: Path) -> None:
@@ -149,7 +199,7 @@ def test_trackeval_reads_every_mask_and_id_and_finds_an_export_equal_to_itself(
     assert trackeval.metrics.HOTA({"PRINT_CONFIG": False}).eval_sequence(data)["HOTA"].min() == 1.0
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS.keys() - {"rerun"}))
+@pytest.mark.parametrize("name", sorted(FORMATS.keys() - {"overlay", "rerun"}))
 def test_only_what_is_committed_is_exported(run: Path, tmp_path: Path, name: str) -> None:
     for stream in ("yard", "gate"):
         (tmp_path / "run" / stream).mkdir(parents=True)
@@ -161,6 +211,11 @@ def test_only_what_is_committed_is_exported(run: Path, tmp_path: Path, name: str
     out = export(name, tmp_path / "run", tmp_path / "out")
     if name == "coco":
         frames = len(json.loads(out.read_text())["images"])
+    elif name == "csv":
+        table = pyarrow.csv.read_csv(out)
+        frames = len(set(zip(table["stream"].to_pylist(), table["frame"].to_pylist(), strict=True)))
+    elif name == "mot":
+        frames = len(np.unique(np.loadtxt(out / "yard.txt", delimiter=",")[:, 0]))
     elif name == "mots":
         frames = len({line.split()[0] for line in (out / "yard.txt").read_text().splitlines()})
     else:

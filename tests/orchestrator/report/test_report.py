@@ -18,7 +18,7 @@ from record_fakes import EVERYTHING, HEIGHT, WIDTH, frame, segmentation, write_r
 from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.messages import Region, Segmentation
 from orchestrator.report.__main__ import main
-from orchestrator.report.charts import timeline_chart
+from orchestrator.report.charts import object_count_chart, timeline_chart
 from orchestrator.report.history import frame_ranges, read_history
 from orchestrator.report.page import render_report
 from orchestrator.report.pictures import overlay_strip
@@ -61,7 +61,7 @@ def test_the_lives_of_the_objects_are_read_from_the_record(run_folder: Path) -> 
     assert history is not None
     assert [(life.layer, life.frames, life.mean_area) for life in history.lives] == [(3, 39, 80), (5, 34, 80)]
     # The undecodable frame hides nobody.
-    assert [life.spans for life in history.lives] == [((0, 39),), ((0, 19), (25, 39))]
+    assert [life.spans for life in history.lives] == [[(0, 39)], [(0, 19), (25, 39)]]
     assert history.lost == (("quarantined", (10,)),)
     assert history.frames.tolist() == [index for index in range(40) if index != 10]
     assert history.objects_in(22) == [3]
@@ -137,9 +137,9 @@ def test_the_timeline_has_a_bar_for_each_time_an_object_is_seen(run_folder: Path
     titles = re.findall(r"<title>(.*?)</title>", svg)
     assert titles == [
         "quarantined: frames 10 to 10",
-        "layer 3: frames 0 to 39",
-        "layer 5: frames 0 to 19",
-        "layer 5: frames 25 to 39",
+        "object 3: frames 0 to 39, 0.00 s to 3.90 s",
+        "object 5: frames 0 to 19, 0.00 s to 1.90 s",
+        "object 5: frames 25 to 39, 2.50 s to 3.90 s",
     ]
 
 
@@ -158,15 +158,55 @@ def test_what_became_of_an_object_is_told_by_what_is_in_its_place(tmp_path: Path
     assert history is not None
     assert {life.layer: life.ending.words for life in history.lives} == {
         1: "left the picture",
-        2: "5 in its place",
-        4: "at rest, hidden or lost",
-        5: "at rest, hidden or lost",
-        6: "the picture changed its size",
-        7: "the picture changed its size",
+        2: "another object in its place",
+        4: "no longer found",
+        5: "no longer found",
+        6: "size of the picture changed",
+        7: "size of the picture changed",
         8: "in the last frame",
     }
     svg = timeline_chart(history, history.lives)
     assert [svg.count(sign) for sign in ("→5<", "⇥<", "×<")] == [1, 1, 4]
+
+
+def test_charts_have_an_axis_in_frames_and_one_in_seconds(tmp_path: Path) -> None:
+    record = StreamRecord(tmp_path / "a", "a", frozenset({"parquet"}))
+    for index in range(40):  # ten frames a second, then only two
+        record.write(
+            segmentation(index), replace(frame(index), pts=min(index / 10, 2) + max(index - 20, 0) / 2)
+        )
+    record.close(whole=True)
+    history = read_history(tmp_path / "a")
+    assert history is not None
+    for svg in (timeline_chart(history, history.lives), object_count_chart(history)):
+        texts = re.findall(r'<text x="([^"]*)" y="([^"]*)" class="[^"]*">([^<]*)</text>', svg)
+        row = {text: y for _, y, text in texts if text in ("frame", "s")}
+        frames, seconds = (
+            {text: float(x) for x, y, text in texts if y == row[unit] and text != unit}
+            for unit in ("frame", "s")
+        )
+        assert list(frames) == ["0", "5", "10", "15", "20", "25", "30", "35"]
+        assert list(seconds) == ["0", "2", "4", "6", "8", "10"]
+        assert (seconds["0"], seconds["2"]) == (frames["0"], frames["20"])
+        assert seconds["4"] == pytest.approx(0.6 * frames["20"] + 0.4 * frames["30"], abs=0.2)
+
+
+def test_objects_are_those_of_the_label_maps_and_the_long_ones_are_counted(tmp_path: Path) -> None:
+    record = StreamRecord(tmp_path / "a", "a", EVERYTHING)
+    for index in range(40):
+        limbs = (20 + index,) if index % 8 == 0 else ()
+        record.write(segmentation(index, *([3] if index < 11 else [5]), *limbs), frame(index))
+    committed = record.close(whole=True)
+    write_run(tmp_path, [StreamState("a", "done", read=40, committed=committed, layers=9)])
+    page = render_report(tmp_path)
+    assert "7 objects, 2 of them seen for 1 s or longer" in page
+    assert re.search(r'class="n">7</td>\s*<td class="n">2</td>', page)
+    assert 'href="a/objects.csv"' in page
+    rows = re.findall(r'<th scope="row"><span[^>]*></span>(\d+)</th>(.*?)</tr>', page, re.DOTALL)
+    cells = {int(layer): re.findall(r"<td[^>]*>([^<]*)</td>", row) for layer, row in rows}
+    assert cells[3] == ["object", "0.00", "1.00", "1.00", "0", "10", "11", "0", "80", "5 in its place"]
+    assert cells[5][1:6] == ["1.10", "3.90", "2.80", "11", "39"]
+    assert cells[20][3] == "0.00"
 
 
 def test_a_gap_is_told_by_its_time(tmp_path: Path) -> None:

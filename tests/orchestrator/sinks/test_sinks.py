@@ -293,6 +293,8 @@ def test_only_what_was_asked_for_is_written(tmp_path: Path) -> None:
         "commits.jsonl",
         "frames-00000000.parquet",
         "layers-00000000.parquet",
+        "objects.csv",
+        "objects.json",
     ]
 
 
@@ -300,7 +302,7 @@ def test_two_records_of_the_same_frames_have_the_same_bytes(tmp_path: Path) -> N
     fill(tmp_path / "a", 40, frozenset({"masks", "parquet"})).close(whole=True)
     fill(tmp_path / "b", 40, frozenset({"masks", "parquet"})).close(whole=True)
     names = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*") if path.is_file())
-    assert len(names) == 40 + 3 * 2 + 3
+    assert len(names) == 40 + 3 * 2 + 2 + 3
     for name in names:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
 
@@ -333,6 +335,33 @@ def test_the_overlay_shows_each_frame_once_at_any_size(tmp_path: Path, shape: tu
     assert [round(float(picture[-1, -1].mean()) / 40) for picture in pictures] == list(range(6))
     assert pictures[0].shape[0] >= shape[0]
     assert pictures[0].shape[1] >= shape[1]
+
+
+@pytest.mark.parametrize("rate", [20, 24, 25, 30, 60, Fraction(30_000, 1001), Fraction(24_000, 1001)])
+def test_the_overlay_has_the_frame_rate_of_its_frames(tmp_path: Path, rate: int | Fraction) -> None:
+    overlay = OverlayVideo(tmp_path / "overlay.mp4")
+    for index in range(50):
+        overlay.add(
+            np.zeros((32, 32, 3), np.uint8), np.zeros((32, 32), np.uint16), index, index / float(rate)
+        )
+    overlay.close()
+    with av.open(str(tmp_path / "overlay.mp4")) as container:
+        (video,) = container.streams
+        assert video.duration is not None
+        assert video.time_base is not None
+        assert float(video.duration * video.time_base) == pytest.approx(50 / float(rate), abs=2e-5)
+        assert container.streams.video[0].average_rate == pytest.approx(float(rate), rel=1e-5)
+
+
+def test_at_a_variable_frame_rate_the_last_frame_is_shown_as_long_as_the_others_on_average(
+    tmp_path: Path,
+) -> None:
+    overlay = OverlayVideo(tmp_path / "overlay.mp4")
+    for index, pts in enumerate((0.0, 0.1, 0.2, 0.8)):
+        overlay.add(np.zeros((32, 32, 3), np.uint8), np.zeros((32, 32), np.uint16), index, pts)
+    overlay.close()
+    with av.open(str(tmp_path / "overlay.mp4")) as container:
+        assert container.duration == pytest.approx((0.8 + 0.8 / 3) * av.time_base, abs=1000)
 
 
 def test_times_that_go_backwards_or_stand_still_do_not_end_the_overlay(tmp_path: Path) -> None:

@@ -1,0 +1,39 @@
+"""CSV: one table of all streams, a row for each frame and object."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+from orchestrator.export.recorded_stream import recorded_stream, streams_of
+
+__all__ = ["write_csv"]
+
+_COLUMNS = (
+    *("stream", "frame", "seconds", "id", "kind"),
+    *("x", "y", "w", "h", "area", "cx", "cy", "vx", "vy", "confidence"),
+)
+
+
+def write_csv(run: Path, out: Path) -> None:
+    """Write the columns of the tables that people read, with the time of the frame in seconds.
+
+    Parameters
+    ----------
+    run : Path
+    out : Path
+        The CSV file.
+    """
+    with out.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(_COLUMNS)
+        for name in streams_of(run):
+            for frame in recorded_stream(run / name):
+                for one in frame.objects:
+                    where = (round(value, 2) for value in (*one.centroid, *one.velocity, one.confidence))
+                    table.writerow(
+                        [
+                            *(name, frame.index, round(frame.pts, 6), one.layer, one.kind),
+                            *(*one.region.box, one.area, *where),
+                        ]
+                    )

@@ -1,0 +1,54 @@
+"""One overlay for a stream that went back to a snapshot or was resumed.
+
+Until then its video is in parts: that of a killed run is lost, and that of an interrupted one ends with label
+maps that do not count any more. Once the stream has ended, it is drawn anew from the record and the source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from orchestrator.export.overlay import draw_overlay
+from orchestrator.sinks.overlay import forget_overlay, move_overlay, overlay_path
+
+__all__ = ["is_in_parts", "is_lost", "make_whole"]
+
+#: The new overlay before it replaces the parts.
+_DRAFT = ".overlay-whole.mp4"
+
+
+def is_in_parts(folder: Path) -> bool:
+    """Whether a part of a stream's overlay begins, or should, later than the stream."""
+    return any(folder.glob("overlay-*"))
+
+
+def is_lost(folder: Path) -> bool:
+    """Whether there is no overlay, nor a reason why it could not be written."""
+    return not any(folder.glob("overlay*"))
+
+
+def make_whole(folder: Path, source: str, say: Callable[[str], None]) -> None:
+    """Replace the parts of a stream's overlay by one video; keep them if it cannot be drawn.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the stream.
+    source : str
+        Its address.
+    say : callable
+        Takes a sentence for the user.
+    """
+    say(f"Drawing the overlay of {folder.name} anew, in one piece.")
+    draft = folder / _DRAFT
+    try:
+        remarks = draw_overlay(folder, source, draft)
+        if remarks:
+            say(f"The overlay of {folder.name} stays as it is. {' '.join(remarks)}")
+            return
+        for part in folder.glob("overlay*"):
+            part.unlink()
+        move_overlay(draft, overlay_path(folder, 0))
+    finally:
+        forget_overlay(draft)
