@@ -511,6 +511,24 @@ def test_the_engine_gives_the_same_label_maps_as_actors_and_in_one_process(
     assert any(result.labels.any() for result in results), "a scene without a layer proves little"
 
 
+def test_actors_publish_the_parts_of_an_object_under_its_id_too(engine_node: Node, tmp_path: Path) -> None:
+    made = scene("walker", frames=10, seed=2, width=320, height=240)
+    video = [made.frame(t) for t in range(len(made))]
+    run_to_end(engine_node.start(replace(spec("walker", FakeReader([*video], tmp_path)), config=Config())))
+    likely: set[int] = set()  # layers that have pixels of their own
+    subtractor = MultilayerSubtractor(
+        inspector=lambda frame: likely.update(
+            one.layer for one in frame.layers if (one.posterior > 0.5).sum() > 20
+        )
+    )
+    results = [result for frame in video for result in subtractor.apply(frame)] + subtractor.flush()
+    assert rows(tmp_path) == [
+        f"{t} {t} {zlib.crc32(result.labels.tobytes())}" for t, result in enumerate(results)
+    ]
+    published = {layer.layer for result in results for layer in result.layers}
+    assert published < likely - {0}, "a walker in one piece proves little"
+
+
 def test_a_change_of_size_gives_the_same_label_maps_as_actors_and_in_one_process(
     engine_node: Node, tmp_path: Path
 ) -> None:

@@ -90,5 +90,12 @@ def test_objects_are_the_layers_that_own_a_pixel_of_the_newest_label_map() -> No
     assert account.progress(2, 4, done=True, kept_waiting=False).objects == 0
 
 
+def test_parts_of_an_object_are_no_objects() -> None:
+    account = StreamAccount(None)
+    parts = owner(3), replace(owner(5), part_of=3), replace(owner(8), part_of=7)
+    account.label(replace(labelled(), layers=parts))
+    assert told(account).objects == 2
+
+
 def owner(layer: int) -> LayerSummary:
     return LayerSummary(layer, "object", Region(0, 0, 2, 2), 4, (0.5, 0.5), (0.0, 0.0), 1.0)
