@@ -65,5 +65,5 @@ def test_a_stream_that_is_not_in_the_list_is_named(
     (tmp_path / "list.txt").write_text("gate synthetic:demo?frames=5\n")
     command = ["--streams", str(tmp_path / "list.txt"), "--output", str(tmp_path / "out")]
     assert run_command([*command, "--ignore", f"gat={tmp_path / 'corner.txt'}"]) == 2
-    assert "'gat', which is not in the list" in capsys.readouterr().err
+    assert "'gat', which is not one of this run" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
