@@ -447,7 +447,12 @@ class SegmentationConfig(_Section):
     contact_edge_px: float = Field(
         4.0, ge=0, description="Width of its edges, which are neither smooth nor flat, px."
     )
-    label_cost: float = Field(20.0, ge=0, description="h_k: cost of using a label at all, px × nats.")
+    label_cost: float = Field(
+        20.0, ge=0, description="h_k: cost of using a new layer's label at all, px × nats."
+    )
+    label_cost_frames: int = Field(
+        20, ge=0, description="A layer that first owned pixels so many frames ago has no such cost."
+    )
     cut_whole: int = Field(2048, ge=1, description="Most pixels that are cut without a coarser level.")
     cut_whole_halved: int = Field(1024, ge=1, description="The same for an image that was halved once.")
     cut_whole_coarse: int = Field(

@@ -68,6 +68,10 @@ class PartsState:
         rows = zip(self.layers.tolist(), self.part_of.tolist(), strict=True)
         return {layer: whole for layer, whole in rows if whole}
 
+    def ages(self, frame_index: int) -> dict[int, int]:
+        """Return layer → the frames since it first owned pixels."""
+        return dict(zip(self.layers.tolist(), (frame_index - self.appeared).tolist(), strict=True))
+
 
 @dataclass(slots=True)
 class _Layer:

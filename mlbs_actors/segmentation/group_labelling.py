@@ -72,6 +72,8 @@ class Proposals(NamedTuple):
         First trajectory of each layer, and the one past its last.
     ids : (K,) uint16
         Of the layers, the background first.
+    label_costs : (K,) float64
+        h_k: cost of using each at all, px × nats at 640×480; 0 for the background.
     corner : (x, y)
         Position of ``cost`` in the frame, cells.
     side : int
@@ -83,6 +85,7 @@ class Proposals(NamedTuple):
     boxes: Array
     tracks: Array
     ids: Array
+    label_costs: Array
     corner: tuple[int, int]
     side: int
 
@@ -175,8 +178,9 @@ def _energy(
         scene.positions, proposals.tracks[own], places * side, (pixels.x, pixels.y), shape, pull
     )
     contrast = weights_by_distance(config.contrast_strength, config.contrast_scale)
-    label_costs = np.full(own.size, round(config.label_cost * length_scale(*shape) ** 2 / COST_QUANTUM))
-    label_costs[0] = 0  # the background is always there
+    label_costs = np.rint(proposals.label_costs[own] * (length_scale(*shape) ** 2 / COST_QUANTUM)).astype(
+        np.int64
+    )
     weights = contrast_weights(scene.frame, pixels.box, contrast)
     return LabelCostEnergy(costs, weights, label_costs, places, side, pulls)
 

@@ -25,6 +25,7 @@ from mlbs_actors.cells import cell_side, in_cells, mean_of_cells
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
 from mlbs_actors.messages import (
+    BACKGROUND,
     NO_PICTURE,
     Array,
     FrameEvidence,
@@ -229,10 +230,17 @@ class Segmenter:
         tracks = np.array([(one.start, one.end) for one in own], np.int64)
         boxes = proposal_boxes(fused.cost, fused.places, evidence.positions, tracks, corner, side)
         ids = np.array([one.layer for one in members], np.uint16)
-        proposals = Proposals(fused.cost, fused.normaliser, boxes, tracks, ids, corner, side)
+        label_costs = self._label_costs(ids, evidence.frame_index)
+        proposals = Proposals(fused.cost, fused.normaliser, boxes, tracks, ids, label_costs, corner, side)
         stage_ms["fusion"] += 1e3 * (perf_counter() - start)
         statistics = label_proposals(scene, proposals, result.labels, stage_ms)
         return _summaries(statistics, members)
+
+    def _label_costs(self, ids: Array, frame_index: int) -> Array:
+        """Return h_k of layers, (K,) float64: what has been in the picture for long need not pay to stay."""
+        settings, ages = self.config.segmentation, self.state.parts.ages(frame_index)
+        proven = [one == BACKGROUND or ages.get(one, 0) >= settings.label_cost_frames for one in ids.tolist()]
+        return np.where(proven, 0.0, settings.label_cost)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ def proposals(seed: int) -> Proposals:
     cost = rng.integers(0, 256, (5, 8, 12)).astype(np.uint8)
     normaliser = rng.integers(0, 256, (8, 12)).astype(np.uint8)
     none = np.zeros((5, 4), np.int64)
-    return Proposals(cost, normaliser, none, none[:, :2].copy(), IDS, CORNER, SIDE)
+    return Proposals(cost, normaliser, none, none[:, :2].copy(), IDS, np.zeros(5), CORNER, SIDE)
 
 
 @pytest.mark.parametrize("size", [(10, 12), (9, 11)])  # the frame can end in the last cells

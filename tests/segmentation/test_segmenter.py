@@ -321,6 +321,18 @@ def test_a_label_whose_cost_outweighs_its_evidence_disappears() -> None:
     assert gone.layers == ()
 
 
+def test_a_label_that_has_been_there_for_long_costs_nothing() -> None:
+    area = SHAPE[0] * SHAPE[1] / (640 * 480)
+    config = configured(label_cost=10.0 / area, label_cost_frames=3)
+    segmenter = Segmenter(config)
+    for index in range(6):
+        size = 4 if index in (0, 3) else 3  # 16 or 9 pixels, 1 nat each
+        object_ = posterior(5, 0, Region(4, 4, size, size), index)
+        given = [posterior(0, 16, frame_index=index), object_]
+        result = segmenter.step(evidence_of(given, index), frame(), given)
+        assert (5 in result.labels) == (index in (0, 3, 4, 5))
+
+
 def test_the_published_map_is_cleaned() -> None:
     cost = np.full(SHAPE, 200, np.uint8)
     cost[5:15, 5:15] = 0
