@@ -268,8 +268,9 @@ class LayersConfig(_Section):
         0.15, ge=0, le=1, description="A background has depth if a plane explains it so much worse."
     )
     same_motion_distance: float = Field(
-        2.5, ge=0, description="Objects of any age below it at that quantile are one."
+        2.5, ge=0, description="Objects of any age but long-lived ones are one below it at that quantile."
     )
+    same_motion_frames: int = Field(30, ge=0, description="Objects that are both older than this stay two.")
     same_motion_border: float = Field(
         1.0, ge=0, description="Border edges of two such objects, × √(trajectories of the younger)."
     )

@@ -35,9 +35,9 @@ def merge_by_motion(
     motion distance to a neighbour is within the noise at a low quantile of their common border goes to that
     neighbour. Parts of one object bend and rotate against each other, so the threshold between objects is
     higher, but only where the border is long for the younger one: objects that pass each other share a short
-    one. Objects of any age whose motions have been the same, within the noise, all their common life are one,
-    if they touch at all. Borders are compared with √n of the younger's n trajectories, as a border grows with
-    the root of the area.
+    one. Older objects whose motions have been the same, within the noise, all their common life are one, too,
+    if they touch at all; those that have been two for long stay two, as people can walk side by side. Borders
+    are compared with √n of the younger's n trajectories, as a border grows with the root of the area.
 
     Parameters
     ----------
@@ -68,6 +68,7 @@ def merge_by_motion(
         least_border=config.merge_border,
         most_same_distance=config.same_motion_distance,
         least_same_border=config.same_motion_border,
+        most_same_frames=config.same_motion_frames,
         least_edges=config.least_border,
     )
     known_ages = np.array([ages.get(label, 0) for label in known.tolist()], np.int64)
@@ -86,6 +87,7 @@ class _Rules(NamedTuple):
     least_border: float
     most_same_distance: float
     least_same_border: float
+    most_same_frames: int
     least_edges: int
 
 
@@ -120,6 +122,7 @@ def _merge(
                 alike &= touching[border] >= rules.least_border * root
                 alike |= (
                     apart < rules.most_same_distance
+                    and ages[younger] <= rules.most_same_frames
                     and touching[border] >= rules.least_same_border * root
                     and touching[border] >= rules.least_edges
                 )

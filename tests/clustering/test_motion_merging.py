@@ -13,6 +13,8 @@ from mlbs_actors.messages import BACKGROUND, Array
 
 MERGES = LayersConfig(young_frames=6, merge_quantile=0.3, merge_distance=1.2, merge_border=3.0)
 OLD = 100
+#: Too old to be merged as a young one, but not yet two for long.
+OLDER = 20
 FAST = 1e9
 
 
@@ -59,6 +61,7 @@ def plain_merge(graph: TrajectoryGraph, labels: Array, ages: dict[int, int], con
                     young and distance < config.object_merge_distance and edges >= config.merge_border * root
                 ) or (
                     distance < config.same_motion_distance
+                    and ages.get(younger, 0) <= config.same_motion_frames
                     and edges >= config.same_motion_border * root
                     and edges >= config.least_border
                 )
@@ -99,7 +102,9 @@ def test_merges_are_those_of_plain_loops() -> None:
         labels = np.sort(rng.choice([UNLABELLED, -3, -2, 0, 1, 5, 9], 60))
         ages = {label: int(rng.integers(0, 12)) for label in (-3, 1, 5, 9)} | {BACKGROUND: OLD}
         graph = random_graph(rng, 60, 600)
-        config = MERGES.model_copy(update={"same_motion_distance": 0.8, "merge_border": 1.0})
+        config = MERGES.model_copy(
+            update={"same_motion_distance": 0.8, "same_motion_frames": 8, "merge_border": 1.0}
+        )
         expected = plain_merge(graph, labels, ages, config)
         assert 1 < len(np.unique(expected)) < len(np.unique(labels))
         speeds = dict.fromkeys(ages, FAST)
@@ -165,25 +170,27 @@ def test_the_border_of_two_halves_is_measured_against_the_root_of_their_size() -
     assert set(merge_by_motion(enough, labels, ages, speeds, 1.0, MERGES).tolist()) == {2}
 
 
-def test_objects_of_any_age_whose_motions_are_the_same_are_one() -> None:
+def test_objects_whose_motions_have_been_the_same_are_one_unless_they_have_been_two_for_long() -> None:
     same = MERGES.same_motion_distance
     graph, labels = border(2, 5, [0.9 * same] * 6)
-    merged = merge_by_motion(graph, labels, {2: OLD, 5: 2 * OLD}, {2: FAST, 5: FAST}, 1.0, MERGES)
+    merged = merge_by_motion(graph, labels, {2: 30, 5: OLD}, {2: FAST, 5: FAST}, 1.0, MERGES)
     assert set(merged.tolist()) == {5}
+    stayed = merge_by_motion(graph, labels, {2: 31, 5: OLD}, {2: FAST, 5: FAST}, 1.0, MERGES)
+    np.testing.assert_array_equal(stayed, labels)
 
 
 def test_old_objects_whose_motions_differ_stay_apart() -> None:
     # Of young ones much more is forgiven.
     assert MERGES.object_merge_distance > MERGES.same_motion_distance
     graph, labels = border(2, 5, [1.1 * MERGES.same_motion_distance] * 18)
-    ages, speeds = {2: OLD, 5: OLD}, {2: FAST, 5: FAST}
+    ages, speeds = {2: OLDER, 5: OLDER}, {2: FAST, 5: FAST}
     np.testing.assert_array_equal(merge_by_motion(graph, labels, ages, speeds, 1.0, MERGES), labels)
     young = merge_by_motion(graph, labels, {2: OLD, 5: 1}, speeds, 1.0, MERGES)
     assert set(young.tolist()) == {2}
 
 
 def test_old_objects_that_touch_with_little_stay_apart_however_alike_they_move() -> None:
-    ages, speeds = {2: OLD, 5: OLD}, {2: FAST, 5: FAST}
+    ages, speeds = {2: OLDER, 5: OLDER}, {2: FAST, 5: FAST}
     few, labels = border(2, 5, [0.0] * (MERGES.least_border - 1))
     np.testing.assert_array_equal(merge_by_motion(few, labels, ages, speeds, 1.0, MERGES), labels)
     config = MERGES.model_copy(update={"same_motion_border": 2.0})
