@@ -482,4 +482,5 @@ class Coordinator:
             positions=positions,
             motions=motions,
             retired=tuple(sorted(retired)),
+            resting=registry.resting_layers(),
         )

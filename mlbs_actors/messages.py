@@ -46,6 +46,8 @@ __all__ = [
 # Not npt.NDArray: since NumPy 2.5 that alias hides its class, and states are checked by class.
 Array = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 LayerKind = Literal["background", "object", "other"]
+#: Whether an object has moved against the camera lately.
+ObjectState = Literal["moving", "resting"]
 
 #: What a frame with a label map shows: the scene, the first picture of another one (``"cut"``), or too little
 #: to tell the camera's motion (``"untracked"``): layers go on there, but none begins. The
@@ -167,6 +169,8 @@ class FrameEvidence:
     fixed : (h, w) bool
         Cells that are fixed in the picture, not in the scene (:mod:`mlbs_actors.footage.fixed`); (0, 0) if
         there are none.
+    resting : tuple of int
+        Layers that have not moved against the camera for a while.
     """
 
     frame_index: int
@@ -185,6 +189,7 @@ class FrameEvidence:
     status: FrameStatus = "ok"
     light: Array = field(default_factory=lambda: np.zeros((0, 256), np.uint8))
     fixed: Array = field(default_factory=lambda: np.zeros((0, 0), bool))
+    resting: tuple[int, ...] = ()
 
     @property
     def layers(self) -> tuple[LayerEvidence, ...]:
@@ -301,6 +306,8 @@ class LayerSummary:
         Mean motion t−1 → t, px/frame.
     confidence : float
         Mean posterior of the label over its pixels, in [0, 1].
+    state : {"moving", "resting"}
+        Whether it has moved against the camera lately.
     part_of : int
         Layer that it is a part of, 0 if it is an object of its own; always 0 in what is published.
     """
@@ -312,6 +319,7 @@ class LayerSummary:
     centroid: tuple[float, float]
     velocity: tuple[float, float]
     confidence: float
+    state: ObjectState = "moving"
     part_of: int = 0
 
     @property

@@ -1,4 +1,4 @@
-"""One Ray session for all tests: starting one takes seconds."""
+"""What all tests share: one Ray session, as starting one takes seconds, and Hypothesis's settings."""
 
 from __future__ import annotations
 
@@ -13,10 +13,15 @@ from pathlib import Path
 import pytest
 import ray
 from actor_fakes import FakeParts, RaySession
+from hypothesis import settings
 
 from mlbs_actors.actors import Node, PoolPolicy
 
 _OBJECT_STORE_BYTES = 100_000_000
+
+# How long an example takes says nothing on a machine that does other things, too.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

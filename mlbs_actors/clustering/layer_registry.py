@@ -24,7 +24,10 @@ from mlbs_actors.clustering.reidentification import SIGNATURE_BINS, Sighting, be
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import BACKGROUND, Array
 
-__all__ = ["LayerRegistry", "RegistryState"]
+__all__ = ["RESTED_CLUSTERINGS", "LayerRegistry", "RegistryState"]
+
+#: An object rests if it has not moved in so many clusterings: in one it may just be slow.
+RESTED_CLUSTERINGS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,8 @@ class RegistryState:
         Last frame awake; older than the newest frame = asleep.
     judged, moving : (k,) int64
         Clusterings since birth, and in how many of them it moved against the camera.
+    rested : (k,) int64
+        Clusterings since it last moved against the camera.
     spared : (k,) int64
         Clusterings in which it skips the N-cut test.
     tracked : (k,) int64
@@ -66,6 +71,7 @@ class RegistryState:
     origins: Array
     judged: Array
     moving: Array
+    rested: Array
     spared: Array
     seen: Array
     tracked: Array
@@ -81,6 +87,7 @@ class RegistryState:
     def empty() -> RegistryState:
         """Return the state without any object."""
         return RegistryState(
+            np.zeros(0, np.int64),
             np.zeros(0, np.int64),
             np.zeros(0, np.int64),
             np.zeros(0, np.int64),
@@ -131,7 +138,12 @@ class LayerRegistry:
         labels = state.labels.tolist()
         judged = np.array([label in speeds for label in labels], bool)
         moving = np.array([speeds.get(label, -np.inf) >= least for label in labels], bool)
-        self.state = replace(state, judged=state.judged + judged, moving=state.moving + moving)
+        self.state = replace(
+            state,
+            judged=state.judged + judged,
+            moving=state.moving + moving,
+            rested=np.where(moving, 0, state.rested + judged),
+        )
 
     def spared_labels(self) -> Array:
         """Return labels (m,) int64 of objects that skip the N-cut test at this clustering."""
@@ -183,6 +195,12 @@ class LayerRegistry:
         state = self.state
         lasting = (state.labels > BACKGROUND) & ~state.pooled
         return set(state.labels[lasting & (state.moving >= self.config.moving_clusterings)].tolist())
+
+    def resting_layers(self) -> tuple[int, ...]:
+        """Return the layers, but "other", that have not moved for ``RESTED_CLUSTERINGS``; ascending."""
+        state = self.state
+        resting = (state.labels > BACKGROUND) & ~state.pooled & (state.rested >= RESTED_CLUSTERINGS)
+        return tuple(state.labels[resting].tolist())
 
     def layers_of(self, labels: Array) -> Array:
         """Return layer ids of labels, (n,) int64, −1 for none.
@@ -248,6 +266,7 @@ class LayerRegistry:
                 ),
                 judged=np.concatenate([[0], state.judged]),
                 moving=np.concatenate([[0], state.moving]),
+                rested=np.concatenate([[0], state.rested]),
                 spared=np.concatenate([[0], state.spared]),
                 seen=np.concatenate([[frame_index], state.seen]),
                 tracked=np.concatenate([[frame_index], state.tracked]),
@@ -362,6 +381,7 @@ class LayerRegistry:
             origins=np.where(np.isin(origins, labels), origins, UNLABELLED),
             judged=state.judged[rows],
             moving=state.moving[rows],
+            rested=state.rested[rows],
             spared=state.spared[rows],
             seen=state.seen[rows],
             tracked=state.tracked[rows],

@@ -171,7 +171,8 @@ def join_parts(segmentation: Segmentation) -> Segmentation:
     Returns
     -------
     Segmentation
-        Of objects. Box and area are those of all parts together, other values the mean of their pixels.
+        Of objects. Box and area are those of all parts together, other values the mean of their pixels. An
+        object rests if all its parts do.
     """
     layers = segmentation.layers
     if not any(one.part_of for one in layers):
@@ -205,4 +206,5 @@ def _joined(whole: int, parts: list[LayerSummary]) -> LayerSummary:
         centroid=(mean([one.centroid[0] for one in parts]), mean([one.centroid[1] for one in parts])),
         velocity=(mean([one.velocity[0] for one in parts]), mean([one.velocity[1] for one in parts])),
         confidence=mean([one.confidence for one in parts]),
+        state="resting" if all(one.state == "resting" for one in parts) else "moving",
     )

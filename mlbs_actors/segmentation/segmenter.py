@@ -148,7 +148,11 @@ class Segmenter:
         parts = find_parts(self.state.parts, result.labels, evidence.frame_index, live)
         part_of = parts.objects()
         layers = tuple(
-            replace(one, part_of=part_of.get(one.layer, 0))
+            replace(
+                one,
+                state="resting" if one.layer in evidence.resting else "moving",
+                part_of=part_of.get(one.layer, 0),
+            )
             for one in sorted(summaries, key=lambda one: one.layer)
         )
         for shared in (result.labels, result.normaliser, result.fallback):  # the layers read them back

@@ -10,7 +10,7 @@ from orchestrator.export.recorded_stream import recorded_stream, streams_of
 __all__ = ["write_csv"]
 
 _COLUMNS = (
-    *("stream", "frame", "seconds", "id", "kind"),
+    *("stream", "frame", "seconds", "id", "kind", "state"),
     *("x", "y", "w", "h", "area", "cx", "cy", "vx", "vy", "confidence"),
 )
 
@@ -33,7 +33,7 @@ def write_csv(run: Path, out: Path) -> None:
                     where = (round(value, 2) for value in (*one.centroid, *one.velocity, one.confidence))
                     table.writerow(
                         [
-                            *(name, frame.index, round(frame.pts, 6), one.layer, one.kind),
+                            *(name, frame.index, round(frame.pts, 6), one.layer, one.kind, one.state),
                             *(*one.region.box, one.area, *where),
                         ]
                     )

@@ -12,7 +12,7 @@ import numpy as np
 from pycocotools import mask as coco_mask
 
 from mlbs_actors.errors import ConfigError
-from mlbs_actors.messages import Array, LayerKind, Region
+from mlbs_actors.messages import Array, LayerKind, ObjectState, Region
 from orchestrator.sinks.record_tables import read_rows
 
 __all__ = ["RecordedFrame", "RecordedObject", "description_of", "recorded_stream", "streams_of"]
@@ -26,6 +26,7 @@ class RecordedObject:
     ----------
     layer : int
     kind : {"object", "other"}
+    state : {"moving", "resting"}
     region : Region
     area : int
         px.
@@ -38,6 +39,7 @@ class RecordedObject:
 
     layer: int
     kind: LayerKind
+    state: ObjectState
     region: Region
     area: int
     centroid: tuple[float, float]
@@ -130,6 +132,7 @@ def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
             RecordedObject(
                 layer=layer.layer,
                 kind=layer.kind,
+                state=layer.state,
                 region=layer.region,
                 area=layer.area,
                 centroid=layer.centroid,

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from mlbs_actors.messages import LayerKind, LayerSummary, Region
+from mlbs_actors.messages import LayerKind, LayerSummary, ObjectState, Region
 from orchestrator.sinks.endings import SEEN, Ending, ending
 from orchestrator.sinks.tables import FrameRow, ResultRow
 
@@ -68,6 +68,8 @@ class SeenObject:
     ----------
     layer : int
     kind : {"object", "other"}
+    state : {"moving", "resting"}
+        When last seen.
     first, last : Sighting
     frames : int
         Label maps in which it owns pixels.
@@ -86,6 +88,7 @@ class SeenObject:
 
     layer: int
     kind: LayerKind
+    state: ObjectState
     first: Sighting
     last: Sighting
     frames: int
@@ -102,6 +105,7 @@ class SeenObject:
         return cls(
             layer=layer.layer,
             kind=layer.kind,
+            state=layer.state,
             first=here,
             last=here,
             frames=1,
@@ -127,7 +131,7 @@ class SeenObject:
         self.frames += 1
         self.total_area += layer.area
         self.path_px += math.dist(self.last.centroid, here.centroid)
-        self.last, self.ending = here, SEEN
+        self.state, self.last, self.ending = layer.state, here, SEEN
         if here.pts - self.path[-1].pts >= _POINT_SECONDS:
             self.path.append(here)
 
@@ -266,9 +270,9 @@ def _described(one: SeenObject, *, complete: bool) -> dict[str, Any]:
 
 
 def _outcome(one: SeenObject, *, complete: bool) -> tuple[str, str | None, int | None]:
-    """Return whether an object is in the newest label map, how it ended, and what is in its place."""
+    """Return the state of an object, how it ended, and what is in its place."""
     if one.ending.kind == "seen":
-        return "present", "end of the stream" if complete else None, None
+        return one.state, "end of the stream" if complete else None, None
     return "gone", one.ending.words, one.ending.by
 
 

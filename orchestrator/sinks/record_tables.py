@@ -83,6 +83,7 @@ def _result(frame: dict[str, Any], layers: Sequence[dict[str, Any]]) -> ResultRo
                 centroid=(row["cx"], row["cy"]),
                 velocity=(row["vx"], row["vy"]),
                 confidence=row["confidence"],
+                state=row.get("state", "moving"),  # tables of earlier versions do not have it
             )
             for row in layers
         ),

@@ -145,6 +145,7 @@ def layer_schema() -> pa.Schema:
             ("area", pa.int64()),
             *((name, pa.float32()) for name in ("cx", "cy", "vx", "vy", "confidence")),
             ("rle", pa.string()),
+            ("state", pa.string()),
         ]
     )
 
@@ -184,6 +185,7 @@ def write_layers(path: Path, stream: str, rows: Sequence[FrameRow]) -> None:
             "frame": row.frame,
             "layer": layer.layer,
             "kind": layer.kind,
+            "state": layer.state,
             "x": layer.region.x,
             "y": layer.region.y,
             "w": layer.region.width,

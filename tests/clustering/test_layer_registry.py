@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mlbs_actors.clustering.label_index import UNLABELLED
-from mlbs_actors.clustering.layer_registry import LayerRegistry, RegistryState
+from mlbs_actors.clustering.layer_registry import RESTED_CLUSTERINGS, LayerRegistry, RegistryState
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import BACKGROUND, Array
 
@@ -504,6 +504,17 @@ def test_what_has_moved_often_enough_may_rest_for_ever() -> None:
     ages = stream.registry.ages(99)
     assert ages[stream.labels["car"]] == 99
     assert ages[stream.labels["kerb"]] == 0
+
+
+def test_what_has_not_moved_in_some_clusterings_rests_until_it_moves() -> None:
+    stream = Stream()
+    for _ in range(6):
+        stream.see({"car": Thing()})
+    car, resting = stream.labels["car"], []
+    for speed in (2.0, *[0.0] * RESTED_CLUSTERINGS, 2.0):
+        stream.registry.judge({car: speed}, 1.0)
+        resting.append(stream.registry.resting_layers())
+    assert resting == [*[()] * RESTED_CLUSTERINGS, (car,), ()]
 
 
 def test_what_has_no_trajectories_is_not_judged() -> None:

@@ -107,7 +107,9 @@ def segmentation(labels: Array, *part_of: int) -> Segmentation:
         box = Region(int(columns.min()), int(rows.min()), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1)
         centre = float(columns.mean()), float(rows.mean())
         layers.append(
-            LayerSummary(layer, "object", box, len(rows), centre, (float(layer), 0.0), layer / 4, whole)
+            LayerSummary(
+                layer, "object", box, len(rows), centre, (float(layer), 0.0), layer / 4, part_of=whole
+            )
         )
     maps = np.zeros((1, 1), np.uint8), np.zeros((1, 1), np.int8)
     return Segmentation(5, labels, *maps, tuple(layers), (0.0, 0.0), 0)

@@ -85,13 +85,13 @@ def test_cocoeval_takes_a_coco_export_for_results_of_itself(run: Path, tmp_path:
 def test_csv_is_one_table_of_every_object_in_every_frame_with_its_time(run: Path, tmp_path: Path) -> None:
     table = pyarrow.csv.read_csv(export("csv", run, tmp_path / "run.csv"))
     of_tables = duckdb.execute(
-        "SELECT stream, frame, pts, layer, kind, x, y, w, h, area, cx, cy, vx, vy, confidence "
+        "SELECT stream, frame, pts, layer, kind, state, x, y, w, h, area, cx, cy, vx, vy, confidence "
         f"FROM '{run}/*/layers-*.parquet' JOIN '{run}/*/frames-*.parquet' USING (stream, frame) "
         "ORDER BY stream = 'gate', frame, layer"
     ).fetchall()
     assert len(of_tables) == 2 * (39 + 34)
     assert [tuple(row.values()) for row in table.to_pylist()] == of_tables
-    names = "stream frame seconds id kind x y w h area cx cy vx vy confidence"
+    names = "stream frame seconds id kind state x y w h area cx cy vx vy confidence"
     assert table.column_names == names.split()
 
 

@@ -126,15 +126,26 @@ def test_endings_are_told_as_the_label_maps_show_them() -> None:
 def test_an_object_that_comes_back_is_present_again_with_one_row() -> None:
     objects = listed(*(squares(index, {} if index == 1 else {3: (5, 5, 8)}) for index in range(3)))
     (row,) = list(csv.DictReader(objects.csv(complete=False).splitlines()))
-    assert (row["state"], row["end"], row["frames"], row["times_hidden"]) == ("present", "", "2", "1")
+    assert (row["state"], row["end"], row["frames"], row["times_hidden"]) == ("moving", "", "2", "1")
     assert objects.objects[0].spans == [(0, 0), (2, 2)]
+
+
+def test_an_object_that_is_shown_moves_or_rests() -> None:
+    first = squares(0, {3: (5, 5, 8)})
+    at_rest = squares(1, {3: (5, 5, 8)})
+    at_rest = replace(at_rest, layers=tuple(replace(one, state="resting") for one in at_rest.layers))
+    moving, resting = (
+        next(csv.DictReader(listed(*maps).csv(complete=False).splitlines()))["state"]
+        for maps in ((first,), (first, at_rest))
+    )
+    assert (moving, resting) == ("moving", "resting")
 
 
 def test_only_a_stream_that_is_over_ends_what_is_in_its_last_frame() -> None:
     objects = listed(squares(0, {3: (5, 5, 8), 4: (20, 5, 8)}), squares(1, {3: (5, 5, 8)}))
     for complete, end in ((False, ""), (True, "end of the stream")):
         seen, gone = csv.DictReader(objects.csv(complete=complete).splitlines())
-        assert (seen["state"], seen["end"]) == ("present", end)
+        assert (seen["state"], seen["end"]) == ("moving", end)
         assert (gone["state"], gone["end"]) == ("gone", "no longer found")
 
 
@@ -144,7 +155,7 @@ def test_the_files_hold_what_is_committed_while_the_stream_goes_on(tmp_path: Pat
         assert (tmp_path / "yard" / OBJECTS_CSV).exists() == (index >= FIRST_COMMIT)
         record.write(segmentation(index), frame(index))
     (row,) = rows_of(tmp_path / "yard")
-    assert (row["last_frame"], row["state"], row["end"]) == (str(FIRST_COMMIT - 1), "present", "")
+    assert (row["last_frame"], row["state"], row["end"]) == (str(FIRST_COMMIT - 1), "moving", "")
     assert described(tmp_path / "yard")["complete"] is False
 
 
