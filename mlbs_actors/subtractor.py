@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -182,7 +182,9 @@ class MultilayerSubtractor:
         """Return the results of the frames still held; the stream has ended. Raises as :meth:`apply` does."""
         return [result for _, result in self._finish()]
 
-    def segment(self, video: str | PathLike[str] | Iterable[Array]) -> Iterator[tuple[Array, Result]]:
+    def segment(
+        self, video: str | PathLike[str] | Iterable[Array]
+    ) -> Generator[tuple[Array, Result], None, None]:
         """Segment a video to its end.
 
         Parameters

@@ -1,4 +1,4 @@
-"""A user's own program is type-checked against the package."""
+"""A program of a user's own runs, and its types are checked against the package's."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from user_program import areas_of_video, births, largest_box, results_of
 
 import mlbs_actors
+from orchestrator.sources.synthetic import scene
 
 PROGRAM = Path(__file__).parent / "fakes/user_program.py"
 #: Uses of the package that are wrong, and words of what is said of them.
@@ -18,7 +20,7 @@ MISTAKES = {
     "result.label": 'has no attribute "label"',
     "result.mask('1')": 'incompatible type "str"',
     "mlbs_actors.MultilayerSubtractor('my.yaml')": 'incompatible type "str"',
-    "mlbs_actors.segment": "does not explicitly export",
+    "mlbs_actors.segment": 'has no attribute "segment"',
 }
 
 
@@ -51,3 +53,12 @@ def test_a_program_passes_strict_type_checks_and_its_mistakes_are_found(tmp_path
     lines = strictly_typed(wrong, tmp_path).stdout.splitlines()
     for line, (code, words) in enumerate(MISTAKES.items(), 5):
         assert any(f"wrong.py:{line}:" in one and words in one for one in lines), (code, lines)
+
+
+def test_the_program_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    video = scene("pan", frames=60, width=160, height=120)
+    results = results_of(video.frame(index) for index in range(8))
+    assert set(births(results)) == {layer.layer for one in results for layer in one.layers}
+    assert largest_box(results[-1]) is not None
+    assert areas_of_video(tmp_path / "none.mp4") == {}
+    assert "none.mp4" in capsys.readouterr().out
