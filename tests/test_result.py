@@ -123,9 +123,10 @@ def test_ids_are_born_once_may_be_absent_and_end_once() -> None:
 @pytest.mark.parametrize("lookahead", [0, 3])
 def test_an_object_that_leaves_is_absent_and_then_ends(lookahead: int) -> None:
     config = load_config(None, [f"layers.lookahead={lookahead}", "layers.dormant_frames=5"])
-    results = run(pictures_of("leave", 60), config)
+    video = scene("leave", frames=80, width=240, height=180)
+    results = run([video.frame(index) for index in range(80)], config)
     hold_what_they_mean(results)
-    (leaver,) = set(results[12].boxes().ids.tolist()) & set(ended(results))
+    (leaver,) = shown(results[60]) & set(ended(results))
     last_seen = max(one.frame_index for one in results if leaver in shown(one))
     (end,) = (one.frame_index for one in results if leaver in one.ended)
     assert 1 <= end - last_seen <= 15
