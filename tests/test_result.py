@@ -24,6 +24,7 @@ from mlbs_actors import (
     load_config,
 )
 from mlbs_actors.messages import Array
+from mlbs_actors.segmentation.attached_parts import PartsState
 from orchestrator.sources.synthetic import scene
 
 
@@ -131,6 +132,31 @@ def test_an_object_that_leaves_is_absent_and_then_ends(lookahead: int) -> None:
     (end,) = (one.frame_index for one in results if leaver in one.ended)
     assert 1 <= end - last_seen <= 15
     assert all(leaver in one.absent for one in results[last_seen + 1 : end])
+
+
+@pytest.mark.parametrize("lookahead", [0, 20])
+def test_an_object_that_comes_out_from_where_it_hid_has_not_ended(lookahead: int) -> None:
+    video = scene("hidden", frames=110, width=240, height=180)
+    pictures = [video.frame(index) for index in (*range(42), *range(40, 20, -1))]  # and back again
+    # With the look-ahead, all frames in which it is hidden are held until the size changes.
+    smaller = [cv2.resize(one, (160, 120)) for one in pictures[:8]]
+    results = run([*pictures, *smaller], load_config(None, [f"layers.lookahead={lookahead}"]))
+    hold_what_they_mean(results)
+    absent = [one.frame_index for one in results if 1 in one.absent]
+    assert 5 <= len(absent) <= 30
+    assert absent[-1] < max(one.frame_index for one in results if 1 in shown(one))
+    assert 1 in ended(results)
+
+
+def test_an_id_has_not_ended_while_a_held_frame_or_a_part_has_it() -> None:
+    subtractor = MultilayerSubtractor(load_config(None, ["layers.lookahead=2"]))
+    for picture in pictures_of("pan", 10):
+        subtractor.apply(picture)
+    state, parts = subtractor._coordinator.state, PartsState(*np.array([[88], [0], [99], [0]]))
+    first, *others = state.held
+    state.held = (replace(first, labels=np.full_like(first.labels, 77)), *others)
+    subtractor._segmenter.state = replace(subtractor._segmenter.state, parts=parts)
+    assert {77, 99} <= subtractor._possible_ids([])
 
 
 @pytest.mark.parametrize("lookahead", [0, 3])
