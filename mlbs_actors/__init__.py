@@ -1,4 +1,20 @@
-"""Online, training-free segmentation of every independently moving object in moving-camera video."""
+"""Online, training-free segmentation of every independently moving object in moving-camera video.
+
+``MultilayerSubtractor`` segments one video or stream, frame by frame; this is all that a program needs:
+
+=================================  ===================================================================
+``MultilayerSubtractor``           takes frames, returns results
+``Result``                         of one frame: label map, objects, which of them come and go
+``Segmentation``                   what a result is made of: label map and objects
+``LayerSummary``                   one object in one frame
+``Region``, ``Boxes``              its bounding box, and those of all objects in a frame
+``Config``, ``load_config``        all parameters, and how to change some of them
+``MlbsError``                      base of all errors: ``ConfigError``, ``FrameError``, ``LayerError``,
+                                   ``SinkError``, ``SolverError``, ``SourceError``
+=================================  ===================================================================
+
+``docs/python_api.md`` shows their use by example. All other modules are the engine's parts.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -20,7 +36,8 @@ from mlbs_actors.errors import (
     SolverError,
     SourceError,
 )
-from mlbs_actors.messages import LayerSummary, Region, Segmentation
+from mlbs_actors.messages import Boxes, LayerSummary, Region, Segmentation
+from mlbs_actors.result import Result
 
 if TYPE_CHECKING:
     from mlbs_actors.subtractor import MultilayerSubtractor
@@ -31,6 +48,7 @@ if not (4, 10) <= tuple(map(int, cv2.__version__.split(".")[:2])) < (6, 0):
     raise ImportError(f"mlbs_actors needs OpenCV 4.10 to 5, not {cv2.__version__}; install one of those.")
 
 __all__ = [
+    "Boxes",
     "Config",
     "ConfigError",
     "FrameError",
@@ -39,12 +57,17 @@ __all__ = [
     "MlbsError",
     "MultilayerSubtractor",
     "Region",
+    "Result",
     "Segmentation",
     "SinkError",
     "SolverError",
     "SourceError",
     "load_config",
 ]
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__doc__", "__file__", "__name__", "__path__", "__version__"]
 
 
 if not TYPE_CHECKING:  # hidden from type checkers, which would accept every name

@@ -30,6 +30,7 @@ __all__ = [
     "BACKGROUND",
     "NO_PICTURE",
     "Array",
+    "Boxes",
     "FrameEvidence",
     "FrameStatus",
     "LayerAppearance",
@@ -328,23 +329,31 @@ class LayerSummary:
         return self.part_of or self.layer
 
 
+class Boxes(NamedTuple):
+    """The bounding boxes of a frame's objects.
+
+    Attributes
+    ----------
+    ids : (n,) int64
+        Layer ids, ascending.
+    xyxy : (n, 4) int32
+        Left, top, right and bottom, px; half-open: right and bottom are the first column and row outside.
+    """
+
+    ids: Array
+    xyxy: Array
+
+
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
 class Segmentation:
-    """The published result of one frame.
+    """The label map of one frame, and a row for each object in it.
 
     Attributes
     ----------
     frame_index : int
     labels : (H, W) uint16
         Layer id of every pixel, 0 = background, cleaned.
-    normaliser : (rows, columns) uint8
-        For each cell of the layers' posteriors (:mod:`mlbs_actors.cells`), −log Z in units of
-        ``COST_STEP`` nats, Z the sum of the unnormalised posteriors over the layers; 255 away from all
-        objects, where the background's posterior is 1 whatever its cost.
-    fallback : (rows, columns) int8
-        log of the density that a layer without samples is assumed to have, in units of ``fusion.RATIO_STEP``
-        nats (:mod:`mlbs_actors.appearance.fusion`); 0 away from all objects.
     layers : tuple of LayerSummary
         The object layers that own at least one pixel, in ascending id.
     camera_motion : (float, float)
@@ -356,16 +365,23 @@ class Segmentation:
     status : FrameStatus
     picture_index : int, optional
         Frame that the labels were found in, if that is not this one.
+    normaliser, fallback
+        Internal: what the layers need in the next frame. ``normaliser`` is (rows, columns) uint8: for each
+        cell of the layers' posteriors (:mod:`mlbs_actors.cells`), −log Z in units of ``COST_STEP`` nats, Z
+        the sum of the unnormalised posteriors over the layers; 255 away from all objects, where the
+        background's posterior is 1 whatever its cost. ``fallback`` is int8 of the same shape: log of the
+        density that a layer without samples is assumed to have, in units of ``fusion.RATIO_STEP`` nats
+        (:mod:`mlbs_actors.appearance.fusion`); 0 away from all objects.
     """
 
     frame_index: int
-    labels: Array
-    normaliser: Array
-    fallback: Array
+    labels: Array = field(repr=False)
+    normaliser: Array = field(repr=False)
+    fallback: Array = field(repr=False)
     layers: tuple[LayerSummary, ...]
     camera_motion: tuple[float, float]
     latency_frames: int
-    stage_ms: Mapping[str, float] = field(default_factory=dict)
+    stage_ms: Mapping[str, float] = field(default_factory=dict, repr=False)
     status: FrameStatus = "ok"
     picture_index: int | None = None
 
@@ -373,6 +389,18 @@ class Segmentation:
     def evaluated_frame(self) -> int:
         """Frame that the labels were found in."""
         return self.frame_index if self.picture_index is None else self.picture_index
+
+    def boxes(self) -> Boxes:
+        """Return the bounding boxes of the objects, with their ids."""
+        ids = np.array([one.layer for one in self.layers], np.int64)
+        left, top, width, height = (
+            np.array([one.region.box for one in self.layers], np.int32).reshape(-1, 4).T
+        )
+        return Boxes(ids, np.stack([left, top, left + width, top + height], axis=1))
+
+    def mask(self, layer: int) -> Array:
+        """Return which pixels are an object's, (H, W) bool; none if it is not in this frame."""
+        return np.asarray(self.labels == layer)
 
     def to_supervision(self) -> Detections:
         """Convert the objects to detections of the package supervision, for its annotators and tools.
@@ -395,11 +423,9 @@ class Segmentation:
             raise MlbsError(
                 "to_supervision needs the package supervision; pip install 'mlbs-actors[supervision]'."
             ) from None
-        regions = [layer.region for layer in self.layers]
-        boxes = [(one.x, one.y, one.x + one.width, one.y + one.height) for one in regions]
-        ids = np.array([layer.layer for layer in self.layers], np.int64)
+        ids, xyxy = self.boxes()
         return supervision.Detections(
-            xyxy=np.array(boxes, np.float32).reshape(-1, 4),
+            xyxy=xyxy.astype(np.float32),
             mask=self.labels == ids[:, None, None],
             confidence=np.array([layer.confidence for layer in self.layers], np.float32),
             class_id=np.zeros(len(ids), np.int64),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
+from os import PathLike
 from threading import Lock
 from typing import Any
 
@@ -21,9 +22,11 @@ from mlbs_actors.inspection import FrameInspection, inspect_frame
 from mlbs_actors.layer.layer import Layer
 from mlbs_actors.layer.layer_state import LayerState
 from mlbs_actors.messages import Array, FrameEvidence, LayerKind, Segmentation, readonly
+from mlbs_actors.result import Result
 from mlbs_actors.segmentation.attached_parts import join_parts
 from mlbs_actors.segmentation.segmenter import Segmenter, SegmenterState
 from mlbs_actors.state_file import capture
+from mlbs_actors.video_file import video_frames
 
 __all__ = ["MultilayerSubtractor"]
 
@@ -43,6 +46,7 @@ class _SubtractorState:
     layers: Mapping[int, _LayerAtWork]
     waiting: Mapping[int, Array]
     published: Mapping[int, Segmentation]
+    known: tuple[int, ...]
 
 
 class MultilayerSubtractor:
@@ -55,7 +59,6 @@ class MultilayerSubtractor:
     inspector : callable, optional
         Called with a :class:`~mlbs_actors.inspection.FrameInspection` for every frame that is labelled, in
         order: trajectories, motion fields and posteriors. The results are the same with it.
-
     flow : callable, optional
         Your own dense flow, in place of the configured one: maps two frames (H, W, 3) uint8 BGR to (H, W, 2)
         float, the displacement of each pixel from the first to the second, px. It is called twice a frame,
@@ -73,15 +76,20 @@ class MultilayerSubtractor:
     -----
     A subtractor belongs to one thread at a time: called while it is at work, it raises an
     :class:`~mlbs_actors.errors.MlbsError`. Several subtractors may run in several threads.
-    It can be pickled between two frames. The copy continues as the original would have, to the
-    byte, with the same versions of the packages on the same kind of CPU.
+    It can be pickled between two frames, if the tags of the frames it holds can be. The copy continues as the
+    original would have, to the byte, with the same versions of the packages on the same kind of CPU.
 
     Examples
     --------
+    >>> for frame, result in MultilayerSubtractor().segment("street.mp4"):
+    ...     show(frame, result.labels)                         # 0 = background
+
+    Frame by frame:
+
     >>> subtractor = MultilayerSubtractor()
     >>> for frame in frames:                                   # (H, W, 3) uint8 BGR
     ...     for result in subtractor.apply(frame):
-    ...         show(result.frame_index, result.labels)        # 0 = background
+    ...         show(result.frame_index, result.labels)
     >>> for result in subtractor.flush():
     ...     show(result.frame_index, result.labels)
     """
@@ -107,6 +115,8 @@ class MultilayerSubtractor:
         self._layers: dict[int, Layer] = {}
         self._waiting: dict[int, Array] = {}
         self._published: dict[int, Segmentation] = {}
+        self._tags: dict[int, object] = {}
+        self._known: set[int] = set()  # published ids that have not ended
         self._lock = Lock()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -119,11 +129,13 @@ class MultilayerSubtractor:
                 {layer: _LayerAtWork(one.kind, one.state) for layer, one in self._layers.items()},
                 self._waiting,
                 self._published,
+                tuple(self._known),
             )
             return {
                 "arguments": (
                     self.config, self._inspector, self._coordinator.flow, self._coordinator.ignored
                 ),
+                "tags": self._tags,
                 "state": capture(state),
             }  # fmt: skip
 
@@ -137,21 +149,24 @@ class MultilayerSubtractor:
             layer: Layer(self.config, layer, one.kind, one.state) for layer, one in state.layers.items()
         }
         self._waiting, self._published = state.waiting, state.published
+        self._tags, self._known = pickled["tags"], set(state.known)
 
-    def apply(self, frame: Array, *, concealed: bool = False) -> list[Segmentation]:
+    def apply(self, frame: Array, *, tag: object = None, concealed: bool = False) -> list[Result]:
         """Take the next frame.
 
         Parameters
         ----------
         frame : (H, W, 3) uint8
             BGR. A frame of another size resets everything but the ids, which are never reused.
+        tag : object
+            Anything of yours, such as the frame's time or name; its result has it as ``tag``.
         concealed : bool
             Whether you know that it is damaged, as of a decoder that made up a part. Its result has the
             labels of the one before and the status ``"damaged"``, and nothing is learnt from it.
 
         Returns
         -------
-        list of Segmentation
+        list of Result
             0, 1 or several results, in frame order: the first few frames are held until motion is known.
 
         Raises
@@ -161,6 +176,48 @@ class MultilayerSubtractor:
         MlbsError
             If called by another thread, or the inspector, during a frame; that frame is finished.
         """
+        return [result for _, result in self._step(frame, tag, concealed)]
+
+    def flush(self) -> list[Result]:
+        """Return the results of the frames still held; the stream has ended. Raises as :meth:`apply` does."""
+        return [result for _, result in self._finish()]
+
+    def segment(
+        self, video: str | PathLike[str] | Iterable[Array]
+    ) -> Generator[tuple[Array, Result], None, None]:
+        """Segment a video to its end.
+
+        Parameters
+        ----------
+        video : path or iterable of (H, W, 3) uint8
+            A file that OpenCV decodes, which is closed at the end or when you stop, or frames, BGR.
+
+        Yields
+        ------
+        frame : (H, W, 3) uint8
+            A copy, which you may draw on.
+        result : Result
+            Of that frame. They come in order, as soon as they are known; only frames that still wait for
+            their results are held.
+
+        Raises
+        ------
+        SourceError
+            If the file cannot be read.
+        FrameError, MlbsError
+            As :meth:`apply` does.
+        """
+        if isinstance(video, (str, PathLike)):
+            with closing(video_frames(video)) as frames:
+                yield from self.segment(frames)
+            return
+        for frame in video:
+            for shown, result in self._step(frame):
+                yield shown.copy(), result
+        for shown, result in self._finish():
+            yield shown.copy(), result
+
+    def _step(self, frame: Array, tag: object = None, concealed: bool = False) -> list[tuple[Array, Result]]:
         if isinstance(frame, np.ndarray):  # the coordinator rejects anything else
             frame = frame.copy()  # the caller may reuse its buffer
             frame.setflags(write=False)
@@ -169,13 +226,40 @@ class MultilayerSubtractor:
             wanted = self._coordinator.feedback_index(index)
             feedback = None if wanted is None else partial(self._published.__getitem__, wanted)
             evidence = self._coordinator.step(index, frame, feedback, concealed)
-            self._waiting[index] = frame
-            return [self._label(one) for one in evidence]
+            self._waiting[index], self._tags[index] = frame, tag
+            return self._results(evidence)
 
-    def flush(self) -> list[Segmentation]:
-        """Return the results of the frames still held; the stream has ended. Raises as :meth:`apply` does."""
+    def _finish(self) -> list[tuple[Array, Result]]:
         with self._at_work(), single_threaded():
-            return [self._label(one) for one in self._coordinator.flush()]
+            return self._results(self._coordinator.flush())
+
+    def _results(self, evidence: Sequence[FrameEvidence]) -> list[tuple[Array, Result]]:
+        results = []
+        for place, one in enumerate(evidence):
+            index = one.frame_index
+            frame, tag = self._waiting.pop(index), self._tags.pop(index)
+            published = join_parts(self._label(one, frame))
+            possible = self._possible_ids(evidence[place + 1 :])
+            results.append((frame, Result.of(published, tag, self._known, possible)))
+        return results
+
+    def _possible_ids(self, later: Sequence[FrameEvidence]) -> set[int]:
+        """Return a superset of the ids that frames after the one just labelled may have.
+
+        Parameters
+        ----------
+        later : sequence of FrameEvidence
+            What the coordinator has decided on already; it is ahead by so many frames.
+        """
+        state, parts = self._coordinator.state, self._segmenter.state.parts
+        labels = [state.registry.labels, state.labels, *(one.labels for one in state.held)]
+        # Parts have the id of their object even when that has ended.
+        return {
+            state.registry.other,
+            *(layer for one in labels for layer in np.unique(one).tolist()),
+            *(one.layer for frame in later for one in frame.tracks),
+            *parts.objects().values(),
+        }
 
     @contextmanager
     def _at_work(self) -> Iterator[None]:
@@ -189,10 +273,9 @@ class MultilayerSubtractor:
         finally:
             self._lock.release()
 
-    def _label(self, made: FrameEvidence) -> Segmentation:
+    def _label(self, made: FrameEvidence, frame: Array) -> Segmentation:
         evidence = readonly(made)
         index = evidence.frame_index
-        frame = self._waiting.pop(index)
         for retired in evidence.retired:
             del self._layers[retired]
         posteriors = []
@@ -206,4 +289,4 @@ class MultilayerSubtractor:
         self._published[index] = segmentation
         if self._inspector is not None:
             self._inspector(inspect_frame(self.config, evidence, self._layers, posteriors, segmentation))
-        return join_parts(segmentation)
+        return segmentation

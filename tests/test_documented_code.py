@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import re
+import threading
+import time
+from collections.abc import Callable, Generator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import cv2
+import numpy as np
 import pytest
+from paced_camera import PacedCamera
 from record_fakes import write_run
 
 from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.actors.stream.protocol import SourceFrame
+from mlbs_actors.messages import Array
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.synthetic import scene
@@ -42,6 +49,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def python_blocks(text: str) -> list[re.Match[str]]:
+    """The Python of a page, as group 1 of each."""
+    return list(re.finditer(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE))
+
+
 # pycocotools decodes through an __array__ method that NumPy 2 finds outdated.
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 @pytest.mark.parametrize("page", ["README.md", "docs/python_api.md"])
@@ -49,12 +61,59 @@ def test_the_code_of_a_page_runs_block_by_block(
     page: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
+    street, opened = scene("demo", width=160, height=120, frames=FRAMES), cv2.VideoCapture
+
+    def open_video(source: str | int) -> object:
+        if source != 0:
+            return opened(source)
+        return PacedCamera([street.frame(index) for index in range(FRAMES)], 0.01)
+
+    monkeypatch.setattr(cv2, "VideoCapture", open_video)
     text = (ROOT / page).read_text(encoding="utf-8")
     names: dict[str, object] = {"__name__": "__main__"}
-    for block in re.finditer(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
+    for block in python_blocks(text):
         if "import supervision" in block[1] and find_spec("supervision") is None:
             continue  # with Python 3.10 it would replace OpenCV
         lines_before = text.count("\n", 0, block.start(1))
         # So that a traceback names the line of the page.
         exec(compile("\n" * lines_before + block[1], ROOT / page, "exec"), names)
     assert len(names) > 5
+
+
+@pytest.fixture(scope="module")
+def newest_frames() -> Callable[[PacedCamera], Generator[tuple[float, Array], None, None]]:
+    """The documented function of this name."""
+    text = (ROOT / "docs/python_api.md").read_text(encoding="utf-8")
+    (block,) = (one[1] for one in python_blocks(text) if "def newest_frames" in one[1])
+    names: dict[str, Any] = {}
+    exec(block, names)
+    found: Callable[[PacedCamera], Generator[tuple[float, Array], None, None]] = names["newest_frames"]
+    return found
+
+
+def test_a_slow_reader_of_a_camera_gets_its_newest_frames_in_order(
+    newest_frames: Callable[[PacedCamera], Generator[tuple[float, Array], None, None]],
+) -> None:
+    camera = PacedCamera([np.full((2, 2, 3), index, np.uint8) for index in range(100)], 0.005)
+    seen, late = [], []
+    for _, frame in newest_frames(camera):
+        late.append(camera.given - 1 - int(frame[0, 0, 0]))
+        seen.append(int(frame[0, 0, 0]))
+        time.sleep(0.05)
+    assert seen == sorted(set(seen))
+    assert 3 <= len(seen) <= 30
+    assert np.median(late) <= 1  # this machine may be busy
+    assert camera.released
+
+
+def test_a_reader_that_stops_releases_the_camera_and_its_thread_ends(
+    newest_frames: Callable[[PacedCamera], Generator[tuple[float, Array], None, None]],
+) -> None:
+    threads = threading.active_count()
+    camera = PacedCamera([np.zeros((2, 2, 3), np.uint8)] * 10_000, 0.001)
+    frames = newest_frames(camera)
+    next(frames)
+    frames.close()
+    assert camera.released
+    assert camera.given < 10_000
+    assert threading.active_count() == threads

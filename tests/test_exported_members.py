@@ -7,6 +7,7 @@ import importlib
 import importlib.metadata
 import inspect
 import pkgutil
+import pydoc
 import subprocess
 import sys
 from pathlib import Path
@@ -54,6 +55,13 @@ def test_the_package_gives_out_what_it_lists_and_nothing_else() -> None:
     assert all(hasattr(mlbs_actors, name) for name in mlbs_actors.__all__)
     assert not hasattr(mlbs_actors, "nothing")
     assert mlbs_actors.__version__ == importlib.metadata.version("mlbs-actors")
+
+
+def test_help_and_dir_begin_with_what_a_program_needs() -> None:
+    first, contents, _ = pydoc.plain(pydoc.render_doc(mlbs_actors)).partition("PACKAGE CONTENTS")
+    assert contents
+    assert all(f"``{name}``" in first for name in mlbs_actors.__all__)
+    assert [name for name in dir(mlbs_actors) if not name.startswith("_")] == sorted(mlbs_actors.__all__)
 
 
 def test_a_process_that_runs_no_part_of_the_engine_does_not_load_it() -> None:

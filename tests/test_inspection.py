@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from mlbs_actors import Config, MultilayerSubtractor, Segmentation
+from mlbs_actors import Config, MultilayerSubtractor, Result
 from mlbs_actors.inspection import FrameInspection
 from mlbs_actors.motion_field.field import MotionField, motion_field
 from orchestrator.sources.synthetic import scene
@@ -17,13 +17,13 @@ from orchestrator.sources.synthetic import scene
 FRAMES = 10
 
 
-def results(subtractor: MultilayerSubtractor) -> list[Segmentation]:
+def results(subtractor: MultilayerSubtractor) -> list[Result]:
     video = scene("pan", frames=60, width=320, height=240)
     return [one for t in range(FRAMES) for one in subtractor.apply(video.frame(t))] + subtractor.flush()
 
 
 @pytest.fixture(scope="module")
-def inside() -> tuple[list[FrameInspection], list[Segmentation], list[MotionField]]:
+def inside() -> tuple[list[FrameInspection], list[Result], list[MotionField]]:
     """What was seen, what came out, and the motion fields that the layers worked with."""
     used: list[MotionField] = []
 
@@ -38,7 +38,7 @@ def inside() -> tuple[list[FrameInspection], list[Segmentation], list[MotionFiel
     return seen, labelled, used
 
 
-Inside = tuple[list[FrameInspection], list[Segmentation], list[MotionField]]
+Inside = tuple[list[FrameInspection], list[Result], list[MotionField]]
 
 
 def test_who_looks_on_changes_no_byte(inside: Inside) -> None:

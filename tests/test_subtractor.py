@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
-from mlbs_actors import Config, ConfigError, FrameError, MlbsError, MultilayerSubtractor, Segmentation
+from mlbs_actors import Config, ConfigError, FrameError, MlbsError, MultilayerSubtractor, Result
 from mlbs_actors.inspection import FrameInspection
 from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
 
-def run(pictures: Iterable[Array], config: Config | None = None) -> list[Segmentation]:
+def run(pictures: Iterable[Array], config: Config | None = None) -> list[Result]:
     subtractor = MultilayerSubtractor(config)
     return [one for picture in pictures for one in subtractor.apply(picture)] + subtractor.flush()
 
@@ -31,7 +31,7 @@ def overlap(labels: Array, truth: Array) -> float:
     return float(((labels > 0) & (truth > 0)).sum() / ((labels > 0) | (truth > 0)).sum())
 
 
-def as_bytes(results: list[Segmentation]) -> list[tuple[object, ...]]:
+def as_bytes(results: list[Result]) -> list[tuple[object, ...]]:
     """All that is published, without the times."""
     return [
         (
@@ -47,7 +47,7 @@ def as_bytes(results: list[Segmentation]) -> list[tuple[object, ...]]:
 
 
 @pytest.fixture(scope="module")
-def pan() -> tuple[SyntheticScene, list[Array], list[Segmentation]]:
+def pan() -> tuple[SyntheticScene, list[Array], list[Result]]:
     """A panning camera and two objects, twelve frames of it, and what was found."""
     video = scene("pan", frames=60)
     pictures = pictures_of(video, 12)
@@ -55,7 +55,7 @@ def pan() -> tuple[SyntheticScene, list[Array], list[Segmentation]]:
 
 
 def test_a_call_from_another_thread_while_a_frame_is_worked_on_is_refused_and_does_no_harm(
-    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+    pan: tuple[SyntheticScene, list[Array], list[Result]],
 ) -> None:
     _, pictures, expected = pan
     refusals: list[BaseException | None] = []
@@ -73,7 +73,7 @@ def test_a_call_from_another_thread_while_a_frame_is_worked_on_is_refused_and_do
 
 
 def test_subtractors_in_threads_of_their_own_do_not_disturb_each_other(
-    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+    pan: tuple[SyntheticScene, list[Array], list[Result]],
 ) -> None:
     _, pictures, expected = pan
     with ThreadPoolExecutor(3) as threads:
@@ -83,7 +83,7 @@ def test_subtractors_in_threads_of_their_own_do_not_disturb_each_other(
 
 @pytest.mark.parametrize("taken", [2, 7])  # while frames are held, and later
 def test_what_is_restored_from_a_pickle_goes_on_as_the_original(
-    pan: tuple[SyntheticScene, list[Array], list[Segmentation]], taken: int
+    pan: tuple[SyntheticScene, list[Array], list[Result]], taken: int
 ) -> None:
     _, pictures, expected = pan
     original = MultilayerSubtractor(Config())
@@ -102,7 +102,7 @@ def test_something_else_than_a_configuration_is_refused() -> None:
 
 
 def test_every_frame_gets_one_label_map_in_order(
-    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+    pan: tuple[SyntheticScene, list[Array], list[Result]],
 ) -> None:
     _, pictures, results = pan
     assert [one.frame_index for one in results] == list(range(len(pictures)))
@@ -114,7 +114,7 @@ def test_every_frame_gets_one_label_map_in_order(
 
 
 def test_moving_objects_are_found_each_with_a_label_of_its_own_that_lasts(
-    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+    pan: tuple[SyntheticScene, list[Array], list[Result]],
 ) -> None:
     video, _, results = pan
     owners: dict[int, set[int]] = {1: set(), 2: set()}
@@ -129,7 +129,7 @@ def test_moving_objects_are_found_each_with_a_label_of_its_own_that_lasts(
 
 
 def test_the_motions_of_camera_and_objects_are_told(
-    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+    pan: tuple[SyntheticScene, list[Array], list[Result]],
 ) -> None:
     video, _, results = pan
     for one in results[1:]:
@@ -142,7 +142,7 @@ def test_the_motions_of_camera_and_objects_are_told(
 
 
 def test_the_caller_may_use_its_frame_buffer_again(
-    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+    pan: tuple[SyntheticScene, list[Array], list[Result]],
 ) -> None:
     _, pictures, results = pan
     buffer = np.empty_like(pictures[0])
@@ -156,7 +156,7 @@ def test_the_caller_may_use_its_frame_buffer_again(
 
 
 def test_a_frame_may_be_a_view_and_is_left_as_it_was(
-    pan: tuple[SyntheticScene, list[Array], list[Segmentation]],
+    pan: tuple[SyntheticScene, list[Array], list[Result]],
 ) -> None:
     _, pictures, results = pan
     views = [np.ascontiguousarray(picture[:, ::-1])[:, ::-1] for picture in pictures]

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from mlbs_actors import MultilayerSubtractor
+from mlbs_actors import MultilayerSubtractor, Result
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.footage.fixed import FixedState, _completed, fixed_cells
-from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
 FRAMES = 40
@@ -42,12 +42,12 @@ def with_bonnet(picture: Array, index: int) -> Array:
     return picture
 
 
-def labelled(frames: list[Array], ignored: Array | None = None) -> list[Segmentation]:
+def labelled(frames: list[Array], ignored: Array | None = None) -> list[Result]:
     subtractor = MultilayerSubtractor(ignored=ignored)
     return [result for frame in frames for result in subtractor.apply(frame)] + subtractor.flush()
 
 
-def f_score(results: list[Segmentation], demo: SyntheticScene, seen: Array) -> float:
+def f_score(results: list[Result], demo: SyntheticScene, seen: Array) -> float:
     scores = []
     for result in results:
         found, true = (result.labels > 0) & seen, (demo.labels(result.frame_index) > 0) & seen

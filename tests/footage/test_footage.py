@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from mlbs_actors import MultilayerSubtractor
+from mlbs_actors import MultilayerSubtractor, Result
 from mlbs_actors.footage.light import light_change, relit
 from mlbs_actors.footage.pictures import is_blank, repeats
-from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
 FRAMES = 40
@@ -29,14 +29,14 @@ def pictures(demo: SyntheticScene) -> list[Array]:
     return [demo.frame(index) for index in range(FRAMES)]
 
 
-def labelled(frames: Sequence[Array]) -> list[Segmentation]:
+def labelled(frames: Sequence[Array]) -> list[Result]:
     subtractor = MultilayerSubtractor()
     results = [result for frame in frames for result in subtractor.apply(frame)] + subtractor.flush()
     assert [result.frame_index for result in results] == list(range(len(frames)))
     return results
 
 
-def two_label_f(results: Sequence[Segmentation], demo: SyntheticScene, indices: Sequence[int]) -> float:
+def two_label_f(results: Sequence[Result], demo: SyntheticScene, indices: Sequence[int]) -> float:
     scores = []
     for index in indices:
         found, true = results[index].labels > 0, demo.labels(index) > 0
@@ -45,11 +45,11 @@ def two_label_f(results: Sequence[Segmentation], demo: SyntheticScene, indices: 
 
 
 @pytest.fixture(scope="module")
-def undisturbed(pictures: list[Array]) -> list[Segmentation]:
+def undisturbed(pictures: list[Array]) -> list[Result]:
     return labelled(pictures)
 
 
-def test_every_frame_of_an_undisturbed_scene_is_a_picture(undisturbed: list[Segmentation]) -> None:
+def test_every_frame_of_an_undisturbed_scene_is_a_picture(undisturbed: list[Result]) -> None:
     assert {result.status for result in undisturbed} == {"ok"}
 
 
@@ -73,7 +73,7 @@ def torn(pictures: list[Array]) -> Array:
     ids=["black", "white", "doubled", "torn", "noise", "flash"],
 )
 def test_a_frame_that_is_no_picture_carries_the_labels_and_changes_nothing_after(
-    demo: SyntheticScene, pictures: list[Array], undisturbed: list[Segmentation], status: str, disturb: object
+    demo: SyntheticScene, pictures: list[Array], undisturbed: list[Result], status: str, disturb: object
 ) -> None:
     frames = list(pictures)
     frames[AT] = disturb(pictures)  # type: ignore[operator]
@@ -87,7 +87,7 @@ def test_a_frame_that_is_no_picture_carries_the_labels_and_changes_nothing_after
 
 
 def test_a_picture_that_is_known_to_be_damaged_is_passed_over_however_it_looks(
-    pictures: list[Array], undisturbed: list[Segmentation]
+    pictures: list[Array], undisturbed: list[Result]
 ) -> None:
     subtractor = MultilayerSubtractor()
     results = [
@@ -104,7 +104,7 @@ def test_a_picture_that_is_known_to_be_damaged_is_passed_over_however_it_looks(
 
 @pytest.mark.parametrize("gain", [(1.9, 1.9, 1.9), (0.5, 0.5, 0.5), (0.8, 1.0, 1.2)])
 def test_a_lasting_change_of_light_costs_little_and_no_id(
-    demo: SyntheticScene, pictures: list[Array], undisturbed: list[Segmentation], gain: tuple[float, ...]
+    demo: SyntheticScene, pictures: list[Array], undisturbed: list[Result], gain: tuple[float, ...]
 ) -> None:
     lit = [np.clip(picture * np.array(gain), 0, 255).astype(np.uint8) for picture in pictures[AT:]]
     results = labelled([*pictures[:AT], *lit])
@@ -142,7 +142,7 @@ def test_a_scene_begins_after_the_blank_frames_before_it(
 def test_noise_alone_is_labelled_soon_and_makes_no_object() -> None:
     rng = np.random.default_rng(3)
     subtractor = MultilayerSubtractor()
-    results: list[Segmentation] = []
+    results: list[Result] = []
     for given in range(1, 25):
         results += subtractor.apply(rng.integers(0, 255, (120, 160, 3)).astype(np.uint8))
         assert given - len(results) <= 7

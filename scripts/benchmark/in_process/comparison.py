@@ -15,9 +15,9 @@ from typing import TypeVar
 import numpy as np
 
 from benchmark.in_process.peers import Peer
-from mlbs_actors import Config, MultilayerSubtractor
+from mlbs_actors import Config, MultilayerSubtractor, Result
 from mlbs_actors.determinism import single_threaded
-from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.messages import Array
 from orchestrator.evaluation.datasets import Sequence
 from orchestrator.evaluation.sequence_scorer import SequenceScore, SequenceScorer
 
@@ -111,7 +111,7 @@ def measure(
     scorers = {name: SequenceScorer() for name in clocks}
     stages: dict[str, list[float]] = {}
 
-    def take(results: list[Segmentation]) -> None:
+    def take(results: list[Result]) -> None:
         for result in results:
             _score(scorers[ENGINE], sequence, result.frame_index, result.labels)
             if result.frame_index >= warm:

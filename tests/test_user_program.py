@@ -1,0 +1,64 @@
+"""A program of a user's own runs, and its types are checked against the package's."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from user_program import areas_of_video, births, largest_box, results_of
+
+import mlbs_actors
+from orchestrator.sources.synthetic import scene
+
+PROGRAM = Path(__file__).parent / "fakes/user_program.py"
+#: Uses of the package that are wrong, and words of what is said of them.
+MISTAKES = {
+    "subtractor.apply(frame, 3)": "Too many positional arguments",
+    "result.label": 'has no attribute "label"',
+    "result.mask('1')": 'incompatible type "str"',
+    "mlbs_actors.MultilayerSubtractor('my.yaml')": 'incompatible type "str"',
+    "mlbs_actors.segment": 'has no attribute "segment"',
+}
+
+
+def strictly_typed(program: Path, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run mypy as a user does: with no settings of this project, and silent about what is not the program."""
+    return subprocess.run(
+        [
+            *(sys.executable, "-m", "mypy", "--strict", "--config-file=", "--follow-imports=silent"),
+            *(f"--cache-dir={folder / 'cache'}", program),
+        ],
+        cwd=folder,
+        env=os.environ | {"MYPYPATH": str(Path(mlbs_actors.__file__).parents[1])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="types are checked with Python 3.11 and later")
+def test_a_program_passes_strict_type_checks_and_its_mistakes_are_found(tmp_path: Path) -> None:
+    pytest.importorskip("mypy", reason="scripts/setup dev installs it")
+    checked = strictly_typed(PROGRAM, tmp_path)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    wrong = tmp_path / "wrong.py"
+    wrong.write_text(
+        "import mlbs_actors\nimport numpy as np\n"
+        "def program(subtractor: mlbs_actors.MultilayerSubtractor, result: mlbs_actors.Result) -> None:\n"
+        "    frame = np.zeros((48, 64, 3), np.uint8)\n" + "".join(f"    {line}\n" for line in MISTAKES)
+    )
+    lines = strictly_typed(wrong, tmp_path).stdout.splitlines()
+    for line, (code, words) in enumerate(MISTAKES.items(), 5):
+        assert any(f"wrong.py:{line}:" in one and words in one for one in lines), (code, lines)
+
+
+def test_the_program_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    video = scene("pan", frames=60, width=160, height=120)
+    results = results_of(video.frame(index) for index in range(8))
+    assert set(births(results)) == {layer.layer for one in results for layer in one.layers}
+    assert largest_box(results[-1]) is not None
+    assert areas_of_video(tmp_path / "none.mp4") == {}
+    assert "none.mp4" in capsys.readouterr().out
