@@ -20,16 +20,10 @@ from mlbs_actors.messages import Array, Region, Segmentation
 from orchestrator.evaluation import scoring
 from orchestrator.evaluation.command import main
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, spread_evenly
-from orchestrator.evaluation.datasets import (
-    FolderSequence,
-    SceneSequence,
-    data_root,
-    find_sequences,
-    open_sequence,
-    read_label_map,
-)
+from orchestrator.evaluation.datasets import data_root, find_sequences, open_sequence
 from orchestrator.evaluation.figures import format_table, mean_of_sequences
 from orchestrator.evaluation.scoring import EngineLabelling, score_sequence
+from orchestrator.evaluation.sequences import FolderSequence, SceneSequence, read_label_map
 from orchestrator.sinks.layer_colours import layer_colour
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
@@ -194,7 +188,7 @@ def test_the_command_runs_the_engine_and_prints_its_time(
     made = scene("crossing", frames=8, width=96, height=72)
     lookaheads = []
 
-    def engine(config: Config) -> TruthfulSubtractor:
+    def engine(config: Config, flow: object) -> TruthfulSubtractor:
         lookaheads.append(config.layers.lookahead)
         return TruthfulSubtractor(made)
 
@@ -216,7 +210,7 @@ def test_an_engine_that_fails_on_one_sequence_leaves_the_others_their_figures(
     made = scene("crossing", frames=8, width=96, height=72)
     engines = iter([TruthfulSubtractor(made)])
 
-    def engine(config: object) -> TruthfulSubtractor:
+    def engine(config: object, flow: object) -> TruthfulSubtractor:
         for ready in engines:
             return ready
         raise ZeroDivisionError("planted")
@@ -363,7 +357,7 @@ def test_label_maps_are_read_as_indices_whatever_their_palette(tmp_path: Path) -
 
 
 def test_a_colour_picture_is_no_label_map(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "colour.png"), np.zeros((2, 2, 3), np.uint8))
+    cv2.imwrite(str(tmp_path / "colour.png"), np.array([[[0, 0, 0], [0, 0, 1]]], np.uint8))
     with pytest.raises(SourceError, match="colour"):
         read_label_map(tmp_path / "colour.png")
 
