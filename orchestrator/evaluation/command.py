@@ -322,7 +322,7 @@ def _print_figures(results: Sequence[SequenceResult]) -> None:
         ]
         means = [mean_of_sequences(value(result, score) for result, score in scored) for _, value in columns]
         if len(rows) > 1:
-            rows.append(["mean", *(format_number(mean) for mean in overall)])
+            rows.append(["mean", *(format_number(mean) for mean in means)])
         if rows:
             print(format_table(["sequence", *(heading for heading, _ in columns)], rows) + "\n")
     overall = mean_of_objects(results)

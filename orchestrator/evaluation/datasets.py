@@ -100,7 +100,7 @@ def truth_name(truth: Path) -> str:
 
 def _truth_folders(root: Path) -> Iterator[Path]:
     """Yield the folders of truth of all sequences that have pictures."""
-    for folder, _, _ in os.walk(root):
+    for folder, _, _ in os.walk(root, followlinks=True):
         path = Path(folder)
         if path.name != "GroundTruth" and _is_truth(path):  # the former is found with the folder it is in
             yield path
