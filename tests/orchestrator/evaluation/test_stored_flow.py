@@ -147,24 +147,26 @@ class Raft:
 
     def __call__(self, first: Array, second: Array) -> list[Array]:
         for batch in (first, second):
-            assert batch.shape == (1, 3, 72, 96)
+            assert batch.shape == (1, 3, 72, 104)
             assert batch.dtype == np.float32
             assert -1 <= batch.min() < 0 < batch.max() <= 1
         self.calls += 1
-        return [np.full((1, 2, 72, 96), 50, np.float32), np.zeros((1, 2, 72, 96), np.float32)]
+        return [np.full((1, 2, 72, 104), 50, np.float32), np.zeros((1, 2, 72, 104), np.float32)]
 
 
 def test_a_learned_flow_is_a_function_around_its_network() -> None:
     network = Raft()
 
     def batch(frame: Array) -> Array:
-        return frame[..., ::-1].transpose(2, 0, 1)[None].astype(np.float32) / 127.5 - 1
+        padded = np.pad(frame, ((0, -frame.shape[0] % 8), (0, -frame.shape[1] % 8), (0, 0)), mode="edge")
+        return padded[..., ::-1].transpose(2, 0, 1)[None].astype(np.float32) / 127.5 - 1
 
     def flow(first: Array, second: Array) -> Array:
-        return network(batch(first), batch(second))[-1][0].transpose(1, 2, 0)
+        found = network(batch(first), batch(second))[-1][0]
+        return found.transpose(1, 2, 0)[: first.shape[0], : first.shape[1]]
 
     subtractor = MultilayerSubtractor(flow=flow)
-    made = scene("crossing", frames=6, width=96, height=72)
+    made = scene("crossing", frames=6, width=100, height=70)
     results = [result for index in range(6) for result in subtractor.apply(made.frame(index))]
     results += subtractor.flush()
     assert len(results) == 6
