@@ -272,6 +272,9 @@ def _write_sheets(
         SheetFrame(f"{sequence.name} {sequence.stems[index]}", sequence.frame(index), labels, truth)
         for index, (labels, truth) in shown.items()
     ]
+    for frame in frames:
+        if frame.image.shape[:2] != frame.labels.shape:
+            raise FrameError(f"the picture {frame.title} is of another size than its labels.")
     stem = re.sub(r"[^\w.-]", "-", sequence.name)
     pictures = {}
     if frames:
@@ -279,10 +282,11 @@ def _write_sheets(
     if score.extras:
         crops = [(extra, sequence.frame(extra.example_frame)) for extra in score.extras]
         pictures[folder / f"{stem}-extra-layers.png"] = extra_layer_sheet(crops)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SinkError(f"the folder given with --sheets cannot be made: {error}.") from error
     for path, picture in pictures.items():
         if not cv2.imwrite(str(path), picture):
-            raise SinkError(
-                f"The contact sheet {path} cannot be written; check the folder given with --sheets."
-            )
+            raise SinkError(f"{path} cannot be written; check the folder given with --sheets.")
     return tuple(str(path) for path in pictures)

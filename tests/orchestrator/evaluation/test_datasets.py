@@ -41,7 +41,7 @@ def test_a_davis_tree_has_a_folder_for_the_resolution(tmp_path: Path) -> None:
     assert find_sequences(tmp_path / "DAVIS/Annotations/480p") == ["dog", "goat"]
     sequence = open_sequence("480p/dog", tmp_path / "DAVIS")
     assert sequence.stems == ("00000", "00001")
-    assert np.array_equal(sequence.truth(0), truth_of(1))
+    np.testing.assert_array_equal(sequence.truth(0), truth_of(1))
     assert sequence.frame(0).shape == (HEIGHT, WIDTH, 3)
 
 
@@ -71,7 +71,7 @@ def test_grey_written_as_colours_is_a_label_map(tmp_path: Path) -> None:
     grey = truth_of(255)
     opaque = np.full_like(grey, 255)
     write(tmp_path / "Annotations/480p/bear/00077.png", np.dstack([grey, grey, grey, opaque]))
-    assert np.array_equal(open_sequence("480p/bear", tmp_path).truth(0), truth_of(1))
+    np.testing.assert_array_equal(open_sequence("480p/bear", tmp_path).truth(0), truth_of(1))
 
 
 DEFINITION = """\
@@ -120,7 +120,7 @@ def test_bms_has_grey_truth_beside_the_pictures_with_black_for_the_background(
     sequence = open_sequence("cars1", tmp_path)
     assert sequence.stems == ("cars1_01", "cars1_02", "cars1_03", "cars1_04")
     assert [sequence.has_truth(index) for index in range(4)] == [True, False, False, True]
-    assert np.array_equal(sequence.truth(3), truth_of(2))  # the second region that is no background
+    np.testing.assert_array_equal(sequence.truth(3), truth_of(2))  # the second region that is no background
     assert "background" in (sequence.remark or "")
 
 
@@ -144,7 +144,7 @@ def test_fbms_has_coloured_truth_in_a_folder_with_white_for_the_background(tmp_p
     sequence = open_sequence("Testset/horses01", tmp_path)
     expected = truth_of(1)
     expected[5, 7] = 255
-    assert np.array_equal(sequence.truth(1), expected)
+    np.testing.assert_array_equal(sequence.truth(1), expected)
     assert len(sequence.stems) == 4
 
 

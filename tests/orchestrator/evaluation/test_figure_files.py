@@ -100,6 +100,30 @@ def test_a_column_that_is_not_known_is_refused(folder: Path, capsys: pytest.Capt
     assert "no column jj" in capsys.readouterr().err
 
 
+def test_pictures_of_another_size_do_not_prevent_the_score(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for index in range(2):
+        picture = folder / f"DAVIS/JPEGImages/480p/dog/{index:05d}.png"
+        write(picture, np.full((HEIGHT // 2, WIDTH, 3), 200, np.uint8))  # not of the size of its truth
+    assert evaluate(folder, "--sheets", f"{folder}/sheets") == 0
+    printed = capsys.readouterr().out
+    assert printed.splitlines()[3].split()[1] == "75"
+    assert "no contact sheet: the picture dog 00000 is of another size" in printed
+
+
+def test_sheets_in_a_place_that_is_no_folder_do_not_prevent_the_score(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "a file").touch()
+    for name in ("dog", "cat_1"):
+        for index in range(2):
+            picture = folder / f"DAVIS/JPEGImages/480p/{name}/{index:05d}.png"
+            write(picture, np.full((HEIGHT, WIDTH, 3), 200, np.uint8))
+    assert evaluate(folder, "--sheets", f"{folder}/a file") == 0
+    assert "the folder given with --sheets cannot be made" in capsys.readouterr().out
+
+
 def test_sheets_without_pictures_do_not_prevent_the_score(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -159,11 +159,13 @@ def test_a_learned_flow_is_a_function_around_its_network() -> None:
 
     def batch(frame: Array) -> Array:
         padded = np.pad(frame, ((0, -frame.shape[0] % 8), (0, -frame.shape[1] % 8), (0, 0)), mode="edge")
-        return padded[..., ::-1].transpose(2, 0, 1)[None].astype(np.float32) / 127.5 - 1
+        scaled: Array = padded[..., ::-1].transpose(2, 0, 1)[None].astype(np.float32) / 127.5 - 1
+        return scaled
 
     def flow(first: Array, second: Array) -> Array:
         found = network(batch(first), batch(second))[-1][0]
-        return found.transpose(1, 2, 0)[: first.shape[0], : first.shape[1]]
+        moved: Array = found.transpose(1, 2, 0)[: first.shape[0], : first.shape[1]]
+        return moved
 
     subtractor = MultilayerSubtractor(flow=flow)
     made = scene("crossing", frames=6, width=100, height=70)
