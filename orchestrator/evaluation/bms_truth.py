@@ -67,8 +67,11 @@ class BmsSequence(FileSequence):
             text = definition.read_text(encoding="latin-1")
         except OSError as error:
             raise SourceError(f"{definition} cannot be read: {error.strerror}.") from error
-        frames = _labelled_frames(text)
-        self._regions = [int(value) for value in _values(text, r"Scale of region\s+\d+:")]
+        try:
+            frames = _labelled_frames(text)
+            self._regions = [int(value) for value in _values(text, r"Scale of region\s+\d+:")]
+        except ValueError as error:
+            raise SourceError(f"{definition} is no definition of truth: {error}.") from error
         if not frames or not self._regions:
             raise SourceError(f"{definition} defines no regions, or no frames with truth.")
         pictures = _pictures(folder, {frame.truth for frame in frames})

@@ -215,6 +215,9 @@ def _score_run(options: argparse.Namespace) -> list[VariantResults]:
         raise ConfigError(f"--run scores finished masks: leave {given} out.")
     sources = sources_of(options.run)
     pairs = [pair for text in options.truth for pair in _streams_with_truth(options.run, text)]
+    unscored = {masks.parent.name for masks in options.run.glob("*/masks")} - {name for name, _ in pairs}
+    if unscored:
+        print(f"Streams of the run without --truth: {', '.join(sorted(unscored))}.", file=sys.stderr)
     results = [
         _run_result(options.run, name, truth, sources.get(name), options.sheets) for name, truth in pairs
     ]
@@ -259,7 +262,7 @@ def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
     if options.flow and options.disturb:
         raise ConfigError("--disturb changes the frames, which stored flow would not fit: leave --flow out.")
     if options.truth:
-        raise ConfigError("--truth belongs to --run; with --data the truth is each sequence's gt/.")
+        raise ConfigError("--truth belongs to --run; with --data the truth is found beside the pictures.")
     if options.jobs < 1:
         raise ConfigError(f"--jobs is {options.jobs}; it must be 1 or more.")
     overrides = list(options.set)

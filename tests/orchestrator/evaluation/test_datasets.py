@@ -164,6 +164,18 @@ def test_a_definition_without_its_truth_is_refused(tmp_path: Path) -> None:
         open_sequence("cars1", tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("old", "new"), [("Frame number:\n0", "Frame number:\nzero"), ("Input file", "Other file")]
+)
+def test_a_definition_of_another_form_is_refused(tmp_path: Path, old: str, new: str) -> None:
+    picture(tmp_path / "cars1/cars1_01.jpg")
+    definition = tmp_path / "cars1/cars1Def.dat"
+    write_definition(definition, [0, 85], [(0, "cars1_01.pgm", "cars1_01.jpg")])
+    definition.write_text(definition.read_text().replace(old, new))
+    with pytest.raises(SourceError, match=r"cars1Def\.dat is no definition"):
+        open_sequence("cars1", tmp_path)
+
+
 def test_a_sequence_that_is_not_there_is_told_with_those_that_are(tmp_path: Path) -> None:
     picture(tmp_path / "JPEGImages/480p/dog/00000.jpg")
     write(tmp_path / "Annotations/480p/dog/00000.png", truth_of(1))

@@ -51,6 +51,11 @@ def test_a_glob_of_truth_scores_the_streams_of_those_names(
     assert lines[3].split()[1:5] == ["75", "75", "75", "75"]
 
 
+def test_streams_without_truth_are_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--run", f"{folder}/out", "--truth", f"{folder}/DAVIS/Annotations/480p/dog"]) == 0
+    assert "without --truth: cat_1." in capsys.readouterr().err
+
+
 def test_truth_that_fits_no_stream_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--run", f"{folder}/out", "--truth", f"{folder}/DAVIS/Annotations/480p/not-in-the-run"])
