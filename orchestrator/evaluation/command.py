@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import fnmatch
+import glob
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,17 +15,27 @@ from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.evaluation import datasets
 from orchestrator.evaluation.ablation import ablation_table, ablation_variants
 from orchestrator.evaluation.disturbance import disturbance_as_json, disturbance_table, disturbance_variants
+from orchestrator.evaluation.figure_files import LATEX_COLUMNS, write_csv, write_json, write_latex
 from orchestrator.evaluation.figures import (
-    FIGURES,
-    RANGES,
+    COLUMNS,
+    TABLES,
     format_number,
     format_table,
+    mean_of_objects,
     mean_of_sequences,
     results_as_json,
-    write_figures,
 )
 from orchestrator.evaluation.paper_tables import paper_sequences, paper_tables
-from orchestrator.evaluation.scoring import SequenceResult, run_label_maps, score_sequence, warm_engine
+from orchestrator.evaluation.run_pictures import RunSequence, sources_of
+from orchestrator.evaluation.scoring import (
+    EngineSetup,
+    SequenceResult,
+    run_label_maps,
+    score_sequence,
+    warm_engine,
+)
+from orchestrator.evaluation.sequences import SceneSequence
+from orchestrator.evaluation.sequences import Sequence as TruthSequence
 from orchestrator.evaluation.variants import Variant, VariantResults, run_variants, variants_as_json
 from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
@@ -33,8 +45,11 @@ DESCRIPTION = """\
 Score label maps against truth.
 
   scripts/evaluate --run out --truth cars1=data/cars1/gt    the masks a run wrote in out/cars1/masks
-  scripts/evaluate --data data                              the engine, in process, on every folder below
-                                                            data that holds frames/ and gt/
+  scripts/evaluate --run out --truth 'DAVIS/Annotations/480p/*'
+                                                            those of its streams that have a folder's name
+  scripts/evaluate --data data                              the engine, in process, on every sequence below
+                                                            data: frames/ and gt/, or as DAVIS, YouTube-VOS,
+                                                            BMS-26 and FBMS come
   scripts/evaluate --sequences 'synthetic:demo?frames=60'   the engine on a scene with exact truth
   scripts/evaluate --data data --paper                      the tables of the paper, with our figures
   scripts/evaluate --data data --ablate                     what each stage of the method gives
@@ -47,11 +62,13 @@ frames, mean over the objects), switches (of identity), delay (median frames fro
 is found; synthetic scenes only) and ms (wall time a frame). The first three matter most:
 
   two_label_f      moving against not moving: mean F of the frames;  j: the same with intersection over union
+  f, j&f           F of DAVIS, of the boundaries of what moves; the mean of j and f
   object_f         every object of the truth on its own: mean F, 0 for a lost one
   track_j          one label for each object over all frames: mean intersection over union
   multi_f          the same, and a layer the truth does not know counts as a lost one too (the paper's text)
   multi_f_matlab   as the paper's table was made: the background takes part, surplus layers do not count
   first ten, after start, davis: of these frames only (davis: without the first and the last)
+  davis17          one label for each object over all frames, as in DAVIS 2017's unsupervised task
 """
 
 
@@ -71,6 +88,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = _parser()
     options = parser.parse_args(arguments)
+    unknown = [name for name in options.columns if name not in COLUMNS]
+    if unknown:
+        parser.error(f"There is no column {unknown[0]}; those of --columns are: {', '.join(COLUMNS)}.")
     try:
         rows = _score_run(options) if options.run else _score_engine(options)
     except MlbsError as error:
@@ -86,11 +106,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _print_figures(rows[0].results)
         _print_remarks(rows[0].results)
     _print_failures(rows)
-    if options.json:
-        try:
-            write_figures(options.json, _as_json(options, rows))
-        except MlbsError as error:
-            parser.error(str(error))
+    try:
+        _write_files(options, rows)
+    except MlbsError as error:
+        parser.error(str(error))
     return int(any(result.error or result.missing for row in rows for result in row.results))
 
 
@@ -129,8 +148,9 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         default=[],
         metavar="NAME=GT_DIR",
-        help="a stream of the run and its truth: a folder of PNG label maps with the masks' stems, or a "
-        "synthetic: URI; pictures for --sheets are looked for in frames/ beside the folder",
+        help="a stream of the run and its truth: a folder of PNG label maps with the masks' stems, a folder "
+        "of BMS-26 or FBMS, or a synthetic: URI; or a folder or quoted glob of folders, each for the stream "
+        "of its name",
     )
     add(
         "--data",
@@ -143,10 +163,26 @@ def _parser() -> argparse.ArgumentParser:
         "--sequences",
         type=lambda text: [name for name in text.split(",") if name],
         metavar="NAME,...",
-        help="only these: folders relative to ROOT, as in mlbs/cars1, or synthetic:NAME?frames=60&seed=1",
+        help="only these: by their folders below ROOT, as in mlbs/cars1, also globs such as '480p/*', or "
+        "synthetic:NAME?frames=60&seed=1",
     )
     add("--lookahead", type=int, metavar="N", help="the same as --set layers.lookahead=N")
-    add("--set", action="append", default=[], metavar="KEY=VALUE", help="override a parameter of the engine")
+    add("--config", type=Path, metavar="FILE", help="YAML file with parameters of the engine")
+    add(
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="parameters of the engine, after those of --config",
+    )
+    add(
+        "--flow",
+        type=Path,
+        metavar="FOLDER",
+        help="use stored flow in place of the engine's own: forward/NAME/STEM.flo from a frame to the next, "
+        "backward/NAME/STEM.flo to the one before, or .npy",
+    )
     add(
         "--jobs",
         type=int,
@@ -155,31 +191,64 @@ def _parser() -> argparse.ArgumentParser:
         help="runs of the engine at the same time (default 2)",
     )
     add("--json", type=Path, metavar="FILE", help="write all figures there, also by range of frames")
+    add("--csv", type=Path, metavar="FILE", help="write a row for each frame with truth there")
+    add("--latex", type=Path, metavar="FILE", help="write a table of the sequences there")
+    add(
+        "--columns",
+        type=lambda text: text.split(","),
+        default=LATEX_COLUMNS,
+        metavar="NAME,...",
+        help=f"of the LaTeX table, by their headings here (default {','.join(LATEX_COLUMNS)})",
+    )
     add("--sheets", type=Path, metavar="DIR", help="write contact sheets there: labels, truth, difference")
     return parser
 
 
 def _score_run(options: argparse.Namespace) -> list[VariantResults]:
     if not options.truth:
-        raise ConfigError("--run needs --truth NAME=GT_DIR for each stream to score.")
-    if options.data or options.sequences or options.set or options.lookahead is not None:
-        raise ConfigError("--run scores finished masks: leave --data, --sequences, --set, --lookahead out.")
-    pairs = [text.partition("=") for text in options.truth]
-    for text, (name, _, truth) in zip(options.truth, pairs, strict=True):
-        if not name or not truth:
-            raise ConfigError(f"Cannot use --truth {text!r}; write NAME=GT_DIR.")
-    results = [_run_result(options.run, name, truth, options.sheets) for name, _, truth in pairs]
+        raise ConfigError(
+            "--run needs --truth: NAME=GT_DIR for each stream to score, or folders of that name."
+        )
+    for_engine = ("data", "sequences", "set", "lookahead", "config", "flow")
+    if any(getattr(options, one) not in (None, []) for one in for_engine):
+        given = ", ".join(f"--{one}" for one in for_engine)
+        raise ConfigError(f"--run scores finished masks: leave {given} out.")
+    sources = sources_of(options.run)
+    pairs = [pair for text in options.truth for pair in _streams_with_truth(options.run, text)]
+    unscored = {masks.parent.name for masks in options.run.glob("*/masks")} - {name for name, _ in pairs}
+    if unscored:
+        print(f"Streams of the run without --truth: {', '.join(sorted(unscored))}.", file=sys.stderr)
+    results = [
+        _run_result(options.run, name, truth, sources.get(name), options.sheets) for name, truth in pairs
+    ]
     return [VariantResults(Variant(""), tuple(results))]
 
 
-def _run_result(run: Path, name: str, truth: str, sheets: Path | None) -> SequenceResult:
+def _streams_with_truth(run: Path, text: str) -> list[tuple[str, str]]:
+    """Read one value of ``--truth``: NAME=GT_DIR, or folders that are named as streams of the run are."""
+    name, equals, truth = text.partition("=")
+    if equals and name and truth and "/" not in name:
+        return [(name, truth)]
+    folders = [Path(path) for path in sorted(glob.glob(text))]  # noqa: PTH207, also absolute patterns
+    named = {datasets.truth_name(path): str(path) for path in folders if path.is_dir()}
+    streams = [(name, truth) for name, truth in named.items() if (run / name / "masks").is_dir()]
+    if not streams:
+        raise ConfigError(
+            f"Cannot use --truth {text!r}: no folder there has the name of a stream of {run}. "
+            "Write NAME=GT_DIR, or a folder or glob of folders."
+        )
+    return streams
+
+
+def _run_result(run: Path, name: str, truth: str, source: str | None, sheets: Path | None) -> SequenceResult:
     try:
-        sequence: datasets.Sequence
+        sequence: TruthSequence
         if truth.startswith(SCHEME):
-            sequence = datasets.SceneSequence(name, scene_from_uri(truth))
+            sequence = SceneSequence(name, scene_from_uri(truth))
         else:
-            frames = Path(truth).parent / "frames"
-            sequence = datasets.FolderSequence(name, Path(truth), frames if frames.is_dir() else None)
+            sequence = datasets.open_truth(name, Path(truth))
+            if source is not None:
+                sequence = RunSequence(sequence, source)
         return score_sequence(sequence, run_label_maps(sequence, run / name / "masks"), sheets)
     except ConfigError:
         raise
@@ -188,10 +257,12 @@ def _run_result(run: Path, name: str, truth: str, sheets: Path | None) -> Sequen
 
 
 def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
-    if options.sheets and (options.ablate or options.disturb):
-        raise ConfigError("--ablate and --disturb give tables only: leave --sheets out.")
+    if (options.sheets or options.csv or options.latex) and (options.ablate or options.disturb):
+        raise ConfigError("--ablate and --disturb give tables only: leave --sheets, --csv and --latex out.")
+    if options.flow and options.disturb:
+        raise ConfigError("--disturb changes the frames, which stored flow would not fit: leave --flow out.")
     if options.truth:
-        raise ConfigError("--truth belongs to --run; with --data the truth is each sequence's gt/.")
+        raise ConfigError("--truth belongs to --run; with --data the truth is found beside the pictures.")
     if options.jobs < 1:
         raise ConfigError(f"--jobs is {options.jobs}; it must be 1 or more.")
     overrides = list(options.set)
@@ -201,22 +272,19 @@ def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
     # Unusable parameters and sequences are reported before anything runs.
     variants = _variants(options, overrides)
     for variant in variants:
-        load_config(None, variant.overrides)
+        load_config(options.config, variant.overrides)
     opened = [datasets.open_sequence(name, options.data) for name in names]
     for change in (variant.change for variant in variants if variant.change is not None):
         for sequence in opened:
             change(sequence)
     prepare = warm_engine if options.paper else None  # its tables hold times
-    return run_variants(variants, names, options.data, options.jobs, options.sheets, prepare)
+    setup = EngineSetup(options.data, options.config, options.flow, options.sheets)
+    return run_variants(variants, names, setup, options.jobs, prepare)
 
 
 def _sequence_names(options: argparse.Namespace) -> list[str]:
-    names: list[str] = options.sequences
-    if not names:
-        root = datasets.data_root(options.data)
-        names = datasets.find_sequences(root)
-        if not names:
-            raise ConfigError(f"No folder below {root} holds frames/ and gt/.")
+    asked: list[str] = options.sequences or ["*"]
+    names = [name for text in asked for name in _names_of(text, options.data)]
     if not options.paper:
         return names
     selected = paper_sequences(names)
@@ -224,6 +292,20 @@ def _sequence_names(options: argparse.Namespace) -> list[str]:
     if options.sequences and others:
         raise ConfigError(f"--paper knows the paper's sequences only: leave {', '.join(sorted(others))} out.")
     return selected
+
+
+def _names_of(text: str, data: Path | None) -> list[str]:
+    """List the sequences of a name, or of a glob of names."""
+    if text.startswith(SCHEME) or not set(text) & set("*?["):
+        return [text]
+    root = datasets.data_root(data)
+    names = fnmatch.filter(datasets.find_sequences(root), text)
+    if not names:
+        raise ConfigError(
+            f"No sequence {text} is below {root}: there must be frames/ and gt/, JPEGImages/ and "
+            "Annotations/, or pictures and a file …Def.dat."
+        )
+    return names
 
 
 def _variants(options: argparse.Namespace, overrides: Sequence[str]) -> tuple[Variant, ...]:
@@ -236,7 +318,7 @@ def _variants(options: argparse.Namespace, overrides: Sequence[str]) -> tuple[Va
 
 def _print_figures(results: Sequence[SequenceResult]) -> None:
     scored = [(result, result.score) for result in results if result.score is not None]
-    for columns in (FIGURES, RANGES):
+    for columns in TABLES:
         rows = [
             [result.name, *(format_number(value(result, score)) for _, value in columns)]
             for result, score in scored
@@ -246,6 +328,10 @@ def _print_figures(results: Sequence[SequenceResult]) -> None:
             rows.append(["mean", *(format_number(mean) for mean in means)])
         if rows:
             print(format_table(["sequence", *(heading for heading, _ in columns)], rows) + "\n")
+    overall = mean_of_objects(results)
+    if overall["objects"]:
+        figures = ", ".join(f"{name} {format_number(value)}" for name, value in overall.items())
+        print(f"davis17, mean of all objects of all sequences: {figures}\n")
 
 
 def _print_remarks(results: Sequence[SequenceResult]) -> None:
@@ -264,6 +350,15 @@ def _print_failures(rows: Sequence[VariantResults]) -> None:
                 print(f"{name}: {result.error}", file=sys.stderr)
             if result.missing:
                 print(f"{name}: {result.missing} frames with truth have no labels.", file=sys.stderr)
+
+
+def _write_files(options: argparse.Namespace, rows: Sequence[VariantResults]) -> None:
+    if options.json:
+        write_json(options.json, _as_json(options, rows))
+    if options.csv:
+        write_csv(options.csv, rows[0].results)
+    if options.latex:
+        write_latex(options.latex, rows[0].results, options.columns)
 
 
 def _as_json(options: argparse.Namespace, rows: Sequence[VariantResults]) -> dict[str, Any]:

@@ -1,203 +1,41 @@
-"""Sequences with truth: folders of pictures, and synthetic scenes.
+"""Where sequences with truth are found: the folders of several data sets, as they come.
 
-A *sequence folder* holds ``frames/`` (pictures in name order) and ``gt/`` (PNG label maps with the stems of
-their frames; frames without one are not scored). 255 is "not judged", but the one object of a truth that
-holds 0 and 255 alone, as DAVIS 2016's does. A *data root* is searched for such folders at any depth.
+| layout | pictures | truth |
+|---|---|---|
+| this project's | ``NAME/frames/`` | ``NAME/gt/`` |
+| DAVIS 2016, 2017, YouTube-VOS | ``JPEGImages/…/NAME/`` | ``Annotations/…/NAME/`` |
+| BMS-26, FBMS-59 | ``NAME/`` | ``NAME/*Def.dat`` or ``NAME/GroundTruth/*Def.dat`` and what it lists |
+
+Between ``Annotations`` and NAME may be a folder for the resolution; ``Annotations_unsupervised`` serves as
+well. Truth has the stems of its pictures, and not every picture needs truth. A *data root* is searched at any
+depth; a sequence's name is the path of its truth below the root without ``gt`` and ``Annotations``:
+``mlbs/cars1``, ``480p/dog``.
 """
 
 from __future__ import annotations
 
-import functools
 import os
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol
 
-import numpy as np
-from PIL import Image
-
-from mlbs_actors.errors import ConfigError, SourceError
-from mlbs_actors.messages import Array
-from orchestrator.evaluation.metrics import NOT_JUDGED
-from orchestrator.sources.images import decode_image
-from orchestrator.sources.presence import images_of
-from orchestrator.sources.synthetic import SCHEME, SyntheticScene, scene_from_uri
+from mlbs_actors.errors import ConfigError
+from orchestrator.evaluation.bms_truth import BmsSequence, definition_of
+from orchestrator.evaluation.sequences import FileSequence, FolderSequence, SceneSequence, Sequence
+from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
 __all__ = [
     "DATA_VARIABLE",
-    "FolderSequence",
-    "SceneSequence",
-    "Sequence",
-    "SequenceChange",
     "data_root",
     "find_sequences",
     "open_sequence",
-    "read_label_map",
+    "open_truth",
+    "truth_name",
 ]
 
 #: Environment variable that names the default data root.
 DATA_VARIABLE = "MLBS_DATA"
 
-
-class Sequence(Protocol):
-    """Frames by index, with truth where there is one."""
-
-    @property
-    def name(self) -> str:
-        """Name in tables and files."""
-
-    @property
-    def stems(self) -> tuple[str, ...]:
-        """One a frame, in order: the stem of its mask file."""
-
-    @property
-    def remark(self) -> str | None:
-        """A sentence on how the truth is read, if that needs explaining."""
-
-    def frame(self, index: int) -> Array:
-        """Frame ``index``, (H, W, 3) uint8 BGR."""
-
-    def has_truth(self, index: int) -> bool:
-        """Whether frame ``index`` has truth."""
-
-    def truth(self, index: int) -> Array | None:
-        """Truth of frame ``index``, (H, W) uint8 with 0 = background and 255 = not judged, or None."""
-
-    def motion(self, index: int) -> Array | None:
-        """Exact backward motion of frame ``index``, (H, W, 2) float32 px, or None where it is not known."""
-
-
-#: Derives another sequence from a sequence; a function or class of a module, so that it can be pickled.
-SequenceChange = Callable[[Sequence], Sequence]
-
-
-class FolderSequence:
-    """A folder of pictures with a folder of label maps of the same stems.
-
-    Parameters
-    ----------
-    name : str
-    truth_folder : Path
-        PNG label maps.
-    frames_folder : Path or None
-        The pictures. None: only the frames with truth are known, and none can be shown.
-
-    Raises
-    ------
-    SourceError
-        If a folder is missing or holds nothing of use, or a truth map has no frame.
-    """
-
-    def __init__(self, name: str, truth_folder: Path, frames_folder: Path | None) -> None:
-        self.name = name
-        self._truth = _by_stem(truth_folder)
-        self._frames: dict[str, Path] = {}
-        if frames_folder is not None:
-            self._frames = _by_stem(frames_folder)
-            strays = sorted(self._truth.keys() - self._frames.keys())
-            if strays:
-                raise SourceError(
-                    f"{truth_folder} has truth for {strays[0]!r}, but {frames_folder} has no such picture; "
-                    "give truth and pictures the same stems."
-                )
-        self.stems = tuple(self._frames or self._truth)
-
-    @property
-    def remark(self) -> str | None:
-        """How the truth is read, if it holds 0 and 255 alone."""
-        if not self._is_binary:
-            return None
-        return "the truth holds 0 and 255 alone, as DAVIS 2016 does; 255 is read as one object."
-
-    @functools.cached_property
-    def _is_binary(self) -> bool:
-        values = set().union(*(np.unique(_truth_map(path)).tolist() for path in self._truth.values()))
-        return NOT_JUDGED in values and values <= {0, NOT_JUDGED}
-
-    def frame(self, index: int) -> Array:
-        """Frame ``index``, (H, W, 3) uint8 BGR."""
-        path = self._frames.get(self.stems[index])
-        if path is None:
-            raise SourceError(f"{self.name}: there are no pictures; put them in frames/ beside the truth.")
-        picture = decode_image(path.read_bytes())
-        if picture is None:
-            raise SourceError(f"{path} cannot be decoded as a picture; replace or remove it.")
-        return picture
-
-    def has_truth(self, index: int) -> bool:
-        """Whether frame ``index`` has truth."""
-        return self.stems[index] in self._truth
-
-    def truth(self, index: int) -> Array | None:
-        """Truth of frame ``index``, (H, W) uint8, or None."""
-        path = self._truth.get(self.stems[index])
-        if path is None:
-            return None
-        labels = _truth_map(path)
-        if self._is_binary:
-            labels = (labels == NOT_JUDGED).astype(np.uint8)
-        return labels
-
-    def motion(self, index: int) -> Array | None:
-        """Return None: the exact motion of a real video is not known."""
-        return None
-
-
-class SceneSequence:
-    """A synthetic scene, whose truth and motion are exact."""
-
-    def __init__(self, name: str, scene: SyntheticScene) -> None:
-        self.name = name
-        self._scene = scene
-        self.stems = tuple(f"{index:05d}" for index in range(len(scene)))
-        self.remark = None
-
-    def frame(self, index: int) -> Array:
-        """Frame ``index``, (H, W, 3) uint8 BGR."""
-        return self._scene.frame(index)
-
-    def has_truth(self, index: int) -> bool:
-        """Return True: every frame of a scene has truth."""
-        return True
-
-    def truth(self, index: int) -> Array | None:
-        """Truth of frame ``index``, (H, W) uint8."""
-        return self._scene.labels(index)
-
-    def motion(self, index: int) -> Array | None:
-        """Exact backward motion of frame ``index``, (H, W, 2) float32 px."""
-        return self._scene.flow(index)
-
-
-def _truth_map(path: Path) -> Array:
-    labels = read_label_map(path)
-    if labels.max(initial=0) > NOT_JUDGED:
-        raise SourceError(f"{path} holds labels above 255; truth is 0 … 254, and 255 for not judged.")
-    return labels.astype(np.uint8)
-
-
-def read_label_map(path: Path) -> Array:
-    """Read a label map: palette indices, or 8- or 16-bit grey values.
-
-    Returns
-    -------
-    (H, W) int32
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be decoded or is a colour picture.
-    """
-    try:
-        with Image.open(path) as image:
-            if image.mode not in ("P", "L", "1", "I;16", "I"):
-                raise SourceError(
-                    f"{path} is a colour picture ({image.mode}); a label map is an indexed or grey PNG "
-                    "whose values are labels."
-                )
-            return np.asarray(image).astype(np.int32)
-    except OSError as error:
-        raise SourceError(f"{path} cannot be read as a label map: {error}.") from error
+_ANNOTATIONS = frozenset({"Annotations", "Annotations_unsupervised"})
 
 
 def data_root(given: Path | None) -> Path:
@@ -217,32 +55,80 @@ def data_root(given: Path | None) -> Path:
 
 
 def find_sequences(root: Path) -> list[str]:
-    """List all folders below the root with ``frames/`` and ``gt/``: relative names, in order."""
-    folders = (truth.parent for truth in sorted(root.rglob("gt")) if truth.is_dir())
-    return [folder.relative_to(root).as_posix() for folder in folders if (folder / "frames").is_dir()]
+    """List the names of all sequences below the root, in order."""
+    return [_name(truth, root) for truth in sorted(_truth_folders(root))]
 
 
 def open_sequence(name: str, root: Path | None) -> Sequence:
-    """Open ``synthetic:NAME?…``, or the sequence folder of that name below the root.
+    """Open ``synthetic:NAME?…``, or the sequence of that name below the root.
 
     Raises
     ------
     ConfigError
-        If there is no such scene or folder.
+        If there is no such scene or sequence.
     SourceError
-        If the folder cannot be used.
+        If its folders cannot be used.
     """
     if name.startswith(SCHEME):
         return SceneSequence(name, scene_from_uri(name))
-    folder = data_root(root) / name
-    if not (folder / "gt").is_dir() or not (folder / "frames").is_dir():
+    truth = _truth_of(name, data_root(root))
+    if truth is None:
         known = ", ".join(find_sequences(data_root(root))) or "none"
-        raise ConfigError(f"{folder} does not hold frames/ and gt/; the sequences there are: {known}.")
-    return FolderSequence(name, folder / "gt", folder / "frames")
+        raise ConfigError(f"There is no sequence {name} below {data_root(root)}; those there are: {known}.")
+    return open_truth(name, truth)
 
 
-def _by_stem(folder: Path) -> dict[str, Path]:
-    """Map stems to the pictures of a folder, in the order in which a run reads them."""
-    if not folder.is_dir():
-        raise SourceError(f"{folder} is no folder; check the path.")
-    return {path.stem: path for path in images_of(str(folder))}
+def open_truth(name: str, truth: Path) -> FileSequence:
+    """Open the sequence whose truth is in a folder, with its pictures if they are where they belong.
+
+    Raises
+    ------
+    SourceError
+        If the folder, or that of the pictures, cannot be used.
+    """
+    definition = definition_of(truth)
+    if definition is not None:
+        return BmsSequence(name, definition)
+    pictures = _pictures_of(truth)
+    return FolderSequence(name, truth, pictures if pictures.is_dir() else None)
+
+
+def truth_name(truth: Path) -> str:
+    """Return the name that a stream with this folder of truth has: that of the pictures' sequence."""
+    return (truth.parent if truth.name in ("gt", "GroundTruth") else truth).name
+
+
+def _truth_folders(root: Path) -> Iterator[Path]:
+    """Yield the folders of truth of all sequences that have pictures."""
+    for folder, _, _ in os.walk(root, followlinks=True):
+        path = Path(folder)
+        if path.name != "GroundTruth" and _is_truth(path):  # the former is found with the folder it is in
+            yield path
+
+
+def _truth_of(name: str, root: Path) -> Path | None:
+    """Return the folder of truth of a sequence, the other way round than :func:`_name`."""
+    parts = Path(name).parts
+    places = [root / name / "gt", root / name]
+    places += [root.joinpath(*parts[:depth], "Annotations", *parts[depth:]) for depth in range(len(parts))]
+    return next((place for place in places if _is_truth(place)), None)
+
+
+def _is_truth(path: Path) -> bool:
+    """Whether a folder holds the truth of a sequence, with pictures where they belong."""
+    if path.name == "gt" or not _ANNOTATIONS.isdisjoint(path.parts[:-1]):
+        return _pictures_of(path).is_dir() and any(path.glob("*.png"))
+    return definition_of(path) is not None
+
+
+def _pictures_of(truth: Path) -> Path:
+    """Return where the pictures of a folder of truth belong."""
+    for place in reversed(range(len(truth.parts) - 1)):
+        if truth.parts[place] in _ANNOTATIONS:
+            return Path(*truth.parts[:place], "JPEGImages", *truth.parts[place + 1 :])
+    return truth.parent / "frames"
+
+
+def _name(truth: Path, root: Path) -> str:
+    parts = truth.relative_to(root).parts
+    return "/".join(part for part in parts if part not in ("gt", "Annotations")) or "."

@@ -18,7 +18,6 @@ from functools import partial
 from typing import Any
 
 from mlbs_actors.config import Config, load_config
-from orchestrator.evaluation.datasets import SequenceChange
 from orchestrator.evaluation.disturbed_footage import FOOTAGE
 from orchestrator.evaluation.disturbed_sequences import (
     CroppedSequence,
@@ -27,6 +26,7 @@ from orchestrator.evaluation.disturbed_sequences import (
     every_second_frame,
 )
 from orchestrator.evaluation.figures import format_number
+from orchestrator.evaluation.sequences import SequenceChange
 from orchestrator.evaluation.variants import Variant, VariantResults, variants_as_json, variants_table
 
 __all__ = [

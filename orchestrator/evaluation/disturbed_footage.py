@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import Array
-from orchestrator.evaluation.datasets import Sequence, SequenceChange
 from orchestrator.evaluation.disturbed_sequences import ChangedSequence
 from orchestrator.evaluation.metrics import NOT_JUDGED
+from orchestrator.evaluation.sequences import Sequence, SequenceChange
 
 __all__ = ["FOOTAGE"]
 

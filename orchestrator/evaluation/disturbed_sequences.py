@@ -9,7 +9,7 @@ import numpy as np
 
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
-from orchestrator.evaluation.datasets import Sequence
+from orchestrator.evaluation.sequences import Sequence
 
 __all__ = ["ChangedSequence", "CroppedSequence", "MirroredSequence", "SelectedFrames", "every_second_frame"]
 

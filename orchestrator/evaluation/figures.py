@@ -1,37 +1,37 @@
-"""The figures of sequences by name: the columns of the tables, their means, the tables' text, and JSON."""
+"""The figures of sequences by name: the columns of the tables, their means, text and JSON types."""
 
 from __future__ import annotations
 
-import json
+import itertools
 import math
 import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from mlbs_actors.errors import ConfigError
 from orchestrator.evaluation.scoring import SequenceResult
 from orchestrator.evaluation.sequence_scorer import SequenceScore
 
 __all__ = [
-    "FIGURES",
-    "RANGES",
+    "COLUMNS",
+    "TABLES",
     "format_number",
     "format_table",
+    "mean_of_objects",
     "mean_of_sequences",
     "median_delay",
     "null_if_unknown",
     "results_as_json",
-    "write_figures",
 ]
 
 #: Heading of a column, and the function that computes its value.
 Column = tuple[str, Callable[[SequenceResult, SequenceScore], float]]
 
-FIGURES: tuple[Column, ...] = (
+_FIGURES: tuple[Column, ...] = (
     ("two_label_f", lambda result, score: 100 * score.all_frames.two_label_f),
     ("j", lambda result, score: 100 * score.all_frames.j),
+    ("f", lambda result, score: 100 * score.all_frames.f),
+    ("j&f", lambda result, score: 100 * score.all_frames.j_and_f),
     ("object_f", lambda result, score: 100 * score.all_frames.object_f),
     ("track_j", lambda result, score: 100 * score.track_j),
     ("multi_f", lambda result, score: 100 * score.all_frames.multi_f),
@@ -43,15 +43,29 @@ FIGURES: tuple[Column, ...] = (
     ("frames", lambda result, score: float(score.frames)),
     ("ms", lambda result, score: math.nan if result.ms_per_frame is None else result.ms_per_frame),
 )
-RANGES: tuple[Column, ...] = (
+_RANGES: tuple[Column, ...] = (
     ("precision", lambda result, score: 100 * score.all_frames.precision),
     ("recall", lambda result, score: 100 * score.all_frames.recall),
     ("f first ten", lambda result, score: 100 * score.first_ten.two_label_f),
     ("f after start", lambda result, score: 100 * score.after_start.two_label_f),
     ("object_f first ten", lambda result, score: 100 * score.first_ten.object_f),
     ("object_f after start", lambda result, score: 100 * score.after_start.object_f),
-    ("j davis", lambda result, score: 100 * score.davis.j),
 )
+_DAVIS: tuple[Column, ...] = (
+    ("j davis", lambda result, score: 100 * score.davis.j),
+    ("f davis", lambda result, score: 100 * score.davis.f),
+    ("j&f davis", lambda result, score: 100 * score.davis.j_and_f),
+    ("objects", lambda result, score: float(len(score.davis_tracks))),
+    ("j davis17", lambda result, score: 100 * mean_of_sequences(one.j for one in score.davis_tracks)),
+    ("f davis17", lambda result, score: 100 * mean_of_sequences(one.f for one in score.davis_tracks)),
+    ("j&f davis17", lambda result, score: 100 * mean_of_sequences(one.j_and_f for one in score.davis_tracks)),
+)
+
+#: The tables of a report, in order.
+TABLES = (_FIGURES, _RANGES, _DAVIS)
+
+#: All columns by heading.
+COLUMNS = dict(itertools.chain(*TABLES))
 
 
 def median_delay(score: SequenceScore) -> float:
@@ -64,6 +78,17 @@ def mean_of_sequences(values: Iterable[float]) -> float:
     """Return the unweighted mean of the known values; NaN if there are none."""
     known = [value for value in values if not math.isnan(value)]
     return sum(known) / len(known) if known else math.nan
+
+
+def mean_of_objects(results: Iterable[SequenceResult]) -> dict[str, float]:
+    """Average over all objects of all sequences, as DAVIS 2017 does, percent: ``j``, ``f`` and ``j&f``."""
+    tracks = [one for result in results if result.score is not None for one in result.score.davis_tracks]
+    return {
+        "objects": len(tracks),
+        "j": 100 * mean_of_sequences(one.j for one in tracks),
+        "f": 100 * mean_of_sequences(one.f for one in tracks),
+        "j&f": 100 * mean_of_sequences(one.j_and_f for one in tracks),
+    }
 
 
 def format_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -88,9 +113,10 @@ def results_as_json(results: Sequence[SequenceResult]) -> dict[str, Any]:
     scored = [(result, result.score) for result in results if result.score is not None]
     means = {
         heading: null_if_unknown(mean_of_sequences(value(result, score) for result, score in scored))
-        for heading, value in (*FIGURES, *RANGES)
+        for heading, value in COLUMNS.items()
     }
-    return {"sequences": sequences, "mean": means}
+    objects = {heading: null_if_unknown(mean) for heading, mean in mean_of_objects(results).items()}
+    return {"sequences": sequences, "mean": means, "davis17": objects}
 
 
 def _result_as_json(result: SequenceResult) -> dict[str, Any]:
@@ -98,25 +124,11 @@ def _result_as_json(result: SequenceResult) -> dict[str, Any]:
     if result.score is not None:
         for extra in record["score"]["extras"]:
             del extra["mask"]  # a picture, shown on the sheet
+        del record["stems"], record["score"]["per_frame"]  # for the CSV file
         record["score"]["entry_delay"] = {str(k): v for k, v in result.score.entry_delay.items()}
     cleaned = null_if_unknown(record)
     assert isinstance(cleaned, dict)
     return cleaned
-
-
-def write_figures(path: Path, figures: Any) -> None:
-    """Write figures as JSON.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be written.
-    """
-    text = json.dumps(null_if_unknown(figures), indent=1, allow_nan=False)
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"The figures cannot be written with --json: {error}.") from error
 
 
 def null_if_unknown(value: Any) -> Any:

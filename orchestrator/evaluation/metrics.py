@@ -1,7 +1,7 @@
 """Agreement of label maps with truth, per frame, and consistency of labels and objects over time.
 
-Every figure is a function of one small table a frame, the pixel counts of each (truth object, label) pair
-(:class:`FrameOverlap`), so no label map needs to be kept.
+Every figure is a function of two small tables a frame, the pixel counts and the boundary measure F of each
+(truth object, label) pair (:class:`FrameOverlap`), so no label map needs to be kept.
 
 Truth: 0 = background, 1 … 254 = objects, 255 = not judged; such pixels belong to no region of either side.
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,12 +24,15 @@ from scipy.optimize import linear_sum_assignment
 
 from mlbs_actors.errors import FrameError
 from mlbs_actors.messages import Array
+from orchestrator.evaluation.boundary import boundary_f, outline_of, pairwise_f
 
 __all__ = [
     "NOT_JUDGED",
     "Agreement",
     "FrameOverlap",
+    "TrackScore",
     "count_overlap",
+    "davis_tracks",
     "entry_delays",
     "id_switches",
     "ids_on",
@@ -63,7 +66,7 @@ class Agreement(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FrameOverlap:
-    """Pixel counts of every pair of a truth object and a label in one frame.
+    """Pixel counts and boundaries of every pair of a truth object and a label in one frame.
 
     Attributes
     ----------
@@ -75,16 +78,22 @@ class FrameOverlap:
         Label ids present, ascending, without the background.
     counts : (1 + g, 1 + l) int64
         Judged pixels with that truth (row) and that label (column), px; row and column 0 are the background.
+    boundary_f : float
+        Boundary measure F of all that moves, in [0, 1]; see :mod:`orchestrator.evaluation.boundary`.
+    pair_boundary_f : (g, l) float64
+        The same of every pair of a truth object and a label.
     """
 
     index: int
     objects: Array
     labels: Array
     counts: Array
+    boundary_f: float
+    pair_boundary_f: Array
 
 
 def count_overlap(labels: Array, truth: Array, index: int = 0) -> FrameOverlap:
-    """Count the judged pixels of every (truth object, label) pair.
+    """Count the judged pixels of every (truth object, label) pair, and compare their boundaries.
 
     Parameters
     ----------
@@ -110,7 +119,16 @@ def count_overlap(labels: Array, truth: Array, index: int = 0) -> FrameOverlap:
     label_ids, label_rank = _ranks(labels[judged])
     joint = object_rank * len(label_ids) + label_rank
     counts = np.bincount(joint, minlength=len(object_ids) * len(label_ids))
-    return FrameOverlap(index, object_ids[1:], label_ids[1:], counts.reshape(len(object_ids), len(label_ids)))
+    objects = [outline_of(truth == one) for one in object_ids[1:]]
+    found = [outline_of((labels == one) & judged) for one in label_ids[1:]]
+    return FrameOverlap(
+        index,
+        object_ids[1:],
+        label_ids[1:],
+        counts.reshape(len(object_ids), len(label_ids)),
+        boundary_f(outline_of((truth > 0) & judged), outline_of((labels > 0) & judged)),
+        pairwise_f(objects, found),
+    )
 
 
 def _ranks(values: Array) -> tuple[Array, Array]:
@@ -274,6 +292,59 @@ def track_j(overlaps: Iterable[FrameOverlap]) -> float:
             means[row, column] = ious[pair] / (seen + labelled - together[pair])
     rows, columns = linear_sum_assignment(means, maximize=True)
     return float(means[rows, columns].sum() / len(object_frames))
+
+
+class TrackScore(NamedTuple):
+    """One truth object and the label matched to it: mean J and F of all frames with truth, each in [0, 1].
+
+    ``label`` is None if more objects than labels are there.
+    """
+
+    truth_id: int
+    label: int | None
+    j: float
+    f: float
+
+    @property
+    def j_and_f(self) -> float:
+        """Mean of ``j`` and ``f``."""
+        return (self.j + self.f) / 2
+
+
+def davis_tracks(overlaps: Sequence[FrameOverlap]) -> list[TrackScore]:
+    """Score one label for each truth object, as DAVIS 2017's unsupervised task does; ascending truth ids.
+
+    Objects and labels are matched one to one, with the largest sum of mean (J + F) / 2. Surplus labels do not
+    count.
+
+    Notes
+    -----
+    As there, the means are over all frames with truth, the first and the last included, and a frame with
+    neither the object nor its label counts 1. An object for which no label is left is matched to nothing.
+    """
+    objects = sorted({one for overlap in overlaps for one in overlap.objects.tolist()})
+    labels = sorted({one for overlap in overlaps for one in overlap.labels.tolist()})
+    # Columns without a label, so that every object has a partner; they are empty in every frame.
+    columns = max(len(labels), len(objects))
+    total_j, total_f = np.zeros((len(objects), columns)), np.zeros((len(objects), columns))
+    for overlap in overlaps:
+        rows = np.searchsorted(objects, overlap.objects).astype(np.intp)
+        found = np.searchsorted(labels, overlap.labels).astype(np.intp)
+        neither = np.ones((len(objects), columns))
+        neither[rows], neither[:, found] = 0.0, 0.0
+        for total, pairs in ((total_j, _ious(overlap)), (total_f, overlap.pair_boundary_f)):
+            total += neither
+            total[np.ix_(rows, found)] += pairs
+    chosen = linear_sum_assignment(total_j + total_f, maximize=True)
+    return [
+        TrackScore(
+            objects[row],
+            labels[column] if column < len(labels) else None,
+            float(total_j[row, column] / len(overlaps)),
+            float(total_f[row, column] / len(overlaps)),
+        )
+        for row, column in zip(*(one.tolist() for one in chosen), strict=True)
+    ]
 
 
 def ids_on(overlaps: Iterable[FrameOverlap]) -> float:

@@ -6,7 +6,7 @@ import re
 import time
 import traceback
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -18,12 +18,14 @@ from mlbs_actors.actors.parts import EngineParts
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import FrameError, MlbsError, SinkError, SourceError
 from mlbs_actors.messages import Array, Segmentation
-from orchestrator.evaluation import datasets
+from orchestrator.evaluation import datasets, sequences
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, extra_layer_sheet, spread_evenly
 from orchestrator.evaluation.sequence_scorer import SequenceScore, SequenceScorer
+from orchestrator.evaluation.stored_flow import StoredFlow
 
 __all__ = [
     "EngineLabelling",
+    "EngineSetup",
     "SequenceResult",
     "engine_result",
     "run_label_maps",
@@ -53,6 +55,8 @@ class EngineLabelling:
     sequence : Sequence
     subtractor : Subtractor
         Fresh: no frame seen yet.
+    flow : StoredFlow or None
+        Is told of every frame before the subtractor is.
     frames : int
         Label maps so far.
     milliseconds : float
@@ -61,15 +65,19 @@ class EngineLabelling:
         The same by stage, as reported by the segmentations.
     """
 
-    sequence: datasets.Sequence
+    sequence: sequences.Sequence
     subtractor: Subtractor
+    flow: StoredFlow | None = None
     frames: int = 0
     milliseconds: float = 0.0
     stage_ms: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
 
     def __iter__(self) -> Iterator[tuple[int, Array]]:
         for index in range(len(self.sequence.stems)):
-            yield from self._timed(self.subtractor.apply, self.sequence.frame(index))
+            frame = self.sequence.frame(index)
+            if self.flow is not None:
+                self.flow.follow(index, frame)
+            yield from self._timed(self.subtractor.apply, frame)
         yield from self._timed(self.subtractor.flush)
 
     def _timed(
@@ -103,8 +111,10 @@ class SequenceResult:
     sheets : tuple of str
         Pictures written.
     remark : str or None
-        A sentence on how the truth was read.
+        A sentence on how the truth was read, or why there is no contact sheet.
     error : str or None
+    stems : tuple of str
+        Names of the frames, by index.
     """
 
     name: str
@@ -115,9 +125,32 @@ class SequenceResult:
     sheets: tuple[str, ...] = ()
     remark: str | None = None
     error: str | None = None
+    stems: tuple[str, ...] = ()
 
 
-def run_label_maps(sequence: datasets.Sequence, masks: Path) -> Iterator[tuple[int, Array]]:
+@dataclass(frozen=True, slots=True)
+class EngineSetup:
+    """What the engine runs with, on every sequence.
+
+    Attributes
+    ----------
+    root : Path or None
+        The data root.
+    config : Path or None
+        YAML file with parameters.
+    flow : Path or None
+        Folder of stored flow; see :mod:`orchestrator.evaluation.stored_flow`.
+    sheets : Path or None
+        Folder for contact sheets.
+    """
+
+    root: Path | None = None
+    config: Path | None = None
+    flow: Path | None = None
+    sheets: Path | None = None
+
+
+def run_label_maps(sequence: sequences.Sequence, masks: Path) -> Iterator[tuple[int, Array]]:
     """Read the masks of a run, by frame index; skip frames without a mask.
 
     Raises
@@ -134,11 +167,11 @@ def run_label_maps(sequence: datasets.Sequence, masks: Path) -> Iterator[tuple[i
             f"No mask in {masks} has the stem of a frame of {sequence.name}; check the folder of the truth."
         )
     for index in indices:
-        yield index, datasets.read_label_map(masks / f"{sequence.stems[index]}.png")
+        yield index, sequences.read_label_map(masks / f"{sequence.stems[index]}.png")
 
 
 def score_sequence(
-    sequence: datasets.Sequence, label_maps: Iterable[tuple[int, Array]], sheet_folder: Path | None = None
+    sequence: sequences.Sequence, label_maps: Iterable[tuple[int, Array]], sheet_folder: Path | None = None
 ) -> SequenceResult:
     """Score a sequence's label maps as they come; write contact sheets when a folder is given.
 
@@ -153,13 +186,13 @@ def score_sequence(
     Raises
     ------
     MlbsError
-        If a frame, mask or truth cannot be read or differs in size, frames come out of order, or a sheet
-        cannot be written.
+        If a mask or truth cannot be read or differs in size, or frames come out of order. What a contact
+        sheet lacks is a remark of the result.
     """
     with_truth = [index for index in range(len(sequence.stems)) if sequence.has_truth(index)]
     shown = set(spread_evenly(with_truth, SHEET_FRAMES)) if sheet_folder else set()
     scorer = SequenceScorer()
-    sheet_frames: list[SheetFrame] = []
+    shown_labels: dict[int, tuple[Array, Array]] = {}
     labelled: set[int] = set()
     for index, labels in label_maps:
         if labelled and index <= max(labelled):
@@ -170,15 +203,22 @@ def score_sequence(
         truth = sequence.truth(index)
         scorer.add(index, labels, truth, sequence.motion(index) if index else None)
         if index in shown and truth is not None:
-            title = f"{sequence.name} {sequence.stems[index]}"
-            sheet_frames.append(SheetFrame(title, sequence.frame(index), labels, truth))
+            shown_labels[index] = labels, truth
     score = scorer.score()
+    sheets: tuple[str, ...] = ()
+    remarks = [sequence.remark] if sequence.remark else []
+    if sheet_folder:
+        try:
+            sheets = _write_sheets(sheet_folder, sequence, score, shown_labels)
+        except MlbsError as error:
+            remarks.append(f"there is no contact sheet: {error}")
     return SequenceResult(
         name=sequence.name,
         score=score,
         missing=sum(index not in labelled for index in with_truth),
-        sheets=_write_sheets(sheet_folder, sequence, score, sheet_frames) if sheet_folder else (),
-        remark=sequence.remark,
+        sheets=sheets,
+        remark=" ".join(remarks) or None,
+        stems=sequence.stems,
     )
 
 
@@ -189,10 +229,9 @@ def warm_engine() -> None:
 
 def engine_result(
     name: str,
-    root: Path | None,
+    setup: EngineSetup,
     overrides: Sequence[str],
-    sheet_folder: Path | None,
-    change: datasets.SequenceChange | None = None,
+    change: sequences.SequenceChange | None = None,
 ) -> SequenceResult:
     """Open a sequence, run the engine over it, score it. A failure is reported in the result.
 
@@ -200,21 +239,20 @@ def engine_result(
     ----------
     name : str
         As for :func:`orchestrator.evaluation.datasets.open_sequence`.
-    root : Path or None
-        The data root.
+    setup : EngineSetup
     overrides : sequence of str
         ``section.key=value`` for the engine's parameters.
-    sheet_folder : Path or None
-        As for :func:`score_sequence`.
     change : SequenceChange or None
         Change to the sequence.
     """
     try:
-        sequence = datasets.open_sequence(name, root)
+        sequence = datasets.open_sequence(name, setup.root)
         if change is not None:
             sequence = change(sequence)
-        labelling = EngineLabelling(sequence, MultilayerSubtractor(load_config(None, list(overrides))))
-        result = score_sequence(sequence, labelling, sheet_folder)
+        config = load_config(setup.config, list(overrides))
+        flow = StoredFlow(setup.flow, sequence) if setup.flow is not None else None
+        labelling = EngineLabelling(sequence, MultilayerSubtractor(config, flow=flow), flow)
+        result = score_sequence(sequence, labelling, setup.sheets)
     except MlbsError as error:
         return SequenceResult(name, error=str(error))
     except Exception:  # a defect on one sequence must not lose the figures of the others
@@ -228,8 +266,15 @@ def engine_result(
 
 
 def _write_sheets(
-    folder: Path, sequence: datasets.Sequence, score: SequenceScore, frames: list[SheetFrame]
+    folder: Path, sequence: sequences.Sequence, score: SequenceScore, shown: Mapping[int, tuple[Array, Array]]
 ) -> tuple[str, ...]:
+    frames = [
+        SheetFrame(f"{sequence.name} {sequence.stems[index]}", sequence.frame(index), labels, truth)
+        for index, (labels, truth) in shown.items()
+    ]
+    for frame in frames:
+        if frame.image.shape[:2] != frame.labels.shape:
+            raise FrameError(f"the picture {frame.title} is of another size than its labels.")
     stem = re.sub(r"[^\w.-]", "-", sequence.name)
     pictures = {}
     if frames:
@@ -237,10 +282,11 @@ def _write_sheets(
     if score.extras:
         crops = [(extra, sequence.frame(extra.example_frame)) for extra in score.extras]
         pictures[folder / f"{stem}-extra-layers.png"] = extra_layer_sheet(crops)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SinkError(f"the folder given with --sheets cannot be made: {error}.") from error
     for path, picture in pictures.items():
         if not cv2.imwrite(str(path), picture):
-            raise SinkError(
-                f"The contact sheet {path} cannot be written; check the folder given with --sheets."
-            )
+            raise SinkError(f"{path} cannot be written; check the folder given with --sheets.")
     return tuple(str(path) for path in pictures)

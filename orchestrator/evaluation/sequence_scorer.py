@@ -1,8 +1,8 @@
 """All figures of one sequence, collected frame by frame: means by range of frames, and layers off the truth.
 
-Differs from the paper: it adds ``object_f`` and ``extra_layers``, which separate lost objects from layers
-that the truth does not have, ``track_j`` and ``ids_on``, which say whether an object keeps its label, and
-scores the frames of the start separately.
+Differs from the paper: it adds ``j`` and the boundary measure ``f`` of DAVIS, ``object_f`` and
+``extra_layers``, which separate lost objects from layers that the truth does not have, ``track_j`` and
+``ids_on``, which say whether an object keeps its label, and scores the frames of the start separately.
 """
 
 from __future__ import annotations
@@ -16,11 +16,14 @@ import numpy as np
 from mlbs_actors.messages import Array, Region
 from orchestrator.evaluation.metrics import (
     FrameOverlap,
+    TrackScore,
     count_overlap,
+    davis_tracks,
     entry_delays,
     id_switches,
     ids_on,
     jaccard,
+    match_objects,
     moving_objects,
     multi_label,
     multi_label_matlab,
@@ -29,7 +32,7 @@ from orchestrator.evaluation.metrics import (
     two_label,
 )
 
-__all__ = ["START_FRAMES", "ExtraLayer", "RangeScore", "SequenceScore", "SequenceScorer"]
+__all__ = ["START_FRAMES", "ExtraLayer", "FrameScore", "RangeScore", "SequenceScore", "SequenceScorer"]
 
 #: Most frames held until the first clustering; "after the start" begins after them.
 START_FRAMES = 5
@@ -70,9 +73,9 @@ class ExtraLayer:
 class RangeScore:
     """Means over the frames with truth of one range of a sequence; NaN where no frame counts.
 
-    ``precision``, ``recall``, ``two_label_f`` and ``j`` are means over all of them, the others over those
-    whose truth has objects: ``multi_precision``, ``multi_recall`` and ``multi_f`` as the paper's text has
-    them, the same with ``_matlab`` as the authors' program does. All in [0, 1].
+    ``precision``, ``recall``, ``two_label_f``, ``j`` and ``f`` are means over all of them, the others over
+    those whose truth has objects: ``multi_precision``, ``multi_recall`` and ``multi_f`` as the paper's text
+    has them, the same with ``_matlab`` as the authors' program does. All in [0, 1].
     """
 
     frames: int
@@ -80,6 +83,7 @@ class RangeScore:
     recall: float
     two_label_f: float
     j: float
+    f: float
     multi_precision: float
     multi_recall: float
     multi_f: float
@@ -87,6 +91,51 @@ class RangeScore:
     multi_precision_matlab: float
     multi_recall_matlab: float
     multi_f_matlab: float
+
+    @property
+    def j_and_f(self) -> float:
+        """Mean of ``j`` and ``f``."""
+        return (self.j + self.f) / 2
+
+
+@dataclass(frozen=True, slots=True)
+class FrameScore:
+    """The figures of one frame with truth, in [0, 1].
+
+    Attributes
+    ----------
+    index : int
+        Frame index.
+    j, f, two_label_f : float
+        Intersection over union, boundary measure F, and F, of moving against not moving.
+    object_f : float
+        F of every object on its own; NaN without objects.
+    labels : tuple of int
+        Label ids, ascending.
+    matches : mapping of int to int or None
+        Truth id → the label that fits it best in this frame, None: lost.
+    """
+
+    index: int
+    j: float
+    f: float
+    two_label_f: float
+    object_f: float
+    labels: tuple[int, ...]
+    matches: Mapping[int, int | None]
+
+
+def _frame_score(overlap: FrameOverlap) -> FrameScore:
+    matches = match_objects(overlap)
+    return FrameScore(
+        index=overlap.index,
+        j=jaccard(overlap),
+        f=overlap.boundary_f,
+        two_label_f=two_label(overlap).f,
+        object_f=object_level(overlap).f if len(overlap.objects) else float("nan"),
+        labels=tuple(overlap.labels.tolist()),
+        matches={truth_id: matches.get(truth_id) for truth_id in overlap.objects.tolist()},
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +149,12 @@ class SequenceScore:
     all_frames, first_ten, after_start, davis : RangeScore
         Frames with truth: all; with index below ten; from index ``START_FRAMES`` on; without the first and
         the last of them (DAVIS's own protocol).
+    per_frame : tuple of FrameScore
+        The frames with truth, one by one.
     track_j : float
         How well one label stays on each object, in [0, 1]; NaN where the truth has no object.
+    davis_tracks : tuple of TrackScore
+        The same question as DAVIS 2017's unsupervised task asks it, for each object.
     extra_layers : float
         Extra layers per 100 labelled frames.
     extras : tuple of ExtraLayer
@@ -119,7 +172,9 @@ class SequenceScore:
     first_ten: RangeScore
     after_start: RangeScore
     davis: RangeScore
+    per_frame: tuple[FrameScore, ...]
     track_j: float
+    davis_tracks: tuple[TrackScore, ...]
     extra_layers: float
     extras: tuple[ExtraLayer, ...]
     ids_on: float
@@ -138,6 +193,7 @@ def _score_range(overlaps: Sequence[FrameOverlap]) -> RangeScore:
         recall=_mean(agreement.recall for agreement in binary),
         two_label_f=_mean(agreement.f for agreement in binary),
         j=_mean(jaccard(overlap) for overlap in overlaps),
+        f=_mean(overlap.boundary_f for overlap in overlaps),
         multi_precision=_mean(agreement.precision for agreement in multi),
         multi_recall=_mean(agreement.recall for agreement in multi),
         multi_f=_mean(agreement.f for agreement in multi),
@@ -231,7 +287,9 @@ class SequenceScorer:
             first_ten=_score_range([overlap for overlap in self._overlaps if overlap.index < 10]),
             after_start=_score_range([o for o in self._overlaps if o.index >= START_FRAMES]),
             davis=_score_range(self._overlaps[1:-1]),
+            per_frame=tuple(map(_frame_score, self._overlaps)),
             track_j=track_j(self._overlaps),
+            davis_tracks=tuple(davis_tracks(self._overlaps)),
             extra_layers=100.0 * len(extras) / self._frames if self._frames else 0.0,
             extras=extras,
             ids_on=ids_on(self._overlaps),

@@ -11,25 +11,22 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
-from orchestrator.evaluation.datasets import SequenceChange
 from orchestrator.evaluation.figures import (
-    FIGURES,
-    RANGES,
+    COLUMNS,
     format_number,
     format_table,
     mean_of_sequences,
     null_if_unknown,
     results_as_json,
 )
-from orchestrator.evaluation.scoring import SequenceResult, engine_result
+from orchestrator.evaluation.scoring import EngineSetup, SequenceResult, engine_result
+from orchestrator.evaluation.sequences import SequenceChange
 
 __all__ = ["Variant", "VariantResults", "run_variants", "variants_as_json", "variants_table"]
 
-_VALUES = dict((*FIGURES, *RANGES))
-_Call = tuple[str, Path | None, tuple[str, ...], Path | None, SequenceChange | None]
+_Call = tuple[str, EngineSetup, tuple[str, ...], SequenceChange | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +68,8 @@ class VariantResults:
 def run_variants(
     variants: Sequence[Variant],
     sequences: Sequence[str],
-    root: Path | None,
+    setup: EngineSetup,
     jobs: int,
-    sheet_folder: Path | None = None,
     prepare: Callable[[], None] | None = None,
 ) -> list[VariantResults]:
     """Run and score every variant on every sequence; report progress on stderr.
@@ -83,12 +79,10 @@ def run_variants(
     variants : sequence of Variant
     sequences : sequence of str
         Names, as for :func:`orchestrator.evaluation.datasets.open_sequence`.
-    root : Path or None
-        The data root.
+    setup : EngineSetup
+        The folder of contact sheets is for a single variant, as they are named after the sequences only.
     jobs : int
         Processes at the same time; 1: all in this process.
-    sheet_folder : Path or None
-        For the contact sheets, which are named after the sequences only: for a single variant.
     prepare : callable or None
         Called once in each process before its first run; a function of a module.
 
@@ -98,9 +92,7 @@ def run_variants(
         In the order of the variants.
     """
     calls: list[_Call] = [
-        (name, root, variant.overrides, sheet_folder, variant.change)
-        for variant in variants
-        for name in sequences
+        (name, setup, variant.overrides, variant.change) for variant in variants for name in sequences
     ]
     results: dict[int, SequenceResult] = {}
     for place, result in _as_they_end(calls, jobs, prepare):
@@ -141,7 +133,7 @@ def variants_table(rows: Sequence[VariantResults], heading: str, means: Sequence
     heading : str
         Of the column of names.
     means : sequence of str
-        Headings of :data:`orchestrator.evaluation.figures.FIGURES` or ``RANGES``.
+        Headings of :data:`orchestrator.evaluation.figures.COLUMNS`.
     """
     names = [result.name for result in rows[0].results]
     lines = [
@@ -163,7 +155,7 @@ def variants_as_json(rows: Sequence[VariantResults]) -> dict[str, Any]:
                 "name": row.variant.name,
                 "overrides": list(row.variant.overrides),
                 **results_as_json(row.results),
-                "mean": {heading: null_if_unknown(row.mean(heading)) for heading in _VALUES},
+                "mean": {heading: null_if_unknown(row.mean(heading)) for heading in COLUMNS},
             }
             for row in rows
         ]
@@ -171,4 +163,4 @@ def variants_as_json(rows: Sequence[VariantResults]) -> dict[str, Any]:
 
 
 def _value(result: SequenceResult, heading: str) -> float:
-    return math.nan if result.score is None else _VALUES[heading](result, result.score)
+    return math.nan if result.score is None else COLUMNS[heading](result, result.score)

@@ -23,7 +23,7 @@ from benchmark.settings import Settings
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.evaluation import datasets
-from orchestrator.evaluation.figures import write_figures
+from orchestrator.evaluation.figure_files import write_json
 
 __all__ = ["main"]
 
@@ -112,7 +112,7 @@ def _measure_all(settings: Settings, options: argparse.Namespace) -> None:
         print(("\n" if number else "") + "\n\n".join(result.tables), flush=True)
         figures |= result.figures if name == METHODS else {name: result.figures}
         if options.json:
-            write_figures(options.json, figures)
+            write_json(options.json, figures)
         if options.plots:
             for file, plot in result.plots.items():
                 draw(plot, options.plots / f"{file}.png")

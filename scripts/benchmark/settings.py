@@ -12,7 +12,7 @@ from benchmark.in_process.comparison import frame_order
 from benchmark.through_ray.endless_video import write_video
 from mlbs_actors import Config
 from mlbs_actors.messages import Array
-from orchestrator.evaluation.datasets import Sequence
+from orchestrator.evaluation.sequences import Sequence
 
 __all__ = ["Settings", "report_progress"]
 

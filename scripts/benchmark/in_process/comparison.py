@@ -18,8 +18,8 @@ from benchmark.in_process.peers import Peer
 from mlbs_actors import Config, MultilayerSubtractor, Result
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.messages import Array
-from orchestrator.evaluation.datasets import Sequence
 from orchestrator.evaluation.sequence_scorer import SequenceScore, SequenceScorer
+from orchestrator.evaluation.sequences import Sequence
 
 __all__ = ["ENGINE", "Measurement", "frame_order", "measure"]
 

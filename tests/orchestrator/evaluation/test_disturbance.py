@@ -17,7 +17,6 @@ from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
 from orchestrator.evaluation import scoring
 from orchestrator.evaluation.command import main
-from orchestrator.evaluation.datasets import SceneSequence, Sequence
 from orchestrator.evaluation.disturbance import (
     DISTURBANCES,
     UNDISTURBED,
@@ -35,6 +34,7 @@ from orchestrator.evaluation.disturbed_sequences import (
 )
 from orchestrator.evaluation.scoring import SequenceResult
 from orchestrator.evaluation.sequence_scorer import SequenceScorer
+from orchestrator.evaluation.sequences import SceneSequence, Sequence
 from orchestrator.evaluation.variants import Variant, VariantResults
 from orchestrator.sources.synthetic import scene
 
@@ -280,7 +280,7 @@ def test_the_table_names_the_worst_of_the_disturbed_runs(
     monkeypatch.setattr(
         scoring,
         "MultilayerSubtractor",
-        lambda config: BrightSubtractor(blind=config.affinity.radius_px > wide),
+        lambda config, flow: BrightSubtractor(blind=config.affinity.radius_px > wide),
     )
     figures = tmp_path / "figures.json"
     command = ["--disturb", "--data", f"{tmp_path}/data", "--jobs", "1", "--json", str(figures)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from evaluation_fakes import BrightSubtractor
 from PIL import Image
 
 from mlbs_actors.config import Config
@@ -20,16 +22,10 @@ from mlbs_actors.messages import Array, Region, Segmentation
 from orchestrator.evaluation import scoring
 from orchestrator.evaluation.command import main
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, spread_evenly
-from orchestrator.evaluation.datasets import (
-    FolderSequence,
-    SceneSequence,
-    data_root,
-    find_sequences,
-    open_sequence,
-    read_label_map,
-)
+from orchestrator.evaluation.datasets import data_root, find_sequences, open_sequence
 from orchestrator.evaluation.figures import format_table, mean_of_sequences
 from orchestrator.evaluation.scoring import EngineLabelling, score_sequence
+from orchestrator.evaluation.sequences import FolderSequence, SceneSequence, read_label_map
 from orchestrator.sinks.layer_colours import layer_colour
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
@@ -134,6 +130,8 @@ def test_a_run_on_a_synthetic_scene_is_scored_against_its_exact_truth(tmp_path: 
         ["--sequences", "synthetic:nowhere"],
         ["--sequences", TINY_CROSSING, "--set", "no.such=1"],
         ["--sequences", TINY_CROSSING, "--jobs", "0"],
+        ["--sequences", TINY_CROSSING, "--ablate", "--csv", "frames.csv"],
+        ["--sequences", TINY_CROSSING, "--disturb", "--flow", "flow"],
         ["--sequences", TINY_CROSSING, "--truth", "a=gt"],
     ],
 )
@@ -194,7 +192,7 @@ def test_the_command_runs_the_engine_and_prints_its_time(
     made = scene("crossing", frames=8, width=96, height=72)
     lookaheads = []
 
-    def engine(config: Config) -> TruthfulSubtractor:
+    def engine(config: Config, flow: object) -> TruthfulSubtractor:
         lookaheads.append(config.layers.lookahead)
         return TruthfulSubtractor(made)
 
@@ -210,13 +208,45 @@ def test_the_command_runs_the_engine_and_prints_its_time(
     assert [Path(sheet).exists() for sheet in result["sheets"]] == [True]
 
 
+def test_parameters_are_given_as_to_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    configs = []
+
+    def engine(config: Config, flow: object) -> TruthfulSubtractor:
+        configs.append(config)
+        return TruthfulSubtractor(scene("crossing", frames=8, width=96, height=72))
+
+    monkeypatch.setattr(scoring, "MultilayerSubtractor", engine)
+    (tmp_path / "own.yaml").write_text("layers:\n  lookahead: 3\n  probation_frames: 7\n")
+    changed = ["--set", "layers.lookahead=2", "posterior.motion=0.5", "--set", "posterior.prior=0.5"]
+    assert main(["--sequences", TINY_CROSSING, "--config", f"{tmp_path}/own.yaml", *changed]) == 0
+    (config,) = configs
+    assert (config.layers.lookahead, config.layers.probation_frames) == (2, 7)
+    assert (config.posterior.motion, config.posterior.prior) == (0.5, 0.5)
+
+
+def test_sequences_are_chosen_by_globs(
+    sequence_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = sequence_folder.parents[1]
+    shutil.copytree(sequence_folder, root / "other" / "clip")
+    monkeypatch.setattr(scoring, "MultilayerSubtractor", lambda config, flow: BrightSubtractor())
+    assert main(["--data", str(root), "--sequences", "oth*", "--jobs", "1"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()[:3] if line] == [
+        "sequence",
+        "other/clip",
+    ]
+    with pytest.raises(SystemExit):
+        main(["--data", str(root), "--sequences", "none*"])
+    assert "No sequence none*" in capsys.readouterr().err
+
+
 def test_an_engine_that_fails_on_one_sequence_leaves_the_others_their_figures(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = scene("crossing", frames=8, width=96, height=72)
     engines = iter([TruthfulSubtractor(made)])
 
-    def engine(config: object) -> TruthfulSubtractor:
+    def engine(config: object, flow: object) -> TruthfulSubtractor:
         for ready in engines:
             return ready
         raise ZeroDivisionError("planted")
@@ -363,7 +393,7 @@ def test_label_maps_are_read_as_indices_whatever_their_palette(tmp_path: Path) -
 
 
 def test_a_colour_picture_is_no_label_map(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "colour.png"), np.zeros((2, 2, 3), np.uint8))
+    cv2.imwrite(str(tmp_path / "colour.png"), np.array([[[0, 0, 0], [0, 0, 1]]], np.uint8))
     with pytest.raises(SourceError, match="colour"):
         read_label_map(tmp_path / "colour.png")
 

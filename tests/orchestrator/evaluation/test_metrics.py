@@ -13,6 +13,7 @@ from mlbs_actors.messages import Array, Region
 from orchestrator.evaluation.metrics import (
     FrameOverlap,
     count_overlap,
+    davis_tracks,
     entry_delays,
     id_switches,
     ids_on,
@@ -373,3 +374,58 @@ def test_figures_without_frames_are_unknown_and_not_zero() -> None:
     assert empty.frames == 0
     assert math.isnan(empty.all_frames.two_label_f)
     assert math.isnan(empty.all_frames.object_f)
+
+
+def box_frames(truths: list[dict[int, int]], labels: list[dict[int, int]]) -> list[FrameOverlap]:
+    """Frames of 40×200 px; each region is a box of 20×10 px at the given column."""
+
+    def picture(boxes: dict[int, int]) -> Array:
+        drawn = np.zeros((40, 200), np.uint8)
+        for value, column in boxes.items():
+            drawn[10:30, column : column + 10] = value
+        return drawn
+
+    return [
+        count_overlap(picture(found).astype(np.int32), picture(wanted), index)
+        for index, (wanted, found) in enumerate(zip(truths, labels, strict=True))
+    ]
+
+
+def test_davis_tracks_match_one_label_to_each_object_over_all_frames() -> None:
+    # Label 6 is on object 1 in one frame, label 5 in two; label 6 is free for object 2, which it is never on.
+    frames = box_frames([{1: 10, 2: 100}] * 3, [{5: 10}, {5: 10}, {6: 10}])
+    assert davis_tracks(frames) == [(1, 5, pytest.approx(2 / 3), pytest.approx(2 / 3)), (2, 6, 0, 0)]
+
+
+def test_davis_tracks_count_one_for_a_frame_with_neither_and_zero_with_only_one() -> None:
+    frames = box_frames([{1: 10}, {}, {}, {1: 10}], [{5: 10}, {}, {5: 60}, {}])
+    assert davis_tracks(frames) == [(1, 5, 0.5, 0.5)]
+
+
+def test_davis_tracks_match_an_object_without_a_label_to_nothing() -> None:
+    frames = box_frames([{1: 10, 2: 100}, {1: 10}], [{5: 10}, {5: 10}])
+    assert davis_tracks(frames) == [(1, 5, 1, 1), (2, None, 0.5, 0.5)]
+    assert davis_tracks(frames)[1].j_and_f == 0.5
+
+
+def test_davis_tracks_choose_by_the_mean_of_both_measures() -> None:
+    # Label 5 has the larger J, 6 against 4 of the object's 10 px, label 6 by far the larger F.
+    counts = np.array([[100, 0, 0], [0, 6, 4]])
+    frame = FrameOverlap(0, np.array([1]), np.array([5, 6]), counts, 1.0, np.array([[0.1, 0.9]]))
+    assert davis_tracks([frame]) == [(1, 6, 0.4, 0.9)]
+
+
+def test_the_protocol_of_davis_leaves_the_first_and_last_frame_out() -> None:
+    scorer = SequenceScorer()
+    box = np.zeros((40, 40), np.uint8)
+    box[10:30, 10:30] = 1
+    nothing = np.zeros((40, 40), np.int32)
+    for index, labels in enumerate([nothing, box.astype(np.int32), nothing, nothing]):
+        scorer.add(index, labels, box)
+    score = scorer.score()
+    assert (score.davis.j, score.davis.f, score.davis.j_and_f) == (0.5, 0.5, 0.5)
+    assert (score.all_frames.j, score.all_frames.f) == (0.25, 0.25)
+    assert [(one.index, one.j, one.labels, one.matches) for one in score.per_frame[:2]] == [
+        (0, 0, (), {1: None}),
+        (1, 1, (1,), {1: 1}),
+    ]
