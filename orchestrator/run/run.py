@@ -21,6 +21,7 @@ from mlbs_actors.kernels.machine_code import has_machine_code
 from mlbs_actors.wording import count_of
 from orchestrator.command_line import Arguments
 from orchestrator.credentials import mask
+from orchestrator.events.delivery import delivering
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.monitor.board import Board
@@ -125,6 +126,7 @@ def run(
         if not arguments.resume:
             folder.create(job.description)
             hold.enter_context(folder.locked())
+        session.enter_context(delivering(arguments.events, folder.path, _say))
         if at_work:
             states, exit_status = _drive(job, ended, limit, lengths(), status, onlookers, folder, arguments)
         else:
@@ -216,7 +218,7 @@ class _Job:
         command = given.command(f"{self._folder.path}-again")
         return describe_run(
             self._streams, self._config, given.save, given.max_frames, given.max_side, command,
-            given.ignored.digests,
+            given.ignored.digests, given.zones.digest,
         )  # fmt: skip
 
     def _spec(self, stream: ListedStream) -> StreamSpec:
@@ -233,7 +235,14 @@ class _Job:
             config=self._config,
             open_reader=reader,
             open_sink=partial(
-                record, folder, stream.name, save, picture, replayable=replayable, source=stream.source
+                record,
+                folder,
+                stream.name,
+                save,
+                picture,
+                replayable=replayable,
+                source=stream.source,
+                rules=self._arguments.zones.rules_of(stream.name, self._config.layers.dormant_frames),
             ),
             max_frames=self._arguments.max_frames,
             wants_background=ends_group if "background" in save else None,

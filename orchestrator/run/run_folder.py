@@ -39,6 +39,7 @@ _SAME = {
     "max_frames": "--max-frames",
     "max_side": "--max-side",
     "ignored": "files to --ignore",
+    "zones": "--zones",
 }
 
 #: Most differences of parameters that the message about a resumed run lists.
@@ -271,10 +272,12 @@ def describe_run(
     max_side: int | None = None,
     command: Sequence[str] = (),
     ignored: Mapping[str, str] | None = None,
+    zones: str | None = None,
 ) -> dict[str, Any]:
     """Return the content of ``run.json``: everything that the results depend on, without credentials.
 
-    ``command`` starts the same run; ``ignored`` are the digests of the files to ignore.
+    ``command`` starts the same run; ``ignored`` are the digests of the files to ignore, and
+    ``zones`` that of the file of zones.
     """
     parameters = config.model_dump(mode="json")
     sources = {stream.name: str(stream.source) for stream in streams}
@@ -286,6 +289,7 @@ def describe_run(
         "max_frames": max_frames,
         "max_side": max_side,
         "ignored": ignored or None,
+        "zones": zones,
         "command": [mask(word) for word in command],
         "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
         "versions": {
