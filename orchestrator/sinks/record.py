@@ -96,6 +96,7 @@ class StreamRecord:
         source: SourceAddress | None = None,
         rules: EventRules | None = None,
     ) -> None:
+        rules = rules or EventRules()
         self._folder = folder
         self._name = name
         self._save = save
@@ -113,7 +114,7 @@ class StreamRecord:
             with self._log.exclusive():
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
-                self._events = EventFile(folder, name, rules or EventRules(), self._log.rows)
+                self._events = EventFile(folder, name, rules, self._log.rows)
             tables = "parquet" in save
             self._objects = ObjectFiles(folder, name) if tables else None
             self._cutouts = _by_frame(folder / "cutouts")
@@ -129,7 +130,7 @@ class StreamRecord:
         self._label_maps = 0 if before is None else before.label_maps
         self._committed = self._label_maps
         overlay = overlay_path(folder, self._log.rows)
-        self._overlay = OverlayVideo(overlay, source) if "overlay" in save else None
+        self._overlay = OverlayVideo(overlay, source, rules.zones) if "overlay" in save else None
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
