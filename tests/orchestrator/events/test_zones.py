@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.command import run_command
+from orchestrator.events.happenings import EventKind
 from orchestrator.events.zones import crossing, is_inside, read_zones
 
 GOOD = """
@@ -90,3 +93,12 @@ def test_the_side_is_that_of_somebody_who_looks_along_the_line() -> None:
     corner = [(5.0, 0.0), (5.0, 10.0), (15.0, 10.0)]
     assert crossing((4, 8), (20, 20), corner) is None
     assert crossing((4, 5), (8, 12), [(5.0, 0.0), (5.0, 20.0)]) == "left"
+
+
+def test_the_page_shows_a_file_that_is_accepted_and_every_kind_of_event(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[3] / "docs/events.md").read_text(encoding="utf-8")
+    example = page.split("```yaml\n")[1].partition("```")[0]
+    assert read_zones(written(tmp_path, example)).rules_of("gate", 30).zones[1].kind == "line"
+    rows = page.partition("| `kind` | when |")[2].partition("\n\n")[0].splitlines()[2:]
+    kinds = [kind for row in rows for kind in re.findall(r"`([a-z ]+)`", row.split("|")[1])]
+    assert sorted(kinds) == sorted(get_args(EventKind))
