@@ -9,7 +9,7 @@ from true_results import true_result
 
 from mlbs_actors.actors.stream.protocol import GapStatus
 from mlbs_actors.messages import Array
-from orchestrator.events.happenings import HOLD, Event, Happenings
+from orchestrator.events.happenings import Event, Happenings
 from orchestrator.events.zones import EventRules, Minimum, Zone
 from orchestrator.sinks.tables import FrameRow, ResultRow
 from orchestrator.sources.synthetic import SyntheticScene, scene
@@ -81,19 +81,27 @@ def test_a_walker_crosses_a_line_once_in_its_direction() -> None:
 
 def test_what_trembles_at_a_border_enters_once() -> None:
     zone = Zone(name="right", polygon=((30, 0), (60, 0), (60, 40), (30, 40)))
-    places = [20, 29, 27, 29, 27, 29, 27, 29, 30, 31, 27, 32, 33]
+    places = [20, 29, 29, 27, 29, 29, 27, 29, 30, 31, 27, 27, 32, 33]
     said = events([row(index, thing(x)) for index, x in enumerate(places)], EventRules((zone,)))
     assert told(said) == [("born", 0), ("entered", 7)]
 
 
+def test_an_object_is_where_it_stands() -> None:
+    # It reaches from row 10 to row 19.
+    body = Zone(name="body", polygon=((0, 5), (60, 5), (60, 19), (0, 19)))
+    ground = Zone(name="ground", polygon=((0, 19), (60, 19), (60, 20), (0, 20)))
+    said = events([row(index, thing(20)) for index in range(4)], EventRules((body, ground)))
+    assert [event.zone for event in said] == [None, "ground"]
+
+
 def test_an_object_is_hidden_and_back_and_ends() -> None:
     there, away = thing(20), EMPTY
-    rows = [row(0, there), row(1, away), row(2, there)]  # too short to be said
-    rows += [row(3 + index, away) for index in range(HOLD + 1)]
+    rows = [row(0, there), row(1, away), row(2, away), row(3, there)]  # too short to be said
+    rows += [row(4 + index, away) for index in range(3)]
     rows += [row(10, there)]
     rows += [row(11 + index, away) for index in range(7)]
     said = events(rows, EventRules(remembered=6))
-    assert told(said) == [("born", 0), ("hidden", 3), ("back", 10), ("hidden", 11), ("ended", 11)]
+    assert told(said) == [("born", 0), ("hidden", 4), ("back", 10), ("hidden", 11), ("ended", 11)]
     assert said[-1].reason == "no longer found"
     assert said[-1].region == said[0].region
 
