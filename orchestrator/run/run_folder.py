@@ -39,8 +39,11 @@ _SAME = {
     "max_frames": "--max-frames",
     "max_side": "--max-side",
     "ignored": "files to --ignore",
-    "zones": "--zones",
+    "zones": "contents of the file of --zones",
 }
+
+#: Those of them of which no differences are listed.
+_UNLISTED = ("sources", "zones")
 
 #: Most differences of parameters that the message about a resumed run lists.
 _MOST_CHANGES = 3
@@ -115,7 +118,7 @@ class RunFolder:
             if begun.get(key) == description[key]:
                 continue
             if key != "sources" or not self._has_all_recorded(begun.get(key, {}), description[key]):
-                changes = "" if key == "sources" else f" ({_changes(begun.get(key), description[key])})"
+                changes = "" if key in _UNLISTED else f" ({_changes(begun.get(key), description[key])})"
                 raise ConfigError(
                     f"The run in {self.path} had other {meaning}{changes}; give the same ones as then (see "
                     "its run.json), or another folder with --output."
