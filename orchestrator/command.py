@@ -37,6 +37,9 @@ def run_command(argv: Sequence[str]) -> int:
         unknown = sorted(arguments.ignored.streams - {stream.name for stream in streams})
         if unknown and not arguments.watch:
             raise ConfigError(f"--ignore names the stream {unknown[0]!r}, which is not one of this run.")
+        unknown = sorted(arguments.zones.streams - {stream.name for stream in streams})
+        if unknown and not arguments.watch:
+            raise ConfigError(f"--zones names the stream {unknown[0]!r}, which is not one of this run.")
         config = load_config(arguments.config, arguments.overrides)
         missing = missing_sources(arguments.streams, streams)
         with ray_settings(arguments.address) as scratch:

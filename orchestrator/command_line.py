@@ -11,6 +11,8 @@ from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
+from orchestrator.events.targets import PASSWORD_VARIABLE, EventTarget, parse_target
+from orchestrator.events.zones import ZonesFile, read_zones
 from orchestrator.ignored import Ignored, read_ignored
 from orchestrator.mistaken_flags import refuse_source_behind, unknown_flag
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
@@ -57,6 +59,7 @@ output:
                                  indexed picture: read it with Pillow, cv2.imread gives colours
   DIR/NAME/layers-*.parquet      a row per frame and layer
   DIR/NAME/frames-*.parquet      a row per frame
+  DIR/NAME/events.jsonl          what happened: births and ends of objects, zones, the camera
   DIR/NAME/overlay.mp4           the labels over the video
   DIR/NAME/background/FRAME.png  the background without objects, now and then; with --save background
   DIR/NAME/cutouts/FRAME-ID.png  each object by itself; with --save cutouts
@@ -110,6 +113,10 @@ class Arguments:
         Longest side of the pictures that are processed, px.
     ignored : Ignored
         What is fixed in the pictures.
+    zones : ZonesFile
+        What the events of each stream depend on.
+    events : tuple of EventTarget
+        Where to send them.
     watch : bool
         Whether the list is read again when it changes.
     """
@@ -127,6 +134,8 @@ class Arguments:
     max_frames: int | None
     max_side: int | None
     ignored: Ignored
+    zones: ZonesFile
+    events: tuple[EventTarget, ...]
     watch: bool
 
     def command(self, output: str) -> list[str]:
@@ -153,6 +162,10 @@ class Arguments:
             words += ["--max-side", str(self.max_side)]
         for word in self.ignored.digests:
             words += ["--ignore", word]
+        if self.zones.path is not None:
+            words += ["--zones", str(self.zones.path)]
+        for target in self.events:
+            words += ["--events", target.shown]
         if self.watch:
             words.append("--watch")
         return words
@@ -212,6 +225,8 @@ def parse(argv: Sequence[str]) -> Arguments:
         max_frames=given.max_frames,
         max_side=given.max_side,
         ignored=read_ignored(given.ignore),
+        zones=ZonesFile() if given.zones is None else read_zones(given.zones),
+        events=tuple(parse_target(text) for text in given.events),
         watch=given.watch,
     )
 
@@ -378,6 +393,22 @@ def _parser() -> argparse.ArgumentParser:
         help="what is fixed in the picture of the stream NAME (default: of all), besides what is found by "
         "itself: a picture in which it is not 0, or a text file with a polygon on each line, x1,y1,x2,y2,… "
         "from 0 to 1 of the picture's width and height; may be given again for other streams",
+    )
+    parser.add_argument(
+        "--zones",
+        type=Path,
+        metavar="FILE",
+        help="YAML file with zones and lines of each stream, and the least size, age and speed of objects, "
+        "for the events in DIR/NAME/events.jsonl",
+    )
+    parser.add_argument(
+        "--events",
+        action="append",
+        default=[],
+        metavar="URL",
+        help="send events to mqtt://[USER[:PASSWORD]@]HOST[:PORT]/TOPIC, or as a POST to a webhook at "
+        "http:// or https://; for a USER without PASSWORD that of the environment variable "
+        f"{PASSWORD_VARIABLE} is taken; may be given again",
     )
     parser.add_argument(
         "--watch",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -9,6 +10,7 @@ from rich.progress import track
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.wording import count_of
+from orchestrator.events.zones import Zone
 from orchestrator.export.recorded_stream import recorded_stream, streams_of
 from orchestrator.export.replay import with_pictures
 from orchestrator.sinks.overlay import OverlayVideo, overlay_remarks
@@ -46,7 +48,7 @@ def write_overlays(run: Path, out: Path) -> list[str]:
     return remarks
 
 
-def draw_overlay(stream: Path, source: str, path: Path) -> list[str]:
+def draw_overlay(stream: Path, source: str, path: Path, zones: Sequence[Zone] = ()) -> list[str]:
     """Draw the overlay of one stream.
 
     Parameters
@@ -57,13 +59,15 @@ def draw_overlay(stream: Path, source: str, path: Path) -> list[str]:
         Its address.
     path : Path
         The mp4 file; there is none if no frame can be drawn.
+    zones : sequence of Zone
+        Drawn over every frame.
 
     Returns
     -------
     list of str
         What is missing, and why.
     """
-    overlay, drawn, missing = OverlayVideo(path, _sound_of(source)), 0, 0
+    overlay, drawn, missing = OverlayVideo(path, _sound_of(source), zones), 0, 0
     pairs = with_pictures(recorded_stream(stream), source)
     for frame, picture in track(
         pairs, stream.name, recorded_frames(stream), console=Console(stderr=True), transient=True

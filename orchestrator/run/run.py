@@ -21,6 +21,8 @@ from mlbs_actors.kernels.machine_code import has_machine_code
 from mlbs_actors.wording import count_of
 from orchestrator.command_line import Arguments
 from orchestrator.credentials import mask
+from orchestrator.events.delivery import delivering
+from orchestrator.events.zones import EventRules
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.monitor.board import Board
@@ -125,6 +127,7 @@ def run(
         if not arguments.resume:
             folder.create(job.description)
             hold.enter_context(folder.locked())
+        session.enter_context(delivering(arguments.events, folder.path, _say))
         if at_work:
             states, exit_status = _drive(job, ended, limit, lengths(), status, onlookers, folder, arguments)
         else:
@@ -137,7 +140,7 @@ def run(
         states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
         try:
             status.finish(states, exit_status)
-            _make_overlays_whole(job.specs, {spec.name for spec in due}, states, folder, arguments.save)
+            _make_overlays_whole(job, {spec.name for spec in due}, states, folder, arguments.save)
             replace_file(folder.path / "report.html", render_report(folder.path).encode())
         except OSError as error:
             raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
@@ -198,6 +201,10 @@ class _Job:
         names = {spec.name for spec in specs if spec.replayable}
         return {stream.name: stream.source for stream in self._streams if stream.name in names}
 
+    def rules(self, name: str) -> EventRules:
+        """Return what the events of a stream depend on."""
+        return self._arguments.zones.rules_of(name, self._config.layers.dormant_frames)
+
     def changes(self) -> SpecChange | None:
         """Return changes to the list."""
         change = None if self._watch is None else self._watch.look()
@@ -216,7 +223,7 @@ class _Job:
         command = given.command(f"{self._folder.path}-again")
         return describe_run(
             self._streams, self._config, given.save, given.max_frames, given.max_side, command,
-            given.ignored.digests,
+            given.ignored.digests, given.zones.digest,
         )  # fmt: skip
 
     def _spec(self, stream: ListedStream) -> StreamSpec:
@@ -225,7 +232,10 @@ class _Job:
         record = StreamRecord
         if max_side is not None:
             reader, record = partial(ShrinkingReader, reader, max_side), FullSizeRecord
-        picture = None if self._live is None else LivePicture(live_picture_path(self._live, stream.name))
+        rules = self.rules(stream.name)
+        picture = None
+        if self._live is not None:
+            picture = LivePicture(live_picture_path(self._live, stream.name), zones=rules.zones)
         folder = self._folder.stream(stream.name)
         replayable = stream.source.kind in (SourceKind.PATH, SourceKind.SYNTHETIC)
         return StreamSpec(
@@ -233,7 +243,14 @@ class _Job:
             config=self._config,
             open_reader=reader,
             open_sink=partial(
-                record, folder, stream.name, save, picture, replayable=replayable, source=stream.source
+                record,
+                folder,
+                stream.name,
+                save,
+                picture,
+                replayable=replayable,
+                source=stream.source,
+                rules=rules,
             ),
             max_frames=self._arguments.max_frames,
             wants_background=ends_group if "background" in save else None,
@@ -311,7 +328,7 @@ def _drive(
 
 
 def _make_overlays_whole(
-    specs: Sequence[StreamSpec],
+    job: _Job,
     due: Collection[str],
     states: Sequence[StreamState],
     folder: RunFolder,
@@ -325,12 +342,12 @@ def _make_overlays_whole(
         for state in states
         if state.state in ("done", "partial") and state.committed and not state.interrupted
     }
-    for spec in specs:
+    for spec in job.specs:
         stream = folder.stream(spec.name)
         wanted = is_in_parts(stream) or (spec.name in due and is_lost(stream))
         if spec.replayable and spec.name in ended and wanted:
             try:
-                make_whole(stream, spec.source, _say)
+                make_whole(stream, spec.source, _say, job.rules(spec.name).zones)
             except KeyboardInterrupt:
                 _say("The overlay stays as it is; to try again, give the same command with --resume.")
                 return

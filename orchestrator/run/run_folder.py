@@ -39,7 +39,11 @@ _SAME = {
     "max_frames": "--max-frames",
     "max_side": "--max-side",
     "ignored": "files to --ignore",
+    "zones": "contents of the file of --zones",
 }
+
+#: Those of them of which no differences are listed.
+_UNLISTED = ("sources", "zones")
 
 #: Most differences of parameters that the message about a resumed run lists.
 _MOST_CHANGES = 3
@@ -114,7 +118,7 @@ class RunFolder:
             if begun.get(key) == description[key]:
                 continue
             if key != "sources" or not self._has_all_recorded(begun.get(key, {}), description[key]):
-                changes = "" if key == "sources" else f" ({_changes(begun.get(key), description[key])})"
+                changes = "" if key in _UNLISTED else f" ({_changes(begun.get(key), description[key])})"
                 raise ConfigError(
                     f"The run in {self.path} had other {meaning}{changes}; give the same ones as then (see "
                     "its run.json), or another folder with --output."
@@ -271,10 +275,12 @@ def describe_run(
     max_side: int | None = None,
     command: Sequence[str] = (),
     ignored: Mapping[str, str] | None = None,
+    zones: str | None = None,
 ) -> dict[str, Any]:
     """Return the content of ``run.json``: everything that the results depend on, without credentials.
 
-    ``command`` starts the same run; ``ignored`` are the digests of the files to ignore.
+    ``command`` starts the same run; ``ignored`` are the digests of the files to ignore, and
+    ``zones`` that of the file of zones.
     """
     parameters = config.model_dump(mode="json")
     sources = {stream.name: str(stream.source) for stream in streams}
@@ -286,6 +292,7 @@ def describe_run(
         "max_frames": max_frames,
         "max_side": max_side,
         "ignored": ignored or None,
+        "zones": zones,
         "command": [mask(word) for word in command],
         "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
         "versions": {

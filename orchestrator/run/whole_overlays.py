@@ -6,9 +6,10 @@ maps that do not count any more. Once the stream has ended, it is drawn anew fro
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from orchestrator.events.zones import Zone
 from orchestrator.export.overlay import draw_overlay
 from orchestrator.sinks.overlay import forget_overlay, move_overlay, overlay_path
 
@@ -28,7 +29,7 @@ def is_lost(folder: Path) -> bool:
     return not any(folder.glob("overlay*"))
 
 
-def make_whole(folder: Path, source: str, say: Callable[[str], None]) -> None:
+def make_whole(folder: Path, source: str, say: Callable[[str], None], zones: Sequence[Zone] = ()) -> None:
     """Replace the parts of a stream's overlay by one video; keep them if it cannot be drawn.
 
     Parameters
@@ -39,11 +40,13 @@ def make_whole(folder: Path, source: str, say: Callable[[str], None]) -> None:
         Its address.
     say : callable
         Takes a sentence for the user.
+    zones : sequence of Zone
+        Drawn over every frame.
     """
     say(f"Drawing the overlay of {folder.name} anew, in one piece.")
     draft = folder / _DRAFT
     try:
-        remarks = draw_overlay(folder, source, draft)
+        remarks = draw_overlay(folder, source, draft, zones)
         if remarks:
             say(f"The overlay of {folder.name} stays as it is. {' '.join(remarks)}")
             return

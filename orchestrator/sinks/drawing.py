@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import cv2
 import numpy as np
 
 from mlbs_actors.messages import BACKGROUND, Array, Region
+from orchestrator.events.zones import Zone
 from orchestrator.sinks.layer_colours import layer_colour
 
-__all__ = ["draw_caption", "draw_labels"]
+__all__ = ["draw_caption", "draw_labels", "draw_zones"]
 
 _OPACITY = 0.4
+_ZONE = (255, 255, 255)
 _LINE_PX = 1 / 360  # width of an outline against the picture's shorter side
 _TEXT_PX = 1 / 28  # height of a digit against the picture's shorter side
 _LEAST_TEXT_PX = 12
@@ -67,6 +69,25 @@ def draw_labels(image: Array, labels: Array, regions: Mapping[int, Region] | Non
 def draw_caption(image: Array, text: str) -> None:
     """Write a line into the picture's upper left corner, in place."""
     _write(image, text, (0, 0), _text_height(image))
+
+
+def draw_zones(image: Array, zones: Sequence[Zone], shape: tuple[int, int]) -> None:
+    """Draw thin outlines of zones, and lines, with their names, in place.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8
+    zones : sequence of Zone
+    shape : (H, W)
+        Size of the picture that the zones are for, which may be larger than ``image``.
+    """
+    scale = image.shape[1] / shape[1], image.shape[0] / shape[0]
+    for zone in zones:
+        corners = np.rint(np.array(zone.corners(shape)) * scale).astype(np.int32)
+        for colour, width in (((0, 0, 0), 3), (_ZONE, 1)):
+            cv2.polylines(image, [corners], zone.kind == "zone", colour, width, cv2.LINE_AA)
+        x, y = corners.mean(axis=0).round().astype(int).tolist()
+        _write(image, zone.name, (x, y), _text_height(image) * 2 // 3)
 
 
 def _regions(labels: Array) -> dict[int, Region]:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import cv2
 
 from mlbs_actors.messages import Array
+from orchestrator.events.zones import Zone
 from orchestrator.run.durable_files import temporary_path
-from orchestrator.sinks.drawing import draw_caption, draw_labels
+from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
 
 __all__ = ["LivePicture", "live_picture_path"]
 
@@ -34,10 +35,15 @@ class LivePicture:
         The JPEG file; its folder must exist.
     clock : callable
         Monotonic time, s.
+    zones : sequence of Zone
+        Drawn over the picture.
     """
 
-    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, path: Path, clock: Callable[[], float] = time.monotonic, zones: Sequence[Zone] = ()
+    ) -> None:
         self._path = path
+        self._zones = zones
         self._clock = clock
         self._written: float | None = None
         self._unshown: tuple[Array, Array, int] | None = None
@@ -64,6 +70,7 @@ class LivePicture:
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
             labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
         drawn = draw_labels(image, labels)
+        draw_zones(drawn, self._zones, (height, width))
         draw_caption(drawn, f"frame {index}")
         _, jpeg = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         with suppress(OSError):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,8 +15,9 @@ from av.video.frame import VideoFrame
 
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array, Region
+from orchestrator.events.zones import Zone
 from orchestrator.run.durable_files import publish, temporary_path
-from orchestrator.sinks.drawing import draw_caption, draw_labels
+from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import reason
 from orchestrator.sources.sound import SoundReader
@@ -103,10 +104,13 @@ class OverlayVideo:
         lacks sound.
     sound : SourceAddress, optional
         The source, whose sound is copied if it is a file that has some.
+    zones : sequence of Zone
+        Drawn over every frame.
     """
 
-    def __init__(self, path: Path, sound: SourceAddress | None = None) -> None:
+    def __init__(self, path: Path, sound: SourceAddress | None = None, zones: Sequence[Zone] = ()) -> None:
         self._path = path
+        self._zones = zones
         self._source_of_sound = sound
         self._sound: SoundReader | None = None
         self._sound_stream: av.AudioStream | None = None
@@ -136,6 +140,7 @@ class OverlayVideo:
             container, stream = self._opened(image.shape, pixel_aspect)
             size = (stream.width, stream.height)
             drawn = draw_labels(image, labels, regions)
+            draw_zones(drawn, self._zones, drawn.shape[:2])
             draw_caption(drawn, f"frame {index}")
             drawn = _padded(drawn)
             if (drawn.shape[1], drawn.shape[0]) != size:

@@ -14,6 +14,7 @@ complete: there is always a snapshot after exactly the committed rows.
 from __future__ import annotations
 
 import math
+import time
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -21,6 +22,8 @@ import pyarrow.parquet as pq
 from mlbs_actors.actors.stream.protocol import GapStatus, Opening, Snapshot, SourceFrame
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import LayerAppearance, Segmentation
+from orchestrator.events.event_file import EventFile
+from orchestrator.events.zones import EventRules
 from orchestrator.run.durable_files import publish, remove_temporary, temporary_path
 from orchestrator.sinks.background import background_plate
 from orchestrator.sinks.commit_log import CommitLog, read_commits
@@ -69,6 +72,8 @@ class StreamRecord:
         Whether uncommitted rows can be read again after the end of the run.
     source : SourceAddress, optional
         Of the stream, whose sound the overlay gets.
+    rules : EventRules, optional
+        What its events depend on.
 
     Attributes
     ----------
@@ -89,7 +94,9 @@ class StreamRecord:
         *,
         replayable: bool = True,
         source: SourceAddress | None = None,
+        rules: EventRules | None = None,
     ) -> None:
+        rules = rules or EventRules()
         self._folder = folder
         self._name = name
         self._save = save
@@ -107,6 +114,7 @@ class StreamRecord:
             with self._log.exclusive():
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
+                self._events = EventFile(folder, name, rules, self._log.rows)
             tables = "parquet" in save
             self._objects = ObjectFiles(folder, name) if tables else None
             self._cutouts = _by_frame(folder / "cutouts")
@@ -122,7 +130,7 @@ class StreamRecord:
         self._label_maps = 0 if before is None else before.label_maps
         self._committed = self._label_maps
         overlay = overlay_path(folder, self._log.rows)
-        self._overlay = OverlayVideo(overlay, source) if "overlay" in save else None
+        self._overlay = OverlayVideo(overlay, source, rules.zones) if "overlay" in save else None
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
@@ -192,9 +200,12 @@ class StreamRecord:
         try:
             if self._replayable or self._provisional or whole:
                 self._commit()
-            if self._objects is not None:
+            if whole or self._objects is not None:
                 with self._log.exclusive():
-                    self._objects.write(complete=whole)
+                    if whole:
+                        self._events.finish()
+                    if self._objects is not None:
+                        self._objects.write(complete=whole)
             for _, path in self._unpublished:
                 temporary_path(path).unlink(missing_ok=True)
         except OSError as error:
@@ -228,6 +239,10 @@ class StreamRecord:
 
     def _add(self, row: FrameRow) -> None:
         self._rows.append(row)
+        self._events.add(row, None if self._replayable else time.time())
+        if self._events.unwritten:
+            with self._log.exclusive():
+                self._events.write()
         if self._replayable and ends_group(row.frame):
             self._commit()
 
@@ -240,6 +255,8 @@ class StreamRecord:
         last = rows[-1].frame
         if "parquet" in self._save:
             files += self._write_tables(rows, rows[0].frame)
+        if not self._provisional:
+            files.append(self._events.draft(last + 1))
         with self._log.exclusive():
             for path in self._withdrawn:
                 path.unlink(missing_ok=True)

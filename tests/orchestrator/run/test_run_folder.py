@@ -260,6 +260,7 @@ def test_a_run_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
             ),
             r"files to --ignore \(was not given, now yard=/mask.png\)",
         ),
+        (plain | {"zones": "ab12"}, "contents of the file of --zones; give"),
     ):
         with pytest.raises(ConfigError, match=f"had other .*{words}"):
             folder.refuse_other(description)

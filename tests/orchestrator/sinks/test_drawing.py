@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from mlbs_actors.messages import Array, Region
-from orchestrator.sinks.drawing import draw_caption, draw_labels
+from orchestrator.events.zones import Zone
+from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
 from orchestrator.sinks.layer_colours import COLOURS, layer_colour
 
 
@@ -112,3 +113,15 @@ def test_a_caption_is_written_into_the_upper_left_corner() -> None:
     rows, columns = np.nonzero((picture != 90).any(axis=2))
     assert rows.max() < 30
     assert columns.max() < 120
+
+
+def test_a_zone_is_drawn_thin_where_it_is_in_a_smaller_picture_too() -> None:
+    zone = Zone(name="z", polygon=((0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)))
+    fence = Zone(name="f", kind="line", polygon=((80, 360), (720, 360)))
+    drawn = np.full((200, 400, 3), 100, np.uint8)
+    draw_zones(drawn, [zone, fence], (400, 800))
+    assert (drawn[50, 120:280] > 200).all()
+    assert (drawn[60:80, 100] > 200).all()
+    assert (drawn[180, 50:150] > 200).all()
+    assert (drawn[180, :30] == 100).all()
+    assert (drawn == 100).all(axis=2).mean() > 0.9

@@ -1,0 +1,351 @@
+"""The events of each frame: a pure state machine over the rows of a record.
+
+What is said depends on the rows and the rules alone. So a stream that goes back to a row, with the state of
+then, says the same again. Nothing is said of the layer of kind ``other``, which is many objects at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from mlbs_actors.messages import LayerSummary, Region
+from orchestrator.events.zones import EventRules, Point, Zone, crossing, is_inside
+from orchestrator.sinks.endings import SEEN, Ending, ending
+from orchestrator.sinks.object_list import Sighting
+from orchestrator.sinks.tables import FrameRow, ResultRow
+
+__all__ = ["HOLD", "Event", "EventKind", "EventState", "Happenings"]
+
+EventKind = Literal[
+    "born",
+    "hidden",
+    "back",
+    "ended",
+    "entered",
+    "left",
+    "crossed",
+    "camera moving",
+    "camera still",
+    "stream lost",
+    "stream back",
+]
+
+#: Label maps in a row that must agree before an object is hidden, in a zone, out of it, or beyond a line.
+HOLD = 3
+
+#: Motion of the picture from which on a camera moves, as a share of the longer side per frame; below half of
+#: it a camera is still.
+_MOVING = 0.001
+
+#: Label maps in a row before a camera moves, and before it is still: somebody who walks with it sways.
+_HOLD_MOVING, _HOLD_STILL = 3, 10
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened.
+
+    Attributes
+    ----------
+    kind : EventKind
+    frame : int
+        When it began, which is some frames before it was certain.
+    pts : float
+        s.
+    layer : int, optional
+        The object.
+    region : Region, optional
+        The object's box in that frame, or in the last one that showed it.
+    zone : str, optional
+        Of ``entered``, ``left`` and ``crossed``.
+    direction : {"left", "right"}, optional
+        Of ``crossed``; see :func:`orchestrator.events.zones.crossing`.
+    reason : str, optional
+        Of ``hidden`` and ``ended``.
+    replaced_by : int, optional
+        The object in its place.
+    """
+
+    kind: EventKind
+    frame: int
+    pts: float
+    layer: int | None = None
+    region: Region | None = None
+    zone: str | None = None
+    direction: Literal["left", "right"] | None = None
+    reason: str | None = None
+    replaced_by: int | None = None
+
+
+@dataclass(slots=True)
+class Presence:
+    """Whether an object is in a zone.
+
+    Attributes
+    ----------
+    inside : bool
+    since : Sighting, optional
+        Where it came in.
+    contrary : int
+        Label maps in a row that say the opposite.
+    first : Sighting, optional
+        The first of these.
+    """
+
+    inside: bool = False
+    since: Sighting | None = None
+    contrary: int = 0
+    first: Sighting | None = None
+
+
+@dataclass(slots=True)
+class Approach:
+    """On which side of a line an object is.
+
+    Attributes
+    ----------
+    foot : (x, y)
+        Where it last certainly was, px.
+    beyond : int
+        Label maps in a row that show it on the other side.
+    first : Sighting, optional
+        The first of these.
+    """
+
+    foot: Point
+    beyond: int = 0
+    first: Sighting | None = None
+
+
+@dataclass(slots=True)
+class Followed:
+    """An object that has not ended.
+
+    Attributes
+    ----------
+    born, seen : Sighting
+        The first and the newest.
+    counts : bool
+        Whether it has reached the minimum, so that events were reported.
+    missing : int
+        Label maps since the newest sighting.
+    gone : (int, float), optional
+        Frame and time of the first of these, s.
+    ending : Ending
+        What the first of these tells.
+    hidden : bool
+        Whether that was reported.
+    zones : dict of str to Presence
+    lines : dict of str to Approach
+    """
+
+    born: Sighting
+    seen: Sighting
+    counts: bool = False
+    missing: int = 0
+    gone: tuple[int, float] | None = None
+    ending: Ending = SEEN
+    hidden: bool = False
+    zones: dict[str, Presence] = field(default_factory=dict)
+    lines: dict[str, Approach] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class EventState:
+    """All that the next events depend on, besides the rules.
+
+    Attributes
+    ----------
+    shown : ResultRow, optional
+        The newest label map.
+    pts : float
+        Its time, s.
+    objects : dict of int to Followed
+    moving : bool
+        Whether the camera moves.
+    contrary : int
+        Label maps in a row that say the opposite.
+    first : (int, float), optional
+        Frame and time of the first of these, s.
+    lost : bool
+        Whether the source is away.
+    """
+
+    shown: ResultRow | None = None
+    pts: float = 0.0
+    objects: dict[int, Followed] = field(default_factory=dict)
+    moving: bool = False
+    contrary: int = 0
+    first: tuple[int, float] | None = None
+    lost: bool = False
+
+
+class Happenings:
+    """The events of one stream.
+
+    Parameters
+    ----------
+    rules : EventRules
+    state : EventState, optional
+        Where to continue; by default at the stream's start.
+
+    Attributes
+    ----------
+    state : EventState
+    """
+
+    def __init__(self, rules: EventRules, state: EventState | None = None) -> None:
+        self.state = EventState() if state is None else state
+        self._rules = rules
+
+    def after(self, row: FrameRow) -> list[Event]:
+        """Return what is certain with the next row of the record, in a fixed order."""
+        state = self.state
+        if row.status == "gap" and not state.lost:
+            state.lost = True
+            return [Event("stream lost", row.frame, row.pts)]
+        if row.result is None:
+            return []
+        said = []
+        if state.lost:
+            state.lost = False
+            said.append(Event("stream back", row.frame, row.pts))
+        said += self._camera(row, row.result)
+        present = {layer.layer: layer for layer in row.result.layers if layer.kind == "object"}
+        for number in sorted(state.objects.keys() - present.keys()):
+            said += self._missing(number, row, row.result)
+        for number in sorted(present):
+            said += self._present(present[number], row, row.result)
+        state.shown, state.pts = replace(row.result, stage_ms={}), row.pts
+        return said
+
+    def end(self) -> list[Event]:
+        """Return what is certain as the stream has come to its end; nothing is left to follow."""
+        said: list[Event] = []
+        for number in sorted(self.state.objects):
+            said += self._ended(number)
+        return said
+
+    def _camera(self, row: FrameRow, result: ResultRow) -> Iterator[Event]:
+        if row.status != "ok":
+            return
+        state, speed = self.state, math.hypot(*result.camera_motion) / max(result.shape)
+        if (speed >= _MOVING / 2) if state.moving else (speed <= _MOVING):
+            state.contrary = 0
+            return
+        if state.contrary == 0:
+            state.first = row.frame, row.pts
+        state.contrary += 1
+        if state.first is not None and state.contrary == (_HOLD_STILL if state.moving else _HOLD_MOVING):
+            state.moving, state.contrary = not state.moving, 0
+            yield Event("camera moving" if state.moving else "camera still", *state.first)
+
+    def _missing(self, number: int, row: FrameRow, result: ResultRow) -> list[Event]:
+        one, before = self.state.objects[number], self.state.shown
+        if one.missing == 0 and before is not None:
+            place = next(place for place, layer in enumerate(before.layers) if layer.layer == number)
+            one.ending = ending(place, before, result, cut=row.status == "cut")
+            one.gone = row.frame, row.pts
+            for presence in one.zones.values():
+                presence.contrary = 0
+            for approach in one.lines.values():
+                approach.beyond = 0
+        one.missing += 1
+        scene_ends = row.status == "cut" or (before is not None and before.shape != result.shape)
+        if scene_ends or one.missing > self._rules.remembered:
+            return self._ended(number)
+        if one.missing == HOLD and one.counts and one.gone is not None:
+            one.hidden = True
+            words, by = one.ending.words, one.ending.by
+            return [Event("hidden", *one.gone, number, one.seen.region, reason=words, replaced_by=by)]
+        return []
+
+    def _ended(self, number: int) -> list[Event]:
+        one = self.state.objects.pop(number)
+        if not one.counts:
+            return []
+        (frame, pts), words = (one.seen.frame, one.seen.pts), "end of the stream"
+        if one.gone is not None:
+            (frame, pts), words = one.gone, one.ending.words
+        common = Event("left", frame, pts, number, one.seen.region)
+        return [
+            *(replace(common, zone=zone) for zone, presence in one.zones.items() if presence.inside),
+            replace(common, kind="ended", reason=words, replaced_by=one.ending.by),
+        ]
+
+    def _present(self, layer: LayerSummary, row: FrameRow, result: ResultRow) -> list[Event]:
+        number, here = layer.layer, Sighting.of(layer, row)
+        one = self.state.objects.setdefault(number, Followed(born=here, seen=here))
+        said = []
+        if one.hidden:
+            said.append(Event("back", here.frame, here.pts, number, here.region))
+        one.seen, one.missing, one.gone, one.ending, one.hidden = here, 0, None, SEEN, False
+        for zone in self._rules.zones:
+            follow = _crossed if zone.kind == "line" else _moved
+            said += follow(zone, one, number, result)
+        if one.counts:
+            return said
+        one.counts = self._reaches_minimum(one, layer, row, result)
+        if not one.counts:
+            return []
+        born = Event("born", one.born.frame, one.born.pts, number, one.born.region)
+        return [born, *_inside_already(one, number)]
+
+    def _reaches_minimum(self, one: Followed, layer: LayerSummary, row: FrameRow, result: ResultRow) -> bool:
+        least = self._rules.minimum
+        if layer.area < least.area or row.pts - one.born.pts < least.seconds:
+            return False
+        if least.speed == 0:
+            return True
+        seconds = row.pts - self.state.pts
+        way = math.dist(layer.velocity, result.camera_motion)
+        return self.state.shown is not None and seconds > 0 and way / seconds >= least.speed
+
+
+def _moved(zone: Zone, one: Followed, number: int, result: ResultRow) -> Iterator[Event]:
+    """Yield that the object went into a zone, or out of it."""
+    here, presence = one.seen, one.zones.setdefault(zone.name, Presence())
+    if is_inside(_foot(here.region), zone.corners(result.shape)) == presence.inside:
+        presence.contrary = 0
+        return
+    if presence.contrary == 0:
+        presence.first = here
+    presence.contrary += 1
+    if presence.contrary == HOLD and (first := presence.first) is not None:
+        presence.inside, presence.contrary = not presence.inside, 0
+        if presence.inside:
+            presence.since = first
+        kind: EventKind = "entered" if presence.inside else "left"
+        yield Event(kind, first.frame, first.pts, number, first.region, zone.name)
+
+
+def _crossed(zone: Zone, one: Followed, number: int, result: ResultRow) -> Iterator[Event]:
+    """Yield that the object went over a line."""
+    here, foot = one.seen, _foot(one.seen.region)
+    approach = one.lines.setdefault(zone.name, Approach(foot))
+    direction = crossing(approach.foot, foot, zone.corners(result.shape))
+    if direction is not None:
+        if approach.beyond == 0:
+            approach.first = here
+        approach.beyond += 1
+        if approach.beyond < HOLD:
+            return
+        if (first := approach.first) is not None:
+            yield Event(
+                "crossed", first.frame, first.pts, number, first.region, zone.name, direction=direction
+            )
+    approach.foot, approach.beyond = foot, 0
+
+
+def _inside_already(one: Followed, number: int) -> Iterator[Event]:
+    for zone, presence in one.zones.items():
+        if presence.inside and (since := presence.since) is not None:
+            yield Event("entered", since.frame, since.pts, number, since.region, zone)
+
+
+def _foot(region: Region) -> Point:
+    """Return the middle of a box's lowest row of pixels, px: where something stands on the ground."""
+    return region.x + region.width / 2, region.y + region.height - 0.5

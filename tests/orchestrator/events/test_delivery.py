@@ -1,0 +1,285 @@
+"""Events on their way to a webhook or a broker that is away for a while."""
+
+from __future__ import annotations
+
+import base64
+import json
+import socket
+import socketserver
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+from record_fakes import frame, segmentation
+
+from mlbs_actors.errors import ConfigError
+from orchestrator.command_line import parse
+from orchestrator.events import delivery as delivery_module
+from orchestrator.events import targets as targets_module
+from orchestrator.events.delivery import delivering
+from orchestrator.events.targets import (
+    PASSWORD_VARIABLE,
+    DeliveryError,
+    EventTarget,
+    open_sender,
+    parse_target,
+)
+from orchestrator.sinks.record import StreamRecord
+
+
+class Webhook(ThreadingHTTPServer):
+    """Notes what it is sent; refuses it while it is ``away``."""
+
+    daemon_threads = True
+
+    def __init__(self, port: int = 0) -> None:
+        self.events: list[dict[str, Any]] = []
+        self.headers: list[dict[str, str]] = []
+        self.away = False
+        super().__init__(("127.0.0.1", port), _Answer)
+        threading.Thread(target=self.serve_forever, args=(0.02,), daemon=True).start()
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server_address[1]}/hook"
+
+    @property
+    def ids(self) -> list[str]:
+        return [event["id"] for event in self.events]
+
+    def stop(self) -> None:
+        self.shutdown()
+        self.server_close()
+
+
+class _Answer(BaseHTTPRequestHandler):
+    server: Webhook
+
+    def do_POST(self) -> None:
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        if not self.server.away:
+            self.server.headers.append(dict(self.headers))
+            self.server.events.append(json.loads(body))
+        self.send_response(503 if self.server.away else 204)
+        self.end_headers()
+
+    def log_message(self, *_: object) -> None:
+        return
+
+
+@pytest.fixture
+def webhook() -> Iterator[Webhook]:
+    server = Webhook()
+    yield server
+    server.stop()
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(delivery_module, "retry_seconds", lambda failures: 0.02)
+    monkeypatch.setattr(delivery_module, "_GRACE_SECONDS", 1.0)
+    monkeypatch.setattr(targets_module, "_ANSWER_SECONDS", 1.0)
+
+
+def write(record: StreamRecord, begin: int, end: int) -> None:
+    """Object 5 comes and goes."""
+    for index in range(begin, end):
+        record.write(segmentation(index, 3, *([5] if index // 5 % 2 else [])), frame(index))
+
+
+def ids(folder: Path) -> list[str]:
+    return [json.loads(line)["id"] for line in (folder / "events.jsonl").read_text().splitlines()]
+
+
+def wait_until(there: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20
+    while not there():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_every_event_arrives_once_and_in_order_though_the_webhook_is_away(
+    tmp_path: Path, webhook: Webhook
+) -> None:
+    said: list[str] = []
+    gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
+    with delivering([parse_target(webhook.url)], tmp_path, said.append):
+        write(gate, 0, 20)
+        wait_until(lambda: webhook.ids == ids(tmp_path / "gate"))  # live, before a commit
+        webhook.away = True
+        began = time.monotonic()
+        write(gate, 20, 70)
+        assert time.monotonic() - began < 5  # nobody waited for the webhook
+        wait_until(lambda: bool(said))
+        webhook.away = False
+        write(gate, 70, 90)
+        gate.close(whole=True)
+    assert webhook.ids == ids(tmp_path / "gate")
+    assert len(set(webhook.ids)) == len(webhook.ids) > 20
+    assert said[0].endswith("it answers 503 Service Unavailable. It is tried again.")
+    assert said[1:] == ["Events are delivered to http://127.0.0.1:" + said[1].split(":")[2]]
+
+
+def test_a_run_that_is_resumed_goes_on_where_the_target_was(tmp_path: Path, webhook: Webhook) -> None:
+    said: list[str] = []
+    url, port = webhook.url, webhook.server_address[1]
+    gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
+    with delivering([parse_target(url)], tmp_path, said.append):
+        write(gate, 0, 40)
+    first = webhook.ids
+    assert first == ids(tmp_path / "gate")
+    webhook.stop()
+    # Killed, and opened again: the lines after the last commit come again, with the same ids.
+    again = StreamRecord(tmp_path / "gate", "gate", frozenset())
+    with delivering([parse_target(url)], tmp_path, said.append):
+        write(again, 0, 90)
+        again.close(whole=True)
+    left = len(ids(tmp_path / "gate")) - len(first)
+    assert said[-1].startswith(f"{left} events could not be delivered to http://127.0.0.1:{port}/***")
+    late = Webhook(port)
+    with delivering([parse_target(url)], tmp_path, said.append):
+        wait_until(lambda: len(late.events) == left)
+    late.stop()
+    assert [*first, *late.ids] == ids(tmp_path / "gate")
+    [position] = tmp_path.glob(".delivered-*.json")
+    whole = (tmp_path / "gate/events.jsonl").stat().st_size
+    assert json.loads(position.read_text()) == {"gate": {"length": whole, "ids": []}}
+
+
+def test_a_password_is_sent_and_shown_nowhere(
+    tmp_path: Path, webhook: Webhook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = webhook.url.replace("http://", "http://bob:s3cr%40t@").replace(
+        "/hook", "/api/webhook/hidden?token=k"
+    )
+    target = parse_target(url)
+    open_sender(target).send(b'{"id": "1"}')
+    assert webhook.headers[0]["Authorization"] == f"Basic {base64.b64encode(b'bob:s3cr@t').decode()}"
+    arguments = parse(["demo", "--events", url])
+    shown = f"{target!r} {target.shown} {arguments!r} {arguments.command('out')}"
+    assert not any(secret in shown for secret in ("s3cr", "hidden", "token=k"))
+    monkeypatch.setenv(PASSWORD_VARIABLE, "from outside")
+    assert parse_target("http://bob@host/x").password == "from outside"
+    assert parse_target("http://host/x").password is None
+
+
+def test_a_webhook_that_sends_elsewhere_has_not_taken_the_event(webhook: Webhook) -> None:
+    class Elsewhere(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            self.send_response(302)
+            self.send_header("Location", webhook.url)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            return
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Elsewhere) as server:
+        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+        sender = open_sender(parse_target(f"http://127.0.0.1:{server.server_address[1]}/x"))
+        with pytest.raises(DeliveryError, match="it answers 302"):
+            sender.send(b'{"id": "1"}')
+        server.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("url", "told"),
+    [
+        ("yard", "takes mqtt://"),
+        ("ftp://bob:s3cret@host/x", "takes mqtt://"),
+        ("http:///x", "takes mqtt://"),
+        ("http://host:99999/x", "no number up to 65535"),
+        ("mqtt://bob:s3cret@host", "needs a topic"),
+        ("mqtt://bob:s3cret@host/yard/+", "without wildcards"),
+    ],
+)
+def test_a_target_that_cannot_be_is_refused_without_its_password(url: str, told: str) -> None:
+    with pytest.raises(ConfigError, match=told) as refused:
+        parse_target(url)
+    assert "s3cret" not in str(refused.value)
+
+
+def test_mqtt_without_its_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"pip install 'mlbs-actors\[mqtt\]'"):
+        parse_target("mqtt://host/yard")
+
+
+class Broker(socketserver.ThreadingTCPServer):
+    """As much of MQTT 3.1.1 as a publisher with QoS 1 needs; refuses other passwords than ``s3cret``."""
+
+    allow_reuse_address = daemon_threads = True
+
+    def __init__(self, port: int = 0) -> None:
+        self.published: list[tuple[str, bytes]] = []
+        self.clients: list[Any] = []
+        super().__init__(("127.0.0.1", port), _Session)
+        threading.Thread(target=self.serve_forever, args=(0.02,), daemon=True).start()
+
+    def stop(self) -> None:
+        self.shutdown()
+        self.server_close()
+        for client in self.clients:
+            with suppress(OSError):  # it has gone by itself
+                client.shutdown(socket.SHUT_RDWR)
+
+
+class _Session(socketserver.StreamRequestHandler):
+    server: Broker
+
+    def handle(self) -> None:
+        self.server.clients.append(self.connection)
+        try:
+            while first := self.rfile.read(1):
+                self._answer(first[0] >> 4, self.rfile.read(self._length()))
+        except (OSError, ValueError):
+            return
+
+    def _length(self) -> int:
+        length = shift = 0
+        while True:
+            byte = self.rfile.read(1)[0]
+            length |= (byte & 127) << shift
+            shift += 7
+            if byte < 128:
+                return length
+
+    def _answer(self, kind: int, body: bytes) -> None:
+        if kind == 1:
+            self.wfile.write(bytes([0x20, 2, 0, 0 if body.endswith(b"s3cret") else 5]))
+        elif kind == 3:
+            (size,) = struct.unpack_from(">H", body)
+            topic, number = body[2 : 2 + size].decode(), body[2 + size : 4 + size]
+            self.server.published.append((topic, body[4 + size :]))
+            self.wfile.write(bytes([0x40, 2]) + number)
+
+
+def test_a_broker_gets_every_event_though_it_was_away() -> None:
+    pytest.importorskip("paho.mqtt.client")
+    broker = Broker()
+    port = broker.server_address[1]
+    sender = open_sender(parse_target(f"mqtt://bob:s3cret@127.0.0.1:{port}/yard/events"))
+    sender.send(b'{"id": "1"}')
+    broker.stop()
+    with pytest.raises(DeliveryError):
+        sender.send(b'{"id": "2"}')
+    again = Broker(port)
+    sender.send(b'{"id": "2"}')
+    sender.close()
+    again.stop()
+    assert broker.published == [("yard/events", b'{"id": "1"}')]
+    assert again.published == [("yard/events", b'{"id": "2"}')]
+
+
+def test_a_broker_that_refuses_the_password_is_reported() -> None:
+    pytest.importorskip("paho.mqtt.client")
+    broker = Broker()
+    target = EventTarget(f"mqtt://127.0.0.1:{broker.server_address[1]}/yard", "bob", "wrong")
+    with pytest.raises(DeliveryError, match="it refuses: Not authorized"):
+        open_sender(target).send(b"{}")
+    broker.stop()

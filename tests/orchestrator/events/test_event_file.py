@@ -1,0 +1,146 @@
+"""``events.jsonl`` as part of a record that is killed and opened again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from record_fakes import frame, segmentation
+
+from mlbs_actors.actors.stream.protocol import Snapshot
+from orchestrator.events.zones import EventRules, Zone
+from orchestrator.sinks.record import StreamRecord
+
+ZONE = Zone(name="middle", polygon=((10, 0), (20, 0), (20, 40), (10, 40)))
+RULES = EventRules((ZONE,), remembered=4)
+SAVE = frozenset({"parquet"})
+FRAMES = 100
+
+
+def record(folder: Path, *, replayable: bool = True) -> StreamRecord:
+    return StreamRecord(folder, "yard", SAVE, rules=RULES, replayable=replayable)
+
+
+def write(one: StreamRecord, begin: int, end: int) -> None:
+    """Object 3 walks to the right, again and again; 5 is away every other eight frames."""
+    for index in range(begin, end):
+        if index == 50:
+            one.gap(index, index / 10, "gap")
+        else:
+            one.write(segmentation(index, 3, *([5] if index // 8 % 2 else [])), frame(index))
+
+
+def lines(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+
+
+def snapshot(one: StreamRecord, rows: int) -> Snapshot:
+    """A snapshot after so many rows, whose files are complete."""
+    assert one.opening.snapshots is not None
+    folder = one.opening.snapshots / f"{rows:08d}"
+    folder.mkdir(parents=True)
+    (folder / "part").write_bytes(b"")
+    return Snapshot(folder, rows, rows, ())
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The events without a kill."""
+    folder = tmp_path_factory.mktemp("whole")
+    one = record(folder)
+    write(one, 0, FRAMES)
+    one.close(whole=True)
+    return (folder / "events.jsonl").read_bytes()
+
+
+def test_a_line_holds_what_happened(whole: bytes) -> None:
+    said = [json.loads(line) for line in whole.splitlines()]
+    assert {one["kind"] for one in said} >= {"born", "entered", "left", "ended", "stream lost", "stream back"}
+    entered = next(one for one in said if one["kind"] == "entered")
+    assert entered == {
+        "id": "yard/6/0.600/entered/3/middle",
+        "stream": "yard",
+        "kind": "entered",
+        "frame": 6,
+        "time": 0.6,
+        "clock": None,
+        "object": 3,
+        "box": [6, 5, 8, 10],
+        "zone": "middle",
+        "direction": None,
+        "reason": None,
+        "replaced_by": None,
+    }
+    assert len({one["id"] for one in said}) == len(said)
+    assert {one["reason"] for one in said if one["kind"] == "ended"} == {
+        "no longer found",
+        "end of the stream",
+    }
+
+
+@pytest.mark.parametrize("killed_after", [1, 8, 9, 20, 31, 32, 33, 57, 99])
+def test_a_killed_record_goes_on_with_the_same_lines(tmp_path: Path, whole: bytes, killed_after: int) -> None:
+    write(record(tmp_path), 0, killed_after)
+    again = record(tmp_path)
+    write(again, 0, FRAMES)  # those that are committed are skipped
+    again.close(whole=True)
+    assert (tmp_path / "events.jsonl").read_bytes() == whole
+
+
+def test_a_kill_between_the_events_and_their_commit_changes_nothing(tmp_path: Path, whole: bytes) -> None:
+    one = record(tmp_path)
+    write(one, 0, 64)
+    log = tmp_path / "commits.jsonl"
+    log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[:-1]))
+    again = record(tmp_path)
+    write(again, 0, FRAMES)
+    again.close(whole=True)
+    assert (tmp_path / "events.jsonl").read_bytes() == whole
+
+
+def test_an_interrupted_record_replaces_what_was_provisional(tmp_path: Path, whole: bytes) -> None:
+    one = record(tmp_path)
+    write(one, 0, 40)
+    one.provisional()
+    write(one, 40, 44)
+    one.close(whole=False)
+    again = record(tmp_path)
+    write(again, 0, FRAMES)
+    again.close(whole=True)
+    assert (tmp_path / "events.jsonl").read_bytes() == whole
+
+
+def test_a_record_that_was_closed_as_whole_may_be_closed_again(tmp_path: Path, whole: bytes) -> None:
+    for _ in range(2):
+        one = record(tmp_path)
+        write(one, 0, FRAMES)
+        one.close(whole=True)
+    assert (tmp_path / "events.jsonl").read_bytes() == whole
+
+
+def test_events_of_a_camera_are_there_before_their_commit_and_go_without_it(tmp_path: Path) -> None:
+    one = record(tmp_path, replayable=False)
+    write(one, 0, 9)
+    assert one.keep(snapshot(one, 9))
+    write(one, 9, 20)
+    before = lines(tmp_path)
+    assert {event["frame"] for event in before} >= {0, 6, 16}
+    again = record(tmp_path, replayable=False)  # frames 9 to 19 are gone for ever
+    # What was certain by frame 8: there object 5 is born, and object 3 has been in the zone for a moment.
+    assert lines(tmp_path) == before[:4]
+    assert [event["frame"] for event in before[:4]] == [0, 0, 6, 8]
+    again.gap(9, 30.0, "gap")
+    assert lines(tmp_path)[-1]["kind"] == "stream lost"
+
+
+def test_events_of_a_camera_have_the_time_of_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The first frame comes 2 s late, the others half a second.
+    late = iter([2.0, *[0.5] * 8])
+    times = iter([1_000_000_000.0 + index / 10 + next(late) for index in range(9)])
+    monkeypatch.setattr("orchestrator.sinks.record.time.time", lambda: next(times))
+    write(record(tmp_path, replayable=False), 0, 9)
+    clocks = {event["kind"]: event["clock"] for event in lines(tmp_path)}
+    assert clocks["born"].startswith("2001-09-09T01:46:4")
+    assert clocks["entered"] == "2001-09-09T01:46:41.100+00:00"  # frame 6, known to within that half second
