@@ -26,7 +26,8 @@ import numpy as np
 from mlbs_actors.cells import cell_side
 from mlbs_actors.clustering.affinity import displacement_spread
 from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
-from mlbs_actors.clustering.layer_registry import LayerRegistry, RegistryState
+from mlbs_actors.clustering.layer_registry import LayerRegistry
+from mlbs_actors.clustering.registry_state import RegistryState
 from mlbs_actors.clustering.rigid_scene import Places
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.coordinator_labels import cluster, observe
@@ -132,6 +133,12 @@ class Coordinator:
         if frame_index + 1 <= epoch + self.config.layers.init_frames or newest - 2 < epoch:
             return None
         return newest - 2 if self._emitted(newest - 2) else None
+
+    def possible_layers(self) -> set[int]:
+        """Return a superset of the layers that frames to come, or held ones, may have."""
+        state = self.state
+        labels = [state.registry.labels, state.labels, *(one.labels for one in state.held)]
+        return {state.registry.other, *(layer for one in labels for layer in np.unique(one).tolist())}
 
     def _emitted(self, frame_index: int) -> bool:
         state, first_held = self.state, self.state.next_frame

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mlbs_actors.clustering.layer_registry import RegistryState
+from mlbs_actors.clustering.registry_state import RegistryState
 from mlbs_actors.clustering.rigid_scene import Places
 from mlbs_actors.config import Config
 from mlbs_actors.flow.estimate import Picture

@@ -251,14 +251,12 @@ class MultilayerSubtractor:
         later : sequence of FrameEvidence
             What the coordinator has decided on already; it is ahead by so many frames.
         """
-        state, parts = self._coordinator.state, self._segmenter.state.parts
-        labels = [state.registry.labels, state.labels, *(one.labels for one in state.held)]
         # Parts have the id of their object even when that has ended.
+        wholes = self._segmenter.state.parts.objects().values()
         return {
-            state.registry.other,
-            *(layer for one in labels for layer in np.unique(one).tolist()),
+            *self._coordinator.possible_layers(),
             *(one.layer for frame in later for one in frame.tracks),
-            *parts.objects().values(),
+            *wholes,
         }
 
     @contextmanager

@@ -2,7 +2,7 @@
 
 Two things are kept apart here: a *label* is what a cluster of trajectories carries in the coordinator (0 the
 background, > 0 a layer, −1 none, < −1 a candidate on probation); a *layer id* is never reused and is what the
-label map shows. They differ for the objects past the cap, which share one layer "other".
+engine's label map shows. They differ for the objects past the cap, which share one layer "other".
 
 Differs from the paper: it creates a layer whenever the N-cut splits a cluster and drops it with its last
 trajectory; here a split must last a few frames first. A part split off an object (a limb, a head, the body
@@ -14,96 +14,21 @@ expected, and the number of layers is bounded.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
 from mlbs_actors.clustering.label_lookup import layers_of, sightings
-from mlbs_actors.clustering.reidentification import SIGNATURE_BINS, Sighting, best_sleeper, colour_signatures
+from mlbs_actors.clustering.registry_state import RegistryState
+from mlbs_actors.clustering.reidentification import Sighting, best_sleeper, colour_signatures
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import BACKGROUND, Array
 
-__all__ = ["RESTED_CLUSTERINGS", "LayerRegistry", "RegistryState"]
+__all__ = ["RESTED_CLUSTERINGS", "LayerRegistry"]
 
 #: An object rests if it has not moved in so many clusterings: in one it may just be slow.
 RESTED_CLUSTERINGS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class RegistryState:
-    """All objects that live, sleep or are on probation, one in each row of the arrays.
-
-    Attributes
-    ----------
-    labels : (k,) int64
-        Ascending; candidates have labels < −1.
-    born : (k,) int64
-        Frame of birth.
-    origins : (k,) int64
-        Label of the object that it was split off or has appeared on, −1 if none.
-    seen : (k,) int64
-        Last frame awake; older than the newest frame = asleep.
-    judged, moving : (k,) int64
-        Clusterings since birth, and in how many of them it moved against the camera.
-    rested : (k,) int64
-        Clusterings since it last moved against the camera.
-    spared : (k,) int64
-        Clusterings in which it skips the N-cut test.
-    tracked : (k,) int64
-        Last frame with enough trajectories; a layer can stay awake a little longer on its published pixels.
-    centroids, velocities : (k, 2) float64
-        Mean position (px) and forward motion (px/frame) when last seen.
-    signatures : (k, SIGNATURE_BINS³) float32
-        Colour histogram, sum 1 (0 before the first).
-    pooled : (k,) bool
-        Shares the layer "other".
-    next_layer : int
-        Next unused layer id.
-    next_candidate : int
-        Next unused candidate label, < −1.
-    other : int
-        Layer id of "other", −1 before it is needed.
-    """
-
-    labels: Array
-    born: Array
-    origins: Array
-    judged: Array
-    moving: Array
-    rested: Array
-    spared: Array
-    seen: Array
-    tracked: Array
-    centroids: Array
-    velocities: Array
-    signatures: Array
-    pooled: Array
-    next_layer: int
-    next_candidate: int
-    other: int
-
-    @staticmethod
-    def empty() -> RegistryState:
-        """Return the state without any object."""
-        return RegistryState(
-            np.zeros(0, np.int64),
-            np.zeros(0, np.int64),
-            np.zeros(0, np.int64),
-            np.zeros(0, np.int64),
-            np.zeros(0, np.int64),
-            np.zeros(0, np.int64),
-            np.zeros(0, np.int64),
-            np.zeros(0, np.int64),
-            np.zeros(0, np.int64),
-            np.zeros((0, 2)),
-            np.zeros((0, 2)),
-            np.zeros((0, SIGNATURE_BINS**3), np.float32),
-            np.zeros(0, bool),
-            1,
-            UNLABELLED - 1,
-            -1,
-        )
 
 
 class LayerRegistry:
@@ -231,7 +156,7 @@ class LayerRegistry:
         objects = self._objects()
         origins = [objects.get(merged.get(one, one), UNLABELLED) for one in self.state.origins.tolist()]
         self.state = replace(self.state, origins=np.array(origins, np.int64))
-        self._select(~np.isin(self.state.labels, list(merged)))
+        self.state = self.state.select(~np.isin(self.state.labels, list(merged)))
 
     def unknown(self, labels: Array) -> set[int]:
         """Return the labels among ``labels`` (n,) int64 that are new."""
@@ -254,28 +179,9 @@ class LayerRegistry:
         """
         objects = self._objects()
         for label in sorted(self.unknown(labels)):
-            candidate = self.state.next_candidate
-            labels = np.where(labels == label, candidate, labels)
-            state = self.state
-            self.state = replace(
-                state,
-                labels=np.concatenate([[candidate], state.labels]),
-                born=np.concatenate([[frame_index], state.born]),
-                origins=np.concatenate(
-                    [[objects.get(origins.get(label, UNLABELLED), UNLABELLED)], state.origins]
-                ),
-                judged=np.concatenate([[0], state.judged]),
-                moving=np.concatenate([[0], state.moving]),
-                rested=np.concatenate([[0], state.rested]),
-                spared=np.concatenate([[0], state.spared]),
-                seen=np.concatenate([[frame_index], state.seen]),
-                tracked=np.concatenate([[frame_index], state.tracked]),
-                centroids=np.concatenate([np.zeros((1, 2)), state.centroids]),
-                velocities=np.concatenate([np.zeros((1, 2)), state.velocities]),
-                signatures=np.concatenate([np.zeros((1, SIGNATURE_BINS**3), np.float32), state.signatures]),
-                pooled=np.concatenate([[False], state.pooled]),
-                next_candidate=candidate - 1,
-            )
+            labels = np.where(labels == label, self.state.next_candidate, labels)
+            origin = objects.get(origins.get(label, UNLABELLED), UNLABELLED)
+            self.state = self.state.with_candidate(frame_index, origin)
         return labels
 
     def _objects(self) -> dict[int, int]:
@@ -334,7 +240,7 @@ class LayerRegistry:
         asleep = frame_index - state.seen
         keep = np.where(state.labels > 0, asleep <= self.config.dormant_frames, asleep == 0)
         if not keep.all():
-            self._select(keep)
+            self.state = self.state.select(keep)
         if not self.state.pooled.any():
             self.state = replace(
                 self.state, other=-1
@@ -370,27 +276,6 @@ class LayerRegistry:
         self._keep_cap(labels, frame_index)
         return labels
 
-    def _select(self, rows: Array) -> None:
-        state = self.state
-        labels, origins = state.labels[rows], state.origins[rows]
-        self.state = replace(
-            state,
-            labels=labels,
-            born=state.born[rows],
-            # A part of a forgotten object is a part no longer.
-            origins=np.where(np.isin(origins, labels), origins, UNLABELLED),
-            judged=state.judged[rows],
-            moving=state.moving[rows],
-            rested=state.rested[rows],
-            spared=state.spared[rows],
-            seen=state.seen[rows],
-            tracked=state.tracked[rows],
-            centroids=state.centroids[rows],
-            velocities=state.velocities[rows],
-            signatures=state.signatures[rows],
-            pooled=state.pooled[rows],
-        )
-
     def _promote(self, candidate: int, frame_index: int) -> int:
         """Make a candidate a layer: the sleeping one that it matches, or else a new one."""
         state = self.state
@@ -416,7 +301,7 @@ class LayerRegistry:
         state.labels[row], state.born[row], state.pooled[row] = label, born, pooled
         self.state = state
         rows = np.argsort(state.labels, kind="stable")
-        self._select(rows if sleeper is None else rows[rows != sleeper])
+        self.state = self.state.select(rows if sleeper is None else rows[rows != sleeper])
         return label
 
     def _bereft(self, row: int, frame_index: int) -> int | None:

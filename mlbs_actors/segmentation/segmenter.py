@@ -192,14 +192,12 @@ class Segmenter:
             side = cell_side(evidence.shape, self.config.grid.cell_px)
             grid = in_cells(Region(0, 0, evidence.shape[1], evidence.shape[0]), side)
             nothing = _Maps.of_background(evidence.shape, (grid.height, grid.width))
-            state = SegmenterState(
-                state.next_frame,
-                -1,
-                nothing.labels,
-                nothing.normaliser,
-                nothing.fallback,
-                (),
-                PartsState.empty(),
+            state = replace(
+                SegmenterState.beginning(),
+                next_frame=state.next_frame,
+                labels=nothing.labels,
+                normaliser=nothing.normaliser,
+                fallback=nothing.fallback,
             )
         self.state = replace(state, next_frame=evidence.frame_index + 1)
         return Segmentation(

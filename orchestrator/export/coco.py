@@ -46,7 +46,7 @@ def write_coco(run: Path, out: Path) -> None:
                 "seconds": frame.pts,
             }
             images.append(image)
-            for one in frame.objects:
+            for one, code in zip(frame.objects, frame.codes, strict=True):
                 region = one.region
                 annotations.append(
                     {
@@ -55,7 +55,7 @@ def write_coco(run: Path, out: Path) -> None:
                         "video_id": len(videos),
                         "category_id": CATEGORY,
                         "track_id": one.layer,
-                        "segmentation": {"size": [frame.height, frame.width], "counts": one.code},
+                        "segmentation": {"size": [frame.height, frame.width], "counts": code},
                         "area": one.area,
                         "bbox": [region.x, region.y, region.width, region.height],
                         "score": one.confidence,

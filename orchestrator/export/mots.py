@@ -32,11 +32,11 @@ def write_mots(run: Path, out: Path) -> None:
     for name in streams_of(run):
         with (out / f"{name}.txt").open("w", encoding="utf-8") as file:
             for frame in recorded_stream(run / name):
-                for one in frame.objects:
+                for one, code in zip(frame.objects, frame.codes, strict=True):
                     if one.layer >= _OBJECTS_OF_A_CLASS:
                         raise ConfigError(
                             f"MOTS has no place for layer {one.layer} of {name!r}, only for ids up to "
                             f"{_OBJECTS_OF_A_CLASS - 1}; export to coco."
                         )
                     number = CLASS * _OBJECTS_OF_A_CLASS + one.layer
-                    file.write(f"{frame.index} {number} {CLASS} {frame.height} {frame.width} {one.code}\n")
+                    file.write(f"{frame.index} {number} {CLASS} {frame.height} {frame.width} {code}\n")

@@ -12,40 +12,10 @@ import numpy as np
 from pycocotools import mask as coco_mask
 
 from mlbs_actors.errors import ConfigError
-from mlbs_actors.messages import Array, LayerKind, ObjectState, Region
+from mlbs_actors.messages import Array, LayerSummary
 from orchestrator.sinks.record_tables import read_rows
 
-__all__ = ["RecordedFrame", "RecordedObject", "description_of", "recorded_stream", "streams_of"]
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedObject:
-    """One object in one frame, as a row of ``layers-*.parquet``.
-
-    Attributes
-    ----------
-    layer : int
-    kind : {"object", "other"}
-    state : {"moving", "resting"}
-    region : Region
-    area : int
-        px.
-    centroid, velocity : (float, float)
-        px and px/frame, x before y.
-    confidence : float
-    code : str
-        Its mask as COCO's compressed run-length code.
-    """
-
-    layer: int
-    kind: LayerKind
-    state: ObjectState
-    region: Region
-    area: int
-    centroid: tuple[float, float]
-    velocity: tuple[float, float]
-    confidence: float
-    code: str
+__all__ = ["RecordedFrame", "description_of", "recorded_stream", "streams_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +34,10 @@ class RecordedFrame:
         px.
     camera_motion : (float, float)
         px/frame, x before y.
-    objects : tuple of RecordedObject
-        In ascending layer id.
+    objects : tuple of LayerSummary
+        In ascending id.
+    codes : tuple of str
+        Their masks as COCO's compressed run-length codes.
     pixel_aspect : float
         How wide a pixel is to be shown for its height.
     """
@@ -76,14 +48,15 @@ class RecordedFrame:
     height: int
     width: int
     camera_motion: tuple[float, float]
-    objects: tuple[RecordedObject, ...]
+    objects: tuple[LayerSummary, ...]
+    codes: tuple[str, ...]
     pixel_aspect: float = 1.0
 
     def labels(self) -> Array:
         """The label map, (H, W) uint16."""
         labels = np.zeros((self.height, self.width), np.uint16)
-        for one in self.objects:
-            code = {"size": [self.height, self.width], "counts": one.code.encode("ascii")}
+        for one, counts in zip(self.objects, self.codes, strict=True):
+            code = {"size": [self.height, self.width], "counts": counts.encode("ascii")}
             labels[np.asarray(coco_mask.decode(code), dtype=bool)] = one.layer
         return labels
 
@@ -128,20 +101,6 @@ def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
         result = row.result
         if result is None or row.name is None:
             continue
-        objects = tuple(
-            RecordedObject(
-                layer=layer.layer,
-                kind=layer.kind,
-                state=layer.state,
-                region=layer.region,
-                area=layer.area,
-                centroid=layer.centroid,
-                velocity=layer.velocity,
-                confidence=layer.confidence,
-                code=code,
-            )
-            for layer, code in zip(result.layers, result.run_length_codes, strict=True)
-        )
         height, width = result.shape
         yield RecordedFrame(
             index=row.frame,
@@ -150,6 +109,7 @@ def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
             height=height,
             width=width,
             camera_motion=result.camera_motion,
-            objects=objects,
+            objects=result.layers,
+            codes=result.run_length_codes,
             pixel_aspect=result.pixel_aspect,
         )

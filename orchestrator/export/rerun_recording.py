@@ -16,10 +16,9 @@ from rich.console import Console
 from rich.progress import track
 
 from mlbs_actors.config import Config
-from mlbs_actors.messages import BACKGROUND, Array
+from mlbs_actors.messages import BACKGROUND, Array, LayerSummary
 from orchestrator.export.recorded_stream import (
     RecordedFrame,
-    RecordedObject,
     description_of,
     recorded_stream,
     streams_of,
@@ -119,7 +118,7 @@ class _StreamLog:
         ]
         self._log(rerun.AnnotationContext(classes), static=True)
 
-    def _write_object(self, one: RecordedObject) -> None:
+    def _write_object(self, one: LayerSummary) -> None:
         region, place = one.region, ("layers", str(one.layer))
         corner, size = (region.x, region.y), (region.width, region.height)
         self._log(rerun.Boxes2D(mins=[corner], sizes=[size], class_ids=[one.layer]), *place)

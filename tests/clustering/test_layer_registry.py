@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from mlbs_actors.clustering.label_index import UNLABELLED
-from mlbs_actors.clustering.layer_registry import RESTED_CLUSTERINGS, LayerRegistry, RegistryState
+from mlbs_actors.clustering.layer_registry import RESTED_CLUSTERINGS, LayerRegistry
+from mlbs_actors.clustering.registry_state import RegistryState
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import BACKGROUND, Array
 

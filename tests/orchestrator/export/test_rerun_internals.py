@@ -164,7 +164,7 @@ def test_a_layer_without_a_pixel_or_a_trajectory_has_no_arrows(tmp_path: Path) -
     hidden = LayerInspection(
         4, "object", points, points, nowhere, field, nowhere, np.zeros((0, 0), np.float32)
     )
-    recorded = RecordedFrame(0, 0.0, "00000", HEIGHT, WIDTH, (0.0, 0.0), ())
+    recorded = RecordedFrame(0, 0.0, "00000", HEIGHT, WIDTH, (0.0, 0.0), (), ())
     frame = FrameInspection(0, (HEIGHT, WIDTH), np.eye(3), (hidden,))
     with rerun.RecordingStream("test") as recording:
         recording.save(tmp_path / "run.rrd")
