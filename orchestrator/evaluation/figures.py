@@ -42,6 +42,10 @@ _FIGURES: tuple[Column, ...] = (
     ("delay", lambda result, score: median_delay(score)),
     ("frames", lambda result, score: float(score.frames)),
     ("ms", lambda result, score: math.nan if result.ms_per_frame is None else result.ms_per_frame),
+    (
+        "cpu_ms",
+        lambda result, score: math.nan if result.cpu_ms_per_frame is None else result.cpu_ms_per_frame,
+    ),
 )
 _RANGES: tuple[Column, ...] = (
     ("precision", lambda result, score: 100 * score.all_frames.precision),
@@ -66,6 +70,10 @@ TABLES = (_FIGURES, _RANGES, _DAVIS)
 
 #: All columns by heading.
 COLUMNS = dict(itertools.chain(*TABLES))
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def median_delay(score: SequenceScore) -> float:
