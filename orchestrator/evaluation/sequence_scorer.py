@@ -15,21 +15,22 @@ import numpy as np
 
 from mlbs_actors.messages import Array, Region
 from orchestrator.evaluation.metrics import (
-    FrameOverlap,
+    jaccard,
+    match_objects,
+    multi_label,
+    multi_label_matlab,
+    object_level,
+    two_label,
+)
+from orchestrator.evaluation.overlap import FrameOverlap, count_overlap
+from orchestrator.evaluation.track_metrics import (
     TrackScore,
-    count_overlap,
     davis_tracks,
     entry_delays,
     id_switches,
     ids_on,
-    jaccard,
-    match_objects,
     moving_objects,
-    multi_label,
-    multi_label_matlab,
-    object_level,
     track_j,
-    two_label,
 )
 
 __all__ = ["START_FRAMES", "ExtraLayer", "FrameScore", "RangeScore", "SequenceScore", "SequenceScorer"]
