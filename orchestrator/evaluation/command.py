@@ -7,6 +7,7 @@ import fnmatch
 import glob
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,17 @@ from orchestrator.evaluation.figures import (
     mean_of_sequences,
     results_as_json,
 )
-from orchestrator.evaluation.labelling import run_label_maps
+from orchestrator.evaluation.labelling import run_label_maps, run_scores
 from orchestrator.evaluation.paper_tables import paper_sequences, paper_tables
+from orchestrator.evaluation.reliability import reliability_table
 from orchestrator.evaluation.run_pictures import RunSequence, sources_of
-from orchestrator.evaluation.scoring import EngineSetup, SequenceResult, score_sequence, warm_engine
+from orchestrator.evaluation.scoring import (
+    EngineSetup,
+    SequenceResult,
+    score_sequence,
+    scored_masks,
+    warm_engine,
+)
 from orchestrator.evaluation.sequences import SceneSequence
 from orchestrator.evaluation.sequences import Sequence as TruthSequence
 from orchestrator.evaluation.sizes import size_variants, sizes_table
@@ -105,6 +113,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _print_remarks(rows[0].results)
     else:
         _print_figures(rows[0].results)
+        if options.reliability:
+            print(reliability_table([one for result in rows[0].results for one in result.masks]) + "\n")
         _print_remarks(rows[0].results)
     _print_failures(rows)
     try:
@@ -193,6 +203,11 @@ def _parser() -> argparse.ArgumentParser:
         "backward/NAME/STEM.flo to the one before, or .npy",
     )
     add(
+        "--reliability",
+        action="store_true",
+        help="also print how well the score of a mask says its intersection over union with the truth",
+    )
+    add(
         "--jobs",
         type=int,
         default=2,
@@ -265,7 +280,9 @@ def _run_result(run: Path, name: str, truth: str, source: str | None, sheets: Pa
             sequence = datasets.open_truth(name, Path(truth))
             if source is not None:
                 sequence = RunSequence(sequence, source)
-        return score_sequence(sequence, run_label_maps(sequence, run / name / "masks"), sheets)
+        result = score_sequence(sequence, run_label_maps(sequence, run / name / "masks"), sheets)
+        assert result.score is not None
+        return replace(result, masks=scored_masks(result.score, run_scores(sequence, run / name)))
     except ConfigError:
         raise
     except MlbsError as error:

@@ -132,7 +132,7 @@ def _result_as_json(result: SequenceResult) -> dict[str, Any]:
     if result.score is not None:
         for extra in record["score"]["extras"]:
             del extra["mask"]  # a picture, shown on the sheet
-        del record["stems"], record["score"]["per_frame"]  # for the CSV file
+        del record["stems"], record["masks"], record["score"]["per_frame"]  # for other files and tables
         record["score"]["entry_delay"] = {str(k): v for k, v in result.score.entry_delay.items()}
     cleaned = null_if_unknown(record)
     assert isinstance(cleaned, dict)

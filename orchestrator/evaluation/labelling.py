@@ -13,9 +13,10 @@ from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array, Segmentation
 from orchestrator.evaluation import sequences
 from orchestrator.evaluation.stored_flow import StoredFlow
+from orchestrator.sinks.record_tables import read_rows
 from orchestrator.working_size import labels_in_size, resized
 
-__all__ = ["EngineLabelling", "ResizingSubtractor", "Subtractor", "run_label_maps"]
+__all__ = ["EngineLabelling", "ResizingSubtractor", "Subtractor", "run_label_maps", "run_scores"]
 
 
 class Subtractor(Protocol):
@@ -75,6 +76,8 @@ class EngineLabelling:
         CPU time, ms.
     stage_ms : defaultdict of str to float
         Wall time by stage, as reported by the segmentations.
+    scores : dict of int to dict of int to float
+        Frame index → label → score of its mask.
     """
 
     sequence: sequences.Sequence
@@ -84,6 +87,7 @@ class EngineLabelling:
     milliseconds: float = 0.0
     cpu_milliseconds: float = 0.0
     stage_ms: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
+    scores: dict[int, dict[int, float]] = field(default_factory=dict)
 
     def __iter__(self) -> Iterator[tuple[int, Array]]:
         for index in range(len(self.sequence.stems)):
@@ -104,7 +108,9 @@ class EngineLabelling:
             self.frames += 1
             for stage, milliseconds in segmentation.stage_ms.items():
                 self.stage_ms[stage] += milliseconds
-            yield segmentation.frame_index, segmentation.labels
+            index = segmentation.frame_index
+            self.scores[index] = {one.layer: one.score for one in segmentation.layers}
+            yield index, segmentation.labels
 
 
 def run_label_maps(sequence: sequences.Sequence, masks: Path) -> Iterator[tuple[int, Array]]:
@@ -125,3 +131,20 @@ def run_label_maps(sequence: sequences.Sequence, masks: Path) -> Iterator[tuple[
         )
     for index in indices:
         yield index, sequences.read_label_map(masks / f"{sequence.stems[index]}.png")
+
+
+def run_scores(sequence: sequences.Sequence, stream: Path) -> dict[int, dict[int, float]]:
+    """Read the scores of a run's masks: frame index → label → score; empty if its tables were not saved.
+
+    Parameters
+    ----------
+    sequence : Sequence
+    stream : Path
+        The stream's folder.
+    """
+    indices = {stem: index for index, stem in enumerate(sequence.stems)}
+    return {
+        indices[row.name]: {layer.layer: layer.score for layer in row.result.layers}
+        for row in read_rows(stream)
+        if row.result is not None and row.name in indices
+    }

@@ -7,6 +7,7 @@ import traceback
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 
@@ -23,13 +24,22 @@ from orchestrator.evaluation.stored_flow import StoredFlow
 
 __all__ = [
     "EngineSetup",
+    "ScoredMask",
     "SequenceResult",
     "engine_result",
     "score_sequence",
+    "scored_masks",
     "warm_engine",
 ]
 
 SHEET_FRAMES = 8
+
+
+class ScoredMask(NamedTuple):
+    """A mask's score, and its intersection over union with a truth object, each in [0, 1]."""
+
+    score: float
+    iou: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +66,8 @@ class SequenceResult:
     error : str or None
     stems : tuple of str
         Names of the frames, by index.
+    masks : tuple of ScoredMask
+        Those of the frames with truth, where their scores are known.
     """
 
     name: str
@@ -68,6 +80,7 @@ class SequenceResult:
     remark: str | None = None
     error: str | None = None
     stems: tuple[str, ...] = ()
+    masks: tuple[ScoredMask, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +157,23 @@ def score_sequence(
     )
 
 
+def scored_masks(score: SequenceScore, scores: Mapping[int, Mapping[int, float]]) -> tuple[ScoredMask, ...]:
+    """Pair the masks of a sequence with their quality.
+
+    Parameters
+    ----------
+    score : SequenceScore
+    scores : mapping of int to mapping of int to float
+        Frame index → label → score.
+    """
+    return tuple(
+        ScoredMask(scores[frame.index][label], iou)
+        for frame in score.per_frame
+        for label, iou in frame.ious.items()
+        if label in scores.get(frame.index, ())
+    )
+
+
 def warm_engine() -> None:
     """Compile or load the engine's kernels in this process, so that no frame's time includes it."""
     EngineParts().warm_stream()
@@ -188,6 +218,7 @@ def engine_result(
     frames = max(labelling.frames, 1)
     return replace(
         result,
+        masks=() if result.score is None else scored_masks(result.score, labelling.scores),
         ms_per_frame=labelling.milliseconds / frames,
         cpu_ms_per_frame=labelling.cpu_milliseconds / frames,
         stage_ms={stage: total / frames for stage, total in labelling.stage_ms.items()},

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evaluation_fakes import BrightSubtractor, write_bright_sequence
 
 from mlbs_actors.messages import Array, Segmentation
 from orchestrator.evaluation import command, scoring
 from orchestrator.evaluation.command import main
 from orchestrator.evaluation.labelling import ResizingSubtractor
-from tests.fakes.evaluation_fakes import BrightSubtractor, write_bright_sequence
 
 
 class SizeRecorder(BrightSubtractor):
