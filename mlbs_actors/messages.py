@@ -309,6 +309,9 @@ class LayerSummary:
         Mean posterior of the label over its pixels, in [0, 1].
     state : {"moving", "resting"}
         Whether it has moved against the camera lately.
+    score : float
+        Expected intersection over union of its pixels with the object, in [0, 1]
+        (:mod:`mlbs_actors.segmentation.mask_score`).
     part_of : int
         Layer that it is a part of, 0 if it is an object of its own; always 0 in what is published.
     """
@@ -321,6 +324,7 @@ class LayerSummary:
     velocity: tuple[float, float]
     confidence: float
     state: ObjectState = "moving"
+    score: float = 0.0
     part_of: int = 0
 
     @property
@@ -408,7 +412,7 @@ class Segmentation:
         Returns
         -------
         supervision.Detections
-            In ascending layer id: ``xyxy`` (n, 4) px, ``mask`` (n, H, W) bool, ``confidence`` (n,),
+            In ascending layer id: ``xyxy`` (n, 4) px, ``mask`` (n, H, W) bool, ``confidence`` (n,) the score,
             ``tracker_id`` (n,) the layer ids, ``class_id`` (n,) 0, for all that moves is of one class, and
             ``data["velocity"]`` (n, 2) px/frame.
 
@@ -427,7 +431,7 @@ class Segmentation:
         return supervision.Detections(
             xyxy=xyxy.astype(np.float32),
             mask=self.labels == ids[:, None, None],
-            confidence=np.array([layer.confidence for layer in self.layers], np.float32),
+            confidence=np.array([layer.score for layer in self.layers], np.float32),
             class_id=np.zeros(len(ids), np.int64),
             tracker_id=ids,
             data={"velocity": np.array([layer.velocity for layer in self.layers], np.float32).reshape(-1, 2)},

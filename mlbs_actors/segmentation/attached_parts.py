@@ -241,4 +241,5 @@ def _joined(whole: int, parts: list[LayerSummary]) -> LayerSummary:
         velocity=(mean([one.velocity[0] for one in parts]), mean([one.velocity[1] for one in parts])),
         confidence=mean([one.confidence for one in parts]),
         state="resting" if all(one.state == "resting" for one in parts) else "moving",
+        score=mean([one.score for one in parts]),
     )

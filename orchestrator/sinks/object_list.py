@@ -29,7 +29,7 @@ _COLUMNS = (
     *("id", "kind", "state", "end", "replaced_by"),
     *("first_s", "last_s", "seconds", "first_frame", "last_frame", "frames", "times_hidden", "area_px"),
     *("first_x", "first_y", "first_w", "first_h", "last_x", "last_y", "last_w", "last_h"),
-    *("start_cx", "start_cy", "end_cx", "end_cy", "path_px"),
+    *("start_cx", "start_cy", "end_cx", "end_cy", "path_px", "score"),
 )
 
 
@@ -77,6 +77,8 @@ class SeenObject:
         Time in which it was seen, without the times in which it was hidden or not found.
     total_area : int
         Sum over these frames, px.
+    total_score : float
+        Sum of the masks' scores over these frames, in the precision of the tables.
     path_px : float
         Length of the way of its centroid over the picture.
     path : list of Sighting
@@ -94,6 +96,7 @@ class SeenObject:
     frames: int
     seconds: float
     total_area: int
+    total_score: float
     path_px: float
     path: list[Sighting]
     spans: list[tuple[int, int]]
@@ -111,6 +114,7 @@ class SeenObject:
             frames=1,
             seconds=0.0,
             total_area=layer.area,
+            total_score=_score(layer),
             path_px=0.0,
             path=[here],
             spans=[(here.frame, here.frame)],
@@ -121,6 +125,11 @@ class SeenObject:
         """Mean over the frames that show it, px."""
         return self.total_area / self.frames
 
+    @property
+    def mean_score(self) -> float:
+        """Mean score of its masks over the frames that show it, in [0, 1]."""
+        return self.total_score / self.frames
+
     def continues(self, layer: LayerSummary, here: Sighting, *, unbroken: bool) -> None:
         """Add the next sighting; ``unbroken`` if the label map before shows it, too."""
         if unbroken:
@@ -130,6 +139,7 @@ class SeenObject:
             self.spans.append((here.frame, here.frame))
         self.frames += 1
         self.total_area += layer.area
+        self.total_score += _score(layer)
         self.path_px += math.dist(self.last.centroid, here.centroid)
         self.state, self.last, self.ending = layer.state, here, SEEN
         if here.pts - self.path[-1].pts >= _POINT_SECONDS:
@@ -231,6 +241,7 @@ class ObjectList:
                     *(one.first.frame, one.last.frame, one.frames, len(one.spans) - 1),
                     *(round(one.mean_area), *one.first.region.box, *one.last.region.box),
                     *(*_point(one.first), *_point(one.last), round(one.path_px, 1)),
+                    round(one.mean_score, 3),
                 ]
             )
         return text.getvalue()
@@ -263,6 +274,7 @@ def _described(one: SeenObject, *, complete: bool) -> dict[str, Any]:
         "times_hidden": len(one.spans) - 1,
         "area_px": round(one.mean_area),
         "path_px": round(one.path_px, 1),
+        "score": round(one.mean_score, 3),
         "first": _sighting(one.first),
         "last": _sighting(one.last),
         "path": [[place.frame, _seconds(place.pts), *_point(place)] for place in path],
@@ -283,6 +295,11 @@ def _sighting(place: Sighting) -> dict[str, Any]:
         "box": list(place.region.box),
         "centroid": list(_point(place)),
     }
+
+
+def _score(layer: LayerSummary) -> float:
+    """Return the score of a mask in the precision of the tables."""
+    return float(np.float32(layer.score))
 
 
 def _seconds(pts: float) -> float:

@@ -84,6 +84,7 @@ def _result(frame: dict[str, Any], layers: Sequence[dict[str, Any]]) -> ResultRo
                 velocity=(row["vx"], row["vy"]),
                 confidence=row["confidence"],
                 state=row.get("state", "moving"),  # tables of earlier versions do not have it
+                score=row.get("score", row["confidence"]),  # nor this
             )
             for row in layers
         ),

@@ -146,6 +146,7 @@ def layer_schema() -> pa.Schema:
             *((name, pa.float32()) for name in ("cx", "cy", "vx", "vy", "confidence")),
             ("rle", pa.string()),
             ("state", pa.string()),
+            ("score", pa.float32()),
         ]
     )
 
@@ -197,6 +198,7 @@ def write_layers(path: Path, stream: str, rows: Sequence[FrameRow]) -> None:
             "vy": layer.velocity[1],
             "confidence": layer.confidence,
             "rle": code,
+            "score": layer.score,
         }
         for row in rows
         if row.result is not None

@@ -123,7 +123,15 @@ def segmentation(labels: Array, *part_of: int) -> Segmentation:
         centre = float(columns.mean()), float(rows.mean())
         layers.append(
             LayerSummary(
-                layer, "object", box, len(rows), centre, (float(layer), 0.0), layer / 4, part_of=whole
+                layer,
+                "object",
+                box,
+                len(rows),
+                centre,
+                (float(layer), 0.0),
+                layer / 4,
+                score=layer / 8,
+                part_of=whole,
             )
         )
     maps = np.zeros((1, 1), np.uint8), np.zeros((1, 1), np.int8)
@@ -144,6 +152,7 @@ def test_published_parts_have_the_id_of_their_object() -> None:
     assert whole.centroid == pytest.approx((columns.mean(), rows.mean()))
     assert whole.velocity == pytest.approx(((body * 1 + limb * 2) / (body + limb), 0.0))
     assert whole.confidence == pytest.approx((body * 0.25 + limb * 0.5) / (body + limb))
+    assert whole.score == pytest.approx(whole.confidence / 2)
 
 
 def test_a_part_whose_object_shows_no_pixels_keeps_its_id() -> None:

@@ -136,6 +136,7 @@ def test_the_tables_have_the_columns_and_types_of_the_contract_first(tmp_path: P
         ("confidence", "float"),
         ("rle", "string"),
         ("state", "string"),
+        ("score", "float"),
     ]
     frames = pq.read_schema(next((tmp_path / "yard").glob("frames-*.parquet")))
     assert [(field.name, str(field.type)) for field in frames][:8] == [
