@@ -193,8 +193,6 @@ def parse(argv: Sequence[str]) -> Arguments:
         ("--ray-metrics", [given.ray_metrics]),
     ):
         refuse_source_behind(flag, words)
-    if given.resume and given.watch:
-        raise ConfigError("--watch cannot go with --resume; leave one of them out.")
     if given.watch and given.streams is None:
         raise ConfigError(
             "--watch reads a list again; write your sources into one and name it with --streams."
@@ -349,8 +347,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="continue the run in DIR that was killed or interrupted; all other options must be the same, "
-        "without --watch; cameras continue after a row gap",
+        help="continue the run in DIR that was killed or interrupted, or start one if there is none; all "
+        "other options must be the same; cameras continue after a row gap",
     )
     parser.add_argument(
         "--save",
@@ -414,6 +412,7 @@ def _parser() -> argparse.ArgumentParser:
         "--watch",
         action="store_true",
         help="read the list again whenever it changes: new names start, removed ones are finished, bad lines "
-        "are reported and ignored until they are corrected; the run continues until a signal",
+        "are reported and ignored until they are corrected; the run continues until a signal; with --resume "
+        "the list may also change between two runs",
     )
     return parser

@@ -30,6 +30,7 @@ from orchestrator.run.stream_state import (
     after_progress,
     after_removal,
     exit_code,
+    has_ended,
 )
 
 __all__ = ["Driver", "Observer", "SpecChange"]
@@ -106,6 +107,7 @@ class Driver:
         self._clock = clock
         self._rates = {spec.name: _Rate(clock) for spec in specs}
         self._removed: set[str] = set()  # taken from the list, and not ended yet
+        self._coming: dict[str, StreamSpec] = {}  # new in the list, and not added yet
         self._streams: dict[str, RunningStream] = {}
         self._bursts: dict[Future[StreamProgress], str] = {}
         self._asked: dict[str, float] = {}
@@ -125,6 +127,7 @@ class Driver:
         self._show()
         while self._interruption.signal_number is None:
             self._follow_list()
+            self._add_coming()
             self._admit()
             if self._changes is None and not self._bursts and not self._endings:
                 break
@@ -137,17 +140,28 @@ class Driver:
         change = None if self._changes is None else self._changes()
         if change is None:
             return
-        for spec in change.added:
-            self._specs[spec.name] = spec
-            self._rates[spec.name] = _Rate(self._clock)
-            self._returns[spec.name] = Returns()
-            self._states[spec.name] = StreamState(spec.name, line=spec.line)
         for name in change.removed:
+            if self._coming.pop(name, None) is not None:
+                continue
             if self._states[name].state == "waiting":
                 del self._states[name]
             elif name in self._streams or name in self._returning:
                 self._removed.add(name)  # it is ended after its burst
+        self._coming |= {spec.name: spec for spec in change.added}
         self._show()
+
+    def _add_coming(self) -> None:
+        """Add the streams of new lines; one that comes back, once its processes are gone."""
+        ending = {*self._removed, *self._endings.values()}
+        for name in [name for name in self._coming if name not in ending]:
+            spec = self._coming.pop(name)
+            if name in self._states and has_ended(self._states[name]):
+                continue
+            self._specs[name] = spec
+            self._rates[name] = _Rate(self._clock)
+            self._returns[name] = Returns()
+            self._states[name] = StreamState(name, line=spec.line)
+            self._show()
 
     def _admit(self) -> None:
         # One at a time: if a stream fails at once, its place is free for the next.

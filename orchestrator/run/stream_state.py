@@ -22,6 +22,7 @@ __all__ = [
     "after_removal",
     "exit_code",
     "frames_left",
+    "has_ended",
     "stopped",
     "with_record",
 ]
@@ -57,7 +58,7 @@ class StreamState:
     returns : int
         How often it lost a process, or hung, and went back to its last snapshot.
     interrupted : bool
-        A signal ended it before its end.
+        It was stopped before its end, by a signal or because it left the list, and can continue.
     length : int, optional
         Final number of frames read, according to its source.
     without_process : int
@@ -214,11 +215,18 @@ def stopped(states: Iterable[StreamState]) -> tuple[StreamState, ...]:
 def after_removal(state: StreamState, progress: StreamProgress | None) -> StreamState:
     """Return the state of a stream that was removed from the list and drained to ``progress``."""
     if progress is not None and progress.committed:
-        return after_end(state, progress)
+        return replace(after_end(state, progress), interrupted=True)
     sentence = "Removed from the list before it had a result."
     if state.committed:
         sentence = "Removed from the list; what was committed is kept."
-    return replace(state, state="partial", layers=0, objects=0, frames_per_second=0.0, error=sentence)
+    return replace(
+        state, state="partial", layers=0, objects=0, frames_per_second=0.0, error=sentence, interrupted=True
+    )
+
+
+def has_ended(state: StreamState) -> bool:
+    """Whether a stream is at its end, so that resuming the run leaves it alone."""
+    return state.state in ("done", "partial") and not state.interrupted
 
 
 def frames_left(states: Iterable[StreamState]) -> tuple[int, bool]:

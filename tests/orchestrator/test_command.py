@@ -116,7 +116,6 @@ def test_set_may_be_given_once_or_often() -> None:
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        (["--resume", "--watch", "--streams", "l"], "cannot go with --resume"),
         (["--monitor", "web"], "PORT or HOST:PORT"),
         (["--monitor", "0.0.0.0:70000"], "PORT or HOST:PORT"),
         (["--save", "mask"], "knows no 'mask'"),
