@@ -44,7 +44,8 @@ or https://HOST/PATH (MJPEG), /dev/videoN, demo or another made scene, synthetic
 a folder or a glob of videos is a stream for each of them; so is a glob of folders of images, such as
 'DAVIS/JPEGImages/480p/*', and of images in many folders, 'moseg_dataset/*/*.ppm'
 a stream is named after the last part of its source's path; of several clip.mp4 the second one is clip-2
-a camera is read until --max-frames or a signal; one that goes away is tried again until it is back
+a camera is read until --max-frames or a signal; one that is away, also at the start, is tried again for ever,
+or for --give-up-after SECONDS
 
 the list of streams, one a line (shell quoting, # comments, relative paths count from the list's folder):
   SOURCE
@@ -119,6 +120,8 @@ class Arguments:
         Where to send them.
     watch : bool
         Whether the list is read again when it changes.
+    give_up_after : int, optional
+        Time without a picture after which a camera is given up, s.
     """
 
     sources: tuple[str, ...]
@@ -137,6 +140,7 @@ class Arguments:
     zones: ZonesFile
     events: tuple[EventTarget, ...]
     watch: bool
+    give_up_after: int | None
 
     def command(self, output: str) -> list[str]:
         """Return the arguments that start the same run from any folder, with another output folder."""
@@ -168,6 +172,8 @@ class Arguments:
             words += ["--events", target.shown]
         if self.watch:
             words.append("--watch")
+        if self.give_up_after is not None:
+            words += ["--give-up-after", str(self.give_up_after)]
         return words
 
 
@@ -226,6 +232,7 @@ def parse(argv: Sequence[str]) -> Arguments:
         zones=ZonesFile() if given.zones is None else read_zones(given.zones),
         events=tuple(parse_target(text) for text in given.events),
         watch=given.watch,
+        give_up_after=given.give_up_after,
     )
 
 
@@ -414,5 +421,12 @@ def _parser() -> argparse.ArgumentParser:
         help="read the list again whenever it changes: new names start, removed ones are finished, bad lines "
         "are reported and ignored until they are corrected; the run continues until a signal; with --resume "
         "the list may also change between two runs",
+    )
+    parser.add_argument(
+        "--give-up-after",
+        type=_positive,
+        metavar="SECONDS",
+        help="end the stream of a camera that sent no picture for this long, also at the start (default: try "
+        "it again for ever)",
     )
     return parser

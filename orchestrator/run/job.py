@@ -117,7 +117,7 @@ class Job:
 
     def _spec(self, stream: ListedStream) -> StreamSpec:
         save, max_side = self._arguments.save, self._arguments.max_side
-        reader: Callable[[], FrameReader] = partial(open_reader, stream.source)
+        reader: Callable[[], FrameReader] = partial(open_reader, stream.source, self._arguments.give_up_after)
         record = StreamRecord
         if max_side is not None:
             reader, record = partial(ShrinkingReader, reader, max_side), FullSizeRecord
