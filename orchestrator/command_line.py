@@ -72,12 +72,12 @@ afterwards:
   python -m orchestrator.report DIR              report.html anew, also of a run that was killed
 
 exit status:
-  0    every stream was segmented to its end
+  0    every stream was segmented to its end; that of a camera without --max-frames is SIGINT or SIGTERM
   1    a stream failed, or is partial (damaged or cut off; what could be read is kept)
   2    the command, the configuration or the list cannot be used, or no stream has a source;
        nothing was started
-  130, 143  interrupted by SIGINT or SIGTERM; what was read is kept. A second signal ends it at once.
-            Both, and a killed run, go on with --resume.
+  130, 143  interrupted by SIGINT or SIGTERM before the end of another stream; what was read is kept
+a second signal ends the run at once, with 130 or 143; it goes on with --resume, as does a killed one
 """
 
 

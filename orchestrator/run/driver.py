@@ -96,9 +96,7 @@ class Driver:
     ) -> None:
         self._specs = {spec.name: spec for spec in specs}
         known = lengths or {}
-        self._states = {
-            spec.name: StreamState(spec.name, line=spec.line, length=_to_read(spec, known)) for spec in specs
-        } | dict(ended or {})
+        self._states = {spec.name: _new_state(spec, known) for spec in specs} | dict(ended or {})
         self._host = host
         self._limit = limit if callable(limit) else lambda: limit
         self._observers = observers
@@ -160,7 +158,7 @@ class Driver:
             self._specs[name] = spec
             self._rates[name] = _Rate(self._clock)
             self._returns[name] = Returns()
-            self._states[name] = StreamState(name, line=spec.line)
+            self._states[name] = _new_state(spec, {})
             self._show()
 
     def _admit(self) -> None:
@@ -293,9 +291,12 @@ class Driver:
             observer.update(self.states)
 
 
-def _to_read(spec: StreamSpec, lengths: Mapping[str, int]) -> int | None:
+def _new_state(spec: StreamSpec, lengths: Mapping[str, int]) -> StreamState:
     length = lengths.get(spec.name)
-    return length if length is None or spec.max_frames is None else min(length, spec.max_frames)
+    if length is not None and spec.max_frames is not None:
+        length = min(length, spec.max_frames)
+    endless = not spec.replayable and spec.max_frames is None
+    return StreamState(spec.name, line=spec.line, length=length, endless=endless)
 
 
 class _Rate:

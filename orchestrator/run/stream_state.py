@@ -63,6 +63,8 @@ class StreamState:
         Final number of frames read, according to its source.
     without_process : int
         Most layers at once without a process of their own because memory was too short.
+    endless : bool
+        Whether it is a camera's without ``--max-frames``, which only a signal or the list ends.
     """
 
     name: str
@@ -82,6 +84,7 @@ class StreamState:
     length: int | None = None
     without_process: int = 0
     objects: int = 0
+    endless: bool = False
 
     @property
     def queued(self) -> int:
@@ -197,11 +200,12 @@ def with_record(state: StreamState, recorded: int) -> StreamState:
 def after_interruption(state: StreamState, progress: StreamProgress | None) -> StreamState:
     """Return the state of a running stream that was stopped by a signal and drained to ``progress``."""
     counted = state if progress is None else after_progress(state, progress, 0.0)
+    interrupted = replace(counted, layers=0, objects=0, frames_per_second=0.0, interrupted=True)
+    if state.endless and progress is not None:
+        return replace(interrupted, state="done", error=None)
     kept = "what was read is kept" if progress is not None else "what was committed is kept"
     sentence = f"Interrupted after {count_of(counted.read, 'frame')}; {kept}."
-    return replace(
-        counted, state="partial", layers=0, objects=0, frames_per_second=0.0, error=sentence, interrupted=True
-    )
+    return replace(interrupted, state="partial", error=sentence)
 
 
 def stopped(states: Iterable[StreamState]) -> tuple[StreamState, ...]:
@@ -244,7 +248,17 @@ def frames_left(states: Iterable[StreamState]) -> tuple[int, bool]:
 
 
 def exit_code(states: Iterable[StreamState], signal_number: int | None) -> int:
-    """Return the exit status of the run: 0, 1, or 128 + the number of the signal that interrupted it."""
-    if signal_number is not None:
+    """Return the exit status of a run: 0, 1, or 128 + the number of the signal that interrupted it.
+
+    Endless streams are at their end when a signal comes, if they could be stopped in order.
+    """
+    states = tuple(states)
+    if signal_number is not None and any(_is_unfinished(state) for state in states):
         return 128 + signal_number
-    return 0 if all(state.state == "done" for state in states) else 1
+    stopped_in_order = (state.state == "done" or state.state not in ENDED for state in states)
+    return 0 if all(stopped_in_order) else 1
+
+
+def _is_unfinished(state: StreamState) -> bool:
+    """Whether a stream with an end has not come to it."""
+    return not state.endless and (state.state not in ENDED or (state.interrupted and state.state != "done"))

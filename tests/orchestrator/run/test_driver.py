@@ -368,7 +368,7 @@ def test_a_stream_that_leaves_the_list_while_it_goes_back_is_not_started_again()
         return SpecChange((), ("bad",))
 
     driver = Driver([spec("bad")], host, limit=1, observers=[], interruption=interruption, changes=changes)
-    assert driver.run() == 128 + signal.SIGTERM
+    driver.run()
     assert host.started == ["bad"]
     assert (driver.states[0].state, driver.states[0].committed) == ("partial", 8)
 
@@ -490,7 +490,7 @@ def test_a_run_that_is_ended_at_once_leaves_nothing_at_work_and_what_has_ended_a
         (("done", "done"), None, 0),
         (("done", "partial"), None, 1),
         (("failed", "done"), None, 1),
-        (("done", "done"), signal.SIGINT, 130),
+        (("done", "done"), signal.SIGINT, 0),
         (("failed", "waiting"), signal.SIGTERM, 143),
     ],
 )
@@ -498,6 +498,21 @@ def test_the_exit_status_follows_the_states_and_the_signal(
     names: tuple[StateName, ...], signal_number: int | None, status: int
 ) -> None:
     assert exit_code([StreamState("x", name) for name in names], signal_number) == status
+
+
+def test_cameras_that_a_signal_stopped_in_order_are_complete_beside_files_that_are() -> None:
+    running = StreamState("door", "running", read=20, committed=8, endless=True)
+    door = after_interruption(running, progress(20, done=True))
+    assert (door.state, door.committed, door.error) == ("done", 20, None)
+    assert not has_ended(door)  # it continues with --resume
+    waiting, film = StreamState("gate", endless=True), StreamState("film", "done")
+    assert exit_code([door, waiting, film], signal.SIGTERM) == 0
+    assert exit_code([door, StreamState("film")], signal.SIGTERM) == 143
+    cut = after_interruption(StreamState("film", "running"), progress(8))
+    assert exit_code([door, cut], signal.SIGINT) == 130
+    assert exit_code([door, StreamState("bad", "failed")], signal.SIGTERM) == 1
+    lost = after_interruption(running, None)
+    assert (lost.state, exit_code([door, lost], signal.SIGTERM)) == ("partial", 1)
 
 
 def test_only_running_streams_hold_places() -> None:
@@ -578,7 +593,7 @@ def test_streams_that_come_are_run_and_those_that_leave_are_finished_until_a_sig
         interruption=interruption,
         changes=changes,
     )
-    assert driver.run() == 128 + signal.SIGTERM
+    assert driver.run() == 0
     states = {state.name: state for state in driver.states}
     assert list(states) == ["endless", "new"]
     assert (states["endless"].state, states["endless"].committed) == ("done", streams["endless"].read)

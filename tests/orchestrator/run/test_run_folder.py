@@ -133,6 +133,7 @@ def test_the_status_file_says_how_each_stream_stands(tmp_path: Path) -> None:
         "length": None,
         "without_process": 0,
         "objects": 0,
+        "endless": False,
         "queued": 0,
         "seconds_left": None,
         "waits_for": None,
