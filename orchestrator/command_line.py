@@ -122,6 +122,8 @@ class Arguments:
         Whether the list is read again when it changes.
     give_up_after : int, optional
         Time without a picture after which a camera is given up, s.
+    places : int, optional
+        Streams at once, whatever they take.
     """
 
     sources: tuple[str, ...]
@@ -141,6 +143,7 @@ class Arguments:
     events: tuple[EventTarget, ...]
     watch: bool
     give_up_after: int | None
+    places: int | None
 
     def command(self, output: str) -> list[str]:
         """Return the arguments that start the same run from any folder, with another output folder."""
@@ -174,6 +177,8 @@ class Arguments:
             words.append("--watch")
         if self.give_up_after is not None:
             words += ["--give-up-after", str(self.give_up_after)]
+        if self.places is not None:
+            words += ["--places", str(self.places)]
         return words
 
 
@@ -233,6 +238,7 @@ def parse(argv: Sequence[str]) -> Arguments:
         events=tuple(parse_target(text) for text in given.events),
         watch=given.watch,
         give_up_after=given.give_up_after,
+        places=given.places,
     )
 
 
@@ -428,5 +434,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="SECONDS",
         help="end the stream of a camera that sent no picture for this long, also at the start (default: try "
         "it again for ever)",
+    )
+    parser.add_argument(
+        "--places",
+        type=_positive,
+        metavar="N",
+        help="run N streams at once, whatever they take (default: two files a core, and cameras as long as "
+        "CPU time and memory last for what they are measured to take)",
     )
     return parser

@@ -28,7 +28,7 @@ from orchestrator.program import command_line_of
 from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
 from orchestrator.report.page import render_report
-from orchestrator.run.admission import cores, places, places_here, warn_of_cameras
+from orchestrator.run.admission import by_count, by_load, cores, places, places_by_memory, places_here
 from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.driver import Driver, Observer
 from orchestrator.run.durable_files import replace_file
@@ -92,7 +92,6 @@ def run(
     live = None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
     job = Job(streams, arguments, config, folder, live, _say, recorded if arguments.watch else None)
     memory = node_memory()
-    limit = places(memory, cores())
     status = StatusFile(folder.path / "status.json")
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
         if begun is not None:
@@ -116,7 +115,7 @@ def run(
         lengths: Callable[[], dict[str, int]] = dict
         if at_work := bool(due) or arguments.watch:
             onlookers = session.enter_context(_monitored(arguments.monitor, live))
-            _announce(due, arguments, limit, memory)
+            _announce(due, arguments, memory)
             lengths = session.enter_context(finding_lengths(job.files(due[1:]), scratch))
             session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
         if at_work and arguments.ray_metrics is not None:
@@ -128,7 +127,7 @@ def run(
             hold.enter_context(folder.locked())
         session.enter_context(delivering(arguments.events, folder.path, _say))
         if at_work:
-            states, exit_status = _drive(job, ended, limit, lengths(), status, onlookers, folder, arguments)
+            states, exit_status = _drive(job, ended, memory, lengths(), status, onlookers, folder, arguments)
         else:
             states = tuple(ended[spec.name] for spec in job.specs)
             exit_status = exit_code(states, None)
@@ -164,7 +163,7 @@ def _monitored(address: MonitorAddress | None, live: Path | None) -> Iterator[li
             shutil.rmtree(live, ignore_errors=True)
 
 
-def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int, memory: NodeMemory) -> None:
+def _announce(due: Sequence[StreamSpec], arguments: Arguments, memory: NodeMemory) -> None:
     """Announce the run, and anything about it that may surprise."""
     count = count_of(len(due), "stream")
     if [spec.source for spec in due] == [DEMO]:
@@ -173,18 +172,18 @@ def _announce(due: Sequence[StreamSpec], arguments: Arguments, limit: int, memor
         _say(f"Joining Ray at {arguments.address}; {count}.")
         return
     room = f"{count_of(cores(), 'core')}, {memory.available / 2**30:.1f} GiB of memory"
-    _say(f"Starting Ray; {count}, up to {limit} at a time ({room}).")
+    at_once = f"up to {arguments.places or places(memory, cores())} at a time"
+    if arguments.places is None and not all(spec.replayable for spec in due):
+        at_once = f"files {at_once}, cameras as long as CPU time and memory last"
+    _say(f"Starting Ray; {count}, {at_once} ({room}).")
     if not has_machine_code():
         _say("This is the first run of this installation: it compiles for one to three minutes, once.")
-    endless = sum(not spec.replayable and spec.max_frames is None for spec in due)
-    if (warning := warn_of_cameras(endless, len(due), limit)) is not None:
-        _say(warning)
 
 
 def _drive(
     job: Job,
     ended: Mapping[str, StreamState],
-    limit: int,
+    memory: NodeMemory,
     lengths: Mapping[str, int],
     status: StatusFile,
     onlookers: Sequence[Observer],
@@ -199,18 +198,18 @@ def _drive(
         progress = progress_for(output)
         try:
             host: Node | Cluster
-            most: int | Callable[[], int] = limit
             if arguments.address is None:
-                # Only a watched list can get more.
-                at_once = limit if arguments.watch else min(limit, len(job.specs) - len(ended))
-                host = Node(policy=PoolPolicy(streams=at_once))
+                admission = by_load(cores(), places(memory, cores()), node_memory)
+                host = Node(policy=PoolPolicy(streams=_most_at_once(job, ended, memory, arguments)))
             else:
                 host = Cluster(partial(places_here, folder.path), _say)
-                most = host.places
+                admission = by_count(host.places, "places of the nodes")
+            if arguments.places is not None:
+                admission = by_count(arguments.places, "places (--places)")
             driver = Driver(
                 job.specs,
                 host,
-                limit=most,
+                admission=admission,
                 observers=[status, *onlookers, progress],
                 interruption=interruption,
                 lengths=lengths,
@@ -227,6 +226,18 @@ def _drive(
         finally:
             progress.close()
     return driver.states, exit_status
+
+
+def _most_at_once(
+    job: Job, ended: Mapping[str, StreamState], memory: NodeMemory, arguments: Arguments
+) -> int:
+    """Return for how many streams this machine's memory is reserved."""
+    due = [spec for spec in job.specs if spec.name not in ended]
+    most = places(memory, cores())
+    if not all(spec.replayable for spec in due):
+        most = places_by_memory(memory)
+    most = arguments.places or most
+    return most if arguments.watch else min(most, len(due))  # only a watched list can get more
 
 
 def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: Arguments) -> str:

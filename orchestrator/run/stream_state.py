@@ -20,6 +20,7 @@ __all__ = [
     "after_loss",
     "after_progress",
     "after_removal",
+    "after_start",
     "exit_code",
     "frames_left",
     "has_ended",
@@ -63,8 +64,14 @@ class StreamState:
         Final number of frames read, according to its source.
     without_process : int
         Most layers at once without a process of their own because memory was too short.
-    endless : bool
-        Whether it is a camera's without ``--max-frames``, which only a signal or the list ends.
+    live : bool
+        Whether it is a camera's.
+    cores : float
+        Cores that its processes keep busy if no frame is dropped; 0 while it is unknown.
+    memory : int
+        Their unique memory, bytes.
+    waits_for : str, optional
+        What a waiting or starting stream waits for.
     """
 
     name: str
@@ -84,7 +91,15 @@ class StreamState:
     length: int | None = None
     without_process: int = 0
     objects: int = 0
-    endless: bool = False
+    live: bool = False
+    cores: float = 0.0
+    memory: int = 0
+    waits_for: str | None = None
+
+    @property
+    def endless(self) -> bool:
+        """Whether it is a camera's without ``--max-frames``, which only a signal or the list ends."""
+        return self.live and self.length is None
 
     @property
     def queued(self) -> int:
@@ -106,17 +121,6 @@ class StreamState:
         return max(self.length - self.read, 0) / self.frames_per_second
 
     @property
-    def waits_for(self) -> str | None:
-        """The reason why a stream is still starting."""
-        if self.state != "starting":
-            return None
-        return (
-            "its processes and its first frames"
-            if not self.returns
-            else "new processes and its last snapshot"
-        )
-
-    @property
     def memory_note(self) -> str | None:
         """State that memory was too short for its objects' processes, or None."""
         if not self.without_process:
@@ -128,20 +132,28 @@ class StreamState:
 
     def figures(self) -> dict[str, Any]:
         """All displayed values, by name."""
-        derived = {"queued": self.queued, "seconds_left": self.seconds_left, "waits_for": self.waits_for}
+        derived = {"queued": self.queued, "seconds_left": self.seconds_left}
         return {
             key: round(value, 2) if isinstance(value, float) else value
             for key, value in (asdict(self) | derived).items()
         }
 
 
-def after_progress(state: StreamState, progress: StreamProgress, frames_per_second: float) -> StreamState:
-    """Return the state after a burst of frames of a stream that continues."""
+def after_start(state: StreamState) -> StreamState:
+    """Return the state of a stream whose processes are starting."""
+    return replace(state, state="starting", waits_for="its processes and its first frames")
+
+
+def after_progress(
+    state: StreamState, progress: StreamProgress, frames_per_second: float, cores: float | None = None
+) -> StreamState:
+    """Return the state after a burst of frames of a stream that continues; ``cores`` is None if unknown."""
     silence = progress.silence or SourceSilence(None)
     error = silence.reason or progress.problem
+    name: StateName = silence.state or ("running" if progress.read else "starting")
     return replace(
         state,
-        state=silence.state or ("running" if progress.read else "starting"),
+        state=name,
         read=progress.read,
         committed=progress.committed,
         dropped=progress.dropped,
@@ -154,12 +166,15 @@ def after_progress(state: StreamState, progress: StreamProgress, frames_per_seco
         error=None if error is None else mask(error),
         length=progress.length,
         without_process=max(state.without_process, progress.without_process),
+        cores=state.cores if cores is None else cores,
+        memory=progress.memory,
+        waits_for=state.waits_for if name == "starting" else None,
     )
 
 
 def after_end(state: StreamState, progress: StreamProgress) -> StreamState:
     """Return the state after the source's end: done, partial if damaged, failed without a label map."""
-    counted = replace(after_progress(state, progress, 0.0), layers=0, objects=0)
+    counted = _ended(after_progress(state, progress, 0.0))
     if counted.committed == 0:
         return after_failure(counted, counted.error or "The source holds no frame that could be decoded.")
     if counted.error is not None:
@@ -172,13 +187,18 @@ def after_end(state: StreamState, progress: StreamProgress) -> StreamState:
 
 def after_failure(state: StreamState, error: str) -> StreamState:
     """Return the state after an error that ended the stream; its counts stay."""
-    return replace(state, state="failed", layers=0, objects=0, frames_per_second=0.0, error=mask(error))
+    return replace(_ended(state), state="failed", error=mask(error))
 
 
 def after_loss(state: StreamState, error: str) -> StreamState:
     """Return the state of a stream that lost a process and will continue from its last snapshot."""
-    lost = after_failure(state, error)
-    return replace(lost, state="starting", returns=state.returns + 1)
+    return replace(
+        after_failure(state, error),
+        state="starting",
+        returns=state.returns + 1,
+        cores=state.cores,
+        waits_for="new processes and its last snapshot",
+    )
 
 
 def with_record(state: StreamState, recorded: int) -> StreamState:
@@ -200,7 +220,7 @@ def with_record(state: StreamState, recorded: int) -> StreamState:
 def after_interruption(state: StreamState, progress: StreamProgress | None) -> StreamState:
     """Return the state of a running stream that was stopped by a signal and drained to ``progress``."""
     counted = state if progress is None else after_progress(state, progress, 0.0)
-    interrupted = replace(counted, layers=0, objects=0, frames_per_second=0.0, interrupted=True)
+    interrupted = replace(_ended(counted), interrupted=True)
     if state.endless and progress is not None:
         return replace(interrupted, state="done", error=None)
     kept = "what was read is kept" if progress is not None else "what was committed is kept"
@@ -223,9 +243,12 @@ def after_removal(state: StreamState, progress: StreamProgress | None) -> Stream
     sentence = "Removed from the list before it had a result."
     if state.committed:
         sentence = "Removed from the list; what was committed is kept."
-    return replace(
-        state, state="partial", layers=0, objects=0, frames_per_second=0.0, error=sentence, interrupted=True
-    )
+    return replace(_ended(state), state="partial", error=sentence, interrupted=True)
+
+
+def _ended(state: StreamState) -> StreamState:
+    """Return a state without what only a stream with processes has."""
+    return replace(state, layers=0, objects=0, frames_per_second=0.0, cores=0.0, memory=0, waits_for=None)
 
 
 def has_ended(state: StreamState) -> bool:

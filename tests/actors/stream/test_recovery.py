@@ -26,6 +26,7 @@ from mlbs_actors.state_file import capture
 from orchestrator.interruption import Interruption
 from orchestrator.run import driver as driver_module
 from orchestrator.run import durable_files
+from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver
 from orchestrator.run.recovery import MOST_RETURNS, Returns
 from orchestrator.run.resumption import ended_before
@@ -406,7 +407,7 @@ def spec(name: str, reader: FakeReader, folder: Path, snapshot_rows: int = 4) ->
 
 
 def drive(node: Node, *specs: StreamSpec) -> dict[str, StreamState]:
-    driver = Driver(specs, node, limit=4, observers=[], interruption=Interruption())
+    driver = Driver(specs, node, admission=by_count(4), observers=[], interruption=Interruption())
     driver.run()
     return {state.name: state for state in driver.states}
 
