@@ -713,3 +713,44 @@ def test_a_watched_list_with_a_camera_that_goes_away_and_comes_back(tmp_path: Pa
     assert list(json.loads((output / "run.json").read_text())["sources"]) == ["endless", "door", "late"]
     everything = shown + "".join(file.read_text() for file in output.glob("*.*"))
     assert PASSWORD not in everything
+
+
+@pytest.mark.ray
+@pytest.mark.long
+def test_the_same_command_starts_a_watched_run_and_continues_it_with_another_list(tmp_path: Path) -> None:
+    small = "'synthetic:demo?frames=5000&width=64&height=48'"
+    path, output = (
+        stream_list(tmp_path, f"stays {small}", f"other {small}", f"goes {small}"),
+        tmp_path / "out",
+    )
+    words = [
+        *(sys.executable, "-m", "orchestrator", "--watch", "--resume", "--save", "masks"),
+        *("--streams", str(path), "--output", str(output)),
+    ]
+
+    def commits(name: str) -> bytes:
+        log = output / name / "commits.jsonl"
+        return log.read_bytes() if log.exists() else b""
+
+    with subprocess.Popen(words, cwd=REPOSITORY, stdout=subprocess.DEVNULL) as first:
+        _wait_for(lambda: all(map(commits, ("stays", "other", "goes"))), 200)
+        first.kill()
+    kept = commits("stays")
+    stream_list(tmp_path, f"stays {small}", "other synthetic:street", f"new {small}")
+    with subprocess.Popen(
+        words, cwd=REPOSITORY, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as second:
+        _wait_for(lambda: len(commits("stays")) > len(kept) and bool(commits("new")), 200)
+        second.send_signal(signal.SIGTERM)
+        _, stderr = second.communicate(timeout=60)
+    assert second.returncode == 143, stderr
+    assert "line 2: The name 'other' stands for synthetic:demo" in stderr
+    assert commits("stays").startswith(kept)
+    states = json.loads((output / "status.json").read_text())["streams"]
+    assert {name: state["state"] for name, state in states.items()} == {
+        "stays": "partial",
+        "new": "partial",
+        "goes": "done",
+        "other": "failed",
+    }
+    assert list(json.loads((output / "run.json").read_text())["sources"]) == ["stays", "other", "goes", "new"]
