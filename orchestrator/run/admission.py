@@ -79,24 +79,24 @@ class Verdict:
 Admission: TypeAlias = Callable[[Sequence[StreamState], Collection[str]], Verdict]
 
 
-def by_count(most: int | Callable[[], int], kind: str = "places") -> Admission:
+def by_count(most: int | Callable[[int], int], kind: str = "places") -> Admission:
     """Admit so many streams at once, whatever they take.
 
     Parameters
     ----------
     most : int or callable
-        A callable is called repeatedly.
+        A callable is called repeatedly, with the number of streams that wait.
     kind : str
         What there are so many of, for the user.
     """
 
     def admit(states: Sequence[StreamState], ending: Collection[str]) -> Verdict:
-        waiting = next((state.name for state in states if state.state == "waiting"), None)
-        if waiting is None:
+        waiting = [state.name for state in states if state.state == "waiting"]
+        limit = most(len(waiting)) if callable(most) else most
+        if not waiting:
             return Verdict()
-        limit = most() if callable(most) else most
         if len(_running(states, ending)) < limit:
-            return Verdict(waiting)
+            return Verdict(waiting[0])
         reason = f"one of the {limit} {kind}, which are taken"
         return Verdict(None, reason, reason)
 

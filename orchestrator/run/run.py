@@ -203,7 +203,7 @@ def _drive(
                 host = Node(policy=PoolPolicy(streams=_most_at_once(job, ended, memory, arguments)))
             else:
                 host = Cluster(partial(places_here, folder.path), _say)
-                admission = by_count(host.places, "places of the nodes")
+                admission = by_count(lambda _: host.places(), "places of the nodes")
             if arguments.places is not None:
                 admission = by_count(arguments.places, "places (--places)")
             driver = Driver(

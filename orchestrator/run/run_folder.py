@@ -27,7 +27,7 @@ from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.sinks.record import recorded_frames
 
-__all__ = ["RunFolder", "StatusFile", "describe_run"]
+__all__ = ["RunFolder", "StatusFile", "describe_run", "read_description"]
 
 _PACKAGES = ("mlbs-actors", "ray", "numpy", "scipy", "PyMaxflow", "numba", "av")
 
@@ -50,6 +50,15 @@ _MOST_CHANGES = 3
 
 #: Least time between two writings of ``status.json``, s.
 _STATUS_SECONDS = 0.5
+
+
+def read_description(run: Path) -> dict[str, Any] | None:
+    """Read the ``run.json`` of a folder; None if it holds no run, or the file cannot be read."""
+    try:
+        description: dict[str, Any] = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return description
 
 
 class RunFolder:
@@ -100,12 +109,11 @@ class RunFolder:
 
     def description(self) -> dict[str, Any]:
         """Read ``run.json``; raises ConfigError."""
-        try:
-            begun: dict[str, Any] = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        begun = read_description(self.path)
+        if begun is None:
             raise ConfigError(
                 f"{self.path / 'run.json'} cannot be read; begin anew in another folder with --output."
-            ) from None
+            )
         return begun
 
     def recorded_sources(self, begun: Mapping[str, Any]) -> dict[str, str]:

@@ -58,4 +58,4 @@ def test_costs_come_from_the_measured_kinds_and_nothing_is_lost() -> None:
 def test_the_fleet_table_tells_nodes_for_a_thousand_cameras() -> None:
     rows = fleet_table("demo", COSTS, nodes=(2,)).splitlines()
     cameras, nodes = rows[1].split()[1], rows[1].split()[-1]
-    assert (cameras, nodes) == ("4", "250")
+    assert (cameras, nodes) == ("13", "77")

@@ -64,7 +64,11 @@ def main(folder: Path) -> None:
         watch = Watch()
         statuses: list[int] = []
         driver = Driver(
-            specs, host, admission=by_count(host.places), observers=[watch], interruption=interruption
+            specs,
+            host,
+            admission=by_count(lambda _: host.places()),
+            observers=[watch],
+            interruption=interruption,
         )
         driving = threading.Thread(target=lambda: statuses.append(driver.run()))
         driving.start()

@@ -635,7 +635,7 @@ def test_the_limit_can_grow_while_streams_run() -> None:
     driver = Driver(
         [spec(name) for name in "abc"],
         host,
-        admission=by_count(lambda: next(limits, 3)),
+        admission=by_count(lambda _: next(limits, 3)),
         observers=[],
         interruption=Interruption(),
     )
