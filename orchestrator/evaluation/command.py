@@ -30,7 +30,7 @@ from orchestrator.evaluation.figures import (
 from orchestrator.evaluation.labelling import run_label_maps, run_scores
 from orchestrator.evaluation.paper_tables import paper_sequences, paper_tables
 from orchestrator.evaluation.reliability import reliability_table
-from orchestrator.evaluation.run_pictures import RunSequence, sources_of
+from orchestrator.evaluation.run_pictures import RunSequence
 from orchestrator.evaluation.scoring import (
     EngineSetup,
     SequenceResult,
@@ -42,6 +42,7 @@ from orchestrator.evaluation.sequences import SceneSequence
 from orchestrator.evaluation.sequences import Sequence as TruthSequence
 from orchestrator.evaluation.sizes import size_variants, sizes_table
 from orchestrator.evaluation.variants import Variant, VariantResults, run_variants, variants_as_json
+from orchestrator.run.run_folder import read_description
 from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
 __all__ = ["main"]
@@ -244,7 +245,7 @@ def _score_run(options: argparse.Namespace) -> list[VariantResults]:
     if any(getattr(options, one) not in (None, []) for one in for_engine):
         given = ", ".join(f"--{one}" for one in for_engine)
         raise ConfigError(f"--run scores finished masks: leave {given} out.")
-    sources = sources_of(options.run)
+    sources = (read_description(options.run) or {}).get("sources", {})
     pairs = [pair for text in options.truth for pair in _streams_with_truth(options.run, text)]
     unscored = {masks.parent.name for masks in options.run.glob("*/masks")} - {name for name, _ in pairs}
     if unscored:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from pycocotools import mask as coco_mask
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import Array, LayerSummary
+from orchestrator.run.run_folder import read_description
 from orchestrator.sinks.record_tables import read_rows
 
 __all__ = ["RecordedFrame", "description_of", "recorded_stream", "streams_of"]
@@ -69,10 +69,9 @@ def description_of(run: Path) -> dict[str, Any]:
     ConfigError
         If the folder holds no run, or its tables were not saved.
     """
-    try:
-        description: dict[str, Any] = json.loads((run / "run.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise ConfigError(f"{run} holds no run; name the folder given to --output.") from None
+    description = read_description(run)
+    if description is None:
+        raise ConfigError(f"{run} holds no run; name the folder given to --output.")
     if "parquet" not in description["save"]:
         raise ConfigError(f"The run in {run} has no tables to export; run it again with parquet in --save.")
     return description

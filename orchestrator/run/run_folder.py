@@ -27,7 +27,7 @@ from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.sinks.record import recorded_frames
 
-__all__ = ["RunFolder", "StatusFile", "describe_run"]
+__all__ = ["RunFolder", "StatusFile", "describe_run", "read_description"]
 
 _PACKAGES = ("mlbs-actors", "ray", "numpy", "scipy", "PyMaxflow", "numba", "av")
 
@@ -50,6 +50,15 @@ _MOST_CHANGES = 3
 
 #: Least time between two writings of ``status.json``, s.
 _STATUS_SECONDS = 0.5
+
+
+def read_description(run: Path) -> dict[str, Any] | None:
+    """Read the ``run.json`` of a folder; None if it holds no run, or the file cannot be read."""
+    try:
+        description: dict[str, Any] = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return description
 
 
 class RunFolder:
@@ -76,7 +85,7 @@ class RunFolder:
         ConfigError
             If the folder holds a run or part of one, is no folder, or cannot be written to.
         """
-        if os.path.lexists(self.path / "run.json"):
+        if self.holds_run:
             raise ConfigError(
                 f"The output folder {self.path} holds a run already; "
                 "choose another one with --output, or continue that run with --resume."
@@ -93,8 +102,27 @@ class RunFolder:
         if not os.access(nearest, os.W_OK | os.X_OK):
             raise ConfigError(f"The folder {nearest} cannot be written to; choose another one with --output.")
 
-    def refuse_other(self, description: dict[str, Any]) -> dict[str, Any]:
-        """Check that the run in this folder is the one described; return its own description.
+    @property
+    def holds_run(self) -> bool:
+        """Whether a run has begun here."""
+        return os.path.lexists(self.path / "run.json")
+
+    def description(self) -> dict[str, Any]:
+        """Read ``run.json``; raises ConfigError."""
+        begun = read_description(self.path)
+        if begun is None:
+            raise ConfigError(
+                f"{self.path / 'run.json'} cannot be read; begin anew in another folder with --output."
+            )
+        return begun
+
+    def recorded_sources(self, begun: Mapping[str, Any]) -> dict[str, str]:
+        """Return the sources of the streams of ``run.json`` that have a record, by name."""
+        sources: dict[str, str] = begun.get("sources", {})
+        return {name: source for name, source in sources.items() if recorded_frames(self.stream(name))}
+
+    def refuse_other(self, begun: Mapping[str, Any], description: Mapping[str, Any]) -> None:
+        """Check that the run that has begun in this folder is the one described now.
 
         A stream without a record may have another source now, or be new or gone, so that wrong lines can be
         corrected.
@@ -102,36 +130,18 @@ class RunFolder:
         Raises
         ------
         ConfigError
-            If there is no run, or one of something else.
+            If it is one of something else.
         """
-        try:
-            begun: dict[str, Any] = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise ConfigError(
-                f"The folder {self.path} holds no run to resume; leave --resume out, or correct --output."
-            ) from None
-        except (OSError, ValueError):
-            raise ConfigError(
-                f"{self.path / 'run.json'} cannot be read; begin anew in another folder with --output."
-            ) from None
         for key, meaning in _SAME.items():
             if begun.get(key) == description[key]:
                 continue
-            if key != "sources" or not self._has_all_recorded(begun.get(key, {}), description[key]):
+            recorded = self.recorded_sources(begun) if key == "sources" else {}
+            if key != "sources" or not recorded.items() <= description[key].items():
                 changes = "" if key in _UNLISTED else f" ({_changes(begun.get(key), description[key])})"
                 raise ConfigError(
                     f"The run in {self.path} had other {meaning}{changes}; give the same ones as then (see "
                     "its run.json), or another folder with --output."
                 )
-        return begun
-
-    def _has_all_recorded(self, begun: dict[str, str], sources: dict[str, str]) -> bool:
-        """Whether every stream with a record still has its source."""
-        return all(
-            sources.get(name) == source
-            for name, source in begun.items()
-            if recorded_frames(self.stream(name))
-        )
 
     def states(self) -> dict[str, StreamState]:
         """Read the streams of ``status.json``; none if it cannot be read."""
@@ -276,14 +286,15 @@ def describe_run(
     command: Sequence[str] = (),
     ignored: Mapping[str, str] | None = None,
     zones: str | None = None,
+    recorded: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Return the content of ``run.json``: everything that the results depend on, without credentials.
 
     ``command`` starts the same run; ``ignored`` are the digests of the files to ignore, and
-    ``zones`` that of the file of zones.
+    ``zones`` that of the file of zones; ``recorded`` are the sources of streams that were recorded before.
     """
     parameters = config.model_dump(mode="json")
-    sources = {stream.name: str(stream.source) for stream in streams}
+    sources = {**(recorded or {}), **{stream.name: str(stream.source) for stream in streams}}
     return {
         "started": _now(),
         "config": parameters,

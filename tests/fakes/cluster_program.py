@@ -18,6 +18,7 @@ from mlbs_actors.actors.node.cluster import Cluster
 from mlbs_actors.actors.node.pool import PoolPolicy
 from mlbs_actors.actors.stream.protocol import StreamSpec
 from orchestrator.interruption import Interruption
+from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import StreamRecord
@@ -62,7 +63,13 @@ def main(folder: Path) -> None:
     with Interruption() as interruption:
         watch = Watch()
         statuses: list[int] = []
-        driver = Driver(specs, host, limit=host.places, observers=[watch], interruption=interruption)
+        driver = Driver(
+            specs,
+            host,
+            admission=by_count(lambda _: host.places()),
+            observers=[watch],
+            interruption=interruption,
+        )
         driving = threading.Thread(target=lambda: statuses.append(driver.run()))
         driving.start()
         watch.under_way.wait()

@@ -61,7 +61,7 @@ def test_points_that_the_tracker_loses_are_given_to_it_no_more(made: SyntheticSc
     assert len(asked) == 3
     trajectories = subtractor._coordinator.state.trajectories
     places, seen = asked[-1]
-    old = trajectories.positions[trajectories.ages > 0]
+    old = trajectories.positions[trajectories.ages > 1]  # new ones begin with the motion of the flow
     assert len(old)
     assert {tuple(one) for one in old.tolist()} <= {tuple(one) for one in places[seen].tolist()}
 

@@ -9,6 +9,7 @@ t−1, which decides which layers live.
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import time
 from collections import deque
@@ -34,6 +35,7 @@ from mlbs_actors.actors.node.failures import (
 )
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, identity
+from mlbs_actors.actors.node.usage import StreamUsage
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.account import StreamAccount
 from mlbs_actors.actors.stream.layers_at_work import AssignedProcess
@@ -133,6 +135,7 @@ class CoordinatorActor:
         # The newest results, by the engine's frame index.
         self._segmentations: dict[int, Shared[Segmentation]] = {}
         self._account = StreamAccount(spec.max_frames)
+        self._usage = StreamUsage()
         self._ended: StreamProgress | MlbsError | None = None
         self._begun = self._interrupted = False
         self._to_skip = 0
@@ -431,7 +434,14 @@ class CoordinatorActor:
         progress = self._account.progress(
             self._record.committed, len(self._layers), done=done, kept_waiting=kept_waiting
         )
-        return replace(progress, without_process=self._layers.without_process)
+        processes = (os.getpid(), self._source.process, self._labelling.process, *self._layers.processes())
+        self._usage.measure(process for process in processes if process is not None)
+        return replace(
+            progress,
+            without_process=self._layers.without_process,
+            cpu_seconds=self._usage.cpu_seconds,
+            memory=self._usage.memory,
+        )
 
     def _roles(self) -> dict[str, str]:
         links = self._links

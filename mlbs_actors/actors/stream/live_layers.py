@@ -23,11 +23,12 @@ _FIRST_LAYERS = 4
 
 @dataclass(slots=True)
 class _Living:
-    """A layer, the last frame requested of it, its process, and the reference of its ``serve`` call."""
+    """A layer, the last frame requested of it, its process and that one's id and ``serve`` call."""
 
     kind: LayerKind
     last_frame: int
     process: Handle | None = None
+    process_id: int | None = None
     served: Reference | None = None
 
 
@@ -68,6 +69,10 @@ class LiveLayers:
         for layer, living in self._living.items():
             if living.process is not None:
                 yield identity(living.process), f"layer {layer}"
+
+    def processes(self) -> list[int]:
+        """Return the ids of all layer processes."""
+        return [living.process_id for living in self._living.values() if living.process_id is not None]
 
     def served(self) -> list[Reference]:
         """Return the ``serve`` calls of all layer processes, which raise why one has failed or is gone."""
@@ -129,6 +134,7 @@ class LiveLayers:
             if waiting:
                 layer = waiting.popleft()
                 self._living[layer].process = process
+                self._living[layer].process_id = address.owner
                 self._living[layer].served = process.serve.remote(self._run)
                 yield layer, address
             else:  # the layer it was requested for has retired, or sleeps

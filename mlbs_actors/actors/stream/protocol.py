@@ -325,6 +325,10 @@ class StreamProgress:
         Layers without a process of their own because the node's memory is too short.
     objects : int
         Objects in the newest label map: layers that own a pixel of it.
+    cpu_seconds : float
+        CPU time of the stream's own processes since this start, s.
+    memory : int
+        Their unique memory, bytes.
     """
 
     read: int
@@ -341,6 +345,8 @@ class StreamProgress:
     kept_waiting: bool = False
     without_process: int = 0
     objects: int = 0
+    cpu_seconds: float = 0.0
+    memory: int = 0
 
 
 class RunningStream(Protocol):

@@ -209,9 +209,12 @@ class Labelling:
         The segmenter's ``serve`` call, which raises why it ended; set by :meth:`begin`.
     under_way : int
         Frames whose label maps have not arrived.
+    process : int, optional
+        The segmenter's process id; set by :meth:`begin`.
     """
 
     served: Reference
+    process: int | None = None
 
     def __init__(self, segmenter: Handle, slots: SlotPool) -> None:
         self._segmenter = segmenter
@@ -232,7 +235,8 @@ class Labelling:
 
     def begin(self) -> None:
         """Start the segmenter; raises RayError. All other methods raise ChannelClosedError."""
-        address = ray.get(self._address)
+        address: ChannelAddress = ray.get(self._address)
+        self.process = address.owner
         self.served = self._segmenter.serve.remote()
         self._channel = connect(address)
 

@@ -25,7 +25,7 @@ from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.monitor.board import Board
 from orchestrator.monitor.metrics import MetricsText
 from orchestrator.monitor.server import serving
-from orchestrator.run.stream_state import StreamState, after_progress
+from orchestrator.run.stream_state import StreamState, after_progress, after_start
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.record import StreamRecord
 
@@ -35,7 +35,7 @@ HERE = MonitorAddress("127.0.0.1", 0)
 STATES = [
     StreamState("yard", "running", read=20, committed=8, layers=3, frames_per_second=4.25, latency_ms=312.4),
     StreamState("<b>", "failed", error="The file <is> gone."),
-    StreamState("late", "starting"),
+    after_start(StreamState("late")),
 ]
 
 
