@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 
-from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory, node_memory
-from mlbs_actors.errors import ConfigError
+from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory
 from mlbs_actors.wording import count_of
 from orchestrator.run.stream_state import ENDED, StreamState
 
@@ -22,7 +20,6 @@ __all__ = [
     "STREAMS_A_CORE",
     "cores",
     "places",
-    "places_here",
     "streams_to_start",
     "warn_of_cameras",
 ]
@@ -37,14 +34,14 @@ _RESERVED_BYTES = 1_500 * 2**20
 STREAMS_A_CORE = 2
 
 
-def places(memory: NodeMemory, core_count: int) -> int:
+def places(memory: NodeMemory, core_count: float) -> int:
     """Return how many streams may run at once.
 
     Parameters
     ----------
     memory : NodeMemory
         Before the run.
-    core_count : int
+    core_count : float
 
     Returns
     -------
@@ -52,7 +49,7 @@ def places(memory: NodeMemory, core_count: int) -> int:
         At least 1: a machine too small for the estimate may still hold one small stream.
     """
     by_memory = (memory.free - _RESERVED_BYTES) // PLACE_BYTES
-    return max(1, min(by_memory, core_count * STREAMS_A_CORE))
+    return max(1, min(by_memory, int(core_count * STREAMS_A_CORE)))
 
 
 def warn_of_cameras(cameras: int, streams: int, limit: int) -> str | None:
@@ -74,21 +71,6 @@ def warn_of_cameras(cameras: int, streams: int, limit: int) -> str | None:
         f"{count_of(streams - limit, 'stream')} may never start. Leave some out, set --max-frames, or add "
         "machines with --address."
     )
-
-
-def places_here(folder: Path) -> int:
-    """Return how many streams this machine, a node of a cluster, can hold; it must see the run's folder.
-
-    Raises
-    ------
-    ConfigError
-        If it does not.
-    """
-    if not (folder / "run.json").exists():
-        raise ConfigError(
-            f"the output folder {folder} is not there; put it on a file system that all nodes share"
-        )
-    return places(node_memory(), cores())
 
 
 def streams_to_start(states: Sequence[StreamState], limit: int) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
-from mlbs_actors.errors import ActorLostError, MlbsError
+from mlbs_actors.errors import ActorLostError, MlbsError, NoPlaceError
 from orchestrator.interruption import Interruption
 from orchestrator.run.admission import streams_to_start
 from orchestrator.run.recovery import STALL_SECONDS, START_SECONDS, Returns
@@ -66,7 +66,7 @@ class Driver:
     host : StreamHost
         Starts streams; is not closed here.
     limit : int or callable
-        Streams that may run at once; a callable is called repeatedly.
+        Streams that may run at once; a callable is called repeatedly, with the number of those that wait.
     observers : sequence of Observer
     interruption : Interruption
         Checked between events.
@@ -85,7 +85,7 @@ class Driver:
         specs: Sequence[StreamSpec],
         host: StreamHost,
         *,
-        limit: int | Callable[[], int],
+        limit: int | Callable[[int], int],
         observers: Sequence[Observer],
         interruption: Interruption,
         lengths: Mapping[str, int] | None = None,
@@ -99,7 +99,7 @@ class Driver:
             spec.name: StreamState(spec.name, line=spec.line, length=_to_read(spec, known)) for spec in specs
         } | dict(ended or {})
         self._host = host
-        self._limit = limit if callable(limit) else lambda: limit
+        self._limit = limit if callable(limit) else lambda _: limit
         self._observers = observers
         self._interruption = interruption
         self._changes = changes
@@ -126,7 +126,7 @@ class Driver:
         while self._interruption.signal_number is None:
             self._follow_list()
             self._admit()
-            if self._changes is None and not self._bursts and not self._endings:
+            if self._changes is None and not (self._bursts or self._endings or self._waiting()):
                 break
             self._await_next()
         else:
@@ -143,26 +143,34 @@ class Driver:
             self._returns[spec.name] = Returns()
             self._states[spec.name] = StreamState(spec.name, line=spec.line)
         for name in change.removed:
-            if self._states[name].state == "waiting":
+            if self._states[name].state != "waiting":
+                if name in self._streams or name in self._returning:
+                    self._removed.add(name)  # it is ended after its burst
+            elif self._returning.pop(name, None) is None:
                 del self._states[name]
-            elif name in self._streams or name in self._returning:
-                self._removed.add(name)  # it is ended after its burst
+            else:
+                self._states[name] = after_removal(self._states[name], None)
         self._show()
 
     def _admit(self) -> None:
         # One at a time: if a stream fails at once, its place is free for the next.
-        while names := streams_to_start(self.states, self._limit() - len(self._endings)):
+        while names := streams_to_start(self.states, self._limit(self._waiting()) - len(self._endings)):
             self._set(replace(self._states[names[0]], state="starting"))
             self._start(names[0])
 
+    def _waiting(self) -> int:
+        return sum(state.state == "waiting" for state in self.states)
+
     def _start(self, name: str) -> None:
+        spec = replace(self._specs[name], last_try=self._returns[name].last_try)
         try:
-            self._streams[name] = self._host.start(
-                replace(self._specs[name], last_try=self._returns[name].last_try),
-                self._returning.pop(name, None),
-            )
+            self._streams[name] = self._host.start(spec, self._returning.get(name))
+            self._returning.pop(name, None)
             self._advance(name)
+        except NoPlaceError:
+            self._set(replace(self._states[name], state="waiting"))
         except Exception as error:
+            self._returning.pop(name, None)
             self._fail(name, error)
 
     def _await_next(self) -> None:

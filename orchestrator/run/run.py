@@ -14,6 +14,7 @@ from typing import Any
 
 from mlbs_actors.actors import Cluster, Node, PoolPolicy
 from mlbs_actors.actors.node.memory import NodeMemory, node_memory
+from mlbs_actors.actors.node.reservation import Share
 from mlbs_actors.actors.stream.protocol import FrameReader, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SinkError
@@ -32,14 +33,16 @@ from orchestrator.program import command_line_of
 from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
 from orchestrator.report.page import render_report
-from orchestrator.run.admission import cores, places, places_here, warn_of_cameras
+from orchestrator.run.admission import PLACE_BYTES, STREAMS_A_CORE, cores, places, warn_of_cameras
 from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.driver import Driver, Observer, SpecChange
 from orchestrator.run.durable_files import replace_file
 from orchestrator.run.list_watch import ListWatch
+from orchestrator.run.node_check import node_places
 from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import StreamState, after_failure, exit_code, stopped, with_record
+from orchestrator.run.versions import installed_versions
 from orchestrator.run.whole_overlays import is_in_parts, is_lost, make_whole
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.overlay import overlay_path, overlay_remarks, overlays
@@ -297,13 +300,14 @@ def _drive(
         progress = progress_for(output)
         try:
             host: Node | Cluster
-            most: int | Callable[[], int] = limit
+            most: int | Callable[[int], int] = limit
             if arguments.address is None:
                 # Only a watched list can get more.
                 at_once = limit if arguments.watch else min(limit, len(job.specs) - len(ended))
                 host = Node(policy=PoolPolicy(streams=at_once))
             else:
-                host = Cluster(partial(places_here, folder.path), _say)
+                check = partial(node_places, folder.path, installed_versions())
+                host = Cluster(check, Share(1 / STREAMS_A_CORE, PLACE_BYTES), _say)
                 most = host.places
             driver = Driver(
                 job.specs,

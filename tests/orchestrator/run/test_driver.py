@@ -9,21 +9,19 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import pytest
 
 from mlbs_actors.actors.node.memory import NodeMemory
 from mlbs_actors.actors.stream.protocol import RunningStream, SourceSilence, StreamProgress, StreamSpec
 from mlbs_actors.config import Config
-from mlbs_actors.errors import ActorLostError, ConfigError, SourceError
+from mlbs_actors.errors import ActorLostError, SourceError
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.run import driver as driver_module
 from orchestrator.run.admission import (
     PLACE_BYTES,
     cores,
     places,
-    places_here,
     streams_to_start,
 )
 from orchestrator.run.driver import Driver, SpecChange
@@ -608,20 +606,13 @@ def test_a_camera_that_is_silent_or_away_is_told_until_it_is_back() -> None:
     assert (state.state, state.error, state.dropped, state.gaps) == ("running", None, 2, 1)
 
 
-def test_a_node_that_does_not_see_the_output_folder_takes_no_stream(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="put it on a file system that all nodes share"):
-        places_here(tmp_path)
-    (tmp_path / "run.json").touch()
-    assert places_here(tmp_path) >= 1
-
-
 def test_the_limit_can_grow_while_streams_run() -> None:
     limits = iter([1] * 3)
     host = FakeHost({name: FakeStream(8) for name in "abc"})
     driver = Driver(
         [spec(name) for name in "abc"],
         host,
-        limit=lambda: next(limits, 3),
+        limit=lambda _: next(limits, 3),
         observers=[],
         interruption=Interruption(),
     )
