@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError, MlbsError
@@ -186,9 +186,19 @@ def ray_session(address: str | None, scratch: Path, metrics_port: int | None = N
     try:
         yield
     finally:
+        if address is not None:
+            _withdraw_demand()
         # At its end Ray prints repeated warnings that it has held back; standard output is for the progress.
         with redirect_stdout(io.StringIO()):
             ray.shutdown()
+
+
+def _withdraw_demand() -> None:
+    """Tell the cluster's autoscaler that no more nodes are needed; it would remember what streams needed."""
+    from ray.autoscaler.sdk import request_resources
+
+    with suppress(Exception):  # such as a cluster that has ended
+        request_resources(bundles=[])
 
 
 def _refuse_unreachable(address: str) -> None:
@@ -196,6 +206,8 @@ def _refuse_unreachable(address: str) -> None:
     if address == "auto":
         return
     host, _, port = address.rpartition(":")
+    if not (host and port.isdecimal()):
+        raise ValueError("an address is HOST:PORT, or auto")
     with socket.create_connection((host, int(port)), timeout=_CONNECT_SECONDS):
         return
 

@@ -182,11 +182,10 @@ class Cluster:
             member.node.repair()
 
     def close(self) -> None:
-        """End the remaining processes on all nodes, and withdraw what was asked of the autoscaler."""
+        """End the remaining processes on all nodes."""
         for member in self._members.values():
             self._drop_next(member)
             member.node.close()
-        self._demand(0)
 
     def _look(self, patience: float) -> None:
         """Update the list of nodes; wait up to this time for the answers of new ones, s."""
@@ -239,7 +238,7 @@ class Cluster:
             member.next = None
 
     def _demand(self, streams: int) -> None:
-        """Tell Ray's autoscaler how many streams there should be room for."""
+        """Tell Ray's autoscaler how many streams there should be room for; it remembers that."""
         if streams != self._demanded:
             self._demanded = streams
             request_resources(bundles=[self._share.bundle] * streams)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 import weakref
 from dataclasses import dataclass
+from itertools import count
 
 import ray
 from ray.util.placement_group import (
@@ -21,6 +22,9 @@ from ray.util.placement_group import (
 from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
 __all__ = ["Reservation", "Share"]
+
+#: Of this driver's reservations: Ray refuses a name that it has already.
+_numbers = count(1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +73,7 @@ class Reservation:
         self._group = placement_group(
             [share.bundle],
             strategy="STRICT_PACK",
-            name="mlbs-actors",
+            name=f"mlbs-actors-{next(_numbers)}",
             bundle_label_selector=[{"ray.io/node-id": node}],
         )
         self._granted = False
