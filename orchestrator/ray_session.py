@@ -2,7 +2,7 @@
 
 Anybody who reaches Ray's ports can run code. So our own session listens on this machine only, requires a
 token that only this user can read, and has no dashboard. A cluster is joined only with ``--address``:
-``RAY_ADDRESS`` in the environment is ignored.
+``RAY_ADDRESS`` in the environment, which Ray sets for submitted jobs, counts only with ``--address auto``.
 """
 
 from __future__ import annotations
@@ -67,7 +67,9 @@ def ray_settings(address: str | None) -> Iterator[Path]:
     _remove_abandoned()
     scratch, own = _new_scratch()
     # Nor may a late call, after the end of the run, start a session of another kind.
-    settings: dict[str, str | None] = {"RAY_ADDRESS": None, "RAY_ENABLE_AUTO_CONNECT": "0"}
+    settings: dict[str, str | None] = {"RAY_ENABLE_AUTO_CONNECT": "0"}
+    if address != "auto":
+        settings["RAY_ADDRESS"] = None
     if address is None:
         token = scratch / "token"
         token.touch(mode=0o600)

@@ -11,7 +11,7 @@ from actor_fakes import FakeParts, FakeReader, RaySession, picture, run_to_end, 
 
 from mlbs_actors.actors.node.cluster import Cluster
 from mlbs_actors.actors.node.pool import PoolPolicy
-from mlbs_actors.actors.node.processes import end
+from mlbs_actors.actors.node.processes import Handle, end
 from mlbs_actors.actors.node.reservation import Share
 from mlbs_actors.errors import ConfigError
 
@@ -34,7 +34,8 @@ def none(cpus: float) -> int:
 
 
 def free() -> float:
-    return float(ray.available_resources().get("CPU", 0.0))
+    resources = ray.available_resources()  # type: ignore[no-untyped-call]
+    return float(resources.get("CPU", 0.0))
 
 
 @pytest.fixture
@@ -68,7 +69,7 @@ def test_a_stream_waits_for_cpus_that_another_job_has(
     cluster: Cluster, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("mlbs_actors.actors.node.cluster._GRANT_SECONDS", 0.0)
-    other = ray.remote(num_cpus=2)(OtherJob).remote()
+    other: Handle = ray.remote(num_cpus=2)(OtherJob).remote()
     ray.get(other.__ray_ready__.remote())
     wait_until(lambda: cluster.places(1) == 0 and any("in use by others" in one for one in said))
     assert cluster.places(1) == 0
