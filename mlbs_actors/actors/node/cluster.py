@@ -15,6 +15,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
+from math import ceil
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -241,7 +242,9 @@ class Cluster:
         """Tell Ray's autoscaler how many streams there should be room for; it remembers that."""
         if streams != self._demanded:
             self._demanded = streams
-            request_resources(bundles=[self._share.bundle] * streams)
+            # By whole CPUs: Ray 2.51 takes whole numbers only.
+            a_cpu = {"CPU": 1, "memory": round(self._share.memory / self._share.cpus)}
+            request_resources(bundles=[a_cpu] * ceil(streams * self._share.cpus))
 
     def _report_shortage(self) -> bool:
         """Report that streams wait for nodes or for other jobs; return False if they do not, or not yet."""
