@@ -16,12 +16,10 @@ import os
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import fmean
 from typing import TypeAlias
 
-from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory, node_memory
-from mlbs_actors.errors import ConfigError
+from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory
 from mlbs_actors.wording import count_of
 from orchestrator.run.stream_state import ENDED, StreamState
 
@@ -35,7 +33,6 @@ __all__ = [
     "cores",
     "places",
     "places_by_memory",
-    "places_here",
 ]
 
 #: Unique memory of a stream with four objects, bytes.
@@ -97,7 +94,7 @@ def by_count(most: int | Callable[[int], int], kind: str = "places") -> Admissio
             return Verdict()
         if len(_running(states, ending)) < limit:
             return Verdict(waiting[0])
-        reason = f"one of the {limit} {kind}, which are taken"
+        reason = f"one of the {limit} {kind}, which are taken" if limit else f"{kind}: there are none yet"
         return Verdict(None, reason, reason)
 
     return admit
@@ -203,41 +200,26 @@ def _running(states: Sequence[StreamState], ending: Collection[str]) -> list[Str
     ]
 
 
-def places(memory: NodeMemory, core_count: int) -> int:
+def places(memory: NodeMemory, core_count: float) -> int:
     """Return how many streams of files may run at once.
 
     Parameters
     ----------
     memory : NodeMemory
         Before the run.
-    core_count : int
+    core_count : float
 
     Returns
     -------
     int
         At least 1: a machine too small for the estimate may still hold one small stream.
     """
-    return min(places_by_memory(memory), core_count * STREAMS_A_CORE)
+    return max(1, min(places_by_memory(memory), int(core_count * STREAMS_A_CORE)))
 
 
 def places_by_memory(memory: NodeMemory) -> int:
     """Return how many streams fit into the memory before the run; at least 1."""
     return max(1, (memory.free - _RESERVED_BYTES) // PLACE_BYTES)
-
-
-def places_here(folder: Path) -> int:
-    """Return how many streams this machine, a node of a cluster, can hold; it must see the run's folder.
-
-    Raises
-    ------
-    ConfigError
-        If it does not.
-    """
-    if not (folder / "run.json").exists():
-        raise ConfigError(
-            f"the output folder {folder} is not there; put it on a file system that all nodes share"
-        )
-    return places(node_memory(), cores())
 
 
 def cores() -> int:

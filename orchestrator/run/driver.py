@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
-from mlbs_actors.errors import ActorLostError, MlbsError
+from mlbs_actors.errors import ActorLostError, MlbsError, NoPlaceError
 from orchestrator.interruption import Interruption
 from orchestrator.run.admission import Admission
 from orchestrator.run.load import LoadMeter
@@ -125,7 +125,7 @@ class Driver:
             self._follow_list()
             self._add_coming()
             self._admit()
-            if self._changes is None and not self._bursts and not self._endings:
+            if self._changes is None and not (self._bursts or self._endings or self._waiting()):
                 break
             self._await_next()
         else:
@@ -139,10 +139,13 @@ class Driver:
         for name in change.removed:
             if self._coming.pop(name, None) is not None:
                 continue
-            if self._states[name].state == "waiting":
+            if self._states[name].state != "waiting":
+                if name in self._streams or name in self._returning:
+                    self._removed.add(name)  # it is ended after its burst
+            elif self._returning.pop(name, None) is None:
                 del self._states[name]
-            elif name in self._streams or name in self._returning:
-                self._removed.add(name)  # it is ended after its burst
+            else:
+                self._states[name] = after_removal(self._states[name], None)
         self._coming |= {spec.name: spec for spec in change.added}
         self._show()
 
@@ -167,15 +170,20 @@ class Driver:
             if state.state == "waiting" and state.waits_for != (reason := verdict.waits_for(state)):
                 self._states[state.name] = replace(state, waits_for=reason)
 
+    def _waiting(self) -> int:
+        return sum(state.state == "waiting" for state in self.states)
+
     def _start(self, name: str) -> None:
         self._loads[name] = LoadMeter(self._clock)
+        spec = replace(self._specs[name], last_try=self._returns[name].last_try)
         try:
-            self._streams[name] = self._host.start(
-                replace(self._specs[name], last_try=self._returns[name].last_try),
-                self._returning.pop(name, None),
-            )
+            self._streams[name] = self._host.start(spec, self._returning.get(name))
+            self._returning.pop(name, None)
             self._advance(name)
+        except NoPlaceError:
+            self._set(replace(self._states[name], state="waiting"))
         except Exception as error:
+            self._returning.pop(name, None)
             self._fail(name, error)
 
     def _await_next(self) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from mlbs_actors.actors import Cluster, Node, PoolPolicy
 from mlbs_actors.actors.node.memory import NodeMemory, node_memory
+from mlbs_actors.actors.node.reservation import Share
 from mlbs_actors.actors.stream.protocol import StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SinkError
@@ -28,15 +29,25 @@ from orchestrator.program import command_line_of
 from orchestrator.progress import progress_for
 from orchestrator.ray_session import ray_session
 from orchestrator.report.page import render_report
-from orchestrator.run.admission import by_count, by_load, cores, places, places_by_memory, places_here
+from orchestrator.run.admission import (
+    PLACE_BYTES,
+    STREAMS_A_CORE,
+    by_count,
+    by_load,
+    cores,
+    places,
+    places_by_memory,
+)
 from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.driver import Driver, Observer
 from orchestrator.run.durable_files import replace_file
 from orchestrator.run.job import Job
+from orchestrator.run.node_check import node_places
 from orchestrator.run.resumption import changed_sources, ended_before, gone_from_list, words_on_resuming
 from orchestrator.run.run_folder import RunFolder, StatusFile
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import StreamState, after_failure, exit_code, stopped, with_record
+from orchestrator.run.versions import installed_versions
 from orchestrator.run.whole_overlays import make_all_whole
 from orchestrator.sinks.overlay import overlay_path, overlay_remarks, overlays
 from orchestrator.sinks.record import recorded_frames
@@ -202,10 +213,12 @@ def _drive(
                 admission = by_load(cores(), places(memory, cores()), node_memory)
                 host = Node(policy=PoolPolicy(streams=_most_at_once(job, ended, memory, arguments)))
             else:
-                host = Cluster(partial(places_here, folder.path), _say)
-                admission = by_count(lambda _: host.places(), "places of the nodes")
-            if arguments.places is not None:
-                admission = by_count(arguments.places, "places (--places)")
+                check = partial(node_places, folder.path, installed_versions())
+                host = Cluster(check, Share(1 / STREAMS_A_CORE, PLACE_BYTES), _say)
+                admission = by_count(host.places, "places of the nodes")
+            if (most := arguments.places) is not None:
+                on_nodes = host.places if isinstance(host, Cluster) else lambda _: most
+                admission = by_count(lambda waiting: min(most, on_nodes(waiting)), "places (--places)")
             driver = Driver(
                 job.specs,
                 host,

@@ -12,11 +12,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from datetime import datetime, timezone
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import cv2
 from filelock import FileLock, Timeout
 
 from mlbs_actors.config import Config
@@ -25,11 +23,10 @@ from orchestrator.credentials import mask
 from orchestrator.run.durable_files import replace_file
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import ENDED, StreamState
+from orchestrator.run.versions import installed_versions
 from orchestrator.sinks.record import recorded_frames
 
 __all__ = ["RunFolder", "StatusFile", "describe_run", "read_description"]
-
-_PACKAGES = ("mlbs-actors", "ray", "numpy", "scipy", "PyMaxflow", "numba", "av")
 
 #: Keys of ``run.json`` that must not change when a run is resumed.
 _SAME = {
@@ -306,11 +303,7 @@ def describe_run(
         "zones": zones,
         "command": [mask(word) for word in command],
         "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
-        "versions": {
-            "python": platform.python_version(),
-            "opencv": cv2.__version__,  # of whichever of its packages
-            **{name: _version(name) for name in _PACKAGES},
-        },
+        "versions": installed_versions(),
         "machine": {"cpu": _cpu(), "system": platform.platform()},
     }
 
@@ -323,13 +316,6 @@ def _state(name: str, figures: dict[str, Any]) -> StreamState:
 
 def _digest(value: object) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
 
 
 def _cpu() -> str:

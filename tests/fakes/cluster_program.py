@@ -16,6 +16,7 @@ from ray.cluster_utils import Cluster as LocalCluster
 from mlbs_actors import Config
 from mlbs_actors.actors.node.cluster import Cluster
 from mlbs_actors.actors.node.pool import PoolPolicy
+from mlbs_actors.actors.node.reservation import Share
 from mlbs_actors.actors.stream.protocol import StreamSpec
 from orchestrator.interruption import Interruption
 from orchestrator.run.admission import by_count
@@ -40,7 +41,7 @@ class Watch:
             self.under_way.set()
 
 
-def one() -> int:
+def one(cpus: float) -> int:
     """Every node takes one stream."""
     return 1
 
@@ -50,7 +51,7 @@ def main(folder: Path) -> None:
     victim = local.add_node(num_cpus=1, object_store_memory=STORE)
     ray.init(address=local.address, log_to_driver=False)
     said: list[str] = []
-    host = Cluster(one, said.append, policy=PoolPolicy(spare=1))
+    host = Cluster(one, Share(0.5, 100 * 2**20), said.append, policy=PoolPolicy(spare=1))
     specs = [
         StreamSpec(
             f"s{number}",
@@ -66,7 +67,7 @@ def main(folder: Path) -> None:
         driver = Driver(
             specs,
             host,
-            admission=by_count(lambda _: host.places()),
+            admission=by_count(host.places),
             observers=[watch],
             interruption=interruption,
         )

@@ -381,7 +381,7 @@ def test_a_ray_that_does_not_run_on_this_machine_is_told_so(
         ray_session.ray_session("auto", tmp_path).__enter__()
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere.invalid:6379"])
+@pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere.invalid:6379", "nowhere"])
 def test_a_cluster_that_cannot_be_reached_ends_with_status_2_soon(tmp_path: Path, address: str) -> None:
     path, output = stream_list(tmp_path, "synthetic:demo"), tmp_path / "out"
     started = time.monotonic()
@@ -424,6 +424,16 @@ def test_settings_of_ray_hold_a_token_that_only_the_user_reads_and_are_undone(
         assert [path.stat().st_mode & 0o077 for path in (token, scratch)] == [0, 0]
     assert os.environ["RAY_ADDRESS"] == "elsewhere:1"
     assert not scratch.exists()
+
+
+@pytest.mark.parametrize(("address", "seen"), [("here:2", None), ("auto", "elsewhere:1")])
+def test_the_cluster_of_the_environment_counts_only_if_that_of_this_machine_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, address: str, seen: str | None
+) -> None:
+    monkeypatch.delitem(sys.modules, "ray", raising=False)
+    monkeypatch.setenv("RAY_ADDRESS", "elsewhere:1")
+    with ray_settings(address):
+        assert os.environ.get("RAY_ADDRESS") == seen
 
 
 def test_what_a_late_process_of_ray_leaves_in_its_folder_is_removed_too(

@@ -127,8 +127,8 @@ class CoordinatorActor:
             if spec.replayable
             else LiveReadAhead(links.reader, spec.max_frames, self._slots, self._memory)
         )
-        self._layers = LiveLayers(links.pool, run, spec.config)
-        self._labelling = Labelling(links.segmenter, self._slots)
+        self._layers = LiveLayers(links.pool, run, spec.config, spec.name)
+        self._labelling = Labelling(links.segmenter, self._slots, spec.name)
         self._record = Record(links.sink, run, spec, self._slots)
         # Not yet labelled, in source order; a picture with its reference.
         self._waiting: deque[tuple[Shared[SourceFrame] | None, SourceFrame]] = deque()

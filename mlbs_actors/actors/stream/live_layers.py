@@ -46,12 +46,16 @@ class LiveLayers:
         The node's :class:`~mlbs_actors.actors.node.pool.PoolActor`.
     run : int
         The stream's number in that pool.
+    config : Config
+    stream : str
+        The stream's name: each process is listed under its layer's.
     """
 
-    def __init__(self, pool: Handle, run: int, config: Config) -> None:
+    def __init__(self, pool: Handle, run: int, config: Config, stream: str) -> None:
         self._pool = pool
         self._run = run
         self._config = config
+        self._stream = stream
         self._living: dict[int, _Living] = {}
         self._asked: deque[Reference] = deque()  # processes, of any layer
         self._begun = self._is_short = False
@@ -135,7 +139,8 @@ class LiveLayers:
                 layer = waiting.popleft()
                 self._living[layer].process = process
                 self._living[layer].process_id = address.owner
-                self._living[layer].served = process.serve.remote(self._run)
+                named = process.serve.options(name=f"LayerActor.serve of {self._stream}, layer {layer}")
+                self._living[layer].served = named.remote(self._run)
                 yield layer, address
             else:  # the layer it was requested for has retired, or sleeps
                 self._release_process(process)

@@ -390,6 +390,11 @@ class StreamHost(Protocol):
         spec : StreamSpec
         before : RunningStream, optional
             An earlier start of this stream, stopped because it ``returns``.
+
+        Raises
+        ------
+        NoPlaceError
+            If no node can take it now.
         """
 
     def repair(self) -> None:

@@ -202,6 +202,8 @@ class Labelling:
         The stream's :class:`SegmenterActor`.
     slots : SlotPool
         Of the stream.
+    stream : str
+        The stream's name, under which the segmenter's process is listed.
 
     Attributes
     ----------
@@ -216,8 +218,9 @@ class Labelling:
     served: Reference
     process: int | None = None
 
-    def __init__(self, segmenter: Handle, slots: SlotPool) -> None:
+    def __init__(self, segmenter: Handle, slots: SlotPool, stream: str) -> None:
         self._segmenter = segmenter
+        self._stream = stream
         self._slots = slots
         self._in_use: deque[tuple[Slot, ...]] = deque()  # of the frames under way, and of the one before
         self._address: Reference = segmenter.address.remote()
@@ -237,7 +240,7 @@ class Labelling:
         """Start the segmenter; raises RayError. All other methods raise ChannelClosedError."""
         address: ChannelAddress = ray.get(self._address)
         self.process = address.owner
-        self.served = self._segmenter.serve.remote()
+        self.served = self._segmenter.serve.options(name=f"SegmenterActor.serve of {self._stream}").remote()
         self._channel = connect(address)
 
     def start(self, work: FrameWork) -> None:

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from mlbs_actors.actors.node.memory import NodeMemory
-from mlbs_actors.actors.stream.protocol import SourceSilence, StreamProgress
-from mlbs_actors.errors import ConfigError
 from orchestrator.run.admission import (
     PLACE_BYTES,
     Admission,
@@ -19,9 +16,7 @@ from orchestrator.run.admission import (
     cores,
     places,
     places_by_memory,
-    places_here,
 )
-from orchestrator.run.load import LoadMeter
 from orchestrator.run.stream_state import StreamState, after_start
 
 GIB = 2**30
@@ -119,45 +114,3 @@ def test_all_places_together_fit_the_memory_with_room_left() -> None:
 
 def test_this_machine_has_cores() -> None:
     assert cores() >= 1
-
-
-def test_a_node_that_does_not_see_the_output_folder_takes_no_stream(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="put it on a file system that all nodes share"):
-        places_here(tmp_path)
-    (tmp_path / "run.json").touch()
-    assert places_here(tmp_path) >= 1
-
-
-# What a stream takes
-
-
-def progress(read: int, cpu_seconds: float, dropped: int = 0, *, away: bool = False) -> StreamProgress:
-    silence = SourceSilence("reconnecting") if away else None
-    labelled = read - dropped
-    return StreamProgress(
-        read, labelled, 0, dropped, 2, False, silence=silence, cpu_seconds=cpu_seconds, memory=GIB
-    )
-
-
-def test_a_rate_is_known_after_two_seconds_and_is_that_of_the_last_ten() -> None:
-    now = [0.0]
-    meter = LoadMeter(lambda: now[0])
-    rates = []
-    for seconds, frames in ((0.0, 8), (1.0, 32), (2.0, 56), (4.0, 104), (14.0, 154), (24.0, 204)):
-        now[0] = seconds
-        rates.append(meter.after(progress(frames, 0.0)).frames_per_second)
-    assert rates == [0.0, 0.0, 24.0, 24.0, 5.0, 5.0]
-
-
-def test_the_cores_of_a_camera_are_those_that_all_its_frames_would_take_and_stay_while_it_is_away() -> None:
-    now = [0.0]
-    meter = LoadMeter(lambda: now[0])
-    taken = []
-    for second in range(12):  # 5 frames/s, 40 ms each; of those that are read a fifth is dropped
-        now[0] = float(second)
-        taken.append(meter.after(progress(5 * second, 0.16 * second, dropped=second)).cores)
-    assert taken[:5] == [None] * 5
-    assert taken[5:] == [pytest.approx(0.2)] * 7
-    now[0] = 15.0
-    assert meter.after(progress(55, 1.76, dropped=11)).cores == pytest.approx(0.2)
-    assert meter.after(progress(55, 1.76, dropped=11, away=True)).cores is None  # the state keeps it

@@ -14,7 +14,7 @@ import pytest
 
 from mlbs_actors.actors.stream.protocol import RunningStream, SourceSilence, StreamProgress, StreamSpec
 from mlbs_actors.config import Config
-from mlbs_actors.errors import ActorLostError, SourceError
+from mlbs_actors.errors import ActorLostError, NoPlaceError, SourceError
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.run import driver as driver_module
 from orchestrator.run.admission import by_count
@@ -641,3 +641,46 @@ def test_the_limit_can_grow_while_streams_run() -> None:
     )
     assert driver.run() == 0
     assert [state.state for state in driver.states] == ["done"] * 3
+
+
+def test_streams_wait_while_there_is_no_place_for_any() -> None:
+    limits, asked = iter([0] * 3), []
+
+    def limit(waiting: int) -> int:
+        asked.append(waiting)
+        return next(limits, 2)
+
+    host = FakeHost({name: FakeStream(8) for name in "abc"})
+    driver = Driver(
+        [spec(name) for name in "abc"],
+        host,
+        admission=by_count(limit),
+        observers=[],
+        interruption=Interruption(),
+    )
+    assert driver.run() == 0
+    assert asked[:4] == [3, 3, 3, 3]
+    assert host.most_at_once == 2
+
+
+def test_a_stream_that_goes_back_when_no_node_is_left_waits_and_goes_on_from_its_last_start() -> None:
+    class Lost(Again):
+        def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
+            if before is not None and not refused:
+                refused.append(before)
+                raise NoPlaceError("No node takes streams.")
+            return super().start(spec, before)
+
+    refused: list[RunningStream] = []
+    first = losing(8)
+    host, recorder = Lost({"only": [first, FakeStream(20)]}), Recorder()
+    driver = Driver(
+        [spec("only")],
+        host,
+        admission=by_count(1),
+        observers=[recorder],
+        interruption=Interruption(),
+    )
+    assert driver.run() == 0
+    assert host.before == [None, first]
+    assert recorder.history["only"][-4:] == ["waiting", "starting", "running", "done"]
