@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 
 from mlbs_actors.messages import Array
+from orchestrator.events.scene import ScenePlace
 from orchestrator.events.zones import Zone
 from orchestrator.run.durable_files import temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
@@ -46,16 +47,16 @@ class LivePicture:
         self._zones = zones
         self._clock = clock
         self._written: float | None = None
-        self._unshown: tuple[Array, Array, int] | None = None
+        self._unshown: tuple[Array, Array, int, ScenePlace | None] | None = None
 
-    def show(self, image: Array, labels: Array, index: int) -> None:
+    def show(self, image: Array, labels: Array, index: int, scene: ScenePlace | None = None) -> None:
         """Show frame ``index`` if the last picture is a second old; disk errors are ignored."""
         now = self._clock()
         if self._written is not None and now - self._written < _SECONDS:
-            self._unshown = image, labels, index
+            self._unshown = image, labels, index, scene
         else:
             self._written, self._unshown = now, None
-            self._write(image, labels, index)
+            self._write(image, labels, index, scene)
 
     def close(self) -> None:
         """Show the stream's last frame, however recent the last picture is."""
@@ -63,14 +64,14 @@ class LivePicture:
             self._write(*self._unshown)
             self._unshown = None
 
-    def _write(self, image: Array, labels: Array, index: int) -> None:
+    def _write(self, image: Array, labels: Array, index: int, scene: ScenePlace | None) -> None:
         height, width = labels.shape
         if width > _WIDTH:
             size = (_WIDTH, max(1, round(height * _WIDTH / width)))
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
             labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
         drawn = draw_labels(image, labels)
-        draw_zones(drawn, self._zones, (height, width))
+        draw_zones(drawn, self._zones, (height, width), scene)
         draw_caption(drawn, f"frame {index}")
         _, jpeg = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         with suppress(OSError):

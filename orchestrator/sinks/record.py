@@ -23,6 +23,8 @@ from mlbs_actors.actors.stream.protocol import GapStatus, Opening, Snapshot, Sou
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import LayerAppearance, Segmentation
 from orchestrator.events.event_file import EventFile
+from orchestrator.events.scene import VIEWS, ScenePlace, SceneTracker
+from orchestrator.events.happenings import EventState
 from orchestrator.events.zones import EventRules
 from orchestrator.run.durable_files import publish, remove_temporary, temporary_path
 from orchestrator.sinks.background import background_plate
@@ -115,6 +117,7 @@ class StreamRecord:
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
                 self._events = EventFile(folder, name, rules, self._log.rows)
+                self._scene = self._scene_after(self._events.state) if rules.of_scene else None
             tables = "parquet" in save
             self._objects = ObjectFiles(folder, name) if tables else None
             self._cutouts = _by_frame(folder / "cutouts")
@@ -150,17 +153,18 @@ class StreamRecord:
             if "background" in self._save and background is not None and frame.image is not None:
                 plate = background_plate(background, frame.image, segmentation.labels)
                 self._put(frame, f"background/{frame.name}.png", encode_picture(plate))
-            result = ResultRow.of(segmentation, frame.pixel_aspect)
+            scene = self._place_scene(segmentation, frame)
+            result = ResultRow.of(segmentation, frame.pixel_aspect, scene)
             self._add(FrameRow(frame.index, frame.pts, segmentation.status, result, frame.name))
         except OSError as error:
             raise self._unwritable(error) from None
         if self._overlay is not None and frame.image is not None:
             regions = {layer.layer: layer.region for layer in segmentation.layers}
             self._overlay.add(
-                frame.image, segmentation.labels, frame.index, frame.pts, regions, frame.pixel_aspect
+                frame.image, segmentation.labels, frame.index, frame.pts, regions, frame.pixel_aspect, scene
             )
         if self._live is not None and frame.image is not None:
-            self._live.show(frame.image, segmentation.labels, frame.index)
+            self._live.show(frame.image, segmentation.labels, frame.index, scene)
         return self._committed
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
@@ -171,6 +175,14 @@ class StreamRecord:
         except OSError as error:
             raise self._unwritable(error) from None
         return self._committed
+
+    def silent(self) -> None:
+        """Note that a camera sends nothing at present."""
+        self._events.silent()
+        try:
+            self._write_events()
+        except OSError as error:
+            raise self._unwritable(error) from None
 
     def keep(self, snapshot: Snapshot) -> bool:
         """Register a snapshot to go back to; False if its files are not complete yet.
@@ -203,7 +215,7 @@ class StreamRecord:
             if whole or self._objects is not None:
                 with self._log.exclusive():
                     if whole:
-                        self._events.finish()
+                        self._events.finish(self._log.rows)
                     if self._objects is not None:
                         self._objects.write(complete=whole)
             for _, path in self._unpublished:
@@ -240,11 +252,28 @@ class StreamRecord:
     def _add(self, row: FrameRow) -> None:
         self._rows.append(row)
         self._events.add(row, None if self._replayable else time.time())
+        self._write_events()
+        if self._replayable and ends_group(row.frame):
+            self._commit()
+
+    def _write_events(self) -> None:
         if self._events.unwritten:
             with self._log.exclusive():
                 self._events.write()
-        if self._replayable and ends_group(row.frame):
-            self._commit()
+
+    def _scene_after(self, state: EventState) -> SceneTracker:
+        """Go on with the scene's place after the rows that count."""
+        views = self._folder / VIEWS
+        views.mkdir(exist_ok=True)
+        remove_temporary(views)
+        return SceneTracker(views, self._log.rows, state.shown and state.shown.scene, state.pts)
+
+    def _place_scene(self, segmentation: Segmentation, frame: SourceFrame) -> ScenePlace | None:
+        if self._scene is None or frame.image is None:
+            return None
+        if (view := self._scene.after(frame.pts, segmentation, frame.image)) is not None:
+            self._put(frame, f"{VIEWS}/{frame.index:08d}.npz", view.content())
+        return self._scene.place
 
     def _commit(self, before: float = math.inf) -> None:
         """Commit the rows before a number, by default all."""

@@ -18,6 +18,7 @@ from pycocotools import mask as coco_mask
 
 from mlbs_actors.actors.stream.protocol import GapStatus
 from mlbs_actors.messages import Array, FrameStatus, LayerSummary, Region, Segmentation
+from orchestrator.events.scene import ScenePlace
 
 __all__ = [
     "FrameRow",
@@ -50,6 +51,10 @@ class ResultRow:
         px/frame.
     latency_frames : int
     stage_ms : mapping of str to float
+    camera : tuple of float, optional
+        Of the segmentation, row by row.
+    scene : ScenePlace, optional
+        Where the scene is; None while that is unknown, and if no zone is fixed to it.
     """
 
     layers: tuple[LayerSummary, ...]
@@ -59,11 +64,15 @@ class ResultRow:
     camera_motion: tuple[float, float]
     latency_frames: int
     stage_ms: Mapping[str, float]
+    camera: tuple[float, ...] | None = None
+    scene: ScenePlace | None = None
 
     @classmethod
-    def of(cls, segmentation: Segmentation, pixel_aspect: float) -> ResultRow:
+    def of(
+        cls, segmentation: Segmentation, pixel_aspect: float, scene: ScenePlace | None = None
+    ) -> ResultRow:
         """Summarise a segmentation of a frame."""
-        labels = segmentation.labels
+        labels, camera = segmentation.labels, segmentation.camera
         height, width = labels.shape
         return cls(
             layers=segmentation.layers,
@@ -75,6 +84,8 @@ class ResultRow:
             camera_motion=segmentation.camera_motion,
             latency_frames=segmentation.latency_frames,
             stage_ms=dict(segmentation.stage_ms),
+            camera=None if camera is None else tuple(camera.ravel().tolist()),
+            scene=scene,
         )
 
 
@@ -172,6 +183,10 @@ def frame_schema(stages: Sequence[str]) -> pa.Schema:
             ("width", pa.int32()),
             ("pixel_aspect", pa.float32()),
             ("name", pa.string()),
+            ("camera", pa.list_(pa.float32())),
+            ("scene", pa.list_(pa.float32())),
+            ("scene_height", pa.int32()),
+            ("scene_width", pa.int32()),
             *((f"ms_{stage}", pa.float32()) for stage in (*stages, OTHER_STAGES)),
         ]
     )
@@ -215,7 +230,11 @@ def write_frames(path: Path, stream: str, rows: Sequence[FrameRow], stages: Sequ
     pq.write_table(pa.Table.from_pylist(records, frame_schema(stages)), path)
 
 
-def _result_columns(result: ResultRow, stages: Sequence[str]) -> dict[str, float | int | None]:
+def _result_columns(
+    result: ResultRow, stages: Sequence[str]
+) -> dict[str, float | int | tuple[float, ...] | None]:
+    scene = result.scene
+    height, width = (None, None) if scene is None else scene.shape
     return {
         "layers": len(result.layers),
         "latency_frames": result.latency_frames,
@@ -224,6 +243,10 @@ def _result_columns(result: ResultRow, stages: Sequence[str]) -> dict[str, float
         "height": result.shape[0],
         "width": result.shape[1],
         "pixel_aspect": result.pixel_aspect,
+        "camera": result.camera,
+        "scene": None if scene is None else scene.matrix,
+        "scene_height": height,
+        "scene_width": width,
         **_stage_columns(result.stage_ms, stages),
     }
 
