@@ -123,8 +123,8 @@ class SceneTracker:
         segmentation : Segmentation
         image : (H, W, 3) uint8
         """
-        before, was_known = self._pts, self.place is not None
-        self._pts = pts
+        due = math.floor(pts) != math.floor(self._pts) or segmentation.status == "cut"
+        was_known, self._pts = self.place is not None, pts
         if segmentation.status in NO_PICTURE:
             return None
         camera = segmentation.camera
@@ -133,7 +133,7 @@ class SceneTracker:
             self.place = None if chained is None else ScenePlace.of(self.place.shape, chained)
         if not self._views:
             self.place = ScenePlace.of(_shape(image), np.eye(3))
-        elif math.floor(pts) != math.floor(before) or (was_known and self.place is None):
+        elif due or (was_known and self.place is None):
             return self._compare(image, segmentation.labels)
         else:
             return None

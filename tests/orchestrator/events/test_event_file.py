@@ -135,6 +135,27 @@ def test_events_of_a_camera_are_there_before_their_commit_and_go_without_it(tmp_
     assert lines(tmp_path)[-1]["kind"] == "stream lost"
 
 
+@pytest.mark.parametrize("kept_before", [True, False])
+def test_a_lost_camera_is_said_while_it_is_away_and_once(tmp_path: Path, kept_before: bool) -> None:
+    one = record(tmp_path, replayable=False)
+    write(one, 0, 9)
+    if kept_before:
+        assert one.keep(snapshot(one, 9))
+    one.silent()
+    [lost] = [event for event in lines(tmp_path) if event["kind"] == "stream lost"]
+    assert (lost["frame"], lost["time"]) == (9, 0.8)
+    if not kept_before:
+        assert one.keep(snapshot(one, 9))
+    one.gap(9, 0.8, "gap")
+    one.write(segmentation(10, 3), frame(10))
+    whole = lines(tmp_path)
+    assert [event["kind"] for event in whole[-2:]] == ["stream lost", "stream back"]
+    again = record(tmp_path, replayable=False)  # killed after it was back
+    again.gap(9, 0.8, "gap")
+    again.write(segmentation(10, 3), frame(10))
+    assert [event["id"] for event in lines(tmp_path)] == [event["id"] for event in whole]
+
+
 def test_events_of_a_camera_have_the_time_of_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # The first frame comes 2 s late, the others half a second.
     late = iter([2.0, *[0.5] * 8])
