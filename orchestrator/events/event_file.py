@@ -19,7 +19,8 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from orchestrator.events.happenings import Event, EventState, Happenings
+from orchestrator.events.happenings import Event, EventKind, EventState, Happenings
+from orchestrator.events.pictures import picture_name
 from orchestrator.events.zones import EventRules
 from orchestrator.run.durable_files import publish, temporary_path
 from orchestrator.sinks.tables import FrameRow
@@ -29,6 +30,9 @@ __all__ = ["EVENTS", "EventFile", "committed_bytes", "event_id"]
 EVENTS = "events.jsonl"
 
 _MARKS = ".events"
+
+#: Events of an object that have a picture, if the stream has zones.
+_PICTURED = frozenset[EventKind](("born", "entered", "left", "crossed"))
 
 #: A difference of the clocks that is no delay: the machine's clock was set, s.
 _CLOCK_SET_SECONDS = 60.0
@@ -98,8 +102,8 @@ class EventFile:
         """Whether there are lines to write."""
         return bool(self._unwritten)
 
-    def add(self, row: FrameRow, now: float | None) -> None:
-        """Add the next row of the record.
+    def add(self, row: FrameRow, now: float | None) -> set[int]:
+        """Add the next row of the record; return the objects whose pictures the lines name.
 
         Parameters
         ----------
@@ -107,7 +111,7 @@ class EventFile:
         now : float, optional
             Seconds since 1970; only if the row has just happened.
         """
-        self._take(_Step(row, None if now is None or row.status == "gap" else now - row.pts))
+        return self._take(_Step(row, None if now is None or row.status == "gap" else now - row.pts))
 
     def silent(self) -> None:
         """Add that the source sends nothing after the rows so far."""
@@ -138,9 +142,11 @@ class EventFile:
         temporary_path(self._marks_path).write_bytes(b"[" + self._kept + b"]\n")
         publish([self._marks_path])
 
-    def _take(self, step: _Step) -> None:
-        self._unwritten += self._newest.after(step)
+    def _take(self, step: _Step) -> set[int]:
+        lines = self._newest.after(step)
+        self._unwritten += lines
         self._later.append(step)
+        return self._newest.pictured
 
     def _sync(self) -> None:
         with self._path.open("ab") as file:
@@ -160,7 +166,9 @@ class _Narrator:
 
     def __init__(self, stream: str, rules: EventRules, mark: _Mark) -> None:
         self._stream = stream
+        self._has_pictures = bool(rules.zones)
         self._happenings = Happenings(rules, mark.state)
+        self.pictured: set[int] = set()  # objects in the newest row that its lines name pictures of
         self._length, self._began = mark.length, mark.began
 
     @property
@@ -171,20 +179,28 @@ class _Narrator:
         if step.began is not None:
             self._set_clock(step.began)
         events = self._happenings.silent() if step.row is None else self._happenings.after(step.row)
-        return self._lines(events)
+        return self._lines(events, step.row)
 
     def at_end(self) -> list[str]:
-        return self._lines(self._happenings.end())
+        return self._lines(self._happenings.end(), None)
 
     def mark(self, rows: int) -> bytes:
         return _MARK.dump_json(_Mark(rows, self._length, self._began, self._happenings.state))
 
-    def _lines(self, events: list[Event]) -> list[str]:
-        lines = [json.dumps(self._described(event)) + "\n" for event in events]
+    def _lines(self, events: list[Event], row: FrameRow | None) -> list[str]:
+        here = set()
+        if row is not None and row.result is not None and self._has_pictures:
+            here = {layer.layer for layer in row.result.layers}
+        pictured = {event.layer for event in events if event.kind in _PICTURED and event.layer in here}
+        self.pictured = {layer for layer in pictured if layer is not None}
+        lines = [json.dumps(self._described(event, row)) + "\n" for event in events]
         self._length += sum(map(len, lines))  # pure ASCII
         return lines
 
-    def _described(self, event: Event) -> dict[str, Any]:
+    def _described(self, event: Event, row: FrameRow | None) -> dict[str, Any]:
+        picture = None
+        if row is not None and event.kind in _PICTURED and event.layer in self.pictured:
+            picture = picture_name(row.frame, event.layer)
         return {
             "id": event_id(self._stream, event),
             "stream": self._stream,
@@ -198,6 +214,7 @@ class _Narrator:
             "direction": event.direction,
             "reason": event.reason,
             "replaced_by": event.replaced_by,
+            "picture": picture,
         }
 
     def _set_clock(self, began: float) -> None:

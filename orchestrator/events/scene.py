@@ -1,7 +1,7 @@
 """Where the scene is in each picture, for the zones that are fixed to it.
 
-The engine gives the camera's motion from picture to picture. Chained, it leads from the first picture to every
-other one, but it drifts, and ends at a cut. So once a second the picture is compared with *views*
+The engine gives the camera's motion from picture to picture. Chained, it leads from the first picture to
+every other one, but it drifts, and ends at a cut. So once a second the picture is compared with *views*
 (:mod:`orchestrator.events.views`): pictures whose place in the scene is known, the first of which is the
 stream's first picture. A camera that returns to a view is found again there.
 
@@ -31,8 +31,8 @@ VIEWS = ".views"
 #: Most views of a scene.
 _MOST_VIEWS = 12
 
-#: Least share of a picture that a view must show to be compared with it, and below which it gets a view of its
-#: own.
+#: Least share of a picture that a view must show to be compared with it, and below which it gets a view of
+#: its own.
 _LEAST_SHARED, _MOST_OWN = 0.4, 0.6
 
 #: Where a view puts the picture farther from where the chain does, neither is trusted; a share of its width.
@@ -77,7 +77,7 @@ class ScenePlace:
         return None if depth <= 0 else (x / depth + 0.5, y / depth + 0.5)
 
     def forth(self, points: Array) -> Array:
-        """Return where points (n, 2) of the first picture are in this one, px; those behind it are left out."""
+        """Return where points (n, 2) of the first picture are in this one, px, without those behind it."""
         x, y, depth = self.array @ np.column_stack([points - 0.5, np.ones(len(points))]).T
         seen = depth > 1e-6
         return np.column_stack([x[seen] / depth[seen], y[seen] / depth[seen]]) + 0.5

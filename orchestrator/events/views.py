@@ -62,7 +62,7 @@ class SmallPicture:
     @property
     def px(self) -> Array:
         """Width and height of its pixels, px of the full picture."""
-        return np.array(self.shape[::-1]) / np.array(self.gray.shape[::-1])
+        return np.asarray(np.array(self.shape[::-1]) / np.array(self.gray.shape[::-1]))
 
 
 @dataclass(frozen=True)

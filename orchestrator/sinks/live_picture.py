@@ -15,16 +15,31 @@ from orchestrator.events.zones import Zone
 from orchestrator.run.durable_files import temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
 
-__all__ = ["LivePicture", "live_picture_path"]
+__all__ = ["LivePicture", "live_picture_path", "watch"]
 
 _WIDTH = 640  # px, at most
 _JPEG_QUALITY = 75
-_SECONDS = 1.0  # least time between two pictures: the cost does not grow with the frame rate
+#: Least time between two pictures, s, so that their cost does not grow with the frame rate; and for somebody
+#: who watches the stream.
+_SECONDS, _WATCHED_SECONDS = 0.5, 0.1
+
+#: How long a look counts, s.
+_LOOK_SECONDS = 3.0
 
 
 def live_picture_path(folder: Path, stream: str) -> Path:
     """Return the path of a stream's picture in the folder of all pictures."""
     return folder / f"{stream}.jpg"
+
+
+def watch(picture: Path) -> None:
+    """Ask for more pictures for a while; disk errors are ignored."""
+    with suppress(OSError):
+        _watched(picture).touch()
+
+
+def _watched(picture: Path) -> Path:
+    return picture.with_suffix(".watched")
 
 
 class LivePicture:
@@ -50,9 +65,10 @@ class LivePicture:
         self._unshown: tuple[Array, Array, int, ScenePlace | None] | None = None
 
     def show(self, image: Array, labels: Array, index: int, scene: ScenePlace | None = None) -> None:
-        """Show frame ``index`` if the last picture is a second old; disk errors are ignored."""
+        """Show frame ``index`` unless the last picture is newer than it may be; disk errors are ignored."""
         now = self._clock()
-        if self._written is not None and now - self._written < _SECONDS:
+        least = _WATCHED_SECONDS if self._is_watched() else _SECONDS
+        if self._written is not None and now - self._written < least:
             self._unshown = image, labels, index, scene
         else:
             self._written, self._unshown = now, None
@@ -63,6 +79,12 @@ class LivePicture:
         if self._unshown is not None:
             self._write(*self._unshown)
             self._unshown = None
+
+    def _is_watched(self) -> bool:
+        try:
+            return time.time() - _watched(self._path).stat().st_mtime < _LOOK_SECONDS
+        except OSError:
+            return False
 
     def _write(self, image: Array, labels: Array, index: int, scene: ScenePlace | None) -> None:
         height, width = labels.shape

@@ -21,10 +21,11 @@ import pyarrow.parquet as pq
 
 from mlbs_actors.actors.stream.protocol import GapStatus, Opening, Snapshot, SourceFrame
 from mlbs_actors.errors import SinkError
-from mlbs_actors.messages import LayerAppearance, Segmentation
+from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 from orchestrator.events.event_file import EventFile
-from orchestrator.events.scene import VIEWS, ScenePlace, SceneTracker
 from orchestrator.events.happenings import EventState
+from orchestrator.events.pictures import EventPictures
+from orchestrator.events.scene import VIEWS, ScenePlace, SceneTracker
 from orchestrator.events.zones import EventRules
 from orchestrator.run.durable_files import publish, remove_temporary, temporary_path
 from orchestrator.sinks.background import background_plate
@@ -117,6 +118,7 @@ class StreamRecord:
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
                 self._events = EventFile(folder, name, rules, self._log.rows)
+                self._pictures = EventPictures(folder) if rules.zones else None
                 self._scene = self._scene_after(self._events.state) if rules.of_scene else None
             tables = "parquet" in save
             self._objects = ObjectFiles(folder, name) if tables else None
@@ -155,7 +157,8 @@ class StreamRecord:
                 self._put(frame, f"background/{frame.name}.png", encode_picture(plate))
             scene = self._place_scene(segmentation, frame)
             result = ResultRow.of(segmentation, frame.pixel_aspect, scene)
-            self._add(FrameRow(frame.index, frame.pts, segmentation.status, result, frame.name))
+            row = FrameRow(frame.index, frame.pts, segmentation.status, result, frame.name)
+            self._add(row, frame.image)
         except OSError as error:
             raise self._unwritable(error) from None
         if self._overlay is not None and frame.image is not None:
@@ -249,9 +252,12 @@ class StreamRecord:
                 stages = stages_of(pq.read_schema(table))
         return stages
 
-    def _add(self, row: FrameRow) -> None:
+    def _add(self, row: FrameRow, image: Array | None = None) -> None:
         self._rows.append(row)
-        self._events.add(row, None if self._replayable else time.time())
+        pictured = self._events.add(row, None if self._replayable else time.time())
+        if pictured and self._pictures is not None and row.result is not None and image is not None:
+            shown = [layer for layer in row.result.layers if layer.layer in pictured]
+            self._pictures.write(image, row.frame, shown)
         self._write_events()
         if self._replayable and ends_group(row.frame):
             self._commit()

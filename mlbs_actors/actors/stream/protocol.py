@@ -221,7 +221,7 @@ class StreamSink(Protocol):
         """Record source frame ``index`` as one without a label map; return as :meth:`write` does."""
 
     def silent(self) -> None:
-        """Note that a camera sends nothing at present; what follows is a gap, or goes on as if nothing was."""
+        """Note that a camera sends nothing at present; a gap may follow, or the next picture."""
 
     def keep(self, snapshot: Snapshot) -> bool:
         """Register a snapshot to go back to; False if its files are not complete yet."""
