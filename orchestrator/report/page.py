@@ -37,7 +37,7 @@ _UNFOLDED = 4
 _RANGES = 20  # of lost frames
 
 #: Most events with a row of their own; of more, the newest.
-_EVENTS = 100
+_EVENTS = 50
 
 
 @dataclass(frozen=True, slots=True)
