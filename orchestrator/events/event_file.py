@@ -22,8 +22,8 @@ from pydantic import TypeAdapter, ValidationError
 from orchestrator.events.happenings import Event, EventKind, EventState, Happenings
 from orchestrator.events.pictures import picture_name
 from orchestrator.events.zones import EventRules
+from orchestrator.rows.frame_row import FrameRow
 from orchestrator.run.durable_files import publish, temporary_path
-from orchestrator.sinks.tables import FrameRow
 
 __all__ = ["EVENTS", "EventFile", "committed_bytes", "event_id"]
 

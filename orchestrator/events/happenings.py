@@ -13,11 +13,11 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from mlbs_actors.messages import LayerSummary, Region
-from orchestrator.events.scene import Point
 from orchestrator.events.zones import EventRules, Zone, crossing, is_inside
-from orchestrator.sinks.endings import SEEN, Ending, ending
-from orchestrator.sinks.object_list import Sighting
-from orchestrator.sinks.tables import FrameRow, ResultRow
+from orchestrator.rows.endings import SEEN, Ending, ending
+from orchestrator.rows.frame_row import FrameRow, ResultRow
+from orchestrator.rows.scene_place import Point
+from orchestrator.rows.sighting import Sighting
 
 __all__ = ["HOLD", "Event", "EventKind", "EventState", "Happenings"]
 

@@ -13,7 +13,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from mlbs_actors.errors import ConfigError
-from orchestrator.events.scene import Point
+from orchestrator.rows.scene_place import Point
 
 __all__ = ["EventRules", "Minimum", "Zone", "ZonesFile", "crossing", "is_inside", "read_zones"]
 

@@ -13,7 +13,7 @@ from pycocotools import mask as coco_mask
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import Array, LayerSummary
-from orchestrator.events.scene import ScenePlace
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.sinks.record_tables import read_rows
 
 __all__ = ["RecordedFrame", "description_of", "recorded_stream", "streams_of"]

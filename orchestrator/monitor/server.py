@@ -130,8 +130,8 @@ class _Handler(BaseHTTPRequestHandler):
         elif url.path == "/metrics":
             text = self.server.metrics_text(self.server.board.states)
             self._answer(HTTPStatus.OK, text.encode(), CONTENT_TYPE)
-        elif (name := self._stream(url.path)) is not None and url.path.endswith(_MOTION_JPEG):
-            self._send_on(name)
+        elif url.path.endswith(_MOTION_JPEG) and (stream := self._stream(url.path)) is not None:
+            self._send_on(stream)
         elif (picture := self._picture(url.path)) is not None:
             self._answer(HTTPStatus.OK, picture, "image/jpeg")
         else:

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import BACKGROUND, Array, Region
-from orchestrator.events.scene import ScenePlace
 from orchestrator.events.zones import Zone
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.sinks.layer_colours import layer_colour
 
 __all__ = ["draw_caption", "draw_labels", "draw_zones"]

@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 
 from mlbs_actors.messages import Array
-from orchestrator.events.scene import ScenePlace
 from orchestrator.events.zones import Zone
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.durable_files import temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
 

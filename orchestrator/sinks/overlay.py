@@ -15,8 +15,8 @@ from av.video.frame import VideoFrame
 
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array, Region
-from orchestrator.events.scene import ScenePlace
 from orchestrator.events.zones import Zone
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.durable_files import publish, temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
 from orchestrator.sources.address import SourceAddress

@@ -25,8 +25,10 @@ from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 from orchestrator.events.event_file import EventFile
 from orchestrator.events.happenings import EventState
 from orchestrator.events.pictures import EventPictures
-from orchestrator.events.scene import VIEWS, ScenePlace, SceneTracker
+from orchestrator.events.scene import VIEWS, SceneTracker
 from orchestrator.events.zones import EventRules
+from orchestrator.rows.frame_row import FrameRow, ResultRow
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.durable_files import publish, remove_temporary, temporary_path
 from orchestrator.sinks.background import background_plate
 from orchestrator.sinks.commit_log import CommitLog, read_commits
@@ -37,7 +39,7 @@ from orchestrator.sinks.object_files import ObjectFiles
 from orchestrator.sinks.overlay import OverlayVideo, overlay_path
 from orchestrator.sinks.record_tables import part_path
 from orchestrator.sinks.snapshot_folder import SNAPSHOTS, SnapshotFolder
-from orchestrator.sinks.tables import FrameRow, ResultRow, stages_of, write_frames, write_layers
+from orchestrator.sinks.tables import stages_of, write_frames, write_layers
 from orchestrator.sources.address import SourceAddress
 
 __all__ = ["FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "ends_group", "has_snapshot", "recorded_frames"]
@@ -272,7 +274,8 @@ class StreamRecord:
         views = self._folder / VIEWS
         views.mkdir(exist_ok=True)
         remove_temporary(views)
-        return SceneTracker(views, self._log.rows, state.shown and state.shown.scene, state.pts)
+        place = None if state.shown is None else state.shown.scene
+        return SceneTracker(views, self._log.rows, place, state.pts)
 
     def _place_scene(self, segmentation: Segmentation, frame: SourceFrame) -> ScenePlace | None:
         if self._scene is None or frame.image is None:

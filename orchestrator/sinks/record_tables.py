@@ -11,9 +11,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mlbs_actors.messages import LayerSummary, Region
-from orchestrator.events.scene import ScenePlace
+from orchestrator.rows.frame_row import FrameRow, ResultRow
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.sinks.commit_log import read_commits
-from orchestrator.sinks.tables import FrameRow, ResultRow
 
 __all__ = ["part_path", "read_rows", "read_table"]
 

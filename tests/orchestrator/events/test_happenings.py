@@ -10,9 +10,9 @@ from true_results import true_result
 from mlbs_actors.actors.stream.protocol import GapStatus
 from mlbs_actors.messages import Array
 from orchestrator.events.happenings import Event, Happenings
-from orchestrator.events.scene import ScenePlace
 from orchestrator.events.zones import EventRules, Minimum, Zone
-from orchestrator.sinks.tables import FrameRow, ResultRow
+from orchestrator.rows.frame_row import FrameRow, ResultRow
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
 EMPTY = np.zeros((40, 60), np.uint8)
@@ -116,10 +116,7 @@ def test_nothing_is_said_of_a_zone_of_the_scene_while_its_place_is_unknown() -> 
     said = events(rows, EventRules((zone, line)))
     kinds = [(event.kind, event.frame) for event in said]
     assert kinds == [("born", 0), ("entered", 0), ("left", 16), ("crossed", 16)]
-    cut = replace(seen(7, 10, None), status="cut")
-    ended = events(
-        [*rows[:7], replace(cut, result=replace(row(7, EMPTY).result, scene=None))], EventRules((zone,))
-    )
+    ended = events([*rows[:7], replace(row(7, EMPTY), status="cut")], EventRules((zone,)))
     assert told(ended)[2:] == [("left", 7), ("ended", 7)]
 
 

@@ -15,8 +15,9 @@ from true_results import true_result
 from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.messages import Array, Segmentation
-from orchestrator.events.scene import ScenePlace, SceneTracker, resizing
+from orchestrator.events.scene import SceneTracker, resizing
 from orchestrator.events.zones import EventRules, Zone
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sinks.record_tables import read_rows
 from orchestrator.sources.synthetic import SyntheticScene, scene
