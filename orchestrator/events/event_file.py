@@ -87,8 +87,8 @@ class EventFile:
             os.truncate(self._path, mark.length)
         self._kept = _MARK.dump_json(mark)
         # Rows that are not committed go through twice: as they come, and with their commit.
-        self._newest = _Narrator(stream, rules, mark)
-        self._committed = _Narrator(stream, rules, _MARK.validate_json(self._kept))
+        self._newest = _EventLines(stream, rules, mark)
+        self._committed = _EventLines(stream, rules, _MARK.validate_json(self._kept))
         self._later: deque[_Step] = deque()
         self._unwritten: list[str] = []
 
@@ -161,7 +161,7 @@ class _Step:
     began: float | None
 
 
-class _Narrator:
+class _EventLines:
     """Makes lines of rows, from a mark on."""
 
     def __init__(self, stream: str, rules: EventRules, mark: _Mark) -> None:
