@@ -369,6 +369,10 @@ class Segmentation:
     status : FrameStatus
     picture_index : int, optional
         Frame that the labels were found in, if that is not this one.
+    camera : (3, 3) float64, optional
+        Homography that takes homogeneous pixels of this frame to where they were in the last picture if they
+        belong to the background; the identity if this frame shows no picture. None where that is unknown: in
+        the first picture of a scene, and in one that tells too little.
     normaliser, fallback
         Internal: what the layers need in the next frame. ``normaliser`` is (rows, columns) uint8: for each
         cell of the layers' posteriors (:mod:`mlbs_actors.cells`), −log Z in units of ``COST_STEP`` nats, Z
@@ -388,6 +392,7 @@ class Segmentation:
     stage_ms: Mapping[str, float] = field(default_factory=dict, repr=False)
     status: FrameStatus = "ok"
     picture_index: int | None = None
+    camera: Array | None = field(default=None, repr=False)
 
     @property
     def evaluated_frame(self) -> int:

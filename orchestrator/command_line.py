@@ -417,8 +417,8 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="URL",
-        help="send events to mqtt://[USER[:PASSWORD]@]HOST[:PORT]/TOPIC, or as a POST to a webhook at "
-        "http:// or https://; for a USER without PASSWORD that of the environment variable "
+        help="send events to mqtt://[USER[:PASSWORD]@]HOST[:PORT]/TOPIC (mqtts: by TLS), or as a POST to a "
+        "webhook at http:// or https://; for a USER without PASSWORD that of the environment variable "
         f"{PASSWORD_VARIABLE} is taken; may be given again",
     )
     parser.add_argument(

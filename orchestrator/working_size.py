@@ -15,6 +15,7 @@ import numpy as np
 
 from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.messages import Array, LayerAppearance, LayerSummary, Region, Segmentation
+from orchestrator.events.scene import resizing
 from orchestrator.sinks.record import StreamRecord
 
 __all__ = ["FullSizeRecord", "ShrinkingReader", "enlarged", "labels_in_size", "resized", "shrunk"]
@@ -83,15 +84,21 @@ def resized(image: Array, longer_side: int) -> Array:
 
 def enlarged(segmentation: Segmentation, shape: tuple[int, int]) -> Segmentation:
     """Enlarge the segmentation of a smaller picture to ``shape`` (H, W)."""
-    if segmentation.labels.shape == shape:
+    small = segmentation.labels.shape
+    if small == shape:
         return segmentation
-    per_px = (shape[1] / segmentation.labels.shape[1], shape[0] / segmentation.labels.shape[0])
+    per_px = (shape[1] / small[1], shape[0] / small[0])
+    camera = segmentation.camera
+    if camera is not None:
+        enlarging = resizing(small, shape)
+        camera = enlarging @ camera @ np.linalg.inv(enlarging)
     labels = labels_in_size(segmentation.labels, shape)
     return replace(
         segmentation,
         labels=labels,
         layers=tuple(_measured(layer, labels, per_px) for layer in segmentation.layers),
         camera_motion=_scaled(segmentation.camera_motion, per_px),
+        camera=camera,
     )
 
 

@@ -169,6 +169,7 @@ class Segmenter:
             latency_frames=evidence.latency_frames,
             stage_ms={**evidence.stage_ms, **_slowest(posteriors), **stage_ms},
             status=evidence.status,
+            camera=_camera(evidence),
         )
         self.state = SegmenterState(
             evidence.frame_index + 1,
@@ -212,6 +213,7 @@ class Segmenter:
             stage_ms=evidence.stage_ms,
             status=evidence.status,
             picture_index=state.picture_index,
+            camera=_camera(evidence),
         )
 
     def _label_group(
@@ -283,6 +285,12 @@ def _summaries(
             )
         )
     return rows
+
+
+def _camera(evidence: FrameEvidence) -> Array | None:
+    """Return the camera's motion since the last picture, None where it is unknown."""
+    known = evidence.frame_index > evidence.epoch and evidence.status != "untracked"
+    return evidence.camera if known else None
 
 
 def _slowest(posteriors: list[LayerPosterior]) -> dict[str, float]:

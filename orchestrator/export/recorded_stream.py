@@ -12,6 +12,7 @@ from pycocotools import mask as coco_mask
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import Array, LayerSummary
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.run_folder import read_description
 from orchestrator.sinks.record_tables import read_rows
 
@@ -40,6 +41,8 @@ class RecordedFrame:
         Their masks as COCO's compressed run-length codes.
     pixel_aspect : float
         How wide a pixel is to be shown for its height.
+    scene : ScenePlace, optional
+        Where the zones are that are fixed to the scene.
     """
 
     index: int
@@ -51,6 +54,7 @@ class RecordedFrame:
     objects: tuple[LayerSummary, ...]
     codes: tuple[str, ...]
     pixel_aspect: float = 1.0
+    scene: ScenePlace | None = None
 
     def labels(self) -> Array:
         """The label map, (H, W) uint16."""
@@ -111,4 +115,5 @@ def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
             objects=result.layers,
             codes=result.run_length_codes,
             pixel_aspect=result.pixel_aspect,
+            scene=result.scene,
         )

@@ -10,9 +10,9 @@ import numpy as np
 import pyarrow as pa
 
 from mlbs_actors.messages import Array
+from orchestrator.rows.frame_row import FrameRow
 from orchestrator.sinks.object_list import ObjectList, SeenObject
 from orchestrator.sinks.record_tables import read_rows, read_table
-from orchestrator.sinks.tables import FrameRow
 
 __all__ = ["LONG_SECONDS", "StageTimes", "StreamHistory", "frame_ranges", "read_history"]
 

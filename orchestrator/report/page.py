@@ -13,6 +13,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.wording import count_of
+from orchestrator.events.event_file import EVENTS
+from orchestrator.events.recent import recent_events
 from orchestrator.report import charts
 from orchestrator.report.history import LONG_SECONDS, StreamHistory, frame_ranges, read_history
 from orchestrator.report.pictures import StripPicture, overlay_strip
@@ -34,6 +36,9 @@ _UNFOLDED = 4
 
 _RANGES = 20  # of lost frames
 
+#: Most events with a row of their own; of more, the newest.
+_EVENTS = 50
+
 
 @dataclass(frozen=True, slots=True)
 class _Stream:
@@ -50,6 +55,7 @@ class _Stream:
     lives: list[SeenObject]
     strip: list[StripPicture]
     lost: list[str]
+    events: list[dict[str, Any]]
 
 
 def render_report(folder: Path) -> str:
@@ -90,6 +96,8 @@ def render_report(folder: Path) -> str:
         "stage_colours": _stage_colours,
         "long_time": f"{LONG_SECONDS:g} s or longer",
         "objects_csv": OBJECTS_CSV,
+        "events_jsonl": EVENTS,
+        "most_events": _EVENTS,
     }
     return environment.get_template("report.html").render(
         run=run,
@@ -133,6 +141,7 @@ def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) ->
         lives=lives,
         strip=strip,
         lost=lost,
+        events=recent_events(folder, _EVENTS),
     )
 
 

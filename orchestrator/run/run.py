@@ -125,7 +125,7 @@ def run(
         onlookers: list[Observer] = []
         lengths: Callable[[], dict[str, int]] = dict
         if at_work := bool(due) or arguments.watch:
-            onlookers = session.enter_context(_monitored(arguments.monitor, live))
+            onlookers = session.enter_context(_monitored(arguments.monitor, live, folder.path))
             _announce(due, arguments, memory)
             lengths = session.enter_context(finding_lengths(job.files(due[1:]), scratch))
             session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
@@ -159,12 +159,12 @@ def run(
 
 
 @contextmanager
-def _monitored(address: MonitorAddress | None, live: Path | None) -> Iterator[list[Observer]]:
+def _monitored(address: MonitorAddress | None, live: Path | None, folder: Path) -> Iterator[list[Observer]]:
     """Serve the monitor's page if requested; yield its observer of the driver."""
     if address is None or live is None:
         yield []
         return
-    board = Board(live)
+    board = Board(live, folder)
     with serving(address, board) as url:
         live.mkdir(parents=True, exist_ok=True)
         _say(f"Look on at {url}")

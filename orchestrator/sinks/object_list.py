@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from mlbs_actors.messages import LayerKind, LayerSummary, ObjectState, Region
-from orchestrator.sinks.endings import SEEN, Ending, ending
-from orchestrator.sinks.tables import FrameRow, ResultRow
+from mlbs_actors.messages import LayerKind, LayerSummary, ObjectState
+from orchestrator.rows.endings import SEEN, Ending, ending
+from orchestrator.rows.frame_row import FrameRow, ResultRow
+from orchestrator.rows.sighting import Sighting
 
-__all__ = ["ListState", "ObjectList", "SeenObject", "Sighting"]
+__all__ = ["ListState", "ObjectList", "SeenObject"]
 
 #: Least time between two points of a path, s.
 _POINT_SECONDS = 1.0
@@ -31,33 +32,6 @@ _COLUMNS = (
     *("first_x", "first_y", "first_w", "first_h", "last_x", "last_y", "last_w", "last_h"),
     *("start_cx", "start_cy", "end_cx", "end_cy", "path_px", "score"),
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Sighting:
-    """An object in one frame.
-
-    Attributes
-    ----------
-    frame : int
-    pts : float
-        s.
-    region : Region
-        Bounding box.
-    centroid : (float, float)
-        (cx, cy), px, in the precision of the tables.
-    """
-
-    frame: int
-    pts: float
-    region: Region
-    centroid: tuple[float, float]
-
-    @classmethod
-    def of(cls, layer: LayerSummary, row: FrameRow) -> Sighting:
-        """Note where an object is in a frame."""
-        x, y = np.asarray(layer.centroid, np.float32).tolist()
-        return cls(row.frame, row.pts, layer.region, (x, y))
 
 
 @dataclass(slots=True)

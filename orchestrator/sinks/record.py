@@ -21,9 +21,14 @@ import pyarrow.parquet as pq
 
 from mlbs_actors.actors.stream.protocol import GapStatus, Opening, Snapshot, SourceFrame
 from mlbs_actors.errors import SinkError
-from mlbs_actors.messages import LayerAppearance, Segmentation
+from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 from orchestrator.events.event_file import EventFile
+from orchestrator.events.happenings import EventState
+from orchestrator.events.pictures import EventPictures
+from orchestrator.events.scene import VIEWS, SceneTracker
 from orchestrator.events.zones import EventRules
+from orchestrator.rows.frame_row import FrameRow, ResultRow
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.durable_files import publish, remove_temporary, temporary_path
 from orchestrator.sinks.background import background_plate
 from orchestrator.sinks.commit_log import CommitLog, read_commits
@@ -34,7 +39,7 @@ from orchestrator.sinks.object_files import ObjectFiles
 from orchestrator.sinks.overlay import OverlayVideo, overlay_path
 from orchestrator.sinks.record_tables import part_path
 from orchestrator.sinks.snapshot_folder import SNAPSHOTS, SnapshotFolder
-from orchestrator.sinks.tables import FrameRow, ResultRow, stages_of, write_frames, write_layers
+from orchestrator.sinks.tables import stages_of, write_frames, write_layers
 from orchestrator.sources.address import SourceAddress
 
 __all__ = ["FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "ends_group", "has_snapshot", "recorded_frames"]
@@ -115,6 +120,8 @@ class StreamRecord:
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
                 self._events = EventFile(folder, name, rules, self._log.rows)
+                self._pictures = EventPictures(folder) if rules.zones else None
+                self._scene = self._scene_after(self._events.state) if rules.of_scene else None
             tables = "parquet" in save
             self._objects = ObjectFiles(folder, name) if tables else None
             self._cutouts = _by_frame(folder / "cutouts")
@@ -150,17 +157,19 @@ class StreamRecord:
             if "background" in self._save and background is not None and frame.image is not None:
                 plate = background_plate(background, frame.image, segmentation.labels)
                 self._put(frame, f"background/{frame.name}.png", encode_picture(plate))
-            result = ResultRow.of(segmentation, frame.pixel_aspect)
-            self._add(FrameRow(frame.index, frame.pts, segmentation.status, result, frame.name))
+            scene = self._place_scene(segmentation, frame)
+            result = ResultRow.of(segmentation, frame.pixel_aspect, scene)
+            row = FrameRow(frame.index, frame.pts, segmentation.status, result, frame.name)
+            self._add(row, frame.image)
         except OSError as error:
             raise self._unwritable(error) from None
         if self._overlay is not None and frame.image is not None:
             regions = {layer.layer: layer.region for layer in segmentation.layers}
             self._overlay.add(
-                frame.image, segmentation.labels, frame.index, frame.pts, regions, frame.pixel_aspect
+                frame.image, segmentation.labels, frame.index, frame.pts, regions, frame.pixel_aspect, scene
             )
         if self._live is not None and frame.image is not None:
-            self._live.show(frame.image, segmentation.labels, frame.index)
+            self._live.show(frame.image, segmentation.labels, frame.index, scene)
         return self._committed
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
@@ -171,6 +180,14 @@ class StreamRecord:
         except OSError as error:
             raise self._unwritable(error) from None
         return self._committed
+
+    def silent(self) -> None:
+        """Note that a camera sends nothing at present."""
+        self._events.silent()
+        try:
+            self._write_events()
+        except OSError as error:
+            raise self._unwritable(error) from None
 
     def keep(self, snapshot: Snapshot) -> bool:
         """Register a snapshot to go back to; False if its files are not complete yet.
@@ -203,7 +220,7 @@ class StreamRecord:
             if whole or self._objects is not None:
                 with self._log.exclusive():
                     if whole:
-                        self._events.finish()
+                        self._events.finish(self._log.rows)
                     if self._objects is not None:
                         self._objects.write(complete=whole)
             for _, path in self._unpublished:
@@ -237,14 +254,35 @@ class StreamRecord:
                 stages = stages_of(pq.read_schema(table))
         return stages
 
-    def _add(self, row: FrameRow) -> None:
+    def _add(self, row: FrameRow, image: Array | None = None) -> None:
         self._rows.append(row)
-        self._events.add(row, None if self._replayable else time.time())
+        pictured = self._events.add(row, None if self._replayable else time.time())
+        if pictured and self._pictures is not None and row.result is not None and image is not None:
+            shown = [layer for layer in row.result.layers if layer.layer in pictured]
+            self._pictures.write(image, row.frame, shown)
+        self._write_events()
+        if self._replayable and ends_group(row.frame):
+            self._commit()
+
+    def _write_events(self) -> None:
         if self._events.unwritten:
             with self._log.exclusive():
                 self._events.write()
-        if self._replayable and ends_group(row.frame):
-            self._commit()
+
+    def _scene_after(self, state: EventState) -> SceneTracker:
+        """Go on with the scene's place after the rows that count."""
+        views = self._folder / VIEWS
+        views.mkdir(exist_ok=True)
+        remove_temporary(views)
+        place = None if state.shown is None else state.shown.scene
+        return SceneTracker(views, self._log.rows, place, state.pts)
+
+    def _place_scene(self, segmentation: Segmentation, frame: SourceFrame) -> ScenePlace | None:
+        if self._scene is None or frame.image is None:
+            return None
+        if (view := self._scene.after(frame.pts, segmentation, frame.image)) is not None:
+            self._put(frame, f"{VIEWS}/{frame.index:08d}.npz", view.content())
+        return self._scene.place
 
     def _commit(self, before: float = math.inf) -> None:
         """Commit the rows before a number, by default all."""

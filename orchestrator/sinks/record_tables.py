@@ -11,8 +11,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mlbs_actors.messages import LayerSummary, Region
+from orchestrator.rows.frame_row import FrameRow, ResultRow
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.sinks.commit_log import read_commits
-from orchestrator.sinks.tables import FrameRow, ResultRow
 
 __all__ = ["part_path", "read_rows", "read_table"]
 
@@ -73,6 +74,8 @@ def _without_times(path: Path) -> list[dict[str, Any]]:
 
 
 def _result(frame: dict[str, Any], layers: Sequence[dict[str, Any]]) -> ResultRow:
+    # Tables of earlier versions have fewer columns.
+    camera, scene = frame.get("camera"), frame.get("scene")
     return ResultRow(
         layers=tuple(
             LayerSummary(
@@ -90,8 +93,12 @@ def _result(frame: dict[str, Any], layers: Sequence[dict[str, Any]]) -> ResultRo
         ),
         run_length_codes=tuple(row["rle"] for row in layers),
         shape=(frame["height"], frame["width"]),
-        pixel_aspect=frame.get("pixel_aspect", 1.0),  # tables of earlier versions do not have it
+        pixel_aspect=frame.get("pixel_aspect", 1.0),
         camera_motion=(frame["camera_dx"], frame["camera_dy"]),
         latency_frames=frame["latency_frames"],
         stage_ms={},
+        camera=None if camera is None else tuple(camera),
+        scene=None
+        if scene is None
+        else ScenePlace((frame["scene_height"], frame["scene_width"]), tuple(scene)),
     )

@@ -205,6 +205,8 @@ class CoordinatorActor:
                 break
             if taken and taken % _COLLECT_FRAMES == 0:
                 self._collect()
+            if not self._spec.replayable:
+                self._hand_over_while_idle()
             delivered = self._next_frame()
             if delivered is None:
                 return self._finish()
@@ -212,6 +214,8 @@ class CoordinatorActor:
             self._write_labelled()
             self._account.take(frame)
             if isinstance(frame, SourceSilence):
+                if frame.state is not None and not self._waiting and not self._labelling.under_way:
+                    self._record.silent()
                 break
             self._waiting.append((shared, frame))
             if frame.image is None:
@@ -369,6 +373,16 @@ class CoordinatorActor:
         """Send finished label maps to the sink, without waiting."""
         while self._labelling.has_answer():
             self._write_next_labelled()
+
+    def _hand_over_while_idle(self) -> None:
+        """Send label maps to the sink as they are finished while a camera has no picture ready.
+
+        Else each would wait for the camera's next pictures.
+        """
+        while not (ready := self._source.is_ready(_SOURCE_SECONDS)) and self._labelling.under_way:
+            self._write_labelled()
+        if not ready:
+            self._record.send_if_due()
 
     def _await_labelled(self) -> None:
         """Wait for all label maps under way, and send them to the sink."""

@@ -220,6 +220,9 @@ class StreamSink(Protocol):
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
         """Record source frame ``index`` as one without a label map; return as :meth:`write` does."""
 
+    def silent(self) -> None:
+        """Note that a camera sends nothing at present; a gap may follow, or the next picture."""
+
     def keep(self, snapshot: Snapshot) -> bool:
         """Register a snapshot to go back to; False if its files are not complete yet."""
 

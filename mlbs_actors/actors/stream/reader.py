@@ -181,6 +181,10 @@ class ReadAhead:
         return None, said
 
     def keeps_up(self, seconds: float) -> bool:
+        """Whether :meth:`next` would wait no longer than that, s, or the source is worth waiting for."""
+        return self.is_ready(seconds)
+
+    def is_ready(self, seconds: float) -> bool:
         """Whether :meth:`next` would wait no longer than that, s."""
         self._ask()
         assert self._channel is not None  # begun

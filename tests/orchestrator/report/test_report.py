@@ -310,6 +310,16 @@ def test_the_report_can_be_read_without_seeing_it(run_folder: Path) -> None:
         assert attributes["aria-label"]
 
 
+def test_the_report_lists_the_events_of_a_stream(run_folder: Path) -> None:
+    page = render_report(run_folder)
+    table = page.partition('aria-label="Events of yard"')[2].partition("</table>")[0]
+    events = [json.loads(line) for line in (run_folder / "yard/events.jsonl").read_text().splitlines()]
+    assert table.count("<tr>") == 1 + len(events)
+    rows = re.findall(r"</span>(\d+)</td>\n<td>([a-z ]+)</td>", table)
+    assert rows == [(str(event["object"]), event["kind"]) for event in events if event["object"] is not None]
+    assert 'aria-label="Events of a&lt;b&gt;"' not in page
+
+
 def test_a_stream_that_could_not_be_opened_has_no_link_to_files(tmp_path: Path) -> None:
     write_run(tmp_path, [StreamState("gone", "failed", error="There is no such file.")])
     page = render_report(tmp_path)

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from record_fakes import HEIGHT, WIDTH, frame, segmentation, write_stream
 
 from mlbs_actors.messages import FrameStatus, LayerSummary, Region, Segmentation
+from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.sinks.object_files import OBJECTS_CSV, OBJECTS_JSON, ObjectFiles
 from orchestrator.sinks.object_list import ObjectList
 from orchestrator.sinks.record import FIRST_COMMIT, GROUP_FRAMES, StreamRecord
 from orchestrator.sinks.record_tables import read_rows
-from orchestrator.sinks.tables import FrameRow, ResultRow
 
 TABLES = frozenset({"parquet"})
 
