@@ -2,14 +2,17 @@
 
 A line is appended as soon as it is certain, so that it can be sent at once, and counts with the commit of the
 row that made it certain. ``.events`` holds what the events continue from after the last two commits, and how
-long the file was then: a record that is opened again cuts the file off there, and goes on.
+many there were then: a record that is opened again cuts the file off behind those, and goes on. Events are
+numbered, because the oldest lines can be deleted.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
@@ -19,10 +22,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from orchestrator.events.happenings import Event, EventState, Happenings
 from orchestrator.events.zones import EventRules
-from orchestrator.run.durable_files import publish, temporary_path
+from orchestrator.run.durable_files import publish, replace_file, temporary_path
 from orchestrator.sinks.tables import FrameRow
 
-__all__ = ["EVENTS", "EventFile", "committed_bytes", "event_id"]
+__all__ = ["EVENTS", "EventFile", "committed_events", "event_id"]
 
 EVENTS = "events.jsonl"
 
@@ -39,15 +42,15 @@ class _Mark:
     Attributes
     ----------
     rows : int
-    length : int
-        Of the file, bytes.
+    events : int
+        Number of them up to there.
     began : float, optional
         When a camera's stream began, seconds since 1970.
     state : EventState
     """
 
     rows: int
-    length: int
+    events: int
     began: float | None = None
     state: EventState = field(default_factory=EventState)
 
@@ -74,15 +77,13 @@ class EventFile:
         self._path = folder / EVENTS
         self._marks_path = folder / _MARKS
         self._stream = stream
-        length = self._path.stat().st_size if self._path.exists() else 0
         found = [mark for mark in _read_marks(self._marks_path) if mark.rows == rows]
         # Without a mark, of an earlier version's record, what is there stays and the objects are born again.
-        mark = found[-1] if found else _Mark(rows, length if rows else 0)
-        if length > mark.length:
-            os.truncate(self._path, mark.length)
+        mark = found[-1] if found else _Mark(rows, _cut(self._path, math.inf if rows else 0))
+        _cut(self._path, mark.events)
         self._happenings = Happenings(rules, mark.state)
         self._began = mark.began
-        self._length = mark.length
+        self._events = mark.events
         self._rows = rows
         self._kept = _MARK.dump_json(mark)
         self._later: deque[tuple[int, bytes]] = deque()
@@ -93,17 +94,19 @@ class EventFile:
         """Whether there are lines to write."""
         return bool(self._unwritten)
 
-    def add(self, row: FrameRow, now: float | None) -> None:
-        """Add the next row of the record.
+    def set_clock(self, began: float) -> None:
+        """Note that by the newest row a camera's stream began at a time, seconds since 1970."""
+        # Rows come late by what they take; the least of all delays is nearest to the truth.
+        if self._began is None or not self._began <= began < self._began + _CLOCK_SET_SECONDS:
+            self._began = began
 
-        Parameters
-        ----------
-        row : FrameRow
-        now : float, optional
-            Seconds since 1970; only if the row has just happened.
-        """
-        if now is not None:
-            self._set_clock(now - row.pts)
+    def taken_at(self, pts: float) -> float:
+        """Return when a camera took the frame of a time of the stream, seconds since 1970."""
+        assert self._began is not None  # since the first row
+        return self._began + pts
+
+    def add(self, row: FrameRow) -> None:
+        """Add the next row of the record."""
         self._rows = row.frame + 1
         self._say(self._happenings.after(row))
         self._later.append((self._rows, self._mark()))
@@ -133,10 +136,21 @@ class EventFile:
         temporary_path(self._marks_path).write_bytes(b"[" + self._kept + b"]\n")
         publish([self._marks_path])
 
+    def forget_before(self, frame: int) -> None:
+        """Delete the oldest lines, as far as they are of frames before a number."""
+        with self._path.open("rb") as file:
+            for line in file:
+                if json.loads(line)["frame"] >= frame:
+                    rest = line + file.read()
+                    break
+            else:
+                rest = b""
+        replace_file(self._path, rest)
+
     def _say(self, events: list[Event]) -> None:
-        lines = [json.dumps(self._described(event)) + "\n" for event in events]
-        self._unwritten += lines
-        self._length += sum(map(len, lines))  # pure ASCII
+        for event in events:
+            self._events += 1
+            self._unwritten.append(json.dumps(self._described(event)) + "\n")
 
     def _described(self, event: Event) -> dict[str, Any]:
         return {
@@ -152,15 +166,11 @@ class EventFile:
             "direction": event.direction,
             "reason": event.reason,
             "replaced_by": event.replaced_by,
+            "number": self._events,
         }
 
-    def _set_clock(self, began: float) -> None:
-        # Rows come late by what they take; the least of all delays is nearest to the truth.
-        if self._began is None or not self._began <= began < self._began + _CLOCK_SET_SECONDS:
-            self._began = began
-
     def _mark(self) -> bytes:
-        return _MARK.dump_json(_Mark(self._rows, self._length, self._began, self._happenings.state))
+        return _MARK.dump_json(_Mark(self._rows, self._events, self._began, self._happenings.state))
 
     def _sync(self) -> None:
         with self._path.open("ab") as file:
@@ -177,9 +187,25 @@ def event_id(stream: str, event: Event) -> str:
     return "/".join(str(part) for part in parts if part is not None)
 
 
-def committed_bytes(folder: Path) -> int:
-    """Return the length of a stream's file up to which it never changes any more."""
-    return min((mark.length for mark in _read_marks(folder / _MARKS)), default=0)
+def committed_events(folder: Path) -> int:
+    """Return the number of a stream's events that never change any more."""
+    return min((mark.events for mark in _read_marks(folder / _MARKS)), default=0)
+
+
+def _cut(path: Path, events: float) -> int:
+    """Cut a file off behind the event of a number; return the number of the last one that is left."""
+    if not path.exists():
+        return 0
+    last = length = 0
+    with suppress(ValueError), path.open("rb") as file:  # a torn line is the last one
+        for line in file:
+            number = json.loads(line).get("number", 1)  # an earlier version's have none
+            if number > events:
+                break
+            last, length = number, length + len(line)
+    if length < path.stat().st_size:
+        os.truncate(path, length)
+    return last
 
 
 def _read_marks(path: Path) -> list[_Mark]:

@@ -62,6 +62,10 @@ class ObjectFiles:
         if self._clock() >= self._due:
             self.write(complete=False)
 
+    def forget_before(self, frame: int) -> None:
+        """Leave out what was seen only before a frame whose predecessors are deleted."""
+        self._objects.forget_before(frame)
+
     def write(self, *, complete: bool) -> None:
         """Write the files; ``complete`` if the stream came to its end."""
         begun = self._clock()

@@ -83,6 +83,8 @@ class SeenObject:
         The first one, and then the next after every full second; :attr:`last` is its end.
     spans : list of (int, int)
         First and last frame of every unbroken stretch. A frame without a label map breaks none.
+    forgotten_spans : int
+        Number of those before the first of them.
     ending : Ending
     """
 
@@ -98,6 +100,7 @@ class SeenObject:
     path: list[Sighting]
     spans: list[tuple[int, int]]
     ending: Ending = SEEN
+    forgotten_spans: int = 0
 
     @classmethod
     def begun(cls, layer: LayerSummary, here: Sighting) -> SeenObject:
@@ -120,6 +123,18 @@ class SeenObject:
     def mean_area(self) -> float:
         """Mean over the frames that show it, px."""
         return self.total_area / self.frames
+
+    @property
+    def times_hidden(self) -> int:
+        """How often it was missing in a label map or more, and came back."""
+        return self.forgotten_spans + len(self.spans) - 1
+
+    def forget_before(self, frame: int) -> None:
+        """Leave out where and when it was before a frame, but for its first sighting."""
+        self.path = [place for place in self.path if place.frame >= frame] or [self.last]
+        spans = [span for span in self.spans if span[1] >= frame]
+        self.forgotten_spans += len(self.spans) - len(spans)
+        self.spans = spans
 
     def continues(self, layer: LayerSummary, here: Sighting, *, unbroken: bool) -> None:
         """Add the next sighting; ``unbroken`` if the label map before shows it, too."""
@@ -195,6 +210,14 @@ class ObjectList:
                 self._add(row, row.result)
         return self
 
+    def forget_before(self, frame: int) -> None:
+        """Leave out objects, and parts of paths, that were seen only before a frame."""
+        self.state.objects = {
+            layer: one for layer, one in self.state.objects.items() if one.last.frame >= frame
+        }
+        for one in self.state.objects.values():
+            one.forget_before(frame)
+
     def _add(self, row: FrameRow, result: ResultRow) -> None:
         objects, before = self.state.objects, self._shown
         shown_before = set() if before is None else {layer.layer for layer in before.layers}
@@ -228,7 +251,7 @@ class ObjectList:
                 [
                     *(one.layer, one.kind, *_outcome(one, complete=complete)),
                     *(_seconds(one.first.pts), _seconds(one.last.pts), _seconds(one.seconds)),
-                    *(one.first.frame, one.last.frame, one.frames, len(one.spans) - 1),
+                    *(one.first.frame, one.last.frame, one.frames, one.times_hidden),
                     *(round(one.mean_area), *one.first.region.box, *one.last.region.box),
                     *(*_point(one.first), *_point(one.last), round(one.path_px, 1)),
                 ]
@@ -260,7 +283,7 @@ def _described(one: SeenObject, *, complete: bool) -> dict[str, Any]:
         "replaced_by": by,
         "seconds": _seconds(one.seconds),
         "frames": one.frames,
-        "times_hidden": len(one.spans) - 1,
+        "times_hidden": one.times_hidden,
         "area_px": round(one.mean_area),
         "path_px": round(one.path_px, 1),
         "first": _sighting(one.first),

@@ -18,6 +18,7 @@ from mlbs_actors.messages import Array, Region
 from orchestrator.events.zones import Zone
 from orchestrator.run.durable_files import publish, temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
+from orchestrator.sinks.segments import segment_folders
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import reason
 from orchestrator.sources.sound import SoundReader
@@ -40,6 +41,8 @@ TICK = float(_TIME_BASE)
 _NOMINAL_RATE = 25  # only a hint to the encoder; every frame carries its own time
 _SMALLEST_SIDE = 16  # least that H.264 encoders accept, px
 _ERROR, _NOTE = _REMARKS = (".error", ".note")  # suffixes of the files beside a video
+#: Options of the mp4 format: a fragment begins with every key frame.
+_FRAGMENTS = {"movflags": "frag_keyframe+empty_moov+default_base_moof"}
 _KEY_FRAMES = 32  # interval of key frames, to which players and reports can seek
 
 
@@ -49,8 +52,12 @@ def overlay_path(folder: Path, first: int) -> Path:
 
 
 def overlays(folder: Path) -> list[tuple[int, Path]]:
-    """List first frames and files of a stream's videos, in order."""
-    return sorted((int(path.stem.partition("-")[2] or 0), path) for path in folder.glob("overlay*.mp4"))
+    """List first frames and files of a stream's videos, in order; those of its segments too."""
+    if not folder.is_dir():
+        return []
+    folders = [folder, *segment_folders(folder)]
+    paths = (path for place in folders for path in place.glob("overlay*.mp4"))
+    return sorted((int(path.stem.partition("-")[2] or 0), path) for path in paths)
 
 
 def overlay_remarks(path: Path) -> list[str]:
@@ -95,7 +102,8 @@ class OverlayVideo:
     """An overlay being written; an error ends the overlay alone.
 
     The first frame's size and aspect are the video's; frames of another size are scaled to it. The file has
-    its name only once it is closed: an mp4 without its index cannot be played.
+    its name only once it is closed: an mp4 without its index cannot be played. One that is growing is written
+    in fragments, each with an index of its own, so that a kill loses the last one alone.
 
     Parameters
     ----------
@@ -106,10 +114,20 @@ class OverlayVideo:
         The source, whose sound is copied if it is a file that has some.
     zones : sequence of Zone
         Drawn over every frame.
+    growing : bool
+        Whether it can be played before it is closed.
     """
 
-    def __init__(self, path: Path, sound: SourceAddress | None = None, zones: Sequence[Zone] = ()) -> None:
+    def __init__(
+        self,
+        path: Path,
+        sound: SourceAddress | None = None,
+        zones: Sequence[Zone] = (),
+        *,
+        growing: bool = False,
+    ) -> None:
         self._path = path
+        self._growing = growing
         self._zones = zones
         self._source_of_sound = sound
         self._sound: SoundReader | None = None
@@ -166,7 +184,8 @@ class OverlayVideo:
             self._mux(self._container, self._stream.encode(None))
             self._copy_sound((self._last_pts + self._duration) * TICK)
             self._container.close()
-            publish([self._path])
+            if not self._growing:
+                publish([self._path])
         except (av.error.FFmpegError, OSError, ValueError) as error:
             self._give_up(error)
         self._container = self._stream = None
@@ -226,7 +245,9 @@ class OverlayVideo:
         self, shape: tuple[int, ...], pixel_aspect: float
     ) -> tuple[av.container.OutputContainer, av.VideoStream]:
         if self._container is None or self._stream is None:
-            self._container = av.open(str(temporary_path(self._path)), "w", format="mp4")
+            path = self._path if self._growing else temporary_path(self._path)
+            options = _FRAGMENTS if self._growing else {}
+            self._container = av.open(str(path), "w", format="mp4", options=options)
             self._stream = self._container.add_stream("libx264", rate=_NOMINAL_RATE)
             self._stream.width, self._stream.height = _even(shape[1]), _even(shape[0])
             self._stream.pix_fmt = "yuv420p"

@@ -72,7 +72,9 @@ def test_a_line_holds_what_happened(whole: bytes) -> None:
         "direction": None,
         "reason": None,
         "replaced_by": None,
+        "number": 3,
     }
+    assert [one["number"] for one in said] == [*range(1, len(said) + 1)]
     assert len({one["id"] for one in said}) == len(said)
     assert {one["reason"] for one in said if one["kind"] == "ended"} == {
         "no longer found",
