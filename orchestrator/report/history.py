@@ -9,13 +9,17 @@ import numpy as np
 import pyarrow as pa
 
 from mlbs_actors.messages import Array
+from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.object_list import ObjectList, SeenObject
 from orchestrator.sinks.record_tables import read_rows, read_table
 
-__all__ = ["LONG_SECONDS", "StageTimes", "StreamHistory", "frame_ranges", "read_history"]
+__all__ = ["LONG_SECONDS", "MOST_FRAMES", "StageTimes", "StreamHistory", "frame_ranges", "read_history"]
 
 #: Objects that were seen for a shorter time are limbs, glimpses and errors for the most part, s.
 LONG_SECONDS = 1.0
+
+#: Most frames in the history of a camera: reading its weeks would take minutes. The newest ones count.
+MOST_FRAMES = 50_000
 
 #: Stages in the order of processing; others come after these.
 _ORDER = (
@@ -44,7 +48,7 @@ class StageTimes:
 
 @dataclass(frozen=True, slots=True)
 class StreamHistory:
-    """The history of a stream, as far as it is committed.
+    """The history of a stream, as far as it is committed; of a record in segments the newest frames of it.
 
     Attributes
     ----------
@@ -100,7 +104,10 @@ def read_history(folder: Path) -> StreamHistory | None:
     folder : Path
         Of the stream.
     """
-    table = read_table(folder, "frames")
+    commits = read_commits(folder)
+    in_segments = bool(commits) and commits[-1].segment is not None
+    begin = max(commits[-1].last + 1 - MOST_FRAMES, 0) if in_segments else 0
+    table = read_table(folder, "frames", begin)
     if not table.num_rows:
         return None
     frames, status = table["frame"].to_numpy(), np.asarray(table["status"].to_pylist())
@@ -118,7 +125,7 @@ def read_history(folder: Path) -> StreamHistory | None:
         unusual=unusual,
         lost=lost,
         gaps=tuple(gaps),
-        lives=tuple(ObjectList().add(read_rows(folder)).objects),
+        lives=tuple(ObjectList().add(read_rows(folder, begin)).objects),
         stages=_stages(table.filter(pa.array(ok))),
     )
 

@@ -37,13 +37,15 @@ from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.driver import Driver, Observer, SpecChange
 from orchestrator.run.durable_files import replace_file
 from orchestrator.run.list_watch import ListWatch
+from orchestrator.run.retention import Retention
 from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import StreamState, after_failure, exit_code, stopped, with_record
 from orchestrator.run.whole_overlays import is_in_parts, is_lost, make_whole
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
-from orchestrator.sinks.overlay import overlay_path, overlay_remarks, overlays
+from orchestrator.sinks.overlay import overlays, stream_remarks
 from orchestrator.sinks.record import StreamRecord, ends_group, has_snapshot, recorded_frames
+from orchestrator.sinks.segments import segment_folders
 from orchestrator.sources.address import SourceAddress, SourceKind
 from orchestrator.sources.lengths import finding_lengths
 from orchestrator.sources.opening import open_reader
@@ -96,12 +98,16 @@ def run(
     job = _Job(streams, arguments, config, folder, live)
     memory = node_memory()
     limit = places(memory, cores())
-    status = StatusFile(folder.path / "status.json")
+    _refuse_to_keep_files(arguments, job.specs)
+    retention = None if arguments.keep is None else Retention(folder.path, arguments.keep, _say)
+    status = StatusFile(
+        folder.path / "status.json", kept=None if retention is None else lambda: retention.figures
+    )
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
         if arguments.resume:
             begun = folder.refuse_other(job.description)
             hold.enter_context(folder.locked())
-            changed = {key: job.description[key] for key in ("sources", "hashes")}
+            changed = {key: job.description[key] for key in ("sources", "hashes", "keep")}
             if changed != {key: begun.get(key) for key in changed}:
                 try:
                     folder.redescribe(begun | changed)
@@ -124,6 +130,8 @@ def run(
             onlookers.append(RayMetrics())
             if arguments.address is None:
                 _say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
+        if retention is not None:
+            onlookers.append(retention)
         if not arguments.resume:
             folder.create(job.description)
             hold.enter_context(folder.locked())
@@ -223,7 +231,7 @@ class _Job:
         command = given.command(f"{self._folder.path}-again")
         return describe_run(
             self._streams, self._config, given.save, given.max_frames, given.max_side, command,
-            given.ignored.digests, given.zones.digest,
+            given.ignored.digests, given.zones.digest, given.segment, given.keep.words if given.keep else (),
         )  # fmt: skip
 
     def _spec(self, stream: ListedStream) -> StreamSpec:
@@ -251,6 +259,7 @@ class _Job:
                 replayable=replayable,
                 source=stream.source,
                 rules=rules,
+                segment_seconds=None if replayable else self._arguments.segment,
             ),
             max_frames=self._arguments.max_frames,
             wants_background=ends_group if "background" in save else None,
@@ -259,6 +268,14 @@ class _Job:
             replayable=replayable,
             path=stream.source.path,
             ignored=self._arguments.ignored.mask_of(stream.name),
+        )
+
+
+def _refuse_to_keep_files(arguments: Arguments, specs: Sequence[StreamSpec]) -> None:
+    if arguments.segment is not None and not arguments.watch and all(spec.replayable for spec in specs):
+        raise ConfigError(
+            "--segment and --keep are for cameras, of which this run has none; leave them out. "
+            "The record of a file is always kept whole."
         )
 
 
@@ -393,7 +410,7 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
     lines += [
         f"  {state.name}: {remark}"
         for state in states
-        for remark in overlay_remarks(overlay_path(folder.stream(state.name), 0))
+        for remark in stream_remarks(folder.stream(state.name))
     ]
     begun = [state.name for state in states if state.committed]
     if begun:
@@ -410,9 +427,11 @@ def what_to_look_at(stream: Path, save: frozenset[str]) -> str:
     """Return the results of a stream that show its labels best: the videos, or the masks without any."""
     videos = overlays(stream)
     if not videos:
-        return str(stream / "masks" if "masks" in save else stream)
-    # A resumed run has one for each start.
-    return f"{videos[0][1]}" if len(videos) == 1 else f"{stream / 'overlay*.mp4'} ({len(videos)} parts)"
+        in_archives = stream.is_dir() and segment_folders(stream)
+        return str(stream / "masks" if "masks" in save and not in_archives else stream)
+    # A resumed run has one for each start, that of a camera one for each segment.
+    parts = stream / "overlay*.mp4" if videos[0][1].parent == stream else stream / "*/overlay*.mp4"
+    return f"{videos[0][1]}" if len(videos) == 1 else f"{parts} ({len(videos)} parts)"
 
 
 def _say(text: str) -> None:

@@ -11,9 +11,10 @@ lines of deleted ones are gone: the log then begins with a later frame.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from itertools import dropwhile
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -21,7 +22,7 @@ from filelock import FileLock, Timeout
 from mlbs_actors.errors import SinkError
 from orchestrator.run.durable_files import append_line, replace_file
 
-__all__ = ["COMMIT_LOG", "Commit", "CommitLog", "first_frame", "forget_segments", "permanent", "read_commits"]
+__all__ = ["COMMIT_LOG", "Commit", "CommitLog", "first_frame", "forget_segment", "permanent", "read_commits"]
 
 COMMIT_LOG = "commits.jsonl"
 
@@ -29,6 +30,9 @@ _GENERATION, _LOCK = ".generation", ".lock"
 
 #: How long another process may take for its commit, s.
 _LOCK_SECONDS = 10.0
+
+#: The same for what can be tried again later, s.
+_BRIEF_SECONDS = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +96,13 @@ def first_frame(folder: Path) -> int:
         return 0
 
 
-def permanent(commits: list[Commit]) -> list[Commit]:
+def permanent(commits: Sequence[Commit]) -> list[Commit]:
     """Return the lines that a run that resumes goes on from."""
     return [commit for commit in commits if not commit.provisional]
 
 
-def forget_segments(folder: Path, segments: frozenset[str]) -> None:
-    """Remove the lines of a stream's oldest segments, which then count no more.
+def forget_segment(folder: Path, segment: str) -> bool:
+    """Remove the lines of a segment, which then counts no more; return whether it was the oldest one.
 
     Raises
     ------
@@ -107,11 +111,13 @@ def forget_segments(folder: Path, segments: frozenset[str]) -> None:
     OSError
         As the disk says.
     """
-    with _locked(folder):
+    with _locked(folder, _BRIEF_SECONDS):
         commits = read_commits(folder)
-        left = [commit for commit in commits if commit.segment not in segments]
-        if left and left == commits[-len(left) :]:
-            _replace(folder, left)
+        left = list(dropwhile(lambda commit: commit.segment == segment, commits))
+        if not left or len(left) == len(commits):
+            return False
+        _replace(folder, left)
+        return True
 
 
 class CommitLog:
@@ -192,8 +198,8 @@ class CommitLog:
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    lock = FileLock(folder / _LOCK, timeout=_LOCK_SECONDS)
+def _locked(folder: Path, seconds: float | None = None) -> Iterator[None]:
+    lock = FileLock(folder / _LOCK, timeout=_LOCK_SECONDS if seconds is None else seconds)
     try:
         lock.acquire()
     except Timeout:

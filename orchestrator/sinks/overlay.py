@@ -32,6 +32,7 @@ __all__ = [
     "overlay_remarks",
     "overlays",
     "presentation_times",
+    "stream_remarks",
 ]
 
 _TIME_BASE = Fraction(1, 90_000)
@@ -41,8 +42,8 @@ TICK = float(_TIME_BASE)
 _NOMINAL_RATE = 25  # only a hint to the encoder; every frame carries its own time
 _SMALLEST_SIDE = 16  # least that H.264 encoders accept, px
 _ERROR, _NOTE = _REMARKS = (".error", ".note")  # suffixes of the files beside a video
-#: Options of the mp4 format: a fragment begins with every key frame.
-_FRAGMENTS = {"movflags": "frag_keyframe+empty_moov+default_base_moof"}
+#: Options of the mp4 format: a fragment begins with every key frame, and none stays in a buffer.
+_FRAGMENTS = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
 _KEY_FRAMES = 32  # interval of key frames, to which players and reports can seek
 
 
@@ -64,6 +65,13 @@ def overlay_remarks(path: Path) -> list[str]:
     """Return what was written beside a video: why there is none, or why it lacks sound."""
     beside = (path.with_suffix(suffix) for suffix in _REMARKS)
     return [remark.read_text(encoding="utf-8").strip() for remark in beside if remark.exists()]
+
+
+def stream_remarks(folder: Path) -> list[str]:
+    """Return what was written beside a stream's first video, or those of its newest segment."""
+    newest = segment_folders(folder)[-1:] if folder.is_dir() else []
+    videos = {path.with_suffix(".mp4") for place in newest for path in place.glob("overlay*")}
+    return [remark for path in (overlay_path(folder, 0), *sorted(videos)) for remark in overlay_remarks(path)]
 
 
 def forget_overlay(path: Path) -> None:

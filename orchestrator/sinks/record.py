@@ -116,6 +116,7 @@ class StreamRecord:
         self._unpublished: list[tuple[int, Path]] = []  # with their frames
         self._withdrawn: list[Path] = []  # cut-outs of an earlier run that are written again
         self._provisional = False
+        self._begins_with = 0  # first frame of which the lists know
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if segment_seconds is None:
@@ -130,7 +131,6 @@ class StreamRecord:
             tables = "parquet" in save
             self._objects = ObjectFiles(folder, name) if tables else None
             self._cutouts = _by_frame(folder / "cutouts")
-            self._begins_with = first_frame(folder)
         except OSError as error:
             raise self._unwritable(error) from None
         before = self._snapshots.newest
@@ -221,8 +221,10 @@ class StreamRecord:
         try:
             if self._replayable or self._provisional or whole:
                 self._commit()
-            if whole or self._objects is not None:
+            if whole or self._objects is not None or self._segments is not None:
                 with self._log.exclusive():
+                    if self._segments is not None:
+                        self._segments.merge_all(self._log)
                     if whole:
                         self._events.finish()
                     if self._objects is not None:
@@ -262,8 +264,8 @@ class StreamRecord:
         for table in self._folder.glob("*-*.parquet"):
             if int(table.stem.partition("-")[2]) >= self._log.rows:
                 table.unlink()
-        table = newest_part(self._folder, "frames")
-        return None if table is None else stages_of(pq.read_schema(table))
+        newest = newest_part(self._folder, "frames")
+        return None if newest is None else stages_of(pq.read_schema(newest))
 
     def _add(self, row: FrameRow) -> None:
         self._rows.append(row)

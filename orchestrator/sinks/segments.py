@@ -11,17 +11,23 @@ import re
 import shutil
 from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 
 from orchestrator.run.durable_files import publish, remove_temporary
 from orchestrator.sinks.commit_log import Commit, CommitLog, permanent, read_commits
-from orchestrator.sinks.picture_archive import append_pictures, cut_archive, end_archive
+from orchestrator.sinks.picture_archive import (
+    ArchivedPicture,
+    append_pictures,
+    archived_pictures,
+    cut_archive,
+    end_archive,
+)
 from orchestrator.sinks.record_tables import TABLES, merge_parts, part_path
 
-__all__ = ["Segments", "archive_path", "segment_folders", "segment_time"]
+__all__ = ["Segments", "archive_path", "archived_masks", "segment_folders", "segment_time"]
 
 _TIME = "%Y%m%dT%H%M%SZ"
 _NAME = re.compile(r"(\d{8}T\d{6}Z)(-\d+)?")  # a number after it if the clock was set back
@@ -42,6 +48,16 @@ def segment_folders(folder: Path) -> list[Path]:
 def archive_path(segment: Path, part: str) -> Path:
     """Return the path of the archive of a part of ``--save``."""
     return segment / f"{part}.tar"
+
+
+def archived_masks(folder: Path) -> dict[str, ArchivedPicture]:
+    """Return the committed masks in the segments of a stream, by their frames' names."""
+    lengths = {one.segment: one.archived.get("masks", 0) for one in read_commits(folder) if one.segment}
+    return {
+        Path(picture.name).stem: picture
+        for segment, length in lengths.items()
+        for picture in archived_pictures(archive_path(folder / segment, "masks"), length)
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +149,13 @@ class Segments:
             self._merging = segment, thread.submit(merge_parts, self._folder, commits)
             thread.shutdown(wait=False)
 
+    def merge_all(self, log: CommitLog) -> None:
+        """Merge what is left, and wait for it."""
+        while self._merging is not None or self._unmerged:
+            if self._merging is not None:
+                wait([self._merging[1]])
+            self.merge(log)
+
     def _finish(self, log: CommitLog, segment: str, outcome: Future[list[Path]]) -> None:
         commits = [commit for commit in read_commits(self._folder) if commit.segment == segment]
         if not commits:
@@ -158,6 +181,9 @@ class Segments:
                 for part in path.glob("*-*.parquet"):
                     part.unlink()
             elif path.name == self.name:
+                for video in path.glob("*.mp4"):
+                    if not video.stat().st_size:
+                        video.unlink()
                 for archive in path.glob("*.tar"):
                     cut_archive(archive, self._lengths.get(archive.stem, 0))
                 for part in path.glob("*-*.parquet"):
