@@ -292,13 +292,19 @@ class StreamRecord:
             for path in self._withdrawn:
                 path.unlink(missing_ok=True)
             publish(files)
-            self._log.add(
-                last,
-                self._snapshots.name_after(last + 1),
-                provisional=self._provisional,
-                segment=None if self._segments is None else self._segments.name,
-                archived=None if self._segments is None else self._segments.append(before),
-            )
+            snapshot = self._snapshots.name_after(last + 1)
+            if self._segments is None:
+                self._log.add(last, snapshot, provisional=self._provisional)
+            else:
+                archived = self._segments.append(before)
+                self._log.add(
+                    last,
+                    snapshot,
+                    provisional=self._provisional,
+                    segment=self._segments.name,
+                    archived=archived,
+                )
+                self._segments.committed(before, archived)
             self._rows = self._rows[len(rows) :]
             self._unpublished = [(frame, path) for frame, path in self._unpublished if frame >= before]
             self._withdrawn = []

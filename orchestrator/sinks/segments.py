@@ -127,14 +127,19 @@ class Segments:
         self._pictures.append(_Picture(frame, part, name, content, int(time)))
 
     def append(self, before: float) -> dict[str, int]:
-        """Append the pictures of the frames before a number; return the lengths of the open archives."""
+        """Append the pictures of the frames before a number; return the lengths that are to be committed."""
         due = [one for one in self._pictures if one.frame < before]
+        lengths = dict(self._lengths)
         for part in dict.fromkeys(one.part for one in due):
             pictures = ((one.name, one.content, one.time) for one in due if one.part == part)
             path = archive_path(self.folder, part)
-            self._lengths[part] = append_pictures(path, self._lengths.get(part, 0), pictures)
+            lengths[part] = append_pictures(path, lengths.get(part, 0), pictures)
+        return lengths
+
+    def committed(self, before: float, lengths: dict[str, int]) -> None:
+        """Note that the pictures of the frames before a number count, and how long the archives are."""
         self._pictures = [one for one in self._pictures if one.frame >= before]
-        return self._lengths
+        self._lengths = lengths
 
     def merge(self, log: CommitLog) -> None:
         """Merge the tables of the closed segments, one after the other, beside the work on the frames."""

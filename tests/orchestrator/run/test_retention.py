@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import resource
+import shutil
 import time
 from pathlib import Path
 
@@ -19,7 +20,6 @@ from orchestrator.events import delivery as delivery_module
 from orchestrator.events.delivery import Delivery
 from orchestrator.export.recorded_stream import recorded_stream
 from orchestrator.report.page import render_report
-from orchestrator.run import retention as retention_module
 from orchestrator.run.retention import Retention
 from orchestrator.run.retention_limits import Keep, parse_keep, parse_segment
 from orchestrator.run.stream_state import StreamState
@@ -125,7 +125,7 @@ def test_a_deletion_that_is_killed_is_finished_by_the_next_one(
         raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr(retention_module.shutil, "rmtree", dies)
+        patch.setattr(shutil, "rmtree", dies)
         with pytest.raises(Killed):
             keeping(tmp_path, "1m", now=75)
     assert len([*recorded_stream(tmp_path / "gate")]) == 340  # nothing half known
@@ -208,6 +208,7 @@ def test_the_disk_that_half_a_day_takes_is_bounded(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(1800)
 def test_a_week_takes_bounded_disk_and_memory_and_its_page_is_quick(tmp_path: Path) -> None:
     found = simulate(tmp_path, hours=7 * 24, rate=0.2, keep="12MB", look=180)
     quarter = len(found["disk"]) // 4

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import io
+import os
 import tarfile
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -13,6 +17,7 @@ from PIL import Image
 from record_fakes import frame, segmentation
 from segment_fakes import SAVE, Camera
 
+from mlbs_actors.errors import SinkError
 from orchestrator.evaluation.scoring import run_label_maps
 from orchestrator.evaluation.sequences import FolderSequence
 from orchestrator.report.history import read_history
@@ -91,8 +96,8 @@ def test_a_record_killed_at_any_step_goes_on_to_the_same_content(
 ) -> None:
     left = 0
 
-    def dies(function):  # type: ignore[no-untyped-def]
-        def step(*given, **named):  # type: ignore[no-untyped-def]
+    def dies(function: Callable[..., Any]) -> Callable[..., Any]:
+        def step(*given: Any, **named: Any) -> Any:
             nonlocal left
             left -= 1
             if left == 0:
@@ -101,15 +106,15 @@ def test_a_record_killed_at_any_step_goes_on_to_the_same_content(
 
         return step
 
-    def torn(path: Path, length: int, pictures):  # type: ignore[no-untyped-def]
+    def torn(path: Path, length: int, pictures: Iterable[tuple[str, bytes, int]]) -> int:
         with path.open("ab") as archive:
             archive.write(b"half a picture")
-        return append(path, length, pictures)
+        return int(append(path, length, pictures))
 
     append = dies(picture_archive.append_pictures)
     monkeypatch.setattr("orchestrator.sinks.segments.append_pictures", torn)
     monkeypatch.setattr(durable_files, "_sync", dies(durable_files._sync))
-    monkeypatch.setattr(commit_log, "append_line", dies(commit_log.append_line))
+    monkeypatch.setattr(commit_log, "append_line", dies(durable_files.append_line))
     monkeypatch.setattr(Path, "replace", dies(Path.replace))
     monkeypatch.setattr(Path, "unlink", dies(Path.unlink))
     monkeypatch.setattr(Path, "mkdir", dies(Path.mkdir))
@@ -175,6 +180,29 @@ def test_what_was_provisional_is_replaced(tmp_path: Path, plain: Path) -> None:
     assert len(masks(tmp_path / "gate")) == 115
     again = Camera(tmp_path / "gate", TABLES)
     assert again.rows == 100
+    again.send(250)
+    again.record.close(whole=True)
+    expect_the_same(tmp_path / "gate", plain)
+
+
+def test_a_full_disk_fails_the_stream_and_loses_nothing_that_was_committed(
+    tmp_path: Path, plain: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = Camera(tmp_path / "gate", TABLES)
+    camera.send(130)
+
+    def full(path: Path, length: int, pictures: Iterable[tuple[str, bytes, int]]) -> int:
+        with path.open("ab") as archive:
+            archive.write(b"half a picture")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("orchestrator.sinks.segments.append_pictures", full)
+        with pytest.raises(SinkError, match="No space left on device"):
+            camera.send(250)
+    camera.record.close(whole=False)
+    assert recorded_frames(tmp_path / "gate") == 120
+    again = Camera(tmp_path / "gate", TABLES)
     again.send(250)
     again.record.close(whole=True)
     expect_the_same(tmp_path / "gate", plain)
