@@ -22,14 +22,16 @@ from orchestrator.run.retention_limits import Keep
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.commit_log import Commit, forget_segment, permanent, read_commits
 from orchestrator.sinks.segments import segment_folders, segment_time
+from orchestrator.sinks.snapshot_folder import SNAPSHOTS
 
 __all__ = ["Retention"]
 
 #: Least time between two looks at the folder, s, and the share of the time that they may take.
 _LOOK_SECONDS, _SHARE_OF_TIME = 5.0, 1 / 50
 
-#: Share of the size that is left free for what is written until the next look.
-_FREE = 0.02
+#: Share of the size that is left free for what is written until the next look, besides one more snapshot of
+#: each stream, of which two are kept.
+_FREE, _SNAPSHOTS_TO_COME = 0.02, 1 / 2
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -68,7 +70,7 @@ class Retention:
         self._clock = clock
         self._due = -float("inf")
         self._sizes: dict[Path, int] = {}  # of merged segments, bytes
-        self._size = 0
+        self._size = self._to_come = 0
         self._begins: dict[str, dict[str, Any]] = {}
         self._too_much = False
 
@@ -97,7 +99,7 @@ class Retention:
         What cannot be deleted now, as a commit is going on or the disk refuses it, is tried again.
         """
         closed: list[_Closed] = []
-        self._size = 0
+        self._size = self._to_come = 0
         for stream in sorted(path.parent for path in self._folder.glob("*/commits.jsonl")):
             commits = read_commits(stream)
             segments = list(dict.fromkeys(one.segment for one in commits if one.segment is not None))
@@ -106,11 +108,11 @@ class Retention:
                     self._begins[stream.name] = {"frame": commits[0].first, "segment": segments[0]}
                 _remove_remains(stream, segments)
                 closed += _closed_segments(stream, commits)
-                self._size += self._measured(stream, {one.segment for one in commits if one.merged})
+                self._measure(stream, {one.segment for one in commits if one.merged})
         for one in sorted(closed):
             too_old = self._keep.seconds is not None and one.end <= self._clock() - self._keep.seconds
             if too_old or self._exceeds():
-                size = self._sizes.pop(one.folder, None) or bytes_by_kind(one.folder).total()
+                size = self._sizes.pop(one.folder, None) or _size_of(one.folder)
                 try:
                     if forget_segment(one.folder.parent, one.folder.name):
                         shutil.rmtree(one.folder)
@@ -120,24 +122,26 @@ class Retention:
         if self._exceeds() and not closed and not self._too_much:
             self._too_much = True
             self._say(
-                f"The cameras take {self._size / 1e9:.2f} GB without a closed segment to delete, more than "
+                f"The cameras take {self._size / 1e6:,.0f} MB without a closed segment to delete, more than "
                 "--keep allows; give it a greater size, or --segment a shorter time."
             )
 
     def _exceeds(self) -> bool:
-        return self._keep.size is not None and self._size > (1 - _FREE) * self._keep.size
+        size = self._size + self._to_come
+        return self._keep.size is not None and size > (1 - _FREE) * self._keep.size
 
-    def _measured(self, stream: Path, merged: set[str | None]) -> int:
-        """Return the bytes of a stream's folder; merged segments do not change, and are measured once."""
-        size = 0
+    def _measure(self, stream: Path, merged: set[str | None]) -> None:
+        """Add the bytes of a stream's folder; merged segments do not change, and are measured once."""
         for path in stream.iterdir():
-            if path.name not in merged:
-                size += bytes_by_kind(path).total() if path.is_dir() else _size_of(path)
+            if path.name in merged:
+                if path not in self._sizes:
+                    self._sizes[path] = _size_of(path)
+                self._size += self._sizes[path]
                 continue
-            if path not in self._sizes:
-                self._sizes[path] = bytes_by_kind(path).total()
-            size += self._sizes[path]
-        return size
+            size = _size_of(path)
+            self._size += size
+            if path.name == SNAPSHOTS:
+                self._to_come += round(size * _SNAPSHOTS_TO_COME)
 
 
 def _closed_segments(stream: Path, commits: Sequence[Commit]) -> Iterator[_Closed]:
@@ -155,6 +159,8 @@ def _remove_remains(stream: Path, segments: Sequence[str]) -> None:
 
 
 def _size_of(path: Path) -> int:
+    if path.is_dir():
+        return bytes_by_kind(path).total()
     try:
         return path.stat().st_size
     except FileNotFoundError:

@@ -107,7 +107,7 @@ def run(
         if arguments.resume:
             begun = folder.refuse_other(job.description)
             hold.enter_context(folder.locked())
-            changed = {key: job.description[key] for key in ("sources", "hashes", "keep")}
+            changed = {key: job.description[key] for key in ("sources", "hashes", "keep", "command")}
             if changed != {key: begun.get(key) for key in changed}:
                 try:
                     folder.redescribe(begun | changed)

@@ -33,6 +33,7 @@ from orchestrator.sinks.label_image import encode_label_image, encode_picture
 from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.object_files import ObjectFiles
 from orchestrator.sinks.overlay import OverlayVideo, overlay_path
+from orchestrator.sinks.picture_folders import PictureFolders
 from orchestrator.sinks.record_tables import newest_part, part_path
 from orchestrator.sinks.segments import Segments
 from orchestrator.sinks.snapshot_folder import SNAPSHOTS, SnapshotFolder
@@ -46,10 +47,6 @@ FIRST_COMMIT = 8
 
 #: A commit ends before each multiple of this.
 GROUP_FRAMES = 32
-
-
-#: Parts that are folders of pictures.
-_FOLDERS = frozenset({"masks", "background", "cutouts"})
 
 
 def ends_group(index: int) -> bool:
@@ -113,24 +110,19 @@ class StreamRecord:
         self._live = live
         self._replayable = replayable
         self._rows: list[FrameRow] = []
-        self._unpublished: list[tuple[int, Path]] = []  # with their frames
-        self._withdrawn: list[Path] = []  # cut-outs of an earlier run that are written again
         self._provisional = False
         self._begins_with = 0  # first frame of which the lists know
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            if segment_seconds is None:
-                for part in _FOLDERS & save:
-                    (folder / part).mkdir(exist_ok=True)
             self._log = CommitLog(folder)
             with self._log.exclusive():
                 self._segments = None if segment_seconds is None else Segments(folder, segment_seconds)
+                self._pictures = self._segments or PictureFolders(folder, save)
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
                 self._events = EventFile(folder, name, rules, self._log.rows)
             tables = "parquet" in save
             self._objects = ObjectFiles(folder, name) if tables else None
-            self._cutouts = _by_frame(folder / "cutouts")
         except OSError as error:
             raise self._unwritable(error) from None
         before = self._snapshots.newest
@@ -160,7 +152,7 @@ class StreamRecord:
             if "masks" in self._save:
                 self._put(frame, "masks", f"{frame.name}.png", encode_label_image(segmentation.labels))
             if "cutouts" in self._save and frame.image is not None:
-                self._withdrawn += self._cutouts.pop(frame.name, [])
+                self._pictures.begin(frame.name)
                 for layer, picture in cutouts(segmentation, frame.image):
                     self._put(frame, "cutouts", f"{frame.name}-{layer}.png", encode_picture(picture))
             if "background" in self._save and background is not None and frame.image is not None:
@@ -229,8 +221,7 @@ class StreamRecord:
                         self._events.finish()
                     if self._objects is not None:
                         self._objects.write(complete=whole)
-            for _, path in self._unpublished:
-                temporary_path(path).unlink(missing_ok=True)
+            self._pictures.discard()
         except OSError as error:
             raise self._unwritable(error) from None
         if self._overlay is not None:
@@ -250,17 +241,12 @@ class StreamRecord:
 
     def _put(self, frame: SourceFrame, part: str, name: str, content: bytes) -> None:
         """Write a picture that counts once its frame is committed."""
-        if self._segments is not None:
-            self._segments.put(frame.index, part, name, content, self._events.taken_at(frame.pts))
-            return
-        path = self._folder / part / name
-        temporary_path(path).write_bytes(content)
-        self._unpublished.append((frame.index, path))
+        time = 0.0 if self._replayable else self._events.taken_at(frame.pts)
+        self._pictures.put(frame.index, part, name, content, time)
 
     def _clear_up(self) -> tuple[str, ...] | None:
         """Remove unfinished work of a killed run; return the stages that have columns in the tables."""
-        for folder in (self._folder, *(self._folder / part for part in _FOLDERS)):
-            remove_temporary(folder)
+        remove_temporary(self._folder)
         for table in self._folder.glob("*-*.parquet"):
             if int(table.stem.partition("-")[2]) >= self._log.rows:
                 table.unlink()
@@ -281,33 +267,24 @@ class StreamRecord:
         rows = [row for row in self._rows if row.frame < before]
         if not rows:
             return
-        files = [path for frame, path in self._unpublished if frame < before]
         last = rows[-1].frame
         with self._log.exclusive():
-            place = self._folder if self._segments is None else self._segment_of(rows[-1])
-            if "parquet" in self._save:
-                files += self._write_tables(rows, place)
+            if self._segments is not None:
+                self._advance(rows[-1])
+            files = self._write_tables(rows, self._pictures.folder) if "parquet" in self._save else []
             if not self._provisional:
                 files.append(self._events.draft(last + 1))
-            for path in self._withdrawn:
-                path.unlink(missing_ok=True)
             publish(files)
-            snapshot = self._snapshots.name_after(last + 1)
-            if self._segments is None:
-                self._log.add(last, snapshot, provisional=self._provisional)
-            else:
-                archived = self._segments.append(before)
-                self._log.add(
-                    last,
-                    snapshot,
-                    provisional=self._provisional,
-                    segment=self._segments.name,
-                    archived=archived,
-                )
-                self._segments.committed(before, archived)
+            archived = self._pictures.store(before)
+            self._log.add(
+                last,
+                self._snapshots.name_after(last + 1),
+                provisional=self._provisional,
+                segment=self._pictures.name,
+                archived=archived,
+            )
+            self._pictures.committed(before, archived)
             self._rows = self._rows[len(rows) :]
-            self._unpublished = [(frame, path) for frame, path in self._unpublished if frame >= before]
-            self._withdrawn = []
             self._committed = self._label_maps - sum(row.result is not None for row in self._rows)
             self._snapshots.forget_before(last + 1)
             if self._objects is not None:
@@ -316,13 +293,12 @@ class StreamRecord:
                 self._segments.merge(self._log)
                 self._forget_deleted()
 
-    def _segment_of(self, row: FrameRow) -> Path:
-        """Return the folder of the segment that a commit with this last row belongs to."""
+    def _advance(self, row: FrameRow) -> None:
+        """Begin another segment if a commit with this last row is the first of one."""
         assert self._segments is not None
         if self._segments.advance(self._events.taken_at(row.pts)) and self._overlay is not None:
             self._overlay.close()
             self._overlay = None  # the next frame begins another
-        return self._segments.folder
 
     def _forget_deleted(self) -> None:
         """Take out of the lists what is from before the oldest segment that is left."""
@@ -362,11 +338,3 @@ def has_snapshot(folder: Path) -> bool:
     commits = permanent(read_commits(folder))
     newest = commits[-1].snapshot if commits else None
     return newest is not None and (folder / SNAPSHOTS / newest).exists()
-
-
-def _by_frame(cutouts: Path) -> dict[str, list[Path]]:
-    """List existing cut-outs by the names of their frames; none without the folder."""
-    found: dict[str, list[Path]] = {}
-    for path in cutouts.glob("*.png"):
-        found.setdefault(path.stem.rpartition("-")[0], []).append(path)
-    return found

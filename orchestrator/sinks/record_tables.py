@@ -105,23 +105,35 @@ def read_rows(folder: Path, begin: int = 0, end: float = math.inf) -> Iterator[F
         paths = [_part_of(folder, name, commit) for name in TABLES]
         if not all(path.exists() for path in paths):
             continue
-        of_layers, of_frames = map(_without_times, paths)
+        of_layers, of_frames = (_without_times(path, begin, end) for path in paths)
         layer = next(of_layers, None)
         for row in of_frames:
             layers = []
             while layer is not None and layer["frame"] <= row["frame"]:
-                layers.append(layer)
+                if layer["frame"] == row["frame"]:
+                    layers.append(layer)
                 layer = next(of_layers, None)
             if begin <= row["frame"] < end:
                 result = None if row["name"] is None else _result(row, layers)
                 yield FrameRow(row["frame"], row["pts"], row["status"], result, row["name"])
 
 
-def _without_times(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a part without the columns of stage times, which are half of its columns."""
+def _without_times(path: Path, begin: int, end: float) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a part without the columns of stage times, which are half of its columns.
+
+    Groups of rows that are all before ``begin``, or from ``end`` on, are left out.
+    """
     with pq.ParquetFile(path) as part:
-        columns = [name for name in part.schema_arrow.names if not name.startswith("ms_")]
-        for batch in part.iter_batches(_BATCH_ROWS, columns=columns):
+        names = part.schema_arrow.names
+        columns = [name for name in names if not name.startswith("ms_")]
+        groups = (part.metadata.row_group(number) for number in range(part.num_row_groups))
+        frames = [group.column(names.index("frame")).statistics for group in groups]
+        wanted = [
+            number
+            for number, span in enumerate(frames)
+            if span is None or not span.has_min_max or (span.max >= begin and span.min < end)
+        ]
+        for batch in part.iter_batches(_BATCH_ROWS, row_groups=wanted, columns=columns):
             yield from batch.to_pylist()
 
 

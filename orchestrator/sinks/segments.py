@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -126,7 +126,10 @@ class Segments:
         """Add a picture of a frame, taken at a time; it is written once that frame is committed."""
         self._pictures.append(_Picture(frame, part, name, content, int(time)))
 
-    def append(self, before: float) -> dict[str, int]:
+    def begin(self, frame: str) -> None:
+        """Begin a frame: archives have nothing of it from before the run was resumed."""
+
+    def store(self, before: float) -> dict[str, int]:
         """Append the pictures of the frames before a number; return the lengths that are to be committed."""
         due = [one for one in self._pictures if one.frame < before]
         lengths = dict(self._lengths)
@@ -136,10 +139,14 @@ class Segments:
             lengths[part] = append_pictures(path, lengths.get(part, 0), pictures)
         return lengths
 
-    def committed(self, before: float, lengths: dict[str, int]) -> None:
+    def committed(self, before: float, archived: Mapping[str, int]) -> None:
         """Note that the pictures of the frames before a number count, and how long the archives are."""
         self._pictures = [one for one in self._pictures if one.frame >= before]
-        self._lengths = lengths
+        self._lengths = dict(archived)
+
+    def discard(self) -> None:
+        """Forget what was not committed."""
+        self._pictures = []
 
     def merge(self, log: CommitLog) -> None:
         """Merge the tables of the closed segments, one after the other, beside the work on the frames."""
