@@ -230,7 +230,7 @@ class ObjectList:
         if before is not None:
             shown = {layer.layer for layer in result.layers}
             for place, layer in enumerate(before.layers):
-                if layer.layer not in shown:
+                if layer.layer not in shown and layer.layer in objects:
                     objects[layer.layer].ending = ending(place, before, result, cut=row.status == "cut")
         self.state.label_maps += 1
         self.state.newest, self._shown = (row.frame, row.pts), result

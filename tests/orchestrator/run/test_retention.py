@@ -13,6 +13,7 @@ from record_fakes import write_run
 from segment_fakes import BEGAN, Camera
 
 from mlbs_actors.errors import ConfigError
+from orchestrator.command import run_command
 from orchestrator.command_line import parse
 from orchestrator.disk_use import bytes_by_kind
 from orchestrator.disk_use import main as disk_use
@@ -57,6 +58,12 @@ def test_limits_are_an_age_and_a_size() -> None:
     again = parse(arguments.command("again")[3:])
     assert (again.keep, again.segment) == (arguments.keep, 3600)
     assert parse(["rtsp://host/x"]).segment is None
+
+
+def test_a_run_without_a_camera_refuses_limits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["demo", "--keep", "7d", "--output", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.startswith("--segment and --keep are for cameras, of which this run has none")
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_oldest_segments_of_all_cameras_go_until_the_rest_is_small_enough(tmp_path: Path) -> None:
