@@ -98,7 +98,6 @@ def run(
     job = _Job(streams, arguments, config, folder, live)
     memory = node_memory()
     limit = places(memory, cores())
-    _refuse_to_keep_files(arguments, job.specs)
     retention = None if arguments.keep is None else Retention(folder.path, arguments.keep, _say)
     status = StatusFile(
         folder.path / "status.json", kept=None if retention is None else lambda: retention.figures
@@ -268,14 +267,6 @@ class _Job:
             replayable=replayable,
             path=stream.source.path,
             ignored=self._arguments.ignored.mask_of(stream.name),
-        )
-
-
-def _refuse_to_keep_files(arguments: Arguments, specs: Sequence[StreamSpec]) -> None:
-    if arguments.segment is not None and not arguments.watch and all(spec.replayable for spec in specs):
-        raise ConfigError(
-            "--segment and --keep are for cameras, of which this run has none; leave them out. "
-            "The record of a file is always kept whole."
         )
 
 
