@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from orchestrator.run.durable_files import publish, remove_temporary, temporary_path
+from orchestrator.run.durable_files import remove_temporary, temporary_path
 
 __all__ = ["PictureFolders"]
 
@@ -53,11 +53,14 @@ class PictureFolders:
         temporary_path(path).write_bytes(content)
         self._unpublished.append((frame, path))
 
-    def store(self, before: float) -> dict[str, int]:
-        """Publish the pictures of the frames before a number."""
+    def drafts(self, before: float) -> list[Path]:
+        """Return the pictures of the frames before a number, to be published; delete what they replace."""
         for path in self._withdrawn:
             path.unlink(missing_ok=True)
-        publish(path for frame, path in self._unpublished if frame < before)
+        return [path for frame, path in self._unpublished if frame < before]
+
+    def append(self, before: float) -> dict[str, int]:
+        """Append to no archive."""
         return {}
 
     def committed(self, before: float, archived: Mapping[str, int]) -> None:

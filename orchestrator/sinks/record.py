@@ -271,11 +271,13 @@ class StreamRecord:
         with self._log.exclusive():
             if self._segments is not None:
                 self._advance(rows[-1])
-            files = self._write_tables(rows, self._pictures.folder) if "parquet" in self._save else []
+            files = self._pictures.drafts(before)
+            if "parquet" in self._save:
+                files += self._write_tables(rows, self._pictures.folder)
             if not self._provisional:
                 files.append(self._events.draft(last + 1))
             publish(files)
-            archived = self._pictures.store(before)
+            archived = self._pictures.append(before)
             self._log.add(
                 last,
                 self._snapshots.name_after(last + 1),

@@ -129,7 +129,11 @@ class Segments:
     def begin(self, frame: str) -> None:
         """Begin a frame: archives have nothing of it from before the run was resumed."""
 
-    def store(self, before: float) -> dict[str, int]:
+    def drafts(self, before: float) -> list[Path]:
+        """Return no files to publish: pictures are in archives."""
+        return []
+
+    def append(self, before: float) -> dict[str, int]:
         """Append the pictures of the frames before a number; return the lengths that are to be committed."""
         due = [one for one in self._pictures if one.frame < before]
         lengths = dict(self._lengths)
