@@ -293,9 +293,17 @@ class LayersConfig(_Section):
         0.75, ge=0, le=1, description="Bhattacharyya coefficient of colours that wakes a sleeping layer."
     )
     wake_px: float = Field(
-        80.0, ge=0, description="How far from its expected place a sleeping layer can wake, px."
+        80.0,
+        ge=0,
+        description="How far from its expected place a sleeping layer can wake, px; twice as far at the "
+        "end of dormant_frames, unless that is outside the frame.",
     )
-    dormant_frames: int = Field(30, ge=0, description="Frames a vanished layer is remembered.")
+    dormant_frames: int = Field(
+        90, ge=0, description="Frames a vanished layer is remembered that has moved often."
+    )
+    fleeting_frames: int = Field(
+        30, ge=0, description="The same for one that has not; at most as long as the others."
+    )
 
 
 class MotionConfig(_Section):

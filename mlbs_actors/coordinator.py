@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -61,6 +62,7 @@ from mlbs_actors.tracking.frame_buffer import (
     relabelled,
 )
 from mlbs_actors.tracking.tracker import Tracked, track
+from mlbs_actors.tracking.trajectories import TrackFunction, follow_trajectories
 
 __all__ = ["Coordinator"]
 
@@ -113,6 +115,8 @@ class Coordinator:
         The caller's own flow, in place of ``config.flow.method``.
     ignored : (h, w) bool, optional
         Mask of what is fixed in the picture, whatever is found by itself; scaled to the frame.
+    tracks : TrackFunction, optional
+        The caller's own point tracker: trajectories follow it in place of the flow.
     """
 
     def __init__(
@@ -121,10 +125,12 @@ class Coordinator:
         state: CoordinatorState | None = None,
         flow: FlowFunction | None = None,
         ignored: Array | None = None,
+        tracks: TrackFunction | None = None,
     ) -> None:
         self.config = config
         self.flow = flow
         self.ignored = ignored
+        self.tracks = tracks
         self.state = state or CoordinatorState.beginning(config)
 
     def feedback_index(self, frame_index: int) -> int | None:
@@ -190,7 +196,7 @@ class Coordinator:
         stage_ms: dict[str, float] = {}
         with timed(stage_ms, "flow"):
             side = cell_side(shape, self.config.grid.cell_px)
-            picture = picture_of(frame, side, self.flow is not None)
+            picture = picture_of(frame, side, self.flow is not None or self.tracks is not None)
         self.state.shape = shape
         self.state.next_frame = frame_index + 1
         if concealed:
@@ -285,7 +291,17 @@ class Coordinator:
         with timed(stage_ms, "tracking"):
             known = state.labels == BACKGROUND if state.clustered else np.ones(len(state.labels), bool)
             fixed = state.fixed if state.pictures else FixedState.beginning(picture.gray, self.ignored)
-            tracked = track(state.trajectories, known, fixed, flow, gray, picture.gray, state.shape, config)
+            follow = None
+            if self.tracks is not None:
+                follow = partial(
+                    follow_trajectories,
+                    function=self.tracks,
+                    previous=state.picture.image,
+                    current=picture.image,
+                )
+            tracked = track(
+                state.trajectories, known, fixed, flow, gray, picture.gray, state.shape, config, follow
+            )
             if flow is not None:
                 astray = rows_astray(flow, tracked.camera, length_scale(*state.shape))
                 if not state.unsettled and is_torn(astray, state.astray):

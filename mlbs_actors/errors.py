@@ -9,6 +9,7 @@
     ├── SolverError      evidence that determines no motion field
     ├── LayerError       a layer that failed
     ├── ActorLostError   a process of a stream that was lost: the stream can go back to its last snapshot
+    ├── NoPlaceError     no node can take a stream now: it waits
     ├── SnapshotError    a snapshot that is damaged or of another version
     └── SinkError        results that cannot be written
 
@@ -24,6 +25,7 @@ __all__ = [
     "FrameError",
     "LayerError",
     "MlbsError",
+    "NoPlaceError",
     "SinkError",
     "SnapshotError",
     "SolverError",
@@ -57,6 +59,10 @@ class LayerError(MlbsError):
 
 class ActorLostError(MlbsError):
     """A process of a stream was lost; the stream can go back to its last snapshot."""
+
+
+class NoPlaceError(MlbsError):
+    """No node of a cluster can take a stream now; it waits until one joins."""
 
 
 class SnapshotError(MlbsError):

@@ -309,6 +309,9 @@ class LayerSummary:
         Mean posterior of the label over its pixels, in [0, 1].
     state : {"moving", "resting"}
         Whether it has moved against the camera lately.
+    score : float
+        Expected intersection over union of its pixels with the object, in [0, 1]
+        (:mod:`mlbs_actors.segmentation.mask_score`).
     part_of : int
         Layer that it is a part of, 0 if it is an object of its own; always 0 in what is published.
     """
@@ -321,6 +324,7 @@ class LayerSummary:
     velocity: tuple[float, float]
     confidence: float
     state: ObjectState = "moving"
+    score: float = 0.0
     part_of: int = 0
 
     @property
@@ -365,6 +369,10 @@ class Segmentation:
     status : FrameStatus
     picture_index : int, optional
         Frame that the labels were found in, if that is not this one.
+    camera : (3, 3) float64, optional
+        Homography that takes homogeneous pixels of this frame to where they were in the last picture if they
+        belong to the background; the identity if this frame shows no picture. None where that is unknown: in
+        the first picture of a scene, and in one that tells too little.
     normaliser, fallback
         Internal: what the layers need in the next frame. ``normaliser`` is (rows, columns) uint8: for each
         cell of the layers' posteriors (:mod:`mlbs_actors.cells`), −log Z in units of ``COST_STEP`` nats, Z
@@ -384,6 +392,7 @@ class Segmentation:
     stage_ms: Mapping[str, float] = field(default_factory=dict, repr=False)
     status: FrameStatus = "ok"
     picture_index: int | None = None
+    camera: Array | None = field(default=None, repr=False)
 
     @property
     def evaluated_frame(self) -> int:
@@ -408,7 +417,7 @@ class Segmentation:
         Returns
         -------
         supervision.Detections
-            In ascending layer id: ``xyxy`` (n, 4) px, ``mask`` (n, H, W) bool, ``confidence`` (n,),
+            In ascending layer id: ``xyxy`` (n, 4) px, ``mask`` (n, H, W) bool, ``confidence`` (n,) the score,
             ``tracker_id`` (n,) the layer ids, ``class_id`` (n,) 0, for all that moves is of one class, and
             ``data["velocity"]`` (n, 2) px/frame.
 
@@ -427,7 +436,7 @@ class Segmentation:
         return supervision.Detections(
             xyxy=xyxy.astype(np.float32),
             mask=self.labels == ids[:, None, None],
-            confidence=np.array([layer.confidence for layer in self.layers], np.float32),
+            confidence=np.array([layer.score for layer in self.layers], np.float32),
             class_id=np.zeros(len(ids), np.int64),
             tracker_id=ids,
             data={"velocity": np.array([layer.velocity for layer in self.layers], np.float32).reshape(-1, 2)},

@@ -26,6 +26,7 @@ from mlbs_actors.result import Result
 from mlbs_actors.segmentation.attached_parts import join_parts
 from mlbs_actors.segmentation.segmenter import Segmenter, SegmenterState
 from mlbs_actors.state_file import capture
+from mlbs_actors.tracking.trajectories import TrackFunction
 from mlbs_actors.video_file import video_frames
 
 __all__ = ["MultilayerSubtractor"]
@@ -66,6 +67,10 @@ class MultilayerSubtractor:
     ignored : (h, w) bool, optional
         Mask of what is no part of the scene, such as a logo or a bonnet; scaled to the frame. Most of it is
         found without.
+    tracks : callable, optional
+        Your own point tracker, which trajectories follow in place of the flow: maps two frames (H, W, 3)
+        uint8 BGR and points of the first, (n, 2) float32, (x, y) in px, to their places in the second, (n, 2)
+        float, and to whether they are seen there, (n,) bool. Where new ones begin is decided here.
 
     Raises
     ------
@@ -100,6 +105,7 @@ class MultilayerSubtractor:
         inspector: Callable[[FrameInspection], None] | None = None,
         flow: FlowFunction | None = None,
         ignored: Array | None = None,
+        tracks: TrackFunction | None = None,
     ) -> None:
         if config is not None and not isinstance(config, Config):
             raise ConfigError(f"Give a Config, not {config!r}; load_config reads one from a file.")
@@ -110,7 +116,7 @@ class MultilayerSubtractor:
             )
         self.config = config or Config()
         self._inspector = inspector
-        self._coordinator = Coordinator(self.config, flow=flow, ignored=ignored)
+        self._coordinator = Coordinator(self.config, flow=flow, ignored=ignored, tracks=tracks)
         self._segmenter = Segmenter(self.config)
         self._layers: dict[int, Layer] = {}
         self._waiting: dict[int, Array] = {}
@@ -133,7 +139,8 @@ class MultilayerSubtractor:
             )
             return {
                 "arguments": (
-                    self.config, self._inspector, self._coordinator.flow, self._coordinator.ignored
+                    self.config, self._inspector, self._coordinator.flow, self._coordinator.ignored,
+                    self._coordinator.tracks,
                 ),
                 "tags": self._tags,
                 "state": capture(state),
@@ -143,7 +150,7 @@ class MultilayerSubtractor:
         self.__init__(*pickled["arguments"])  # type: ignore[misc]
         state = pickled["state"].state(_SubtractorState)
         made = self._coordinator
-        self._coordinator = Coordinator(self.config, state.coordinator, made.flow, made.ignored)
+        self._coordinator = Coordinator(self.config, state.coordinator, made.flow, made.ignored, made.tracks)
         self._segmenter = Segmenter(self.config, state.segmenter)
         self._layers = {
             layer: Layer(self.config, layer, one.kind, one.state) for layer, one in state.layers.items()
@@ -172,7 +179,7 @@ class MultilayerSubtractor:
         Raises
         ------
         FrameError
-            If the frame has another type, or a flow function did not return a flow.
+            If the frame has another type, or a flow or tracks function returned something else.
         MlbsError
             If called by another thread, or the inspector, during a frame; that frame is finished.
         """

@@ -45,7 +45,8 @@ or https://HOST/PATH (MJPEG), /dev/videoN, demo or another made scene, synthetic
 a folder or a glob of videos is a stream for each of them; so is a glob of folders of images, such as
 'DAVIS/JPEGImages/480p/*', and of images in many folders, 'moseg_dataset/*/*.ppm'
 a stream is named after the last part of its source's path; of several clip.mp4 the second one is clip-2
-a camera is read until --max-frames or a signal; one that goes away is tried again until it is back
+a camera is read until --max-frames or a signal; one that is away, also at the start, is tried again for ever,
+or for --give-up-after SECONDS
 
 the list of streams, one a line (shell quoting, # comments, relative paths count from the list's folder):
   SOURCE
@@ -74,12 +75,12 @@ afterwards:
   python -m orchestrator.report DIR              report.html anew, also of a run that was killed
 
 exit status:
-  0    every stream was segmented to its end
+  0    every stream was segmented to its end; that of a camera without --max-frames is SIGINT or SIGTERM
   1    a stream failed, or is partial (damaged or cut off; what could be read is kept)
   2    the command, the configuration or the list cannot be used, or no stream has a source;
        nothing was started
-  130, 143  interrupted by SIGINT or SIGTERM; what was read is kept. A second signal ends it at once.
-            Both, and a killed run, go on with --resume.
+  130, 143  interrupted by SIGINT or SIGTERM before the end of another stream; what was read is kept
+a second signal ends the run at once, with 130 or 143; it goes on with --resume, as does a killed one
 """
 
 
@@ -126,6 +127,10 @@ class Arguments:
         Length of the segments of cameras, s; None for no segments.
     keep : Keep, optional
         How much of the record of cameras is kept; None for all.
+    give_up_after : int, optional
+        Time without a picture after which a camera is given up, s.
+    places : int, optional
+        Streams at once, whatever they take.
     """
 
     sources: tuple[str, ...]
@@ -146,6 +151,8 @@ class Arguments:
     watch: bool
     segment: int | None
     keep: Keep | None
+    give_up_after: int | None
+    places: int | None
 
     def command(self, output: str) -> list[str]:
         """Return the arguments that start the same run from any folder, with another output folder."""
@@ -181,6 +188,10 @@ class Arguments:
             words += [word for limit in self.keep.words for word in ("--keep", limit)]
         if self.watch:
             words.append("--watch")
+        if self.give_up_after is not None:
+            words += ["--give-up-after", str(self.give_up_after)]
+        if self.places is not None:
+            words += ["--places", str(self.places)]
         return words
 
 
@@ -206,8 +217,6 @@ def parse(argv: Sequence[str]) -> Arguments:
         ("--ray-metrics", [given.ray_metrics]),
     ):
         refuse_source_behind(flag, words)
-    if given.resume and given.watch:
-        raise ConfigError("--watch cannot go with --resume; leave one of them out.")
     if given.watch and given.streams is None:
         raise ConfigError(
             "--watch reads a list again; write your sources into one and name it with --streams."
@@ -244,6 +253,8 @@ def parse(argv: Sequence[str]) -> Arguments:
         watch=given.watch,
         segment=parse_segment(given.segment) if given.segment else HOUR if keep else None,
         keep=keep,
+        give_up_after=given.give_up_after,
+        places=given.places,
     )
 
 
@@ -365,8 +376,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="continue the run in DIR that was killed or interrupted; all other options must be the same, "
-        "without --watch; cameras continue after a row gap",
+        help="continue the run in DIR that was killed or interrupted, or start one if there is none; all "
+        "other options must be the same; cameras continue after a row gap",
     )
     parser.add_argument(
         "--save",
@@ -422,8 +433,8 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="URL",
-        help="send events to mqtt://[USER[:PASSWORD]@]HOST[:PORT]/TOPIC, or as a POST to a webhook at "
-        "http:// or https://; for a USER without PASSWORD that of the environment variable "
+        help="send events to mqtt://[USER[:PASSWORD]@]HOST[:PORT]/TOPIC (mqtts: by TLS), or as a POST to a "
+        "webhook at http:// or https://; for a USER without PASSWORD that of the environment variable "
         f"{PASSWORD_VARIABLE} is taken; may be given again",
     )
     parser.add_argument(
@@ -444,6 +455,21 @@ def _parser() -> argparse.ArgumentParser:
         "--watch",
         action="store_true",
         help="read the list again whenever it changes: new names start, removed ones are finished, bad lines "
-        "are reported and ignored until they are corrected; the run continues until a signal",
+        "are reported and ignored until they are corrected; the run continues until a signal; with --resume "
+        "the list may also change between two runs",
+    )
+    parser.add_argument(
+        "--give-up-after",
+        type=_positive,
+        metavar="SECONDS",
+        help="end the stream of a camera that sent no picture for this long, also at the start (default: try "
+        "it again for ever)",
+    )
+    parser.add_argument(
+        "--places",
+        type=_positive,
+        metavar="N",
+        help="run N streams at once, whatever they take (default: two files a core, and cameras as long as "
+        "CPU time and memory last for what they are measured to take)",
     )
     return parser

@@ -17,6 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from mlbs_actors.wording import count_of
 from orchestrator.run.stream_state import ENDED, StreamState, frames_left
 
 __all__ = ["JsonLines", "LiveTable", "Progress", "progress_for"]
@@ -115,7 +116,8 @@ class LiveTable:
         total_left = _left(states, self._throughput.after(states))
         states = sorted(states, key=lambda state: state.rank)
         shown: list[StreamState] = []
-        room = self._console.height - 7
+        waiting = Counter(s.waits_for for s in states if s.state == "waiting" and s.waits_for)
+        room = self._console.height - 7 - _NOTE_LINES * len(waiting)
         for state in states:
             room -= 1 + _NOTE_LINES * bool(_note(state))
             if room < 0 and len(shown) >= _LEAST_SHOWN:
@@ -123,6 +125,11 @@ class LiveTable:
             shown.append(state)
         # Notes go below: a terminal of 80 columns has no room for a sentence beside the figures.
         notes = "".join(f"{state.name}: {note}\n" for state in shown if (note := _note(state)))
+        notes += "".join(
+            f"{count_of(count, 'stream')} waiting for {reason}\n"
+            for reason, count in waiting.items()
+            if reason
+        )
         table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
         for heading in ("stream", "state"):
             table.add_column(heading, no_wrap=True)
@@ -178,6 +185,8 @@ class _Throughput:
 
 
 def _note(state: StreamState) -> str:
+    if state.state == "waiting":
+        return ""  # many have the same reason
     return state.error or (f"waits for {state.waits_for}" if state.waits_for else state.memory_note or "")
 
 

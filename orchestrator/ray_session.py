@@ -2,7 +2,7 @@
 
 Anybody who reaches Ray's ports can run code. So our own session listens on this machine only, requires a
 token that only this user can read, and has no dashboard. A cluster is joined only with ``--address``:
-``RAY_ADDRESS`` in the environment is ignored.
+``RAY_ADDRESS`` in the environment, which Ray sets for submitted jobs, counts only with ``--address auto``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError, MlbsError
@@ -67,7 +67,9 @@ def ray_settings(address: str | None) -> Iterator[Path]:
     _remove_abandoned()
     scratch, own = _new_scratch()
     # Nor may a late call, after the end of the run, start a session of another kind.
-    settings: dict[str, str | None] = {"RAY_ADDRESS": None, "RAY_ENABLE_AUTO_CONNECT": "0"}
+    settings: dict[str, str | None] = {"RAY_ENABLE_AUTO_CONNECT": "0"}
+    if address != "auto":
+        settings["RAY_ADDRESS"] = None
     if address is None:
         token = scratch / "token"
         token.touch(mode=0o600)
@@ -82,6 +84,8 @@ def ray_settings(address: str | None) -> Iterator[Path]:
             # Reporting every call to a dashboard that does not exist costs some per cent of the call.
             "RAY_task_events_report_interval_ms": "0",
             "RAY_event_stats": "0",
+            # Without it Ray 2.51 warns of what it will do to processes that ask for no GPU.
+            "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
             # Ray sets its processes to niceness 15. Beside such processes one of SCHED_IDLE, which is being
             # prepared, gets a thirteenth of a core, in one piece: frames waited 50 ms.
             "RAY_worker_niceness": "0",
@@ -186,9 +190,19 @@ def ray_session(address: str | None, scratch: Path, metrics_port: int | None = N
     try:
         yield
     finally:
+        if address is not None:
+            _withdraw_demand()
         # At its end Ray prints repeated warnings that it has held back; standard output is for the progress.
         with redirect_stdout(io.StringIO()):
             ray.shutdown()
+
+
+def _withdraw_demand() -> None:
+    """Tell the cluster's autoscaler that no more nodes are needed; it would remember what streams needed."""
+    from ray.autoscaler.sdk import request_resources
+
+    with suppress(Exception):  # such as a cluster that has ended
+        request_resources(bundles=[])
 
 
 def _refuse_unreachable(address: str) -> None:
@@ -196,6 +210,8 @@ def _refuse_unreachable(address: str) -> None:
     if address == "auto":
         return
     host, _, port = address.rpartition(":")
+    if not (host and port.isdecimal()):
+        raise ValueError("an address is HOST:PORT, or auto")
     with socket.create_connection((host, int(port)), timeout=_CONNECT_SECONDS):
         return
 

@@ -15,9 +15,10 @@ import numpy as np
 
 from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.messages import Array, LayerAppearance, LayerSummary, Region, Segmentation
+from orchestrator.events.scene import resizing
 from orchestrator.sinks.record import StreamRecord
 
-__all__ = ["FullSizeRecord", "ShrinkingReader", "enlarged", "shrunk"]
+__all__ = ["FullSizeRecord", "ShrinkingReader", "enlarged", "labels_in_size", "resized", "shrunk"]
 
 
 class ShrinkingReader:
@@ -68,27 +69,36 @@ class FullSizeRecord(StreamRecord):
 
 def shrunk(image: Array, max_side: int) -> Array:
     """Shrink an (H, W, 3) uint8 image so that no side is longer than ``max_side`` px; never enlarge it."""
+    return resized(image, min(max_side, max(image.shape[:2])))
+
+
+def resized(image: Array, longer_side: int) -> Array:
+    """Shrink or enlarge an (H, W, 3) uint8 image so that its longer side has so many px."""
     height, width = image.shape[:2]
-    share = min(1.0, max_side / max(height, width))
+    share = longer_side / max(height, width)
     size = (max(1, round(width * share)), max(1, round(height * share)))
-    return (
-        image
-        if size == (width, height)
-        else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
-    )
+    if size == (width, height):
+        return image
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if share < 1 else cv2.INTER_CUBIC))
 
 
 def enlarged(segmentation: Segmentation, shape: tuple[int, int]) -> Segmentation:
     """Enlarge the segmentation of a smaller picture to ``shape`` (H, W)."""
-    if segmentation.labels.shape == shape:
+    small = segmentation.labels.shape
+    if small == shape:
         return segmentation
-    per_px = (shape[1] / segmentation.labels.shape[1], shape[0] / segmentation.labels.shape[0])
-    labels = _nearest(segmentation.labels, shape)
+    per_px = (shape[1] / small[1], shape[0] / small[0])
+    camera = segmentation.camera
+    if camera is not None:
+        enlarging = resizing(small, shape)
+        camera = enlarging @ camera @ np.linalg.inv(enlarging)
+    labels = labels_in_size(segmentation.labels, shape)
     return replace(
         segmentation,
         labels=labels,
         layers=tuple(_measured(layer, labels, per_px) for layer in segmentation.layers),
         camera_motion=_scaled(segmentation.camera_motion, per_px),
+        camera=camera,
     )
 
 
@@ -99,11 +109,12 @@ def _enlarged_appearance(background: LayerAppearance, shape: tuple[int, int]) ->
         background,
         region=Region(0, 0, width, height),
         colours=np.asarray(cv2.resize(background.colours, (width, height), interpolation=cv2.INTER_LINEAR)),
-        known=_nearest(background.known, shape),
+        known=labels_in_size(background.known, shape),
     )
 
 
-def _nearest(array: Array, shape: tuple[int, int]) -> Array:
+def labels_in_size(array: Array, shape: tuple[int, int]) -> Array:
+    """Bring an (h, w) label map or mask to ``shape`` (H, W) by nearest neighbour."""
     rows, columns = (
         # The pixel at the centre of each new one.
         np.minimum((2 * np.arange(new) + 1) * old // (2 * new), old - 1)

@@ -8,7 +8,9 @@ import pytest
 
 from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.messages import Array
-from orchestrator.evaluation.metrics import count_overlap, id_switches, match_objects, object_level
+from orchestrator.evaluation.metrics import match_objects, object_level
+from orchestrator.evaluation.overlap import count_overlap
+from orchestrator.evaluation.track_metrics import id_switches
 from orchestrator.sources.synthetic import scene
 
 FRAMES = 12

@@ -14,7 +14,8 @@ import pytest
 from PIL import Image
 
 from mlbs_actors import MultilayerSubtractor
-from orchestrator.evaluation.metrics import count_overlap, object_level, two_label
+from orchestrator.evaluation.metrics import object_level, two_label
+from orchestrator.evaluation.overlap import count_overlap
 from orchestrator.sources.synthetic import scene
 
 SEQUENCES = ("cars1", "cars2", "cars4", "cars5", "people1")

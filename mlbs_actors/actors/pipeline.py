@@ -21,6 +21,7 @@ from mlbs_actors.actors.node.burst_limiter import BurstLimiter
 from mlbs_actors.actors.node.failures import COORDINATOR, POOL, SEGMENTER, explain
 from mlbs_actors.actors.node.pool import PoolActor, PoolCensus, PoolPolicy
 from mlbs_actors.actors.node.processes import Handle, Reference, end, identity, spawn, spawn_standby
+from mlbs_actors.actors.node.reservation import Reservation
 from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.stream.coordinator_actor import CoordinatorActor, StreamLinks
 from mlbs_actors.actors.stream.live_reader import LiveReaderActor
@@ -112,13 +113,29 @@ class Node:
         self._repairing = Lock()
         self._closed = False
 
-    def start(self, spec: StreamSpec, before: RunningStream | None = None) -> StreamActors:
-        """Create a stream's actors and return at once; errors are raised by ``advance``."""
+    def start(
+        self, spec: StreamSpec, before: RunningStream | None = None, *, reservation: Reservation | None = None
+    ) -> StreamActors:
+        """Create a stream's actors and return at once; errors are raised by ``advance``.
+
+        Parameters
+        ----------
+        spec : StreamSpec
+        before : RunningStream, optional
+            See :meth:`StreamHost.start`.
+        reservation : Reservation, optional
+            A granted one of this node, for the stream; it must last as long as its reader.
+        """
+        run = next(self._runs)
         reader = before.living_reader if isinstance(before, StreamActors) else None
         if reader is None:
-            kind = ReaderActor if spec.replayable else LiveReaderActor
-            reader = spawn(kind, spec.open_reader, node=self._node)
-        run = next(self._runs)
+            reader = spawn(
+                ReaderActor if spec.replayable else LiveReaderActor,
+                spec.open_reader,
+                node=self._node,
+                reservation=reservation,
+                name=f"{spec.name}, start {run} on {self._node[:8]}",
+            )
         coordinator, segmenter = self._take_standby()
         sink = self._sinks[run % len(self._sinks)]
         return StreamActors(
@@ -343,7 +360,9 @@ class StreamActors:
     def _ask_for_burst(self) -> Future[StreamProgress]:
         self._wake()
         frames = _SHORT_BURST if self._live or self._bursts < _SHORT_BURSTS else _LONG_BURST
-        return self._explained(self._coordinator.advance.remote(frames))
+        # The process is listed under the name of its call.
+        named = self._coordinator.advance.options(name=f"CoordinatorActor.advance of {self._name}")
+        return self._explained(named.remote(frames))
 
     def _explained(self, reference: Reference) -> Future[StreamProgress]:
         """Translate Ray's errors in an answer's future into this package's."""

@@ -118,8 +118,8 @@ class LayerRegistry:
     def lasting_layers(self) -> set[int]:
         """Return the layers, but "other", that are objects however long they rest: they have moved often."""
         state = self.state
-        lasting = (state.labels > BACKGROUND) & ~state.pooled
-        return set(state.labels[lasting & (state.moving >= self.config.moving_clusterings)].tolist())
+        lasting = (state.labels > BACKGROUND) & ~state.pooled & self._has_moved_often()
+        return set(state.labels[lasting].tolist())
 
     def resting_layers(self) -> tuple[int, ...]:
         """Return the layers, but "other", that have not moved for ``RESTED_CLUSTERINGS``; ascending."""
@@ -184,6 +184,10 @@ class LayerRegistry:
             self.state = self.state.with_candidate(frame_index, origin)
         return labels
 
+    def _has_moved_often(self) -> Array:
+        """Return for each row whether it is an object however long it rests, (k,) bool."""
+        return np.asarray(self.state.moving >= self.config.moving_clusterings)
+
     def _objects(self) -> dict[int, int]:
         """Map each label to the object that it is, or belongs to as a candidate; −1 if none."""
         labels, origins = self.state.labels.tolist(), self.state.origins.tolist()
@@ -227,7 +231,7 @@ class LayerRegistry:
         state.seen[enough] = state.tracked[enough] = frame_index
         state.centroids[enough], state.velocities[enough] = means[enough, :2], -means[enough, 2:]
         fresh, known = colour_signatures(rows, colours, len(state.labels))[enough], state.signatures[enough]
-        # A new histogram has weight 0.1, the first one weight 1.
+        # A frame has weight 0.1, the first one weight 1.
         share = np.where(known.any(axis=1), np.float32(0.1), np.float32(1))[:, None]
         state.signatures[enough] = np.float32(0.9) * known + share * fresh
         coasting: Array = ~enough & (state.labels > 0) & (state.seen == frame_index - 1)
@@ -238,7 +242,9 @@ class LayerRegistry:
         awake: Array = np.append(enough | coasting, True)  # the last for those of no known label
         labels = np.where(awake[rows], labels, UNLABELLED)
         asleep = frame_index - state.seen
-        keep = np.where(state.labels > 0, asleep <= self.config.dormant_frames, asleep == 0)
+        longest = np.where(self._has_moved_often(), np.inf, self.config.fleeting_frames)
+        remembered = asleep <= np.minimum(longest, self.config.dormant_frames)
+        keep = np.where(state.labels > 0, remembered, asleep == 0)
         if not keep.all():
             self.state = self.state.select(keep)
         if not self.state.pooled.any():

@@ -39,7 +39,7 @@ class RegistryState:
     centroids, velocities : (k, 2) float64
         Mean position (px) and forward motion (px/frame) when last seen.
     signatures : (k, SIGNATURE_BINS³) float32
-        Colour histogram, sum 1 (0 before the first).
+        Colours of its trajectories: a histogram that fades by a tenth a frame (0 before the first).
     pooled : (k,) bool
         Shares the layer "other".
     next_layer : int

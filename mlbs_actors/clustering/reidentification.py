@@ -1,6 +1,8 @@
 """Re-identification: whether a new cluster is an object that was lost, by its colours and its place (§4).
 
-Differs from the paper, which never resumes an object.
+Differs from the paper, which never resumes an object. The longer an object has been hidden, the farther it
+can be from where it is expected. What tells it from others are the colours of all its trajectories, so that
+those of the last edge that disappeared weigh little.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ class Sighting:
     centroids, velocities : (k, 2) float64
         Mean position (px) and forward motion (px/frame).
     signatures : (k, SIGNATURE_BINS³) float32
-        Of :func:`colour_signatures`.
+        Colour histograms, of any sum.
     """
 
     seen: Array
@@ -53,7 +55,7 @@ def colours_at(frame: Array, positions: Array) -> Array:
 
 @compiled
 def colour_signatures(rows: Array, colours: Array, count: int) -> Array:
-    """Compute normalised colour histograms of groups of pixels.
+    """Compute colour histograms of groups of pixels.
 
     Parameters
     ----------
@@ -66,18 +68,15 @@ def colour_signatures(rows: Array, colours: Array, count: int) -> Array:
     Returns
     -------
     (count, SIGNATURE_BINS³) float32
-        Sum 1, or 0 for a group without pixels.
+        Numbers of pixels.
     """
-    histograms, pixels = np.zeros((count, SIGNATURE_BINS**3), np.float32), np.zeros(count, np.float32)
+    histograms = np.zeros((count, SIGNATURE_BINS**3), np.float32)
     for i in range(rows.size):
         if rows[i] >= 0:
             place = np.int64(0)
             for channel in range(3):
                 place = place * SIGNATURE_BINS + np.int64(colours[i, channel]) * SIGNATURE_BINS // 256
             histograms[rows[i], place] += 1
-            pixels[rows[i]] += 1
-    for row in range(count):
-        histograms[row] /= max(pixels[row], np.float32(1))
     return histograms
 
 
@@ -96,6 +95,7 @@ def best_sleeper(
     centroid : (2,) float64
         Of the cluster, px.
     signature : (SIGNATURE_BINS³,) float32
+        Its colour histogram, of any sum.
     sleepers : Sighting
     frame_index : int
         The present frame.
@@ -110,15 +110,17 @@ def best_sleeper(
     best, chosen = config.wake_similarity, None
     for row, gap in enumerate(frame_index - sleepers.seen):
         expected = sleepers.centroids[row] + gap * sleepers.velocities[row]
-        places = [expected]
+        places, within = [expected], config.wake_px * length_scale(*shape)
         if (expected >= 0).all() and (expected < shape[::-1]).all():
-            # It may have been slower than expected, unless it has left the frame: a cluster where it left is
-            # another object.
+            # It is hidden, and may have been slower than expected, or have turned. If it has left the frame,
+            # a cluster where it left is another object.
             places.append(sleepers.centroids[row])
-        nearest = min(float(np.hypot(*(centroid - place))) for place in places)
-        if nearest > config.wake_px * length_scale(*shape):
+            within *= 1 + gap / max(config.dormant_frames, 1)
+        if min(float(np.hypot(*(centroid - place))) for place in places) > within:
             continue
-        likeness = float(np.sqrt(signature * sleepers.signatures[row]).sum())
+        known = sleepers.signatures[row]
+        pairs = float(signature.sum()) * float(known.sum())
+        likeness = float(np.sqrt(signature * known).sum()) / max(pairs, 1.0) ** 0.5
         if likeness > best:
             best, chosen = likeness, row
     return chosen

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
 
-__all__ = ["has_machine_code", "machine_code_folder"]
+__all__ = ["has_machine_code", "machine_code_folder", "package_digest"]
 
 _PACKAGE = Path(__file__).parents[1]
 _FOLDERS = "kernels-*"
@@ -38,7 +38,7 @@ def machine_code_folder() -> Path:
     ConfigError
         If neither can be written to.
     """
-    name = _FOLDERS.replace("*", _digest(_PACKAGE))
+    name = _FOLDERS.replace("*", package_digest())
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     for parent in (_PACKAGE / "__pycache__", cache / "mlbs-actors"):
         try:
@@ -54,11 +54,11 @@ def machine_code_folder() -> Path:
     )
 
 
-def _digest(package: Path) -> str:
-    """Hash the names and contents of all modules of a package."""
+def package_digest() -> str:
+    """Hash the names and contents of all modules of the package."""
     digest = hashlib.sha256()
-    for path in sorted(package.rglob("*.py")):
-        digest.update(f"{path.relative_to(package)}\n".encode())
+    for path in sorted(_PACKAGE.rglob("*.py")):
+        digest.update(f"{path.relative_to(_PACKAGE)}\n".encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -3,15 +3,16 @@
 A limb that moves by itself for long enough is a layer of its own, with its own motion and colours, which is
 how it is segmented best. But it is not another object. A layer that appears in contact with a larger one, or
 touches it widely in its first frames, is its part, and has its id in what is published, until the two have
-been apart for some frames: then it is an object from there on. Layers that have met later, such as people
-who pass each other, are two objects however closely they touch.
+been apart for some frames: then it is an object from there on. Where the larger one vanishes and most of the
+object is still there in a part, say because a dancer has turned over, the part goes on as that object. Layers
+that have met later, such as people who pass each other, are two objects however closely they touch.
 
 Not in the paper, where each layer is an object.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -35,6 +36,10 @@ _FIRST_FRAMES = 4
 _LARGEST_PART = 0.7
 #: A part is an object after more frames than this without contact.
 _MOST_APART = 6
+#: A part of at least this share of its object's usual area goes on as the object when the rest has vanished.
+_MOST_OF_IT = 0.5
+#: Weight of a frame in the usual area.
+_AREA_WEIGHT = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,17 +56,21 @@ class PartsState:
         Layer that it is a part of, 0 if it is an object of its own.
     apart : (k,) int64
         Frames since a part was last in contact with its object.
+    usual : (k,) float64
+        Usual area of the object that it is, or is a part of, in rows and columns that are looked at.
     """
 
     layers: Array
     appeared: Array
     part_of: Array
     apart: Array
+    usual: Array
 
     @staticmethod
     def empty() -> PartsState:
         """Before the first layer."""
-        return PartsState(*(np.zeros(0, np.int64) for _ in range(4)))
+        none = np.zeros(0, np.int64)
+        return PartsState(none, none, none, none, np.zeros(0))
 
     def objects(self) -> dict[int, int]:
         """Return layer → the layer that it is a part of, of all parts."""
@@ -80,6 +89,7 @@ class _Layer:
     appeared: int
     part_of: int = 0
     apart: int = 0
+    usual: float = 0.0
 
 
 def find_parts(state: PartsState, labels: Array, frame_index: int, live: Collection[int]) -> PartsState:
@@ -102,9 +112,8 @@ def find_parts(state: PartsState, labels: Array, frame_index: int, live: Collect
     step = max(1, round(min(labels.shape) / _ROWS))
     coarse = labels[::step, ::step]
     areas = np.bincount(coarse.ravel())
-    rows = zip(
-        *(one.tolist() for one in (state.layers, state.appeared, state.part_of, state.apart)), strict=True
-    )
+    columns = (state.layers, state.appeared, state.part_of, state.apart, state.usual)
+    rows = zip(*(one.tolist() for one in columns), strict=True)
     layers = {layer: _Layer(*row) for layer, *row in rows if layer in live}
     present = [layer for layer in np.flatnonzero(areas).tolist() if layer in live]
     new = {layer: _Layer(frame_index) for layer in present if layer not in layers}
@@ -117,7 +126,8 @@ def find_parts(state: PartsState, labels: Array, frame_index: int, live: Collect
                 for other, share in _contacts(coarse, layer, present).items()
                 if own.part_of in (other, layers[other].part_of)
             )
-            own.apart = 0 if contact >= _LEAST_CONTACT else own.apart + 1
+            attached = contact >= _LEAST_CONTACT or _is_the_rest(layer, layers, areas, present)
+            own.apart = 0 if attached else own.apart + 1
             if own.apart > _MOST_APART:
                 own.part_of = 0
         elif frame_index - own.appeared <= _FIRST_FRAMES:
@@ -133,13 +143,37 @@ def find_parts(state: PartsState, labels: Array, frame_index: int, live: Collect
                 for one in layers.values():
                     if one.part_of == layer:
                         one.part_of = best
+    _update_usual_areas(layers, areas, present)
     ordered = sorted(layers.items())
     return PartsState(
         np.array([layer for layer, _ in ordered], np.int64),
         np.array([one.appeared for _, one in ordered], np.int64),
         np.array([one.part_of for _, one in ordered], np.int64),
         np.array([one.apart for _, one in ordered], np.int64),
+        np.array([one.usual for _, one in ordered]),
     )
+
+
+def _is_the_rest(part: int, layers: Mapping[int, _Layer], areas: Array, present: Collection[int]) -> bool:
+    """Whether a part is most of an object whose own layer has vanished."""
+    whole = layers[part].part_of
+    largest = max(
+        (one for one in present if layers[one].part_of == whole), key=lambda one: (areas[one], -one)
+    )
+    return whole not in present and largest == part and areas[part] >= _MOST_OF_IT * layers[part].usual
+
+
+def _update_usual_areas(layers: Mapping[int, _Layer], areas: Array, present: Collection[int]) -> None:
+    """Take the present areas into account, but not of parts that are about to be objects of their own."""
+    totals: dict[int, int] = {}
+    for layer in present:
+        whole = layers[layer].part_of or layer
+        totals[whole] = totals.get(whole, 0) + int(areas[layer])
+    for layer in present:
+        own = layers[layer]
+        if own.apart == 0:
+            total = totals[own.part_of or layer]
+            own.usual += (_AREA_WEIGHT if own.usual else 1.0) * (total - own.usual)
 
 
 def _contacts(coarse: Array, layer: int, present: Collection[int]) -> dict[int, float]:
@@ -207,4 +241,5 @@ def _joined(whole: int, parts: list[LayerSummary]) -> LayerSummary:
         velocity=(mean([one.velocity[0] for one in parts]), mean([one.velocity[1] for one in parts])),
         confidence=mean([one.confidence for one in parts]),
         state="resting" if all(one.state == "resting" for one in parts) else "moving",
+        score=mean([one.score for one in parts]),
     )

@@ -36,6 +36,7 @@ from mlbs_actors.messages import (
 )
 from mlbs_actors.segmentation.attached_parts import PartsState, find_parts
 from mlbs_actors.segmentation.group_labelling import LayerStatistics, Proposals, Scene, label_proposals
+from mlbs_actors.segmentation.mask_score import mask_score
 from mlbs_actors.segmentation.proposals import proposal_boxes
 from mlbs_actors.segmentation.region_groups import group_regions
 from mlbs_actors.segmentation.shadows import ground_colour
@@ -168,6 +169,7 @@ class Segmenter:
             latency_frames=evidence.latency_frames,
             stage_ms={**evidence.stage_ms, **_slowest(posteriors), **stage_ms},
             status=evidence.status,
+            camera=_camera(evidence),
         )
         self.state = SegmenterState(
             evidence.frame_index + 1,
@@ -211,6 +213,7 @@ class Segmenter:
             stage_ms=evidence.stage_ms,
             status=evidence.status,
             picture_index=state.picture_index,
+            camera=_camera(evidence),
         )
 
     def _label_group(
@@ -236,7 +239,7 @@ class Segmenter:
         proposals = Proposals(fused.cost, fused.normaliser, boxes, tracks, ids, label_costs, corner, side)
         stage_ms["fusion"] += 1e3 * (perf_counter() - start)
         statistics = label_proposals(scene, proposals, result.labels, stage_ms)
-        return _summaries(statistics, members)
+        return _summaries(statistics, members, result.labels.size)
 
     def _label_costs(self, ids: Array, frame_index: int) -> Array:
         """Return h_k of layers, (K,) float64: what has been in the picture for long need not pay to stay."""
@@ -259,8 +262,10 @@ class _Maps:
         return cls(np.zeros(shape, np.uint16), np.full(grid, 255, np.uint8), np.zeros(grid, np.int8))
 
 
-def _summaries(statistics: LayerStatistics, posteriors: list[LayerPosterior]) -> list[LayerSummary]:
-    """Summarise the layers that have won a pixel."""
+def _summaries(
+    statistics: LayerStatistics, posteriors: list[LayerPosterior], frame_px: int
+) -> list[LayerSummary]:
+    """Summarise the layers that have won a pixel; ``frame_px`` is the number of pixels of the frame."""
     rows = []
     measured = (one.tolist() for one in statistics)
     for one, bounds, sums, likelihood in zip(posteriors, *measured, strict=True):
@@ -276,9 +281,16 @@ def _summaries(statistics: LayerStatistics, posteriors: list[LayerPosterior]) ->
                 centroid=(x / area, y / area),
                 velocity=(float(one.velocity[0]), float(one.velocity[1])),
                 confidence=likelihood / area,
+                score=mask_score(likelihood / area, one.confidence, area / frame_px),
             )
         )
     return rows
+
+
+def _camera(evidence: FrameEvidence) -> Array | None:
+    """Return the camera's motion since the last picture, None where it is unknown."""
+    known = evidence.frame_index > evidence.epoch and evidence.status != "untracked"
+    return evidence.camera if known else None
 
 
 def _slowest(posteriors: list[LayerPosterior]) -> dict[str, float]:

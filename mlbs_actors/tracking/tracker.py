@@ -8,6 +8,7 @@ that drives has no homography; where an epipolar geometry explains more
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,6 +67,7 @@ def track(
     gray: Array,
     shape: tuple[int, int],
     config: Config,
+    follow: Callable[[TrajectoryState], tuple[TrajectoryState, Array]] | None = None,
 ) -> Tracked:
     """Follow the trajectories into a frame.
 
@@ -83,6 +85,9 @@ def track(
         The two frames as the flow sees them; ``previous`` is not used without a flow.
     shape : (int, int)
         (H, W) of the full frame.
+    follow : callable, optional
+        Carries the trajectories on in place of the flow and decides which are lost, as
+        :func:`~mlbs_actors.tracking.trajectories.follow_trajectories` does.
 
     Returns
     -------
@@ -93,7 +98,9 @@ def track(
     spacing = settings.seed_spacing_px * scale
     trajectories, survivors = before, np.arange(len(before))
     if flow is not None:
-        trajectories, survivors = advance_trajectories(before, flow, shape)
+        trajectories, survivors = (
+            advance_trajectories(before, flow, shape) if follow is None else follow(before)
+        )
     informative = (trajectories.ages > 0) & background[survivors]
     voters = evenly_spread(trajectories.positions, informative, 2 * spacing)
     places, motions = trajectories.positions[voters], trajectories.motions[voters]
@@ -113,9 +120,10 @@ def track(
             sample_map(one, trajectories.positions, side)
             for one in (against_camera.unexplained, against_camera.advantage)
         )
-        mismatch = unexplained - advantage  # of the flow
-        same = np.flatnonzero(mismatch <= settings.most_mismatch)
-        trajectories, survivors = selected(trajectories, same), survivors[same]
+        if follow is None:
+            mismatch = unexplained - advantage  # of the flow
+            same = np.flatnonzero(mismatch <= settings.most_mismatch)
+            trajectories, survivors = selected(trajectories, same), survivors[same]
         stays = within_room(
             trajectories.positions, trajectories.ages, settings.history_frames, gray.shape, side,
             settings.square_tracks,

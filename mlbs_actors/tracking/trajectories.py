@@ -7,24 +7,33 @@ image around it has changed, however well forward and backward flow agree
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mlbs_actors.config import TrajectoriesConfig
+from mlbs_actors.errors import FrameError
 from mlbs_actors.flow.consistency import DenseFlow, reliable_at
 from mlbs_actors.kernels.interpolation import sample_flow
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
 __all__ = [
+    "TrackFunction",
     "TrajectoryState",
     "advance_trajectories",
     "empty_trajectories",
     "evenly_spread",
+    "follow_trajectories",
     "selected",
     "with_residuals",
 ]
+
+#: Follows points from one frame to another, both (H, W, 3) uint8 BGR. The third argument is where they are in
+#: the first, (n, 2) float32, (x, y) in px. Returns where they are in the second, (n, 2) float, and which of
+#: them are seen there, (n,) bool.
+TrackFunction = Callable[[Array, Array, Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,12 +113,63 @@ def advance_trajectories(
     survivors, positions, motions = _carried(
         state.positions, flow.forward, flow.backward, flow.side, flow.thresholds, shape
     )
+    return _advanced(state, survivors, positions, motions), survivors
+
+
+def follow_trajectories(
+    state: TrajectoryState, function: TrackFunction, previous: Array, current: Array
+) -> tuple[TrajectoryState, Array]:
+    """Have a function carry every point into the next frame; drop those that it loses or that leave.
+
+    Parameters
+    ----------
+    state : TrajectoryState
+        At frame t−1.
+    function : TrackFunction
+    previous, current : (H, W, 3) uint8
+        Frames t−1 and t, BGR.
+
+    Returns
+    -------
+    TrajectoryState, (m,) intp
+        As of :func:`advance_trajectories`.
+
+    Raises
+    ------
+    FrameError
+        If the function does not return places and a mask.
+    """
+    count = len(state)
+    if count == 0:
+        return state, np.zeros(0, np.intp)
+    places, seen = map(np.asarray, function(previous, current, state.positions.copy()))
+    if places.shape != (count, 2) or not np.issubdtype(places.dtype, np.floating):
+        raise FrameError(
+            f"The tracks function returned places {places.shape} {places.dtype}; it must return that of each "
+            f"of the points, {(count, 2)} float32, px."
+        )
+    if seen.shape != (count,) or seen.dtype != bool:
+        raise FrameError(
+            f"The tracks function returned a mask {seen.shape} {seen.dtype}; it must return which of the "
+            f"points are seen in the second frame, {(count,)} bool."
+        )
+    if not np.isfinite(places[seen]).all():
+        raise FrameError("The tracks function returned NaN or infinite places of points that it sees.")
+    height, width = current.shape[:2]
+    with np.errstate(invalid="ignore"):  # those that are not seen may be NaN
+        inside = (places >= 0).all(axis=1) & (places <= (width - 1, height - 1)).all(axis=1)
+    survivors = np.flatnonzero(seen & inside)
+    positions = places[survivors].astype(np.float32)
+    return _advanced(state, survivors, positions, state.positions[survivors] - positions), survivors
+
+
+def _advanced(state: TrajectoryState, survivors: Array, positions: Array, motions: Array) -> TrajectoryState:
+    """Return the survivors one frame on, but for their residuals."""
     ages = np.minimum(state.ages[survivors] + 1, state.residuals.shape[1]).astype(np.int32)
-    advanced = TrajectoryState(
+    return TrajectoryState(
         state.ids[survivors], positions, motions, state.residuals, state.rows[survivors], ages,
         state.evidence[survivors], state.next_id,
     )  # fmt: skip
-    return advanced, survivors
 
 
 @compiled

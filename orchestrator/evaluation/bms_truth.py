@@ -23,7 +23,7 @@ from PIL import Image
 
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
-from orchestrator.evaluation.metrics import NOT_JUDGED
+from orchestrator.evaluation.overlap import NOT_JUDGED
 from orchestrator.evaluation.sequences import FileSequence
 from orchestrator.sources.presence import images_of, is_image
 

@@ -7,11 +7,13 @@ import fnmatch
 import glob
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, MlbsError
+from orchestrator.command_line import LEAST_SIDE
 from orchestrator.evaluation import datasets
 from orchestrator.evaluation.ablation import ablation_table, ablation_variants
 from orchestrator.evaluation.disturbance import disturbance_as_json, disturbance_table, disturbance_variants
@@ -25,18 +27,22 @@ from orchestrator.evaluation.figures import (
     mean_of_sequences,
     results_as_json,
 )
+from orchestrator.evaluation.labelling import run_label_maps, run_scores
 from orchestrator.evaluation.paper_tables import paper_sequences, paper_tables
-from orchestrator.evaluation.run_pictures import RunSequence, sources_of
+from orchestrator.evaluation.reliability import reliability_table
+from orchestrator.evaluation.run_pictures import RunSequence
 from orchestrator.evaluation.scoring import (
     EngineSetup,
     SequenceResult,
-    run_label_maps,
     score_sequence,
+    scored_masks,
     warm_engine,
 )
 from orchestrator.evaluation.sequences import SceneSequence
 from orchestrator.evaluation.sequences import Sequence as TruthSequence
+from orchestrator.evaluation.sizes import size_variants, sizes_table
 from orchestrator.evaluation.variants import Variant, VariantResults, run_variants, variants_as_json
+from orchestrator.run.run_folder import read_description
 from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
 __all__ = ["main"]
@@ -54,12 +60,14 @@ Score label maps against truth.
   scripts/evaluate --data data --paper                      the tables of the paper, with our figures
   scripts/evaluate --data data --ablate                     what each stage of the method gives
   scripts/evaluate --data data --disturb                    how much accidents of parameters and input cost
+  scripts/evaluate --data data --sizes 480,960              what the engine finds in smaller or larger
+                                                            pictures, and what that costs
 
 Truth maps are PNG: 0 = background, 1 ... 254 = objects, 255 = not judged (an
 object where 0 and 255 are the only values, as in DAVIS 2016). Figures are percent, except
 extra (layers off the truth per 100 frames), ids_on (labels that lie mostly on an object in at least three
 frames, mean over the objects), switches (of identity), delay (median frames from an object's entry until it
-is found; synthetic scenes only) and ms (wall time a frame). The first three matter most:
+is found; synthetic scenes only), ms and cpu_ms (wall and CPU time a frame). These matter most:
 
   two_label_f      moving against not moving: mean F of the frames;  j: the same with intersection over union
   f, j&f           F of DAVIS, of the boundaries of what moves; the mean of j and f
@@ -99,11 +107,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(ablation_table(rows))
     elif options.disturb:
         print(disturbance_table(rows))
+    elif options.sizes:
+        print(sizes_table(rows))
     elif options.paper:
         print(paper_tables(rows[0].results))
         _print_remarks(rows[0].results)
     else:
         _print_figures(rows[0].results)
+        if options.reliability:
+            print(reliability_table([one for result in rows[0].results for one in result.masks]) + "\n")
         _print_remarks(rows[0].results)
     _print_failures(rows)
     try:
@@ -142,6 +154,14 @@ def _parser() -> argparse.ArgumentParser:
         "cropped by 3 px, because there is no seed to change, a frame lost, in new light, and with a clock, "
         "a logo, a bonnet or bars drawn over; prints the same and names the worst run. "
         "Each run is judged on the frames it has",
+    )
+    what.add_argument(
+        "--sizes",
+        type=_sides,
+        metavar="PX,...",
+        help="run the engine on the pictures as they are, then shrunk or enlarged to each of these longer "
+        "sides; prints means of figures in the size of the truth, and the CPU time; --jobs 1 for times "
+        "without contention",
     )
     add(
         "--truth",
@@ -184,6 +204,11 @@ def _parser() -> argparse.ArgumentParser:
         "backward/NAME/STEM.flo to the one before, or .npy",
     )
     add(
+        "--reliability",
+        action="store_true",
+        help="also print how well the score of a mask says its intersection over union with the truth",
+    )
+    add(
         "--jobs",
         type=int,
         default=2,
@@ -204,6 +229,13 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _sides(text: str) -> list[int]:
+    sides = [int(one) if one.isdecimal() else 0 for one in text.split(",")]
+    if min(sides) < LEAST_SIDE:
+        raise argparse.ArgumentTypeError(f"{text!r} must be px, {LEAST_SIDE} or more each, as in 480,960")
+    return sides
+
+
 def _score_run(options: argparse.Namespace) -> list[VariantResults]:
     if not options.truth:
         raise ConfigError(
@@ -213,7 +245,7 @@ def _score_run(options: argparse.Namespace) -> list[VariantResults]:
     if any(getattr(options, one) not in (None, []) for one in for_engine):
         given = ", ".join(f"--{one}" for one in for_engine)
         raise ConfigError(f"--run scores finished masks: leave {given} out.")
-    sources = sources_of(options.run)
+    sources = (read_description(options.run) or {}).get("sources", {})
     pairs = [pair for text in options.truth for pair in _streams_with_truth(options.run, text)]
     with_masks = {path.name for path in options.run.glob("*") if _has_masks(path)}
     unscored = with_masks - {name for name, _ in pairs}
@@ -254,7 +286,9 @@ def _run_result(run: Path, name: str, truth: str, source: str | None, sheets: Pa
             sequence = datasets.open_truth(name, Path(truth))
             if source is not None:
                 sequence = RunSequence(sequence, source)
-        return score_sequence(sequence, run_label_maps(sequence, run / name / "masks"), sheets)
+        result = score_sequence(sequence, run_label_maps(sequence, run / name / "masks"), sheets)
+        assert result.score is not None
+        return replace(result, masks=scored_masks(result.score, run_scores(sequence, run / name)))
     except ConfigError:
         raise
     except MlbsError as error:
@@ -262,10 +296,14 @@ def _run_result(run: Path, name: str, truth: str, source: str | None, sheets: Pa
 
 
 def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
-    if (options.sheets or options.csv or options.latex) and (options.ablate or options.disturb):
-        raise ConfigError("--ablate and --disturb give tables only: leave --sheets, --csv and --latex out.")
-    if options.flow and options.disturb:
-        raise ConfigError("--disturb changes the frames, which stored flow would not fit: leave --flow out.")
+    if (options.sheets or options.csv or options.latex) and _compares(options):
+        raise ConfigError(
+            "--ablate, --disturb and --sizes give tables only: leave --sheets, --csv and --latex out."
+        )
+    if options.flow and (options.disturb or options.sizes):
+        raise ConfigError(
+            "--disturb and --sizes change the frames, which stored flow would not fit: leave --flow out."
+        )
     if options.truth:
         raise ConfigError("--truth belongs to --run; with --data the truth is found beside the pictures.")
     if options.jobs < 1:
@@ -282,9 +320,14 @@ def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
     for change in (variant.change for variant in variants if variant.change is not None):
         for sequence in opened:
             change(sequence)
-    prepare = warm_engine if options.paper else None  # its tables hold times
+    prepare = warm_engine if options.paper or options.sizes else None  # their tables hold times
     setup = EngineSetup(options.data, options.config, options.flow, options.sheets)
     return run_variants(variants, names, setup, options.jobs, prepare)
+
+
+def _compares(options: argparse.Namespace) -> bool:
+    """Whether several variants are run."""
+    return bool(options.ablate or options.disturb or options.sizes)
 
 
 def _sequence_names(options: argparse.Namespace) -> list[str]:
@@ -318,6 +361,8 @@ def _variants(options: argparse.Namespace, overrides: Sequence[str]) -> tuple[Va
         return ablation_variants(overrides)
     if options.disturb:
         return disturbance_variants(overrides)
+    if options.sizes:
+        return size_variants(overrides, options.sizes)
     return (Variant("", tuple(overrides)),)
 
 
@@ -367,7 +412,7 @@ def _write_files(options: argparse.Namespace, rows: Sequence[VariantResults]) ->
 
 
 def _as_json(options: argparse.Namespace, rows: Sequence[VariantResults]) -> dict[str, Any]:
-    if options.ablate:
+    if options.ablate or options.sizes:
         return variants_as_json(rows)
     if options.disturb:
         return disturbance_as_json(rows)

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import Array
-from orchestrator.evaluation.metrics import NOT_JUDGED
+from orchestrator.evaluation.overlap import NOT_JUDGED
 from orchestrator.evaluation.sequence_scorer import ExtraLayer
 from orchestrator.sinks.drawing import draw_labels
 from orchestrator.sinks.layer_colours import layer_colour

@@ -14,7 +14,7 @@ import numpy as np
 
 from mlbs_actors.messages import Array
 from orchestrator.evaluation.disturbed_sequences import ChangedSequence
-from orchestrator.evaluation.metrics import NOT_JUDGED
+from orchestrator.evaluation.overlap import NOT_JUDGED
 from orchestrator.evaluation.sequences import Sequence, SequenceChange
 
 __all__ = ["FOOTAGE"]

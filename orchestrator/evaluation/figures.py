@@ -42,6 +42,10 @@ _FIGURES: tuple[Column, ...] = (
     ("delay", lambda result, score: median_delay(score)),
     ("frames", lambda result, score: float(score.frames)),
     ("ms", lambda result, score: math.nan if result.ms_per_frame is None else result.ms_per_frame),
+    (
+        "cpu_ms",
+        lambda result, score: math.nan if result.cpu_ms_per_frame is None else result.cpu_ms_per_frame,
+    ),
 )
 _RANGES: tuple[Column, ...] = (
     ("precision", lambda result, score: 100 * score.all_frames.precision),
@@ -66,6 +70,10 @@ TABLES = (_FIGURES, _RANGES, _DAVIS)
 
 #: All columns by heading.
 COLUMNS = dict(itertools.chain(*TABLES))
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def median_delay(score: SequenceScore) -> float:
@@ -124,7 +132,7 @@ def _result_as_json(result: SequenceResult) -> dict[str, Any]:
     if result.score is not None:
         for extra in record["score"]["extras"]:
             del extra["mask"]  # a picture, shown on the sheet
-        del record["stems"], record["score"]["per_frame"]  # for the CSV file
+        del record["stems"], record["masks"], record["score"]["per_frame"]  # for other files and tables
         record["score"]["entry_delay"] = {str(k): v for k, v in result.score.entry_delay.items()}
     cleaned = null_if_unknown(record)
     assert isinstance(cleaned, dict)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
-from pathlib import Path
 
 from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.errors import SourceError
@@ -13,15 +11,7 @@ from orchestrator.evaluation.disturbed_sequences import ChangedSequence
 from orchestrator.evaluation.sequences import Sequence
 from orchestrator.export.replay import replayed
 
-__all__ = ["RunSequence", "sources_of"]
-
-
-def sources_of(run: Path) -> dict[str, str]:
-    """Map the streams of a run to their sources; empty if the folder holds masks only."""
-    try:
-        return dict(json.loads((run / "run.json").read_text(encoding="utf-8"))["sources"])
-    except (OSError, ValueError, KeyError):
-        return {}
+__all__ = ["RunSequence"]
 
 
 class RunSequence(ChangedSequence):

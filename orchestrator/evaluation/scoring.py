@@ -1,98 +1,45 @@
-"""Label one sequence and score it: with the engine in this process, or from the masks of a finished run."""
+"""Score one sequence: the label maps of the engine in this process, or those of a finished run."""
 
 from __future__ import annotations
 
 import re
-import time
 import traceback
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from io import BytesIO
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple
 
 import cv2
 
 from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.actors.parts import EngineParts
 from mlbs_actors.config import load_config
-from mlbs_actors.errors import FrameError, MlbsError, SinkError, SourceError
-from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.errors import FrameError, MlbsError, SinkError
+from mlbs_actors.messages import Array
 from orchestrator.evaluation import datasets, sequences
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, extra_layer_sheet, spread_evenly
+from orchestrator.evaluation.labelling import EngineLabelling, ResizingSubtractor, Subtractor
 from orchestrator.evaluation.sequence_scorer import SequenceScore, SequenceScorer
 from orchestrator.evaluation.stored_flow import StoredFlow
-from orchestrator.sinks.segments import archived_masks
 
 __all__ = [
-    "EngineLabelling",
     "EngineSetup",
+    "ScoredMask",
     "SequenceResult",
     "engine_result",
-    "run_label_maps",
     "score_sequence",
+    "scored_masks",
     "warm_engine",
 ]
 
 SHEET_FRAMES = 8
 
 
-class Subtractor(Protocol):
-    """Labels frames: the engine, or a similar object."""
+class ScoredMask(NamedTuple):
+    """A mask's score, and its intersection over union with a truth object, each in [0, 1]."""
 
-    def apply(self, frame: Array) -> Sequence[Segmentation]:
-        """Take the next frame; return the frames that are now labelled."""
-
-    def flush(self) -> Sequence[Segmentation]:
-        """Return the frames still held."""
-
-
-@dataclass(slots=True)
-class EngineLabelling:
-    """Label maps of a sequence from the engine, by frame index, and their cost so far.
-
-    Attributes
-    ----------
-    sequence : Sequence
-    subtractor : Subtractor
-        Fresh: no frame seen yet.
-    flow : StoredFlow or None
-        Is told of every frame before the subtractor is.
-    frames : int
-        Label maps so far.
-    milliseconds : float
-        Wall time spent in the engine so far, ms.
-    stage_ms : defaultdict of str to float
-        The same by stage, as reported by the segmentations.
-    """
-
-    sequence: sequences.Sequence
-    subtractor: Subtractor
-    flow: StoredFlow | None = None
-    frames: int = 0
-    milliseconds: float = 0.0
-    stage_ms: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
-
-    def __iter__(self) -> Iterator[tuple[int, Array]]:
-        for index in range(len(self.sequence.stems)):
-            frame = self.sequence.frame(index)
-            if self.flow is not None:
-                self.flow.follow(index, frame)
-            yield from self._timed(self.subtractor.apply, frame)
-        yield from self._timed(self.subtractor.flush)
-
-    def _timed(
-        self, step: Callable[..., Sequence[Segmentation]], *frame: Array
-    ) -> Iterator[tuple[int, Array]]:
-        started = time.perf_counter()
-        segmentations = step(*frame)
-        self.milliseconds += 1000 * (time.perf_counter() - started)
-        for segmentation in segmentations:
-            self.frames += 1
-            for stage, milliseconds in segmentation.stage_ms.items():
-                self.stage_ms[stage] += milliseconds
-            yield segmentation.frame_index, segmentation.labels
+    score: float
+    iou: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +55,8 @@ class SequenceResult:
         Frames with truth that got no label map.
     ms_per_frame : float or None
         Wall time in the engine, ms; None when the masks were read.
+    cpu_ms_per_frame : float or None
+        CPU time, ms.
     stage_ms : dict of str to float
         Mean wall time a frame by stage, ms.
     sheets : tuple of str
@@ -117,17 +66,21 @@ class SequenceResult:
     error : str or None
     stems : tuple of str
         Names of the frames, by index.
+    masks : tuple of ScoredMask
+        Those of the frames with truth, where their scores are known.
     """
 
     name: str
     score: SequenceScore | None = None
     missing: int = 0
     ms_per_frame: float | None = None
+    cpu_ms_per_frame: float | None = None
     stage_ms: dict[str, float] = field(default_factory=dict)
     sheets: tuple[str, ...] = ()
     remark: str | None = None
     error: str | None = None
     stems: tuple[str, ...] = ()
+    masks: tuple[ScoredMask, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,31 +103,6 @@ class EngineSetup:
     config: Path | None = None
     flow: Path | None = None
     sheets: Path | None = None
-
-
-def run_label_maps(sequence: sequences.Sequence, masks: Path) -> Iterator[tuple[int, Array]]:
-    """Read the masks of a run, by frame index; skip frames without a mask.
-
-    ``masks`` is the folder of that name in a stream's folder, which has segments instead if it was a camera.
-
-    Raises
-    ------
-    SourceError
-        If the folder is missing, no mask has the stem of a frame, or a mask cannot be read.
-    """
-    archived = archived_masks(masks.parent)
-    if not masks.is_dir() and not archived:
-        raise SourceError(f"{masks} is no folder; name the stream as the run's list did.")
-    present = {path.stem for path in masks.glob("*.png")} | archived.keys()
-    indices = [index for index, stem in enumerate(sequence.stems) if stem in present]
-    if not indices:
-        raise SourceError(
-            f"No mask in {masks} has the stem of a frame of {sequence.name}; check the folder of the truth."
-        )
-    for index in indices:
-        stem = sequence.stems[index]
-        mask = BytesIO(archived[stem].read()) if stem in archived else masks / f"{stem}.png"
-        yield index, sequences.read_label_map(mask)
 
 
 def score_sequence(
@@ -229,6 +157,23 @@ def score_sequence(
     )
 
 
+def scored_masks(score: SequenceScore, scores: Mapping[int, Mapping[int, float]]) -> tuple[ScoredMask, ...]:
+    """Pair the masks of a sequence with their quality.
+
+    Parameters
+    ----------
+    score : SequenceScore
+    scores : mapping of int to mapping of int to float
+        Frame index → label → score.
+    """
+    return tuple(
+        ScoredMask(scores[frame.index][label], iou)
+        for frame in score.per_frame
+        for label, iou in frame.ious.items()
+        if label in scores.get(frame.index, ())
+    )
+
+
 def warm_engine() -> None:
     """Compile or load the engine's kernels in this process, so that no frame's time includes it."""
     EngineParts().warm_stream()
@@ -239,6 +184,7 @@ def engine_result(
     setup: EngineSetup,
     overrides: Sequence[str],
     change: sequences.SequenceChange | None = None,
+    longer_side: int | None = None,
 ) -> SequenceResult:
     """Open a sequence, run the engine over it, score it. A failure is reported in the result.
 
@@ -251,6 +197,8 @@ def engine_result(
         ``section.key=value`` for the engine's parameters.
     change : SequenceChange or None
         Change to the sequence.
+    longer_side : int or None
+        Of the pictures that the engine is given, px; None: as they are.
     """
     try:
         sequence = datasets.open_sequence(name, setup.root)
@@ -258,7 +206,10 @@ def engine_result(
             sequence = change(sequence)
         config = load_config(setup.config, list(overrides))
         flow = StoredFlow(setup.flow, sequence) if setup.flow is not None else None
-        labelling = EngineLabelling(sequence, MultilayerSubtractor(config, flow=flow), flow)
+        subtractor: Subtractor = MultilayerSubtractor(config, flow=flow)
+        if longer_side is not None:
+            subtractor = ResizingSubtractor(subtractor, longer_side)
+        labelling = EngineLabelling(sequence, subtractor, flow)
         result = score_sequence(sequence, labelling, setup.sheets)
     except MlbsError as error:
         return SequenceResult(name, error=str(error))
@@ -267,7 +218,9 @@ def engine_result(
     frames = max(labelling.frames, 1)
     return replace(
         result,
+        masks=() if result.score is None else scored_masks(result.score, labelling.scores),
         ms_per_frame=labelling.milliseconds / frames,
+        cpu_ms_per_frame=labelling.cpu_milliseconds / frames,
         stage_ms={stage: total / frames for stage, total in labelling.stage_ms.items()},
     )
 

@@ -15,21 +15,22 @@ import numpy as np
 
 from mlbs_actors.messages import Array, Region
 from orchestrator.evaluation.metrics import (
-    FrameOverlap,
+    jaccard,
+    match_objects,
+    multi_label,
+    multi_label_matlab,
+    object_level,
+    two_label,
+)
+from orchestrator.evaluation.overlap import FrameOverlap, count_overlap, ious_of
+from orchestrator.evaluation.track_metrics import (
     TrackScore,
-    count_overlap,
     davis_tracks,
     entry_delays,
     id_switches,
     ids_on,
-    jaccard,
-    match_objects,
     moving_objects,
-    multi_label,
-    multi_label_matlab,
-    object_level,
     track_j,
-    two_label,
 )
 
 __all__ = ["START_FRAMES", "ExtraLayer", "FrameScore", "RangeScore", "SequenceScore", "SequenceScorer"]
@@ -114,6 +115,8 @@ class FrameScore:
         Label ids, ascending.
     matches : mapping of int to int or None
         Truth id → the label that fits it best in this frame, None: lost.
+    ious : mapping of int to float
+        Label → intersection over union with the truth object that it fits best; 0 off all of them.
     """
 
     index: int
@@ -123,6 +126,7 @@ class FrameScore:
     object_f: float
     labels: tuple[int, ...]
     matches: Mapping[int, int | None]
+    ious: Mapping[int, float]
 
 
 def _frame_score(overlap: FrameOverlap) -> FrameScore:
@@ -135,6 +139,9 @@ def _frame_score(overlap: FrameOverlap) -> FrameScore:
         object_f=object_level(overlap).f if len(overlap.objects) else float("nan"),
         labels=tuple(overlap.labels.tolist()),
         matches={truth_id: matches.get(truth_id) for truth_id in overlap.objects.tolist()},
+        ious=dict(
+            zip(overlap.labels.tolist(), ious_of(overlap).max(axis=0, initial=0.0).tolist(), strict=True)
+        ),
     )
 
 

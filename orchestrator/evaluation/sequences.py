@@ -16,7 +16,7 @@ from PIL import Image
 
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
-from orchestrator.evaluation.metrics import NOT_JUDGED
+from orchestrator.evaluation.overlap import NOT_JUDGED
 from orchestrator.sources.images import decode_image
 from orchestrator.sources.presence import images_of
 from orchestrator.sources.synthetic import SyntheticScene

@@ -26,7 +26,7 @@ from orchestrator.evaluation.sequences import SequenceChange
 
 __all__ = ["Variant", "VariantResults", "run_variants", "variants_as_json", "variants_table"]
 
-_Call = tuple[str, EngineSetup, tuple[str, ...], SequenceChange | None]
+_Call = tuple[str, EngineSetup, tuple[str, ...], SequenceChange | None, int | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +41,14 @@ class Variant:
         ``section.key=value``, later ones win.
     change : SequenceChange or None
         Change to every sequence.
+    longer_side : int or None
+        Of the pictures that the engine is given, px; None: as they are.
     """
 
     name: str
     overrides: tuple[str, ...] = ()
     change: SequenceChange | None = None
+    longer_side: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +95,9 @@ def run_variants(
         In the order of the variants.
     """
     calls: list[_Call] = [
-        (name, setup, variant.overrides, variant.change) for variant in variants for name in sequences
+        (name, setup, variant.overrides, variant.change, variant.longer_side)
+        for variant in variants
+        for name in sequences
     ]
     results: dict[int, SequenceResult] = {}
     for place, result in _as_they_end(calls, jobs, prepare):

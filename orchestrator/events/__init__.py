@@ -2,4 +2,6 @@
 
 Read :mod:`.zones` (what is asked for), :mod:`.happenings` (the pure state machine), :mod:`.event_file` (the
 part of the record), then :mod:`.targets` and :mod:`.delivery` (sending, in the run's own process).
+:mod:`.scene` finds the scene again under a moving camera, by :mod:`.views` of it; :mod:`.pictures` are those
+of events, and :mod:`.recent` are the newest ones, for page and report.
 """

@@ -2,8 +2,9 @@
 
 A line is appended as soon as it is certain, so that it can be sent at once, and counts with the commit of the
 row that made it certain. ``.events`` holds what the events continue from after the last two commits, and how
-many there were then: a record that is opened again cuts the file off behind those, and goes on. Events are
-numbered, because the oldest lines can be deleted.
+many there were then: a record that is opened again cuts the file off behind those, and goes on. That is
+worked out from the rows when they are committed, for nobody knows before which of a camera's rows will be the
+last of a commit. Events are numbered, because the oldest lines can be deleted.
 """
 
 from __future__ import annotations
@@ -20,16 +21,20 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from orchestrator.events.happenings import Event, EventState, Happenings
+from orchestrator.events.happenings import Event, EventKind, EventState, Happenings
+from orchestrator.events.pictures import picture_name
 from orchestrator.events.zones import EventRules
+from orchestrator.rows.frame_row import FrameRow
 from orchestrator.run.durable_files import publish, replace_file, temporary_path
-from orchestrator.sinks.tables import FrameRow
 
 __all__ = ["EVENTS", "EventFile", "committed_events", "event_id"]
 
 EVENTS = "events.jsonl"
 
 _MARKS = ".events"
+
+#: Events of an object that have a picture, if the stream has zones.
+_PICTURED = frozenset[EventKind](("born", "entered", "left", "crossed"))
 
 #: A difference of the clocks that is no delay: the machine's clock was set, s.
 _CLOCK_SET_SECONDS = 60.0
@@ -76,40 +81,45 @@ class EventFile:
     def __init__(self, folder: Path, stream: str, rules: EventRules, rows: int) -> None:
         self._path = folder / EVENTS
         self._marks_path = folder / _MARKS
-        self._stream = stream
         found = [mark for mark in _read_marks(self._marks_path) if mark.rows == rows]
         # Without a mark, of an earlier version's record, what is there stays and the objects are born again.
         mark = found[-1] if found else _Mark(rows, _cut(self._path, math.inf if rows else 0))
         _cut(self._path, mark.events)
-        self._happenings = Happenings(rules, mark.state)
-        self._began = mark.began
-        self._events = mark.events
-        self._rows = rows
         self._kept = _MARK.dump_json(mark)
-        self._later: deque[tuple[int, bytes]] = deque()
+        # Rows that are not committed go through twice: as they come, and with their commit.
+        self._newest = _EventLines(stream, rules, mark)
+        self._committed = _EventLines(stream, rules, _MARK.validate_json(self._kept))
+        self._later: deque[_Step] = deque()
         self._unwritten: list[str] = []
+
+    @property
+    def state(self) -> EventState:
+        """What the next events depend on."""
+        return self._newest.state
 
     @property
     def unwritten(self) -> bool:
         """Whether there are lines to write."""
         return bool(self._unwritten)
 
-    def set_clock(self, began: float) -> None:
-        """Note that by the newest row a camera's stream began at a time, seconds since 1970."""
-        # Rows come late by what they take; the least of all delays is nearest to the truth.
-        if self._began is None or not self._began <= began < self._began + _CLOCK_SET_SECONDS:
-            self._began = began
+    def add(self, row: FrameRow, now: float | None) -> set[int]:
+        """Add the next row of the record; return the objects whose pictures the lines name.
 
-    def taken_at(self, pts: float) -> float:
-        """Return when a camera took the frame of a time of the stream, seconds since 1970."""
-        assert self._began is not None  # since the first row
-        return self._began + pts
+        Parameters
+        ----------
+        row : FrameRow
+        now : float, optional
+            Seconds since 1970; only if the row has just happened.
+        """
+        return self._take(_Step(row, None if now is None or row.status == "gap" else now - row.pts))
 
-    def add(self, row: FrameRow) -> None:
-        """Add the next row of the record."""
-        self._rows = row.frame + 1
-        self._say(self._happenings.after(row))
-        self._later.append((self._rows, self._mark()))
+    def silent(self) -> None:
+        """Add that the source sends nothing after the rows so far."""
+        self._take(_Step(None, None))
+
+    def taken_at(self, pts: float) -> float | None:
+        """Return when a camera took the frame of a time of the stream, seconds since 1970, if known."""
+        return self._newest.taken_at(pts)
 
     def write(self) -> None:
         """Append the lines; OSError as the disk says."""
@@ -119,20 +129,20 @@ class EventFile:
 
     def draft(self, rows: int) -> Path:
         """Sync the events of the first ``rows`` rows; return the file to publish before their commit."""
-        mark = self._kept
-        while self._later and self._later[0][0] <= rows:
-            mark = self._later.popleft()[1]
+        while self._later and (self._later[0].row is None or self._later[0].row.frame < rows):
+            self._committed.after(self._later.popleft())
+        mark = self._committed.mark(rows)
         self._sync()
         temporary_path(self._marks_path).write_bytes(b"[" + self._kept + b",\n" + mark + b"]\n")
         self._kept = mark
         return self._marks_path
 
-    def finish(self) -> None:
-        """Write what is certain as the stream has come to its end."""
-        self._say(self._happenings.end())
+    def finish(self, rows: int) -> None:
+        """Write what is certain as the stream has come to its end after so many rows."""
+        self._unwritten += self._newest.at_end()
         self.write()
         self._sync()
-        self._kept = self._mark()
+        self._kept = self._newest.mark(rows)
         temporary_path(self._marks_path).write_bytes(b"[" + self._kept + b"]\n")
         publish([self._marks_path])
 
@@ -147,34 +157,90 @@ class EventFile:
                 rest = b""
         replace_file(self._path, rest)
 
-    def _say(self, events: list[Event]) -> None:
-        for event in events:
-            self._events += 1
-            self._unwritten.append(json.dumps(self._described(event)) + "\n")
+    def _take(self, step: _Step) -> set[int]:
+        lines = self._newest.after(step)
+        self._unwritten += lines
+        self._later.append(step)
+        return self._newest.pictured
 
-    def _described(self, event: Event) -> dict[str, Any]:
+    def _sync(self) -> None:
+        with self._path.open("ab") as file:
+            os.fsync(file.fileno())
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """The next row, None for a silence; and when the stream began by that row, seconds since 1970."""
+
+    row: FrameRow | None
+    began: float | None
+
+
+class _EventLines:
+    """Makes lines of rows, from a mark on."""
+
+    def __init__(self, stream: str, rules: EventRules, mark: _Mark) -> None:
+        self._stream = stream
+        self._has_pictures = bool(rules.zones)
+        self._happenings = Happenings(rules, mark.state)
+        self.pictured: set[int] = set()  # objects in the newest row that its lines name pictures of
+        self._events, self._began = mark.events, mark.began
+
+    @property
+    def state(self) -> EventState:
+        return self._happenings.state
+
+    def taken_at(self, pts: float) -> float | None:
+        return None if self._began is None else self._began + pts
+
+    def after(self, step: _Step) -> list[str]:
+        if step.began is not None:
+            self._set_clock(step.began)
+        events = self._happenings.silent() if step.row is None else self._happenings.after(step.row)
+        return self._lines(events, step.row)
+
+    def at_end(self) -> list[str]:
+        return self._lines(self._happenings.end(), None)
+
+    def mark(self, rows: int) -> bytes:
+        return _MARK.dump_json(_Mark(rows, self._events, self._began, self._happenings.state))
+
+    def _lines(self, events: list[Event], row: FrameRow | None) -> list[str]:
+        here = set()
+        if row is not None and row.result is not None and self._has_pictures:
+            here = {layer.layer for layer in row.result.layers}
+        pictured = {event.layer for event in events if event.kind in _PICTURED and event.layer in here}
+        self.pictured = {layer for layer in pictured if layer is not None}
+        first = self._events + 1
+        self._events += len(events)
+        described = (self._described(event, row, number) for number, event in enumerate(events, first))
+        return [json.dumps(one) + "\n" for one in described]
+
+    def _described(self, event: Event, row: FrameRow | None, number: int) -> dict[str, Any]:
+        picture = None
+        if row is not None and event.kind in _PICTURED and event.layer in self.pictured:
+            picture = picture_name(row.frame, event.layer)
         return {
             "id": event_id(self._stream, event),
             "stream": self._stream,
             "kind": event.kind,
             "frame": event.frame,
             "time": round(event.pts, 3),
-            "clock": None if self._began is None else _iso(self._began + event.pts),
+            "clock": None if (clock := self.taken_at(event.pts)) is None else _iso(clock),
             "object": event.layer,
             "box": None if event.region is None else list(event.region.box),
             "zone": event.zone,
             "direction": event.direction,
             "reason": event.reason,
             "replaced_by": event.replaced_by,
-            "number": self._events,
+            "picture": picture,
+            "number": number,
         }
 
-    def _mark(self) -> bytes:
-        return _MARK.dump_json(_Mark(self._rows, self._events, self._began, self._happenings.state))
-
-    def _sync(self) -> None:
-        with self._path.open("ab") as file:
-            os.fsync(file.fileno())
+    def _set_clock(self, began: float) -> None:
+        # Rows come late by what they take; the least of all delays is nearest to the truth.
+        if self._began is None or not self._began <= began < self._began + _CLOCK_SET_SECONDS:
+            self._began = began
 
 
 def event_id(stream: str, event: Event) -> str:

@@ -1,21 +1,23 @@
 """The events of each frame: a pure state machine over the rows of a record.
 
 What is said depends on the rows and the rules alone. So a stream that goes back to a row, with the state of
-then, says the same again. Nothing is said of the layer of kind ``other``, which is many objects at once.
+then, says the same again. Nothing is said of the layer of kind ``other``, which is many objects at once. A
+zone that is fixed to the scene is looked at in the stream's first picture: there it stays where it is.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from mlbs_actors.messages import LayerSummary, Region
-from orchestrator.events.zones import EventRules, Point, Zone, crossing, is_inside
-from orchestrator.sinks.endings import SEEN, Ending, ending
-from orchestrator.sinks.object_list import Sighting
-from orchestrator.sinks.tables import FrameRow, ResultRow
+from orchestrator.events.zones import EventRules, Zone, crossing, is_inside
+from orchestrator.rows.endings import SEEN, Ending, ending
+from orchestrator.rows.frame_row import FrameRow, ResultRow
+from orchestrator.rows.scene_place import Point
+from orchestrator.rows.sighting import Sighting
 
 __all__ = ["HOLD", "Event", "EventKind", "EventState", "Happenings"]
 
@@ -108,7 +110,7 @@ class Approach:
     Attributes
     ----------
     foot : (x, y)
-        Where it last certainly was, px.
+        Where it last certainly was, px; for a line of the scene in the stream's first picture.
     beyond : int
         Label maps in a row that show it on the other side.
     first : Sighting, optional
@@ -172,6 +174,10 @@ class EventState:
         Frame and time of the first of these, s.
     lost : bool
         Whether the source is away.
+    rows : int
+        Of the record so far.
+    newest : float
+        Time of the last of these, s.
     """
 
     shown: ResultRow | None = None
@@ -181,6 +187,8 @@ class EventState:
     contrary: int = 0
     first: tuple[int, float] | None = None
     lost: bool = False
+    rows: int = 0
+    newest: float = 0.0
 
 
 class Happenings:
@@ -204,6 +212,7 @@ class Happenings:
     def after(self, row: FrameRow) -> list[Event]:
         """Return what is certain with the next row of the record, in a fixed order."""
         state = self.state
+        state.rows, state.newest = row.frame + 1, row.pts
         if row.status == "gap" and not state.lost:
             state.lost = True
             return [Event("stream lost", row.frame, row.pts)]
@@ -221,6 +230,14 @@ class Happenings:
             said += self._present(present[number], row, row.result)
         state.shown, state.pts = replace(row.result, stage_ms={}), row.pts
         return said
+
+    def silent(self) -> list[Event]:
+        """Return that the source is away, as the gap that follows will say, too; nothing if that is known."""
+        state = self.state
+        if state.lost or state.rows == 0:
+            return []
+        state.lost = True
+        return [Event("stream lost", state.rows, state.newest)]
 
     def end(self) -> list[Event]:
         """Return what is certain as the stream has come to its end; nothing is left to follow."""
@@ -308,7 +325,10 @@ class Happenings:
 def _moved(zone: Zone, one: Followed, number: int, result: ResultRow) -> Iterator[Event]:
     """Yield that the object went into a zone, or out of it."""
     here, presence = one.seen, one.zones.setdefault(zone.name, Presence())
-    if is_inside(_foot(here.region), zone.corners(result.shape)) == presence.inside:
+    known = _on_ground(here.region, zone, result)
+    if known is None:
+        return
+    if is_inside(*known) == presence.inside:
         presence.contrary = 0
         return
     if presence.contrary == 0:
@@ -324,9 +344,12 @@ def _moved(zone: Zone, one: Followed, number: int, result: ResultRow) -> Iterato
 
 def _crossed(zone: Zone, one: Followed, number: int, result: ResultRow) -> Iterator[Event]:
     """Yield that the object went over a line."""
-    here, foot = one.seen, _foot(one.seen.region)
+    here, known = one.seen, _on_ground(one.seen.region, zone, result)
+    if known is None:
+        return
+    foot, line = known
     approach = one.lines.setdefault(zone.name, Approach(foot))
-    direction = crossing(approach.foot, foot, zone.corners(result.shape))
+    direction = crossing(approach.foot, foot, line)
     if direction is not None:
         if approach.beyond == 0:
             approach.first = here
@@ -346,6 +369,15 @@ def _inside_already(one: Followed, number: int) -> Iterator[Event]:
             yield Event("entered", since.frame, since.pts, number, since.region, zone)
 
 
-def _foot(region: Region) -> Point:
-    """Return the middle of a box's lowest row of pixels, px: where something stands on the ground."""
-    return region.x + region.width / 2, region.y + region.height - 0.5
+def _on_ground(region: Region, zone: Zone, result: ResultRow) -> tuple[Point, Sequence[Point]] | None:
+    """Return where something stands, and a zone's corners, px; None while the zone's place is unknown.
+
+    It stands where the middle of its box's lowest row of pixels is.
+    """
+    foot = region.x + region.width / 2, region.y + region.height - 0.5
+    if zone.fixed_to == "picture":
+        return foot, zone.corners(result.shape)
+    in_first = None if result.scene is None else result.scene.back(foot)
+    if result.scene is None or in_first is None:
+        return None
+    return in_first, zone.corners(result.scene.shape)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import importlib.util
 import os
+import ssl
 import threading
 import urllib.error
 import urllib.request
@@ -24,7 +25,8 @@ PASSWORD_VARIABLE = "MLBS_EVENTS_PASSWORD"
 #: Longest time until a target has answered, s.
 _ANSWER_SECONDS = 10.0
 
-_MQTT_PORT = 1883
+#: Ports of MQTT brokers where none is given.
+_MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 
 class DeliveryError(MlbsError):
@@ -50,7 +52,7 @@ class EventTarget:
     def shown(self) -> str:
         """The address without secrets; the path of a webhook mostly is one."""
         parts = urlsplit(self.url)
-        return self.url if parts.scheme == "mqtt" else f"{parts.scheme}://{parts.netloc}/{MASK}"
+        return self.url if parts.scheme in _MQTT_PORTS else f"{parts.scheme}://{parts.netloc}/{MASK}"
 
 
 class Sender(Protocol):
@@ -64,7 +66,7 @@ class Sender(Protocol):
 
 
 def parse_target(text: str) -> EventTarget:
-    """Read ``mqtt://[user[:password]@]host[:port]/topic`` or an address of HTTP.
+    """Read ``mqtt(s)://[user[:password]@]host[:port]/topic`` or an address of HTTP.
 
     Raises
     ------
@@ -76,12 +78,12 @@ def parse_target(text: str) -> EventTarget:
         port = parts.port
     except ValueError:
         raise ConfigError(f"--events: the port of {mask(text)} is no number up to 65535.") from None
-    if parts.scheme not in ("mqtt", "http", "https") or not parts.hostname:
+    if parts.scheme not in (*_MQTT_PORTS, "http", "https") or not parts.hostname:
         raise ConfigError(
-            "--events takes mqtt://[USER:PASSWORD@]HOST[:PORT]/TOPIC, http://HOST/PATH or https://HOST/PATH; "
-            f"not {mask(text)!r}."
+            "--events takes mqtt://[USER:PASSWORD@]HOST[:PORT]/TOPIC, or mqtts: for TLS, http://HOST/PATH or "
+            f"https://HOST/PATH; not {mask(text)!r}."
         )
-    if parts.scheme == "mqtt":
+    if parts.scheme in _MQTT_PORTS:
         topic = parts.path.strip("/")
         if not topic or "+" in topic or parts.query or parts.fragment:
             raise ConfigError(
@@ -100,7 +102,7 @@ def parse_target(text: str) -> EventTarget:
 
 def open_sender(target: EventTarget) -> Sender:
     """Return a sender; it connects with the first event."""
-    return _Mqtt(target) if target.url.startswith("mqtt:") else _Webhook(target)
+    return _Mqtt(target) if urlsplit(target.url).scheme in _MQTT_PORTS else _Webhook(target)
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
@@ -145,7 +147,8 @@ class _Mqtt:
         parts = urlsplit(self._target.url)
         try:
             if self._client is None:
-                self._client = self._connected(parts.hostname or "", parts.port or _MQTT_PORT)
+                port = parts.port or _MQTT_PORTS[parts.scheme]
+                self._client = self._connected(parts.hostname or "", port, tls=parts.scheme == "mqtts")
             message = self._client.publish(parts.path.strip("/"), event, qos=1)
             message.wait_for_publish(_ANSWER_SECONDS)
             accepted = message.is_published()
@@ -162,7 +165,7 @@ class _Mqtt:
             self._client.loop_stop()
             self._client = None
 
-    def _connected(self, host: str, port: int) -> Any:
+    def _connected(self, host: str, port: int, *, tls: bool) -> Any:
         # Imported here, because a run without MQTT does not need the package.
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion
@@ -178,6 +181,8 @@ class _Mqtt:
         client.on_connect = connected
         if self._target.user is not None:
             client.username_pw_set(self._target.user, self._target.password)
+        if tls:
+            client.tls_set_context(ssl.create_default_context())
         client.connect(host, port, keepalive=30)
         client.loop_start()
         if answered.wait(_ANSWER_SECONDS) and not refused:

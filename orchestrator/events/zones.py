@@ -13,10 +13,9 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from mlbs_actors.errors import ConfigError
+from orchestrator.rows.scene_place import Point
 
-__all__ = ["EventRules", "Minimum", "Point", "Zone", "ZonesFile", "crossing", "is_inside", "read_zones"]
-
-Point = tuple[float, float]
+__all__ = ["EventRules", "Minimum", "Zone", "ZonesFile", "crossing", "is_inside", "read_zones"]
 
 _Coordinate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -45,7 +44,7 @@ class Minimum(_Strict):
 
 
 class Zone(_Strict):
-    """A part of the picture, or a line across it.
+    """A part of the picture or of the scene, or a line across it.
 
     Attributes
     ----------
@@ -54,11 +53,14 @@ class Zone(_Strict):
     polygon : tuple of (x, y)
         Corners; of a line its points, in order. If all are from 0 to 1, shares of the picture's width and
         height; else px.
+    fixed_to : {"picture", "scene"}
+        Whether it stays where it is in the picture, or goes with what is there in the stream's first picture.
     """
 
     name: Annotated[str, Field(min_length=1, max_length=100)]
     kind: Literal["zone", "line"] = "zone"
     polygon: tuple[tuple[_Coordinate, _Coordinate], ...]
+    fixed_to: Literal["picture", "scene"] = "picture"
 
     @model_validator(mode="after")
     def _has_extent(self) -> Zone:
@@ -90,6 +92,11 @@ class EventRules:
     zones: tuple[Zone, ...] = ()
     minimum: Minimum = field(default_factory=Minimum)
     remembered: int = 30
+
+    @property
+    def of_scene(self) -> bool:
+        """Whether a zone is fixed to the scene."""
+        return any(zone.fixed_to == "scene" for zone in self.zones)
 
 
 class _OfStream(_Strict):

@@ -58,7 +58,7 @@ def write_coco(run: Path, out: Path) -> None:
                         "segmentation": {"size": [frame.height, frame.width], "counts": code},
                         "area": one.area,
                         "bbox": [region.x, region.y, region.width, region.height],
-                        "score": one.confidence,
+                        "score": one.score,
                         "iscrowd": 0,
                     }
                 )

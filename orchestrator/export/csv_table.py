@@ -11,7 +11,7 @@ __all__ = ["write_csv"]
 
 _COLUMNS = (
     *("stream", "frame", "seconds", "id", "kind", "state"),
-    *("x", "y", "w", "h", "area", "cx", "cy", "vx", "vy", "confidence"),
+    *("x", "y", "w", "h", "area", "cx", "cy", "vx", "vy", "confidence", "score"),
 )
 
 
@@ -30,10 +30,10 @@ def write_csv(run: Path, out: Path) -> None:
         for name in streams_of(run):
             for frame in recorded_stream(run / name):
                 for one in frame.objects:
-                    where = (round(value, 2) for value in (*one.centroid, *one.velocity, one.confidence))
+                    measured = (*one.centroid, *one.velocity, one.confidence, one.score)
                     table.writerow(
                         [
                             *(name, frame.index, round(frame.pts, 6), one.layer, one.kind, one.state),
-                            *(*one.region.box, one.area, *where),
+                            *(*one.region.box, one.area, *(round(value, 2) for value in measured)),
                         ]
                     )

@@ -10,7 +10,7 @@ __all__ = ["write_mot"]
 
 
 def write_mot(run: Path, out: Path) -> None:
-    """Write ``STREAM.txt`` with the lines ``frame,id,x,y,w,h,confidence,-1,-1,-1``.
+    """Write ``STREAM.txt`` with the lines ``frame,id,x,y,w,h,score,-1,-1,-1``.
 
     The format counts frames and pixels from 1; the last three values would be a place in the world.
 
@@ -26,4 +26,4 @@ def write_mot(run: Path, out: Path) -> None:
                 for one in frame.objects:
                     left, top, width, height = one.region.box
                     box = f"{left + 1},{top + 1},{width},{height}"
-                    file.write(f"{frame.index + 1},{one.layer},{box},{one.confidence:.4f},-1,-1,-1\n")
+                    file.write(f"{frame.index + 1},{one.layer},{box},{one.score:.4f},-1,-1,-1\n")

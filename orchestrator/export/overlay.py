@@ -76,7 +76,7 @@ def draw_overlay(stream: Path, source: str, path: Path, zones: Sequence[Zone] = 
             missing += 1
             continue
         regions = {one.layer: one.region for one in frame.objects}
-        overlay.add(picture, frame.labels(), frame.index, frame.pts, regions, frame.pixel_aspect)
+        overlay.add(picture, frame.labels(), frame.index, frame.pts, regions, frame.pixel_aspect, frame.scene)
         drawn += 1
     overlay.close()
     if drawn and not path.exists():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,8 @@ from pycocotools import mask as coco_mask
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import Array, LayerSummary
+from orchestrator.rows.scene_place import ScenePlace
+from orchestrator.run.run_folder import read_description
 from orchestrator.sinks.record_tables import read_rows
 
 __all__ = ["RecordedFrame", "description_of", "recorded_stream", "streams_of"]
@@ -40,6 +41,8 @@ class RecordedFrame:
         Their masks as COCO's compressed run-length codes.
     pixel_aspect : float
         How wide a pixel is to be shown for its height.
+    scene : ScenePlace, optional
+        Where the zones are that are fixed to the scene.
     """
 
     index: int
@@ -51,6 +54,7 @@ class RecordedFrame:
     objects: tuple[LayerSummary, ...]
     codes: tuple[str, ...]
     pixel_aspect: float = 1.0
+    scene: ScenePlace | None = None
 
     def labels(self) -> Array:
         """The label map, (H, W) uint16."""
@@ -69,10 +73,9 @@ def description_of(run: Path) -> dict[str, Any]:
     ConfigError
         If the folder holds no run, or its tables were not saved.
     """
-    try:
-        description: dict[str, Any] = json.loads((run / "run.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise ConfigError(f"{run} holds no run; name the folder given to --output.") from None
+    description = read_description(run)
+    if description is None:
+        raise ConfigError(f"{run} holds no run; name the folder given to --output.")
     if "parquet" not in description["save"]:
         raise ConfigError(f"The run in {run} has no tables to export; run it again with parquet in --save.")
     return description
@@ -112,4 +115,5 @@ def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
             objects=result.layers,
             codes=result.run_length_codes,
             pixel_aspect=result.pixel_aspect,
+            scene=result.scene,
         )

@@ -9,13 +9,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from orchestrator.run.stream_state import StreamState
-from orchestrator.sinks.live_picture import live_picture_path
+from orchestrator.events.pictures import PICTURES
+from orchestrator.events.recent import RecentEvents
+from orchestrator.run.stream_state import ENDED, StreamState
+from orchestrator.sinks.live_picture import live_picture_path, watch
 
 __all__ = ["Board"]
 
 #: Points of a stream's history; when there are more, every second one is dropped, so that they span the run.
 _POINTS = 240
+
+#: Newest events of a stream that are shown.
+_EVENTS = 10
 
 
 class Board:
@@ -25,12 +30,16 @@ class Board:
     ----------
     pictures : Path
         Folder of the streams' newest pictures.
+    folder : Path
+        Of the run.
     clock : callable
         Monotonic time, s.
     """
 
-    def __init__(self, pictures: Path, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, pictures: Path, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
         self._pictures = pictures
+        self._folder = folder
+        self._events = RecentEvents(_EVENTS)
         self._clock = clock
         self._started = clock()
         self._lock = threading.Lock()
@@ -62,7 +71,8 @@ class Board:
         dict
             ``seconds`` since the start; ``streams``, in the order of the list: those of ``status.json`` and
             ``name``, ``rank`` (display order: :attr:`StreamState.rank`), ``picture`` (changes with the
-            picture, null if there is none), ``layers_over_time`` (pairs of frames read and layers).
+            picture, null if there is none), ``layers_over_time`` (pairs of frames read and layers),
+            ``events`` (the newest ones, the last one last).
         """
         with self._lock:
             states, past = self._states, {name: list(points) for name, points in self._past.items()}
@@ -72,7 +82,8 @@ class Board:
                 state.figures()
                 | {
                     "rank": state.rank,
-                    "picture": self._version(state.name),
+                    "picture": self.version(state.name),
+                    "events": self._events.of(self._folder / state.name),
                     "layers_over_time": past.get(state.name, []),
                 }
                 for state in states
@@ -81,13 +92,35 @@ class Board:
 
     def picture(self, number: int) -> bytes | None:
         """Return the newest picture (JPEG) of the stream at this index of the list; None if there is none."""
-        try:
-            return live_picture_path(self._pictures, self.states[number].name).read_bytes()
-        except (IndexError, OSError):
-            return None
+        states = self.states
+        return self.picture_of(states[number].name) if number < len(states) else None
 
-    def _version(self, name: str) -> str | None:
+    def picture_of(self, name: str) -> bytes | None:
+        """Return the newest picture (JPEG) of a stream; None if there is none."""
+        return _content(live_picture_path(self._pictures, name))
+
+    def picture_of_event(self, name: str, file: str) -> bytes | None:
+        """Return a picture (JPEG) of a stream's events by its name; None if there is none."""
+        return _content(self._folder / name / PICTURES / file)
+
+    def watch(self, name: str) -> None:
+        """Ask for more pictures of a stream for a while."""
+        watch(live_picture_path(self._pictures, name))
+
+    def has_ended(self, name: str) -> bool:
+        """Whether a stream has ended, or does not exist."""
+        return all(state.state in ENDED for state in self.states if state.name == name)
+
+    def version(self, name: str) -> str | None:
+        """Return what changes with a stream's newest picture, None without one."""
         try:
             return str(live_picture_path(self._pictures, name).stat().st_mtime_ns)
         except OSError:
             return None
+
+
+def _content(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return None

@@ -80,6 +80,13 @@ METRICS = (
         "For how long a frame was worked on lately.",
         lambda s: s.latency_ms / 1000,
     ),
+    Metric(
+        "mlbs_stream_cores",
+        "gauge",
+        "Cores that its processes keep busy if no frame is dropped.",
+        lambda s: s.cores,
+    ),
+    Metric("mlbs_stream_memory_bytes", "gauge", "Unique memory of its processes.", lambda s: s.memory),
 )
 
 #: Gauge that is 1 for a stream's current state, which is in its label ``state``.

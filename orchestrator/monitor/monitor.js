@@ -1,12 +1,21 @@
 "use strict";
-// Asks for the status once a second and writes into a card a stream what has changed.
+// Asks for the status twice a second and writes into a card a stream what has changed.
 
-const SECOND = 1000;
+const PAUSE = 500; // ms
 const ENDED = ["done", "partial", "failed"];
 const summary = document.getElementById("summary");
 const pause = document.getElementById("pause");
 const list = document.getElementById("streams");
 const cards = []; // in the order of the list of streams
+const large = document.querySelector("dialog");
+let enlarged = null; // the picture that is shown large
+// Only what can be seen is loaded, however many streams there are.
+const inSight = new IntersectionObserver((entries) => {
+  for (const entry of entries) {
+    entry.target.classList.toggle("in-sight", entry.isIntersecting);
+    if (entry.isIntersecting) load(entry.target.querySelector(".picture img"));
+  }
+}, { rootMargin: "200px" });
 
 function write(element, text) {
   if (element.textContent !== text) element.textContent = text; // else a screen reader would repeat it
@@ -17,7 +26,9 @@ function card(number) {
     const copy = document.getElementById("stream").content.cloneNode(true).firstElementChild;
     copy.querySelector("h2").id = `name-${number}`;
     copy.setAttribute("aria-labelledby", `name-${number}`);
+    copy.querySelector(".picture").addEventListener("click", (click) => enlarge(click.currentTarget.firstChild));
     list.append(copy);
+    inSight.observe(copy);
     cards[number] = copy;
   }
   return cards[number];
@@ -49,6 +60,54 @@ function drawLayers(figure, points) {
   write(figure.querySelector("figcaption"), `layers over time, at most ${most}`);
 }
 
+function load(image) {
+  if (image.dataset.newest && image.getAttribute("src") !== image.dataset.newest) image.src = image.dataset.newest;
+  if (image === enlarged) showLarge(image.src, image.alt);
+}
+
+function showLarge(source, words) {
+  const image = large.querySelector("img");
+  if (image.getAttribute("src") !== source) image.src = source;
+  image.alt = words;
+}
+
+function enlarge(image) {
+  enlarged = image;
+  showLarge(image.src, image.alt);
+  large.showModal();
+}
+
+function describe(event) {
+  const when = event.clock ? new Date(event.clock).toLocaleTimeString() : `${event.time.toFixed(1)} s`;
+  const who = event.object === null ? "" : ` ${event.object}`;
+  const where = event.zone === null ? "" : ` ${event.zone}`;
+  return `${when}:${who} ${event.kind}${where}${event.direction ? ` to the ${event.direction}` : ""}`;
+}
+
+function listEvents(box, stream) {
+  box.hidden = !stream.events.length;
+  const newest = box.hidden ? "" : stream.events[stream.events.length - 1].id;
+  if (box.dataset.newest === newest) return;
+  box.dataset.newest = newest;
+  write(box.querySelector("summary"), `last events: ${describe(stream.events[stream.events.length - 1])}`);
+  box.querySelector("ol").replaceChildren(...stream.events.slice().reverse().map((event) => {
+    const line = document.createElement("li");
+    write(line, describe(event));
+    if (event.picture) {
+      const picture = document.createElement("button");
+      write(picture, "picture");
+      picture.type = "button";
+      picture.addEventListener("click", () => {
+        enlarged = null;
+        showLarge(`/streams/${encodeURIComponent(stream.name)}/${event.picture}`, describe(event));
+        large.showModal();
+      });
+      line.append(" ", picture);
+    }
+    return line;
+  }));
+}
+
 function show(stream, number) {
   const element = card(number);
   element.dataset.state = stream.state;
@@ -62,14 +121,15 @@ function show(stream, number) {
   write(error, stream.error || "");
   for (const figure of element.querySelectorAll("dd")) write(figure, shownNumber(stream, figure.dataset.key));
   for (const rare of element.querySelectorAll(".rare")) rare.hidden = !stream[rare.lastElementChild.dataset.key];
-  const image = element.querySelector("img");
-  if (stream.picture && image.dataset.picture !== stream.picture) {
-    image.dataset.picture = stream.picture;
-    image.src = `/pictures/${number}.jpg?${stream.picture}`;
+  const image = element.querySelector(".picture img");
+  if (stream.picture) {
+    image.dataset.newest = `/pictures/${number}.jpg?${stream.picture}`;
     image.alt = `Newest frame of ${stream.name} with its objects outlined and numbered`;
+    if (element.classList.contains("in-sight") || image === enlarged) load(image);
   }
-  image.hidden = !stream.picture;
+  element.querySelector(".picture").hidden = !stream.picture;
   drawLayers(element.querySelector("figure"), stream.layers_over_time);
+  listEvents(element.querySelector(".events"), stream);
 }
 
 // Those at work first. The cards themselves change places, so that a screen reader reads what the eye sees.
@@ -97,11 +157,13 @@ async function refresh() {
       write(summary, "The run has ended, or cannot be reached; this is how it stood last.");
     }
   }
-  setTimeout(refresh, SECOND);
+  setTimeout(refresh, PAUSE);
 }
 
 pause.addEventListener("click", () => {
   const paused = pause.getAttribute("aria-pressed") === "false";
   pause.setAttribute("aria-pressed", String(paused));
 });
+large.addEventListener("close", () => { enlarged = null; });
+large.addEventListener("click", (click) => { if (click.target !== large.querySelector("button")) large.close(); });
 refresh();

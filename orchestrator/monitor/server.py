@@ -1,7 +1,8 @@
 """Serves the monitor's page: on this machine only, or elsewhere to those who know the token.
 
-The page is static and requests ``/status.json`` once a second; pictures are files that the sink writes at
-most once a second. So viewers never slow a frame, however many there are.
+The page is static and requests ``/status.json`` twice a second; pictures are files that the sink writes at
+most twice a second, or ten times for the streams that are sent on as Motion JPEG. So viewers never slow a
+frame, however many there are.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import hmac
 import json
 import os
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,17 +18,20 @@ from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.monitor.board import Board
 from orchestrator.monitor.metrics import CONTENT_TYPE, MetricsText
+from orchestrator.monitor.restream import BOUNDARY, motion_jpeg
 
 __all__ = ["serving"]
 
 _LEAST_TOKEN = 16  # characters
 _COOKIE = "mlbs-monitor"
+_MOTION_JPEG = ".mjpg"
+_EVENT_PICTURE = re.compile(r"\d{8,}-\d+\.jpg", re.ASCII)
 _FOLDER = Path(__file__).parent
 _FILES = {
     "/": ("page.html", "text/html; charset=utf-8"),
@@ -74,6 +79,7 @@ def serving(address: MonitorAddress, board: Board) -> Iterator[str]:
     try:
         yield f"http://{address.host}:{server.server_port}/" + ("?token=…" if token else "")
     finally:
+        server.is_closing = True
         server.shutdown()
         server.server_close()
         thread.join()
@@ -87,6 +93,7 @@ class _Server(ThreadingHTTPServer):
         self.board = board
         self.metrics_text = MetricsText()
         self.token = token
+        self.is_closing = False
         super().__init__((address.host, address.port), _Handler)
 
 
@@ -101,12 +108,14 @@ class _Handler(BaseHTTPRequestHandler):
         url = urlsplit(self.path)
         if self.server.token:
             given = parse_qs(url.query).get("token", [""])[0]
-            if given and self._is_token(given):
+            is_known = bool(given) and self._is_token(given)
+            # A player of pictures keeps no cookie.
+            if is_known and not url.path.endswith(_MOTION_JPEG):
                 # A cookie keeps the token from now on, so that it is not in the browser's history.
                 cookie = f"{_COOKIE}={given}; HttpOnly; SameSite=Strict; Path=/"
                 self._answer(HTTPStatus.SEE_OTHER, b"", "text/plain", {"Location": "/", "Set-Cookie": cookie})
                 return
-            if not self._is_token(self._bearer()) and not self._is_token(self._cookie()):
+            if not is_known and not self._is_token(self._bearer()) and not self._is_token(self._cookie()):
                 self._refuse(HTTPStatus.UNAUTHORIZED, "Open this page with ?token=… in its address.")
                 return
         elif not self._is_for_loopback():
@@ -121,6 +130,8 @@ class _Handler(BaseHTTPRequestHandler):
         elif url.path == "/metrics":
             text = self.server.metrics_text(self.server.board.states)
             self._answer(HTTPStatus.OK, text.encode(), CONTENT_TYPE)
+        elif url.path.endswith(_MOTION_JPEG) and (stream := self._stream(url.path)) is not None:
+            self._send_on(stream)
         elif (picture := self._picture(url.path)) is not None:
             self._answer(HTTPStatus.OK, picture, "image/jpeg")
         else:
@@ -129,7 +140,32 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, format: str, *arguments: object) -> None:
         """Do nothing: the terminal belongs to the progress, and a line could contain the token."""
 
+    def _stream(self, path: str) -> str | None:
+        """Return the stream that a path below /streams names."""
+        name = unquote(path).removeprefix("/streams/").removesuffix(_MOTION_JPEG)
+        known = any(state.name == name for state in self.server.board.states)
+        return name if known and path.startswith("/streams/") else None
+
+    def _send_on(self, name: str) -> None:
+        """Send pictures of a stream until it ends, or the viewer leaves, or the run ends."""
+        self.send_response(HTTPStatus.OK)
+        own = {"Content-Type": f"multipart/x-mixed-replace; boundary={BOUNDARY}"}
+        for key, value in (_HEADERS | own).items():
+            self.send_header(key, value)
+        self.end_headers()
+        try:
+            for part in motion_jpeg(self.server.board, name):
+                self.wfile.write(part)
+                if self.server.is_closing:
+                    break
+        except OSError:
+            pass  # the viewer is gone, or takes nothing
+        self.close_connection = True
+
     def _picture(self, path: str) -> bytes | None:
+        name, _, file = unquote(path).removeprefix("/streams/").rpartition("/events/")
+        if self._stream(f"/streams/{quote(name)}") is not None and _EVENT_PICTURE.fullmatch(file):
+            return self.server.board.picture_of_event(name, file)
         number = path.removeprefix("/pictures/").removesuffix(".jpg")
         if path != f"/pictures/{number}.jpg" or not (number.isascii() and number.isdecimal()):
             return None

@@ -69,7 +69,7 @@ def css_colour(layer: int) -> str:
 
 
 def timeline_chart(history: StreamHistory, lives: Sequence[SeenObject]) -> Markup:
-    """Draw a row a layer: a bar while it is seen, a line while not, how it ends.
+    """Draw a row a layer: a bar while it is seen, hollow while it rests, a line while not, how it ends.
 
     At the top are lost frames, and those that are no ordinary picture.
     """
@@ -103,6 +103,11 @@ def timeline_chart(history: StreamHistory, lives: Sequence[SeenObject]) -> Marku
             )
             width = max(axis.x(last + 1) - axis.x(first), 1.5)
             rows.append(bar.format(axis.x(first), top + 3, width, _ROW - 6, css_colour(life.layer), title))
+        rest = Markup('<rect x="{}" y="{}" width="{}" height="{}" class="rest"><title>{}</title></rect>')
+        for first, last in history.rests.get(life.layer, ()):
+            title = f"object {life.layer} rests: frames {first} to {last}"
+            width = max(axis.x(last + 1) - axis.x(first), 1.5)
+            rows.append(rest.format(axis.x(first), top + 6, width, _ROW - 12, title))
         rows.append(_TEXT.format(axis.x(life.spans[-1][1] + 1) + 4, top + _ROW - 5, "", life.ending.sign))
         top += _ROW
     label = f"When each of {len(lives)} objects was seen; the table of objects says the same."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from mlbs_actors.messages import Array
+from orchestrator.rows.frame_row import FrameRow
 from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.object_list import ObjectList, SeenObject
 from orchestrator.sinks.record_tables import read_rows, read_table
@@ -67,6 +69,8 @@ class StreamHistory:
         Begin and end of each time without pictures, s.
     lives : tuple of SeenObject
         In ascending id, which is the order of their births.
+    rests : mapping of int to list of (int, int)
+        Id → first and last frame of each time in which that object rested.
     stages : tuple of StageTimes
     """
 
@@ -78,6 +82,7 @@ class StreamHistory:
     lost: tuple[tuple[str, tuple[int, ...]], ...]
     gaps: tuple[tuple[float, float], ...]
     lives: tuple[SeenObject, ...]
+    rests: Mapping[int, list[tuple[int, int]]]
     stages: tuple[StageTimes, ...]
 
     @property
@@ -117,6 +122,8 @@ def read_history(folder: Path) -> StreamHistory | None:
     gaps = zip(
         pts[status == "gap"].tolist(), np.append(pts[1:], pts[-1])[status == "gap"].tolist(), strict=True
     )
+    rests: dict[int, list[tuple[int, int]]] = {}
+    lives = ObjectList().add(_noting_rests(read_rows(folder, begin), rests)).objects
     return StreamHistory(
         frames=frames[ok],
         pts=pts[ok],
@@ -125,9 +132,26 @@ def read_history(folder: Path) -> StreamHistory | None:
         unusual=unusual,
         lost=lost,
         gaps=tuple(gaps),
-        lives=tuple(ObjectList().add(read_rows(folder, begin)).objects),
+        lives=tuple(lives),
+        rests=rests,
         stages=_stages(table.filter(pa.array(ok))),
     )
+
+
+def _noting_rests(rows: Iterable[FrameRow], rests: dict[int, list[tuple[int, int]]]) -> Iterator[FrameRow]:
+    """Pass rows on; add the times in which objects rest to ``rests``."""
+    before = None  # the label map before
+    for row in rows:
+        for layer in row.result.layers if row.result else ():
+            if layer.state == "resting":
+                spans = rests.setdefault(layer.layer, [])
+                if spans and spans[-1][1] == before:
+                    spans[-1] = spans[-1][0], row.frame
+                else:
+                    spans.append((row.frame, row.frame))
+        if row.result:
+            before = row.frame
+        yield row
 
 
 def _by_status(frames: Array, status: Array) -> tuple[tuple[str, tuple[int, ...]], ...]:

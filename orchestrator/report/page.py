@@ -13,6 +13,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.wording import count_of
+from orchestrator.events.event_file import EVENTS
+from orchestrator.events.recent import recent_events
 from orchestrator.report import charts
 from orchestrator.report.history import LONG_SECONDS, MOST_FRAMES, StreamHistory, frame_ranges, read_history
 from orchestrator.report.pictures import StripPicture, overlay_strip
@@ -37,6 +39,9 @@ _UNFOLDED = 4
 _RANGES = 20  # of lost frames
 _OVERLAYS = 24  # newest videos with a link each
 
+#: Most events with a row of their own; of more, the newest.
+_EVENTS = 50
+
 
 @dataclass(frozen=True, slots=True)
 class _Stream:
@@ -54,6 +59,7 @@ class _Stream:
     strip: list[StripPicture]
     lost: list[str]
     left_out: list[str]
+    events: list[dict[str, Any]]
 
 
 def render_report(folder: Path) -> str:
@@ -94,6 +100,8 @@ def render_report(folder: Path) -> str:
         "stage_colours": _stage_colours,
         "long_time": f"{LONG_SECONDS:g} s or longer",
         "objects_csv": OBJECTS_CSV,
+        "events_jsonl": EVENTS,
+        "most_events": _EVENTS,
     }
     return environment.get_template("report.html").render(
         run=run,
@@ -138,6 +146,7 @@ def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) ->
         strip=strip,
         lost=lost,
         left_out=_left_out(folder),
+        events=recent_events(folder, _EVENTS),
     )
 
 

@@ -1,6 +1,8 @@
 """A run over many streams: the list, admission, progress, recovery, and the run's files.
 
 Read in this order: ``run`` (from the arguments to the exit status), ``stream_list`` and ``list_watch``,
-``driver`` (the loop), ``admission`` (which streams may start), ``stream_state``, ``recovery`` (which streams
-restart), ``run_folder`` and ``durable_files``.
+``job`` (the streams in the driver's form), ``resumption`` (what an earlier run has left), ``driver`` (the
+loop), ``admission`` and ``load`` (which streams may start, and what they take), ``node_check`` and
+``versions`` (which nodes of a cluster can be used), ``stream_state``, ``recovery`` (which streams restart),
+``run_folder`` and ``durable_files``, ``whole_overlays``.
 """

@@ -1,30 +1,38 @@
-"""Which streams may run at once: as many as the machine holds, in the order of the list.
+"""Which streams may run at once, in the order of the list; the others wait, and are told what for.
 
 A stream is several processes, and together they must fit into memory: if a machine swaps, or its kernel kills
 for memory, all streams are lost at once. Each stream is admitted with memory for a few objects; for more,
-the pool starts processes while memory lasts (:mod:`mlbs_actors.actors.node.pool`). More streams than the
-cores can serve only cost memory, so they are bounded too. The others wait and start as running ones end.
+the pool starts processes while memory lasts (:mod:`mlbs_actors.actors.node.pool`).
+
+A stream of a file takes all CPU time that it gets, so a fixed number of them keeps the cores busy, and more
+would only cost memory. A camera takes what its rate asks for. So as many cameras start as files would; once
+it is measured what these take, more start, until the cores are busy. What was admitted stays: if it takes
+more later, cameras drop frames.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from pathlib import Path
+import time
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+from typing import TypeAlias
 
-from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory, node_memory
-from mlbs_actors.errors import ConfigError
+from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory
 from mlbs_actors.wording import count_of
 from orchestrator.run.stream_state import ENDED, StreamState
 
 __all__ = [
     "PLACE_BYTES",
     "STREAMS_A_CORE",
+    "Admission",
+    "Verdict",
+    "by_count",
+    "by_load",
     "cores",
     "places",
-    "places_here",
-    "streams_to_start",
-    "warn_of_cameras",
+    "places_by_memory",
 ]
 
 #: Unique memory of a stream with four objects, bytes.
@@ -33,76 +41,185 @@ PLACE_BYTES = STREAM_BYTES + 4 * LAYER_BYTES
 #: Left for the driver, Ray's own processes, the sink and the object store, bytes.
 _RESERVED_BYTES = 1_500 * 2**20
 
-#: Most streams for each core. A stream's stages wait for one another: two on a core keep it busy.
+#: Most streams of files for each core. A stream's stages wait for one another: two on a core keep it busy.
 STREAMS_A_CORE = 2
 
+#: What the sink and Ray take besides a stream's own processes, as a share of these (docs/scaling.md).
+_SHARED_SHARE = 0.14
 
-def places(memory: NodeMemory, core_count: int) -> int:
-    """Return how many streams may run at once.
+#: Interval of measurements of the free memory, s.
+_LOOK_SECONDS = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """A decision about the streams that wait.
+
+    Attributes
+    ----------
+    start : str, optional
+        Name of the one to start now.
+    files_wait_for, cameras_wait_for : str
+        Otherwise, what the others wait for.
+    """
+
+    start: str | None = None
+    files_wait_for: str = ""
+    cameras_wait_for: str = ""
+
+    def waits_for(self, state: StreamState) -> str:
+        """Return what a waiting stream waits for."""
+        return self.cameras_wait_for if state.live else self.files_wait_for
+
+
+#: Takes the states of all streams and the names of those whose processes are ending.
+Admission: TypeAlias = Callable[[Sequence[StreamState], Collection[str]], Verdict]
+
+
+def by_count(most: int | Callable[[int], int], kind: str = "places") -> Admission:
+    """Admit so many streams at once, whatever they take.
+
+    Parameters
+    ----------
+    most : int or callable
+        A callable is called repeatedly, with the number of streams that wait.
+    kind : str
+        What there are so many of, for the user.
+    """
+
+    def admit(states: Sequence[StreamState], ending: Collection[str]) -> Verdict:
+        waiting = [state.name for state in states if state.state == "waiting"]
+        limit = most(len(waiting)) if callable(most) else most
+        if not waiting:
+            return Verdict()
+        if len(_running(states, ending)) < limit:
+            return Verdict(waiting[0])
+        reason = f"one of the {limit} {kind}, which are taken" if limit else f"{kind}: there are none yet"
+        return Verdict(None, reason, reason)
+
+    return admit
+
+
+def by_load(
+    core_count: int,
+    most_files: int,
+    memory: Callable[[], NodeMemory],
+    clock: Callable[[], float] = time.monotonic,
+) -> Admission:
+    """Admit files by number, and cameras by the CPU time and memory that they take on this machine.
+
+    Parameters
+    ----------
+    core_count : int
+    most_files : int
+        Files at once.
+    memory : callable
+        Measures the memory.
+    clock : callable
+        Monotonic time, s.
+    """
+    looked, free = clock(), memory().free
+
+    def admit(states: Sequence[StreamState], ending: Collection[str]) -> Verdict:
+        nonlocal looked, free
+        file = next((state.name for state in states if state.state == "waiting" and not state.live), None)
+        camera = next((state.name for state in states if state.state == "waiting" and state.live), None)
+        if file is None and camera is None:
+            return Verdict()
+        if clock() - looked >= _LOOK_SECONDS:
+            looked, free = clock(), memory().free
+        load = _Load.of(_running(states, ending))
+        if load.streams == 0:
+            return Verdict(next(state.name for state in states if state.state == "waiting"))
+        short = load.short_of_memory(free)
+        files_wait, cameras_wait = "" if load.files == load.streams else short, short
+        if load.files >= most_files:
+            files_wait = f"one of the {most_files} places for files, which are taken"
+        files_wait = files_wait or load.short_of_cores(core_count, 1 / STREAMS_A_CORE)
+        cameras_wait = cameras_wait or load.short_of_cores(core_count, load.cores_a_camera)
+        fitting = {file: files_wait, camera: cameras_wait}
+        names = (state.name for state in states if fitting.get(state.name) == "")
+        return Verdict(next(names, None), files_wait, cameras_wait)
+
+    return admit
+
+
+@dataclass(frozen=True, slots=True)
+class _Load:
+    """What the running streams take: cores, and memory, bytes; and what one more would."""
+
+    streams: int
+    files: int
+    cores: float
+    cores_a_camera: float
+    unmeasured: int
+    memory_a_stream: float
+
+    @staticmethod
+    def of(running: Sequence[StreamState]) -> _Load:
+        files = sum(not state.live for state in running)
+        cameras = [state.cores * (1 + _SHARED_SHARE) for state in running if state.live and state.cores]
+        a_camera = fmean(cameras) if cameras else 1 / STREAMS_A_CORE
+        taken = sum(cameras) + a_camera * (len(running) - files - len(cameras)) + files / STREAMS_A_CORE
+        memory = [state.memory for state in running if state.memory]
+        return _Load(
+            streams=len(running),
+            files=files,
+            cores=taken,
+            cores_a_camera=a_camera,
+            unmeasured=len(running) - len(memory),
+            memory_a_stream=fmean(memory) if memory else PLACE_BYTES,
+        )
+
+    def short_of_cores(self, core_count: int, more: float) -> str:
+        """Return why a stream that takes so many cores does not fit; empty if it does."""
+        if self.cores + more <= core_count + 1e-6:
+            return ""
+        return (
+            f"CPU time: {count_of(self.streams, 'stream')} {'take' if self.streams > 1 else 'takes'} "
+            f"{self.cores:.1f} of {count_of(core_count, 'core')}, and another one would take {more:.2f}"
+        )
+
+    def short_of_memory(self, free: int) -> str:
+        """Return why another stream does not fit into the free memory, bytes; empty if it does."""
+        reserved = self.memory_a_stream * self.unmeasured
+        if self.unmeasured == self.streams:  # the session itself is still growing
+            reserved += _RESERVED_BYTES
+        if free - reserved >= self.memory_a_stream:
+            return ""
+        left, more = max(free - reserved, 0) / 2**30, self.memory_a_stream / 2**30
+        return f"memory: {left:.1f} GiB are left for more streams, and one takes {more:.1f} GiB"
+
+
+def _running(states: Sequence[StreamState], ending: Collection[str]) -> list[StreamState]:
+    """Select the streams that have processes."""
+    return [
+        state
+        for state in states
+        if state.name in ending or (state.state != "waiting" and state.state not in ENDED)
+    ]
+
+
+def places(memory: NodeMemory, core_count: float) -> int:
+    """Return how many streams of files may run at once.
 
     Parameters
     ----------
     memory : NodeMemory
         Before the run.
-    core_count : int
+    core_count : float
 
     Returns
     -------
     int
         At least 1: a machine too small for the estimate may still hold one small stream.
     """
-    by_memory = (memory.free - _RESERVED_BYTES) // PLACE_BYTES
-    return max(1, min(by_memory, core_count * STREAMS_A_CORE))
+    return max(1, min(places_by_memory(memory), int(core_count * STREAMS_A_CORE)))
 
 
-def warn_of_cameras(cameras: int, streams: int, limit: int) -> str | None:
-    """Warn that some streams may never start if cameras, which do not end by themselves, take all places.
-
-    Parameters
-    ----------
-    cameras : int
-        Streams without an end.
-    streams : int
-        All streams, cameras included.
-    limit : int
-        Streams that may run at once.
-    """
-    if cameras < limit or streams <= limit:
-        return None
-    return (
-        f"Cameras do not end by themselves and will hold all {limit} places of this machine; "
-        f"{count_of(streams - limit, 'stream')} may never start. Leave some out, set --max-frames, or add "
-        "machines with --address."
-    )
-
-
-def places_here(folder: Path) -> int:
-    """Return how many streams this machine, a node of a cluster, can hold; it must see the run's folder.
-
-    Raises
-    ------
-    ConfigError
-        If it does not.
-    """
-    if not (folder / "run.json").exists():
-        raise ConfigError(
-            f"the output folder {folder} is not there; put it on a file system that all nodes share"
-        )
-    return places(node_memory(), cores())
-
-
-def streams_to_start(states: Sequence[StreamState], limit: int) -> tuple[str, ...]:
-    """Select the waiting streams that may start now, in the order of ``states``.
-
-    Parameters
-    ----------
-    states : sequence of StreamState
-    limit : int
-        Streams that may run at once.
-    """
-    running = sum(state.state != "waiting" and state.state not in ENDED for state in states)
-    waiting = (state.name for state in states if state.state == "waiting")
-    return tuple(name for name, _ in zip(waiting, range(limit - running), strict=False))
+def places_by_memory(memory: NodeMemory) -> int:
+    """Return how many streams fit into the memory before the run; at least 1."""
+    return max(1, (memory.free - _RESERVED_BYTES) // PLACE_BYTES)
 
 
 def cores() -> int:

@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
-from mlbs_actors.errors import ActorLostError, MlbsError
+from mlbs_actors.errors import ActorLostError, MlbsError, NoPlaceError
 from orchestrator.interruption import Interruption
-from orchestrator.run.admission import streams_to_start
+from orchestrator.run.admission import Admission
+from orchestrator.run.load import LoadMeter
 from orchestrator.run.recovery import STALL_SECONDS, START_SECONDS, Returns
 from orchestrator.run.stream_state import (
     StreamState,
@@ -29,16 +29,15 @@ from orchestrator.run.stream_state import (
     after_loss,
     after_progress,
     after_removal,
+    after_start,
     exit_code,
+    has_ended,
 )
 
 __all__ = ["Driver", "Observer", "SpecChange"]
 
 #: Longest time until a signal is noticed, s.
 _WAKE_SECONDS = 0.2
-
-#: Window over which a stream's rate is measured, s: most and least. Its first bursts are slow.
-_RATE_SECONDS, _LEAST_RATE_SECONDS = 10.0, 2.0
 
 
 class Observer(Protocol):
@@ -65,8 +64,8 @@ class Driver:
         In the order in which they start; names are unique.
     host : StreamHost
         Starts streams; is not closed here.
-    limit : int or callable
-        Streams that may run at once; a callable is called repeatedly.
+    admission : Admission
+        Decides which streams may run.
     observers : sequence of Observer
     interruption : Interruption
         Checked between events.
@@ -85,7 +84,7 @@ class Driver:
         specs: Sequence[StreamSpec],
         host: StreamHost,
         *,
-        limit: int | Callable[[], int],
+        admission: Admission,
         observers: Sequence[Observer],
         interruption: Interruption,
         lengths: Mapping[str, int] | None = None,
@@ -95,17 +94,16 @@ class Driver:
     ) -> None:
         self._specs = {spec.name: spec for spec in specs}
         known = lengths or {}
-        self._states = {
-            spec.name: StreamState(spec.name, line=spec.line, length=_to_read(spec, known)) for spec in specs
-        } | dict(ended or {})
+        self._states = {spec.name: _new_state(spec, known) for spec in specs} | dict(ended or {})
         self._host = host
-        self._limit = limit if callable(limit) else lambda: limit
+        self._admission = admission
         self._observers = observers
         self._interruption = interruption
         self._changes = changes
         self._clock = clock
-        self._rates = {spec.name: _Rate(clock) for spec in specs}
+        self._loads: dict[str, LoadMeter] = {}
         self._removed: set[str] = set()  # taken from the list, and not ended yet
+        self._coming: dict[str, StreamSpec] = {}  # new in the list, and not added yet
         self._streams: dict[str, RunningStream] = {}
         self._bursts: dict[Future[StreamProgress], str] = {}
         self._asked: dict[str, float] = {}
@@ -125,8 +123,9 @@ class Driver:
         self._show()
         while self._interruption.signal_number is None:
             self._follow_list()
+            self._add_coming()
             self._admit()
-            if self._changes is None and not self._bursts and not self._endings:
+            if self._changes is None and not (self._bursts or self._endings or self._waiting()):
                 break
             self._await_next()
         else:
@@ -137,32 +136,54 @@ class Driver:
         change = None if self._changes is None else self._changes()
         if change is None:
             return
-        for spec in change.added:
-            self._specs[spec.name] = spec
-            self._rates[spec.name] = _Rate(self._clock)
-            self._returns[spec.name] = Returns()
-            self._states[spec.name] = StreamState(spec.name, line=spec.line)
         for name in change.removed:
-            if self._states[name].state == "waiting":
+            if self._coming.pop(name, None) is not None:
+                continue
+            if self._states[name].state != "waiting":
+                if name in self._streams or name in self._returning:
+                    self._removed.add(name)  # it is ended after its burst
+            elif self._returning.pop(name, None) is None:
                 del self._states[name]
-            elif name in self._streams or name in self._returning:
-                self._removed.add(name)  # it is ended after its burst
+            else:
+                self._states[name] = after_removal(self._states[name], None)
+        self._coming |= {spec.name: spec for spec in change.added}
         self._show()
+
+    def _add_coming(self) -> None:
+        """Add the streams of new lines; one that comes back, once its processes are gone."""
+        ending = {*self._removed, *self._endings.values()}
+        for name in [name for name in self._coming if name not in ending]:
+            spec = self._coming.pop(name)
+            if name in self._states and has_ended(self._states[name]):
+                continue
+            self._specs[name] = spec
+            self._returns[name] = Returns()
+            self._states[name] = _new_state(spec, {})
+            self._show()
 
     def _admit(self) -> None:
         # One at a time: if a stream fails at once, its place is free for the next.
-        while names := streams_to_start(self.states, self._limit() - len(self._endings)):
-            self._set(replace(self._states[names[0]], state="starting"))
-            self._start(names[0])
+        while name := (verdict := self._admission(self.states, self._endings.values())).start:
+            self._set(after_start(self._states[name]))
+            self._start(name)
+        for state in self.states:
+            if state.state == "waiting" and state.waits_for != (reason := verdict.waits_for(state)):
+                self._states[state.name] = replace(state, waits_for=reason)
+
+    def _waiting(self) -> int:
+        return sum(state.state == "waiting" for state in self.states)
 
     def _start(self, name: str) -> None:
+        self._loads[name] = LoadMeter(self._clock)
+        spec = replace(self._specs[name], last_try=self._returns[name].last_try)
         try:
-            self._streams[name] = self._host.start(
-                replace(self._specs[name], last_try=self._returns[name].last_try),
-                self._returning.pop(name, None),
-            )
+            self._streams[name] = self._host.start(spec, self._returning.get(name))
+            self._returning.pop(name, None)
             self._advance(name)
+        except NoPlaceError:
+            self._set(replace(self._states[name], state="waiting"))
         except Exception as error:
+            self._returning.pop(name, None)
             self._fail(name, error)
 
     def _await_next(self) -> None:
@@ -199,8 +220,8 @@ class Driver:
             self._set(after_end(self._states[name], progress))
             self._end(name, drain=False)
             return
-        rate = self._rates[name].after(progress.read)
-        self._set(after_progress(self._states[name], progress, rate))
+        load = self._loads[name].after(progress)
+        self._set(after_progress(self._states[name], progress, load.frames_per_second, load.cores))
         if name in self._removed:
             self._end(name, drain=True)
         elif self._interruption.signal_number is None:
@@ -279,26 +300,11 @@ class Driver:
             observer.update(self.states)
 
 
-def _to_read(spec: StreamSpec, lengths: Mapping[str, int]) -> int | None:
+def _new_state(spec: StreamSpec, lengths: Mapping[str, int]) -> StreamState:
     length = lengths.get(spec.name)
-    return length if length is None or spec.max_frames is None else min(length, spec.max_frames)
-
-
-class _Rate:
-    """Rate over the last seconds, frames/s."""
-
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
-        self._samples: deque[tuple[float, int]] = deque()
-
-    def after(self, frames: int) -> float:
-        """Add the total so far; return the rate, 0 while it is unknown."""
-        now = self._clock()
-        self._samples.append((now, frames))
-        while len(self._samples) > 2 and self._samples[0][0] < now - _RATE_SECONDS:
-            self._samples.popleft()
-        started, already = self._samples[0]
-        return (frames - already) / (now - started) if now - started >= _LEAST_RATE_SECONDS else 0.0
+    if spec.max_frames is not None and (length is not None or not spec.replayable):
+        length = spec.max_frames if length is None else min(length, spec.max_frames)
+    return StreamState(spec.name, line=spec.line, length=length, live=not spec.replayable)
 
 
 def _sentence(error: Exception) -> str:

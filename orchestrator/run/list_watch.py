@@ -37,16 +37,16 @@ class ListWatch:
     """Finds the changes of a list of streams.
 
     A line that cannot be used is reported and changes nothing, nor does any name end while there is such a
-    line: it may be a misspelled one. A name stands for one source throughout the run, because its folder has
-    that source's results.
+    line: it may be a misspelled one. A name that has results stands for their source throughout the run; one
+    that is gone may come back with it.
 
     Parameters
     ----------
     path : Path
     streams : sequence of ListedStream
         What the run began with.
-    has_record : callable
-        Returns for a name whether the run has results of it.
+    recorded : callable
+        Returns for a name the source, without credentials, of which the run has results; None without any.
     report : callable
         Receives each message for the user.
     clock : callable
@@ -57,14 +57,14 @@ class ListWatch:
         self,
         path: Path,
         streams: Sequence[ListedStream],
-        has_record: Callable[[str], bool],
+        recorded: Callable[[str], str | None],
         report: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._path = path
         self._report = report
         self._clock = clock
-        self._has_record = has_record
+        self._recorded = recorded
         self._present = {stream.name: stream.source for stream in streams}
         self._looked_at = clock()
         self._seen = self._read_stamp = self._stamp()
@@ -102,9 +102,10 @@ class ListWatch:
     def _is_usable(self, stream: ListedStream, faults: dict[int, str]) -> bool:
         """Whether a line can be used; else its fault is added."""
         assert stream.line is not None  # of the list
-        if stream.name in self._present and self._present[stream.name] == stream.source:
+        present, recorded = self._present.get(stream.name), self._recorded(stream.name)
+        if present == stream.source:
             return True
-        if stream.name in self._present or self._has_record(stream.name):
+        if present is not None or recorded not in (None, str(stream.source)):
             faults[stream.line] = (
                 f"the name {stream.name!r} stands for another source in this run; choose another one"
             )

@@ -12,11 +12,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from datetime import datetime, timezone
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import cv2
 from filelock import FileLock, Timeout
 
 from mlbs_actors.config import Config
@@ -25,11 +23,10 @@ from orchestrator.credentials import mask
 from orchestrator.run.durable_files import replace_file
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import ENDED, StreamState
+from orchestrator.run.versions import installed_versions
 from orchestrator.sinks.record import recorded_frames
 
-__all__ = ["RunFolder", "StatusFile", "describe_run"]
-
-_PACKAGES = ("mlbs-actors", "ray", "numpy", "scipy", "PyMaxflow", "numba", "av")
+__all__ = ["RunFolder", "StatusFile", "describe_run", "read_description"]
 
 #: Keys of ``run.json`` that must not change when a run is resumed.
 _SAME = {
@@ -51,6 +48,15 @@ _MOST_CHANGES = 3
 
 #: Least time between two writings of ``status.json``, s.
 _STATUS_SECONDS = 0.5
+
+
+def read_description(run: Path) -> dict[str, Any] | None:
+    """Read the ``run.json`` of a folder; None if it holds no run, or the file cannot be read."""
+    try:
+        description: dict[str, Any] = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return description
 
 
 class RunFolder:
@@ -77,7 +83,7 @@ class RunFolder:
         ConfigError
             If the folder holds a run or part of one, is no folder, or cannot be written to.
         """
-        if os.path.lexists(self.path / "run.json"):
+        if self.holds_run:
             raise ConfigError(
                 f"The output folder {self.path} holds a run already; "
                 "choose another one with --output, or continue that run with --resume."
@@ -94,8 +100,27 @@ class RunFolder:
         if not os.access(nearest, os.W_OK | os.X_OK):
             raise ConfigError(f"The folder {nearest} cannot be written to; choose another one with --output.")
 
-    def refuse_other(self, description: dict[str, Any]) -> dict[str, Any]:
-        """Check that the run in this folder is the one described; return its own description.
+    @property
+    def holds_run(self) -> bool:
+        """Whether a run has begun here."""
+        return os.path.lexists(self.path / "run.json")
+
+    def description(self) -> dict[str, Any]:
+        """Read ``run.json``; raises ConfigError."""
+        begun = read_description(self.path)
+        if begun is None:
+            raise ConfigError(
+                f"{self.path / 'run.json'} cannot be read; begin anew in another folder with --output."
+            )
+        return begun
+
+    def recorded_sources(self, begun: Mapping[str, Any]) -> dict[str, str]:
+        """Return the sources of the streams of ``run.json`` that have a record, by name."""
+        sources: dict[str, str] = begun.get("sources", {})
+        return {name: source for name, source in sources.items() if recorded_frames(self.stream(name))}
+
+    def refuse_other(self, begun: Mapping[str, Any], description: Mapping[str, Any]) -> None:
+        """Check that the run that has begun in this folder is the one described now.
 
         A stream without a record may have another source now, or be new or gone, so that wrong lines can be
         corrected.
@@ -103,36 +128,18 @@ class RunFolder:
         Raises
         ------
         ConfigError
-            If there is no run, or one of something else.
+            If it is one of something else.
         """
-        try:
-            begun: dict[str, Any] = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise ConfigError(
-                f"The folder {self.path} holds no run to resume; leave --resume out, or correct --output."
-            ) from None
-        except (OSError, ValueError):
-            raise ConfigError(
-                f"{self.path / 'run.json'} cannot be read; begin anew in another folder with --output."
-            ) from None
         for key, meaning in _SAME.items():
             if begun.get(key) == description[key]:
                 continue
-            if key != "sources" or not self._has_all_recorded(begun.get(key, {}), description[key]):
+            recorded = self.recorded_sources(begun) if key == "sources" else {}
+            if key != "sources" or not recorded.items() <= description[key].items():
                 changes = "" if key in _UNLISTED else f" ({_changes(begun.get(key), description[key])})"
                 raise ConfigError(
                     f"The run in {self.path} had other {meaning}{changes}; give the same ones as then (see "
                     "its run.json), or another folder with --output."
                 )
-        return begun
-
-    def _has_all_recorded(self, begun: dict[str, str], sources: dict[str, str]) -> bool:
-        """Whether every stream with a record still has its source."""
-        return all(
-            sources.get(name) == source
-            for name, source in begun.items()
-            if recorded_frames(self.stream(name))
-        )
 
     def states(self) -> dict[str, StreamState]:
         """Read the streams of ``status.json``; none if it cannot be read."""
@@ -286,17 +293,18 @@ def describe_run(
     command: Sequence[str] = (),
     ignored: Mapping[str, str] | None = None,
     zones: str | None = None,
+    recorded: Mapping[str, str] | None = None,
     segment: int | None = None,
     keep: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the content of ``run.json``: everything that the results depend on, without credentials.
 
     ``command`` starts the same run; ``ignored`` are the digests of the files to ignore, and
-    ``zones`` that of the file of zones. Of cameras, ``segment`` is the length of segments, s, and ``keep``
-    are the limits of what is kept.
+    ``zones`` that of the file of zones; ``recorded`` are the sources of streams that were recorded before.
+    Of cameras, ``segment`` is the length of segments, s, and ``keep`` are the limits of what is kept.
     """
     parameters = config.model_dump(mode="json")
-    sources = {stream.name: str(stream.source) for stream in streams}
+    sources = {**(recorded or {}), **{stream.name: str(stream.source) for stream in streams}}
     return {
         "started": _now(),
         "config": parameters,
@@ -310,11 +318,7 @@ def describe_run(
         "keep": list(keep),
         "command": [mask(word) for word in command],
         "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
-        "versions": {
-            "python": platform.python_version(),
-            "opencv": cv2.__version__,  # of whichever of its packages
-            **{name: _version(name) for name in _PACKAGES},
-        },
+        "versions": installed_versions(),
         "machine": {"cpu": _cpu(), "system": platform.platform()},
     }
 
@@ -327,13 +331,6 @@ def _state(name: str, figures: dict[str, Any]) -> StreamState:
 
 def _digest(value: object) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
 
 
 def _cpu() -> str:

@@ -20,8 +20,10 @@ __all__ = [
     "after_loss",
     "after_progress",
     "after_removal",
+    "after_start",
     "exit_code",
     "frames_left",
+    "has_ended",
     "stopped",
     "with_record",
 ]
@@ -57,11 +59,19 @@ class StreamState:
     returns : int
         How often it lost a process, or hung, and went back to its last snapshot.
     interrupted : bool
-        A signal ended it before its end.
+        It was stopped before its end, by a signal or because it left the list, and can continue.
     length : int, optional
         Final number of frames read, according to its source.
     without_process : int
         Most layers at once without a process of their own because memory was too short.
+    live : bool
+        Whether it is a camera's.
+    cores : float
+        Cores that its processes keep busy if no frame is dropped; 0 while it is unknown.
+    memory : int
+        Their unique memory, bytes.
+    waits_for : str, optional
+        What a waiting or starting stream waits for.
     """
 
     name: str
@@ -81,6 +91,15 @@ class StreamState:
     length: int | None = None
     without_process: int = 0
     objects: int = 0
+    live: bool = False
+    cores: float = 0.0
+    memory: int = 0
+    waits_for: str | None = None
+
+    @property
+    def endless(self) -> bool:
+        """Whether it is a camera's without ``--max-frames``, which only a signal or the list ends."""
+        return self.live and self.length is None
 
     @property
     def queued(self) -> int:
@@ -102,17 +121,6 @@ class StreamState:
         return max(self.length - self.read, 0) / self.frames_per_second
 
     @property
-    def waits_for(self) -> str | None:
-        """The reason why a stream is still starting."""
-        if self.state != "starting":
-            return None
-        return (
-            "its processes and its first frames"
-            if not self.returns
-            else "new processes and its last snapshot"
-        )
-
-    @property
     def memory_note(self) -> str | None:
         """State that memory was too short for its objects' processes, or None."""
         if not self.without_process:
@@ -124,20 +132,28 @@ class StreamState:
 
     def figures(self) -> dict[str, Any]:
         """All displayed values, by name."""
-        derived = {"queued": self.queued, "seconds_left": self.seconds_left, "waits_for": self.waits_for}
+        derived = {"queued": self.queued, "seconds_left": self.seconds_left}
         return {
             key: round(value, 2) if isinstance(value, float) else value
             for key, value in (asdict(self) | derived).items()
         }
 
 
-def after_progress(state: StreamState, progress: StreamProgress, frames_per_second: float) -> StreamState:
-    """Return the state after a burst of frames of a stream that continues."""
+def after_start(state: StreamState) -> StreamState:
+    """Return the state of a stream whose processes are starting."""
+    return replace(state, state="starting", waits_for="its processes and its first frames")
+
+
+def after_progress(
+    state: StreamState, progress: StreamProgress, frames_per_second: float, cores: float | None = None
+) -> StreamState:
+    """Return the state after a burst of frames of a stream that continues; ``cores`` is None if unknown."""
     silence = progress.silence or SourceSilence(None)
     error = silence.reason or progress.problem
+    name: StateName = silence.state or ("running" if progress.read else "starting")
     return replace(
         state,
-        state=silence.state or ("running" if progress.read else "starting"),
+        state=name,
         read=progress.read,
         committed=progress.committed,
         dropped=progress.dropped,
@@ -150,12 +166,15 @@ def after_progress(state: StreamState, progress: StreamProgress, frames_per_seco
         error=None if error is None else mask(error),
         length=progress.length,
         without_process=max(state.without_process, progress.without_process),
+        cores=state.cores if cores is None else cores,
+        memory=progress.memory,
+        waits_for=state.waits_for if name == "starting" else None,
     )
 
 
 def after_end(state: StreamState, progress: StreamProgress) -> StreamState:
     """Return the state after the source's end: done, partial if damaged, failed without a label map."""
-    counted = replace(after_progress(state, progress, 0.0), layers=0, objects=0)
+    counted = _ended(after_progress(state, progress, 0.0))
     if counted.committed == 0:
         return after_failure(counted, counted.error or "The source holds no frame that could be decoded.")
     if counted.error is not None:
@@ -168,13 +187,18 @@ def after_end(state: StreamState, progress: StreamProgress) -> StreamState:
 
 def after_failure(state: StreamState, error: str) -> StreamState:
     """Return the state after an error that ended the stream; its counts stay."""
-    return replace(state, state="failed", layers=0, objects=0, frames_per_second=0.0, error=mask(error))
+    return replace(_ended(state), state="failed", error=mask(error))
 
 
 def after_loss(state: StreamState, error: str) -> StreamState:
     """Return the state of a stream that lost a process and will continue from its last snapshot."""
-    lost = after_failure(state, error)
-    return replace(lost, state="starting", returns=state.returns + 1)
+    return replace(
+        after_failure(state, error),
+        state="starting",
+        returns=state.returns + 1,
+        cores=state.cores,
+        waits_for="new processes and its last snapshot",
+    )
 
 
 def with_record(state: StreamState, recorded: int) -> StreamState:
@@ -196,11 +220,12 @@ def with_record(state: StreamState, recorded: int) -> StreamState:
 def after_interruption(state: StreamState, progress: StreamProgress | None) -> StreamState:
     """Return the state of a running stream that was stopped by a signal and drained to ``progress``."""
     counted = state if progress is None else after_progress(state, progress, 0.0)
+    interrupted = replace(_ended(counted), interrupted=True)
+    if state.endless and progress is not None:
+        return replace(interrupted, state="done", error=None)
     kept = "what was read is kept" if progress is not None else "what was committed is kept"
     sentence = f"Interrupted after {count_of(counted.read, 'frame')}; {kept}."
-    return replace(
-        counted, state="partial", layers=0, objects=0, frames_per_second=0.0, error=sentence, interrupted=True
-    )
+    return replace(interrupted, state="partial", error=sentence)
 
 
 def stopped(states: Iterable[StreamState]) -> tuple[StreamState, ...]:
@@ -214,11 +239,21 @@ def stopped(states: Iterable[StreamState]) -> tuple[StreamState, ...]:
 def after_removal(state: StreamState, progress: StreamProgress | None) -> StreamState:
     """Return the state of a stream that was removed from the list and drained to ``progress``."""
     if progress is not None and progress.committed:
-        return after_end(state, progress)
+        return replace(after_end(state, progress), interrupted=True)
     sentence = "Removed from the list before it had a result."
     if state.committed:
         sentence = "Removed from the list; what was committed is kept."
-    return replace(state, state="partial", layers=0, objects=0, frames_per_second=0.0, error=sentence)
+    return replace(_ended(state), state="partial", error=sentence, interrupted=True)
+
+
+def _ended(state: StreamState) -> StreamState:
+    """Return a state without what only a stream with processes has."""
+    return replace(state, layers=0, objects=0, frames_per_second=0.0, cores=0.0, memory=0, waits_for=None)
+
+
+def has_ended(state: StreamState) -> bool:
+    """Whether a stream is at its end, so that resuming the run leaves it alone."""
+    return state.state in ("done", "partial") and not state.interrupted
 
 
 def frames_left(states: Iterable[StreamState]) -> tuple[int, bool]:
@@ -236,7 +271,17 @@ def frames_left(states: Iterable[StreamState]) -> tuple[int, bool]:
 
 
 def exit_code(states: Iterable[StreamState], signal_number: int | None) -> int:
-    """Return the exit status of the run: 0, 1, or 128 + the number of the signal that interrupted it."""
-    if signal_number is not None:
+    """Return the exit status of a run: 0, 1, or 128 + the number of the signal that interrupted it.
+
+    Endless streams are at their end when a signal comes, if they could be stopped in order.
+    """
+    states = tuple(states)
+    if signal_number is not None and any(_is_unfinished(state) for state in states):
         return 128 + signal_number
-    return 0 if all(state.state == "done" for state in states) else 1
+    stopped_in_order = (state.state == "done" or state.state not in ENDED for state in states)
+    return 0 if all(stopped_in_order) else 1
+
+
+def _is_unfinished(state: StreamState) -> bool:
+    """Whether a stream with an end has not come to it."""
+    return not state.endless and (state.state not in ENDED or (state.interrupted and state.state != "done"))

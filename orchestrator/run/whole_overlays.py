@@ -6,17 +6,40 @@ maps that do not count any more. Once the stream has ended, it is drawn anew fro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from orchestrator.events.zones import Zone
 from orchestrator.export.overlay import draw_overlay
+from orchestrator.run.job import Job
+from orchestrator.run.run_folder import RunFolder
+from orchestrator.run.stream_state import StreamState, has_ended
 from orchestrator.sinks.overlay import forget_overlay, move_overlay, overlay_path
 
-__all__ = ["is_in_parts", "is_lost", "make_whole"]
+__all__ = ["is_in_parts", "is_lost", "make_all_whole", "make_whole"]
 
 #: The new overlay before it replaces the parts.
 _DRAFT = ".overlay-whole.mp4"
+
+
+def make_all_whole(
+    job: Job,
+    due: Collection[str],
+    states: Sequence[StreamState],
+    folder: RunFolder,
+    say: Callable[[str], None],
+) -> None:
+    """Draw anew the overlays of ended streams that are in parts or, of the streams ``due``, were lost."""
+    ended = {state.name for state in states if state.committed and has_ended(state)}
+    for spec in job.specs:
+        stream = folder.stream(spec.name)
+        wanted = is_in_parts(stream) or (spec.name in due and is_lost(stream))
+        if spec.replayable and spec.name in ended and wanted:
+            try:
+                make_whole(stream, spec.source, say, job.rules(spec.name).zones)
+            except KeyboardInterrupt:
+                say("The overlay stays as it is; to try again, give the same command with --resume.")
+                return
 
 
 def is_in_parts(folder: Path) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from mlbs_actors.messages import BACKGROUND, Array, Region
 from orchestrator.events.zones import Zone
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.sinks.layer_colours import layer_colour
 
 __all__ = ["draw_caption", "draw_labels", "draw_zones"]
@@ -71,7 +72,9 @@ def draw_caption(image: Array, text: str) -> None:
     _write(image, text, (0, 0), _text_height(image))
 
 
-def draw_zones(image: Array, zones: Sequence[Zone], shape: tuple[int, int]) -> None:
+def draw_zones(
+    image: Array, zones: Sequence[Zone], shape: tuple[int, int], scene: ScenePlace | None = None
+) -> None:
     """Draw thin outlines of zones, and lines, with their names, in place.
 
     Parameters
@@ -80,14 +83,30 @@ def draw_zones(image: Array, zones: Sequence[Zone], shape: tuple[int, int]) -> N
     zones : sequence of Zone
     shape : (H, W)
         Size of the picture that the zones are for, which may be larger than ``image``.
+    scene : ScenePlace, optional
+        Where the scene is in that picture; zones that are fixed to it are left out without.
     """
     scale = image.shape[1] / shape[1], image.shape[0] / shape[0]
     for zone in zones:
-        corners = np.rint(np.array(zone.corners(shape)) * scale).astype(np.int32)
+        if zone.fixed_to == "picture":
+            places = np.array(zone.corners(shape))
+        elif scene is not None:
+            places = scene.forth(np.array(zone.corners(scene.shape)))
+        else:
+            continue
+        farthest = 10 * max(shape)  # OpenCV draws nothing of what is farther away than its integers reach
+        corners = np.rint(np.clip(places, -farthest, farthest) * scale).astype(np.int32)
+        if not len(corners) or not _in_picture(corners, image):
+            continue
         for colour, width in (((0, 0, 0), 3), (_ZONE, 1)):
             cv2.polylines(image, [corners], zone.kind == "zone", colour, width, cv2.LINE_AA)
         x, y = corners.mean(axis=0).round().astype(int).tolist()
         _write(image, zone.name, (x, y), _text_height(image) * 2 // 3)
+
+
+def _in_picture(corners: Array, image: Array) -> bool:
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    return bool((high >= 0).all() and (low < image.shape[1::-1]).all())
 
 
 def _regions(labels: Array) -> dict[int, Region]:

@@ -11,19 +11,35 @@ import cv2
 
 from mlbs_actors.messages import Array
 from orchestrator.events.zones import Zone
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.durable_files import temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
 
-__all__ = ["LivePicture", "live_picture_path"]
+__all__ = ["LivePicture", "live_picture_path", "watch"]
 
 _WIDTH = 640  # px, at most
 _JPEG_QUALITY = 75
-_SECONDS = 1.0  # least time between two pictures: the cost does not grow with the frame rate
+#: Least time between two pictures, s, so that their cost does not grow with the frame rate; and for somebody
+#: who watches the stream.
+_SECONDS, _WATCHED_SECONDS = 0.5, 0.1
+
+#: How long a look counts, s.
+_LOOK_SECONDS = 3.0
 
 
 def live_picture_path(folder: Path, stream: str) -> Path:
     """Return the path of a stream's picture in the folder of all pictures."""
     return folder / f"{stream}.jpg"
+
+
+def watch(picture: Path) -> None:
+    """Ask for more pictures for a while; disk errors are ignored."""
+    with suppress(OSError):
+        _watched(picture).touch()
+
+
+def _watched(picture: Path) -> Path:
+    return picture.with_suffix(".watched")
 
 
 class LivePicture:
@@ -46,16 +62,17 @@ class LivePicture:
         self._zones = zones
         self._clock = clock
         self._written: float | None = None
-        self._unshown: tuple[Array, Array, int] | None = None
+        self._unshown: tuple[Array, Array, int, ScenePlace | None] | None = None
 
-    def show(self, image: Array, labels: Array, index: int) -> None:
-        """Show frame ``index`` if the last picture is a second old; disk errors are ignored."""
+    def show(self, image: Array, labels: Array, index: int, scene: ScenePlace | None = None) -> None:
+        """Show frame ``index`` unless the last picture is newer than it may be; disk errors are ignored."""
         now = self._clock()
-        if self._written is not None and now - self._written < _SECONDS:
-            self._unshown = image, labels, index
+        least = _WATCHED_SECONDS if self._is_watched() else _SECONDS
+        if self._written is not None and now - self._written < least:
+            self._unshown = image, labels, index, scene
         else:
             self._written, self._unshown = now, None
-            self._write(image, labels, index)
+            self._write(image, labels, index, scene)
 
     def close(self) -> None:
         """Show the stream's last frame, however recent the last picture is."""
@@ -63,14 +80,20 @@ class LivePicture:
             self._write(*self._unshown)
             self._unshown = None
 
-    def _write(self, image: Array, labels: Array, index: int) -> None:
+    def _is_watched(self) -> bool:
+        try:
+            return time.time() - _watched(self._path).stat().st_mtime < _LOOK_SECONDS
+        except OSError:
+            return False
+
+    def _write(self, image: Array, labels: Array, index: int, scene: ScenePlace | None) -> None:
         height, width = labels.shape
         if width > _WIDTH:
             size = (_WIDTH, max(1, round(height * _WIDTH / width)))
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
             labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
         drawn = draw_labels(image, labels)
-        draw_zones(drawn, self._zones, (height, width))
+        draw_zones(drawn, self._zones, (height, width), scene)
         draw_caption(drawn, f"frame {index}")
         _, jpeg = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         with suppress(OSError):

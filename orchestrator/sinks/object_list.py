@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from mlbs_actors.messages import LayerKind, LayerSummary, ObjectState, Region
-from orchestrator.sinks.endings import SEEN, Ending, ending
-from orchestrator.sinks.tables import FrameRow, ResultRow
+from mlbs_actors.messages import LayerKind, LayerSummary, ObjectState
+from orchestrator.rows.endings import SEEN, Ending, ending
+from orchestrator.rows.frame_row import FrameRow, ResultRow
+from orchestrator.rows.sighting import Sighting
 
-__all__ = ["ListState", "ObjectList", "SeenObject", "Sighting"]
+__all__ = ["ListState", "ObjectList", "SeenObject"]
 
 #: Least time between two points of a path, s.
 _POINT_SECONDS = 1.0
@@ -29,35 +30,8 @@ _COLUMNS = (
     *("id", "kind", "state", "end", "replaced_by"),
     *("first_s", "last_s", "seconds", "first_frame", "last_frame", "frames", "times_hidden", "area_px"),
     *("first_x", "first_y", "first_w", "first_h", "last_x", "last_y", "last_w", "last_h"),
-    *("start_cx", "start_cy", "end_cx", "end_cy", "path_px"),
+    *("start_cx", "start_cy", "end_cx", "end_cy", "path_px", "score"),
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Sighting:
-    """An object in one frame.
-
-    Attributes
-    ----------
-    frame : int
-    pts : float
-        s.
-    region : Region
-        Bounding box.
-    centroid : (float, float)
-        (cx, cy), px, in the precision of the tables.
-    """
-
-    frame: int
-    pts: float
-    region: Region
-    centroid: tuple[float, float]
-
-    @classmethod
-    def of(cls, layer: LayerSummary, row: FrameRow) -> Sighting:
-        """Note where an object is in a frame."""
-        x, y = np.asarray(layer.centroid, np.float32).tolist()
-        return cls(row.frame, row.pts, layer.region, (x, y))
 
 
 @dataclass(slots=True)
@@ -77,6 +51,8 @@ class SeenObject:
         Time in which it was seen, without the times in which it was hidden or not found.
     total_area : int
         Sum over these frames, px.
+    total_score : float
+        Sum of the masks' scores over these frames, in the precision of the tables.
     path_px : float
         Length of the way of its centroid over the picture.
     path : list of Sighting
@@ -96,6 +72,7 @@ class SeenObject:
     frames: int
     seconds: float
     total_area: int
+    total_score: float
     path_px: float
     path: list[Sighting]
     spans: list[tuple[int, int]]
@@ -114,6 +91,7 @@ class SeenObject:
             frames=1,
             seconds=0.0,
             total_area=layer.area,
+            total_score=_score(layer),
             path_px=0.0,
             path=[here],
             spans=[(here.frame, here.frame)],
@@ -123,6 +101,11 @@ class SeenObject:
     def mean_area(self) -> float:
         """Mean over the frames that show it, px."""
         return self.total_area / self.frames
+
+    @property
+    def mean_score(self) -> float:
+        """Mean score of its masks over the frames that show it, in [0, 1]."""
+        return self.total_score / self.frames
 
     @property
     def times_hidden(self) -> int:
@@ -145,6 +128,7 @@ class SeenObject:
             self.spans.append((here.frame, here.frame))
         self.frames += 1
         self.total_area += layer.area
+        self.total_score += _score(layer)
         self.path_px += math.dist(self.last.centroid, here.centroid)
         self.state, self.last, self.ending = layer.state, here, SEEN
         if here.pts - self.path[-1].pts >= _POINT_SECONDS:
@@ -254,6 +238,7 @@ class ObjectList:
                     *(one.first.frame, one.last.frame, one.frames, one.times_hidden),
                     *(round(one.mean_area), *one.first.region.box, *one.last.region.box),
                     *(*_point(one.first), *_point(one.last), round(one.path_px, 1)),
+                    round(one.mean_score, 3),
                 ]
             )
         return text.getvalue()
@@ -286,6 +271,7 @@ def _described(one: SeenObject, *, complete: bool) -> dict[str, Any]:
         "times_hidden": one.times_hidden,
         "area_px": round(one.mean_area),
         "path_px": round(one.path_px, 1),
+        "score": round(one.mean_score, 3),
         "first": _sighting(one.first),
         "last": _sighting(one.last),
         "path": [[place.frame, _seconds(place.pts), *_point(place)] for place in path],
@@ -306,6 +292,11 @@ def _sighting(place: Sighting) -> dict[str, Any]:
         "box": list(place.region.box),
         "centroid": list(_point(place)),
     }
+
+
+def _score(layer: LayerSummary) -> float:
+    """Return the score of a mask in the precision of the tables."""
+    return float(np.float32(layer.score))
 
 
 def _seconds(pts: float) -> float:

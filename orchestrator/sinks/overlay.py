@@ -16,6 +16,7 @@ from av.video.frame import VideoFrame
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array, Region
 from orchestrator.events.zones import Zone
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.durable_files import publish, temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
 from orchestrator.sinks.segments import segment_folders
@@ -153,12 +154,13 @@ class OverlayVideo:
         pts: float,
         regions: Mapping[int, Region] | None = None,
         pixel_aspect: float = 1.0,
+        scene: ScenePlace | None = None,
     ) -> None:
         """Append frame ``index``, shown at ``pts`` seconds; times that do not advance are moved by 1/90,000
         s.
 
         ``regions`` are the layers' bounding boxes, where they are known; ``pixel_aspect`` is how wide a pixel
-        is to be shown for its height.
+        is to be shown for its height; ``scene`` is where the zones are that are fixed to the scene.
         """
         if self._failed:
             return
@@ -166,7 +168,7 @@ class OverlayVideo:
             container, stream = self._opened(image.shape, pixel_aspect)
             size = (stream.width, stream.height)
             drawn = draw_labels(image, labels, regions)
-            draw_zones(drawn, self._zones, drawn.shape[:2])
+            draw_zones(drawn, self._zones, drawn.shape[:2], scene)
             draw_caption(drawn, f"frame {index}")
             drawn = _padded(drawn)
             if (drawn.shape[1], drawn.shape[0]) != size:

@@ -22,9 +22,14 @@ import pyarrow.parquet as pq
 
 from mlbs_actors.actors.stream.protocol import GapStatus, Opening, Snapshot, SourceFrame
 from mlbs_actors.errors import SinkError
-from mlbs_actors.messages import LayerAppearance, Segmentation
+from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 from orchestrator.events.event_file import EventFile
+from orchestrator.events.happenings import EventState
+from orchestrator.events.pictures import EventPictures
+from orchestrator.events.scene import VIEWS, SceneTracker
 from orchestrator.events.zones import EventRules
+from orchestrator.rows.frame_row import FrameRow, ResultRow
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.durable_files import publish, remove_temporary, temporary_path
 from orchestrator.sinks.background import background_plate
 from orchestrator.sinks.commit_log import CommitLog, first_frame, permanent, read_commits
@@ -37,7 +42,7 @@ from orchestrator.sinks.picture_folders import PictureFolders
 from orchestrator.sinks.record_tables import newest_part, part_path
 from orchestrator.sinks.segments import Segments
 from orchestrator.sinks.snapshot_folder import SNAPSHOTS, SnapshotFolder
-from orchestrator.sinks.tables import FrameRow, ResultRow, stages_of, write_frames, write_layers
+from orchestrator.sinks.tables import stages_of, write_frames, write_layers
 from orchestrator.sources.address import SourceAddress
 
 __all__ = ["FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "ends_group", "has_snapshot", "recorded_frames"]
@@ -110,6 +115,7 @@ class StreamRecord:
         self._live = live
         self._replayable = replayable
         self._rows: list[FrameRow] = []
+        self._views: list[tuple[int, Path]] = []  # unpublished ones, with their frames
         self._provisional = False
         self._begins_with = 0  # first frame of which the lists know
         try:
@@ -121,6 +127,8 @@ class StreamRecord:
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
                 self._events = EventFile(folder, name, rules, self._log.rows)
+                self._event_pictures = EventPictures(folder) if rules.zones else None
+                self._scene = self._scene_after(self._events.state) if rules.of_scene else None
             tables = "parquet" in save
             self._objects = ObjectFiles(folder, name) if tables else None
         except OSError as error:
@@ -147,8 +155,10 @@ class StreamRecord:
             self._committed = self._label_maps
             return self._committed
         try:
-            if not self._replayable:
-                self._see(frame.pts)
+            scene = self._place_scene(segmentation, frame)
+            result = ResultRow.of(segmentation, frame.pixel_aspect, scene)
+            row = FrameRow(frame.index, frame.pts, segmentation.status, result, frame.name)
+            self._tell(row, frame.image)
             if "masks" in self._save:
                 self._put(frame, "masks", f"{frame.name}.png", encode_label_image(segmentation.labels))
             if "cutouts" in self._save and frame.image is not None:
@@ -158,8 +168,7 @@ class StreamRecord:
             if "background" in self._save and background is not None and frame.image is not None:
                 plate = background_plate(background, frame.image, segmentation.labels)
                 self._put(frame, "background", f"{frame.name}.png", encode_picture(plate))
-            result = ResultRow.of(segmentation, frame.pixel_aspect)
-            self._add(FrameRow(frame.index, frame.pts, segmentation.status, result, frame.name))
+            self._add(row)
         except OSError as error:
             raise self._unwritable(error) from None
         if self._segments is not None and self._overlay is None and "overlay" in self._save:
@@ -168,22 +177,30 @@ class StreamRecord:
         if self._overlay is not None and frame.image is not None:
             regions = {layer.layer: layer.region for layer in segmentation.layers}
             self._overlay.add(
-                frame.image, segmentation.labels, frame.index, frame.pts, regions, frame.pixel_aspect
+                frame.image, segmentation.labels, frame.index, frame.pts, regions, frame.pixel_aspect, scene
             )
         if self._live is not None and frame.image is not None:
-            self._live.show(frame.image, segmentation.labels, frame.index)
+            self._live.show(frame.image, segmentation.labels, frame.index, scene)
         return self._committed
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
         """Record a frame that has no label map; return the number of label maps committed."""
         try:
             if index >= self._log.rows:
-                if not self._replayable:
-                    self._see(pts)
-                self._add(FrameRow(index, pts, status))
+                row = FrameRow(index, pts, status)
+                self._tell(row)
+                self._add(row)
         except OSError as error:
             raise self._unwritable(error) from None
         return self._committed
+
+    def silent(self) -> None:
+        """Note that a camera sends nothing at present."""
+        self._events.silent()
+        try:
+            self._write_events()
+        except OSError as error:
+            raise self._unwritable(error) from None
 
     def keep(self, snapshot: Snapshot) -> bool:
         """Register a snapshot to go back to; False if its files are not complete yet.
@@ -218,10 +235,12 @@ class StreamRecord:
                     if self._segments is not None:
                         self._segments.merge_all(self._log)
                     if whole:
-                        self._events.finish()
+                        self._events.finish(self._log.rows)
                     if self._objects is not None:
                         self._objects.write(complete=whole)
             self._pictures.discard()
+            for _, path in self._views:
+                temporary_path(path).unlink(missing_ok=True)
         except OSError as error:
             raise self._unwritable(error) from None
         if self._overlay is not None:
@@ -232,16 +251,14 @@ class StreamRecord:
             self._snapshots.forget_all()
         return self._committed
 
-    def _see(self, pts: float) -> None:
-        """Learn from a live source's new row what the time is; the first one begins a segment."""
-        self._events.set_clock(self._clock() - pts)
-        if self._segments is not None and self._segments.name is None:
-            with self._log.exclusive():
-                self._segments.advance(self._events.taken_at(pts))
+    def _taken_at(self, pts: float) -> float:
+        """Return when a live source's frame of a time was taken, seconds since 1970."""
+        taken = self._events.taken_at(pts)
+        return self._clock() if taken is None else taken
 
     def _put(self, frame: SourceFrame, part: str, name: str, content: bytes) -> None:
         """Write a picture that counts once its frame is committed."""
-        time = 0.0 if self._replayable else self._events.taken_at(frame.pts)
+        time = 0.0 if self._replayable else self._taken_at(frame.pts)
         self._pictures.put(frame.index, part, name, content, time)
 
     def _clear_up(self) -> tuple[str, ...] | None:
@@ -255,12 +272,41 @@ class StreamRecord:
 
     def _add(self, row: FrameRow) -> None:
         self._rows.append(row)
-        self._events.add(row)
+        if self._replayable and ends_group(row.frame):
+            self._commit()
+
+    def _tell(self, row: FrameRow, image: Array | None = None) -> None:
+        """Write the events that the next row makes certain, with their pictures."""
+        pictured = self._events.add(row, None if self._replayable else self._clock())
+        if self._segments is not None and self._segments.name is None:
+            with self._log.exclusive():
+                self._segments.advance(self._taken_at(row.pts))
+        if pictured and self._event_pictures is not None and row.result is not None and image is not None:
+            shown = [layer for layer in row.result.layers if layer.layer in pictured]
+            self._event_pictures.write(image, row.frame, shown)
+        self._write_events()
+
+    def _write_events(self) -> None:
         if self._events.unwritten:
             with self._log.exclusive():
                 self._events.write()
-        if self._replayable and ends_group(row.frame):
-            self._commit()
+
+    def _scene_after(self, state: EventState) -> SceneTracker:
+        """Go on with the scene's place after the rows that count."""
+        views = self._folder / VIEWS
+        views.mkdir(exist_ok=True)
+        remove_temporary(views)
+        place = None if state.shown is None else state.shown.scene
+        return SceneTracker(views, self._log.rows, place, state.pts)
+
+    def _place_scene(self, segmentation: Segmentation, frame: SourceFrame) -> ScenePlace | None:
+        if self._scene is None or frame.image is None:
+            return None
+        if (view := self._scene.after(frame.pts, segmentation, frame.image)) is not None:
+            path = self._folder / VIEWS / f"{frame.index:08d}.npz"
+            temporary_path(path).write_bytes(view.content())
+            self._views.append((frame.index, path))
+        return self._scene.place
 
     def _commit(self, before: float = math.inf) -> None:
         """Commit the rows before a number, by default all."""
@@ -272,6 +318,7 @@ class StreamRecord:
             if self._segments is not None:
                 self._advance(rows[-1])
             files = self._pictures.drafts(before)
+            files += [path for frame, path in self._views if frame < before]
             if "parquet" in self._save:
                 files += self._write_tables(rows, self._pictures.folder)
             if not self._provisional:
@@ -286,6 +333,7 @@ class StreamRecord:
                 archived=archived,
             )
             self._pictures.committed(before, archived)
+            self._views = [(frame, path) for frame, path in self._views if frame >= before]
             self._rows = self._rows[len(rows) :]
             self._committed = self._label_maps - sum(row.result is not None for row in self._rows)
             self._snapshots.forget_before(last + 1)
@@ -298,7 +346,7 @@ class StreamRecord:
     def _advance(self, row: FrameRow) -> None:
         """Begin another segment if a commit with this last row is the first of one."""
         assert self._segments is not None
-        if self._segments.advance(self._events.taken_at(row.pts)) and self._overlay is not None:
+        if self._segments.advance(self._taken_at(row.pts)) and self._overlay is not None:
             self._overlay.close()
             self._overlay = None  # the next frame begins another
 
@@ -308,6 +356,8 @@ class StreamRecord:
         if first > self._begins_with:
             self._begins_with = first
             self._events.forget_before(first)
+            if self._event_pictures is not None:
+                self._event_pictures.forget_before(first)
             if self._objects is not None:
                 self._objects.forget_before(first)
 

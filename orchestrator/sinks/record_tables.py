@@ -11,9 +11,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mlbs_actors.messages import LayerSummary, Region
+from orchestrator.rows.frame_row import FrameRow, ResultRow
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.durable_files import temporary_path
 from orchestrator.sinks.commit_log import Commit, read_commits
-from orchestrator.sinks.tables import FrameRow, ResultRow
 
 __all__ = ["TABLES", "merge_parts", "newest_part", "part_path", "read_rows", "read_table"]
 
@@ -138,6 +139,8 @@ def _without_times(path: Path, begin: int, end: float) -> Iterator[dict[str, Any
 
 
 def _result(frame: dict[str, Any], layers: Sequence[dict[str, Any]]) -> ResultRow:
+    # Tables of earlier versions have fewer columns.
+    camera, scene = frame.get("camera"), frame.get("scene")
     return ResultRow(
         layers=tuple(
             LayerSummary(
@@ -149,13 +152,18 @@ def _result(frame: dict[str, Any], layers: Sequence[dict[str, Any]]) -> ResultRo
                 velocity=(row["vx"], row["vy"]),
                 confidence=row["confidence"],
                 state=row.get("state", "moving"),  # tables of earlier versions do not have it
+                score=row.get("score", row["confidence"]),  # nor this
             )
             for row in layers
         ),
         run_length_codes=tuple(row["rle"] for row in layers),
         shape=(frame["height"], frame["width"]),
-        pixel_aspect=frame.get("pixel_aspect", 1.0),  # tables of earlier versions do not have it
+        pixel_aspect=frame.get("pixel_aspect", 1.0),
         camera_motion=(frame["camera_dx"], frame["camera_dy"]),
         latency_frames=frame["latency_frames"],
         stage_ms={},
+        camera=None if camera is None else tuple(camera),
+        scene=None
+        if scene is None
+        else ScenePlace((frame["scene_height"], frame["scene_width"]), tuple(scene)),
     )

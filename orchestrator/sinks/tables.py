@@ -8,23 +8,16 @@ table have the same columns.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pycocotools import mask as coco_mask
 
-from mlbs_actors.actors.stream.protocol import GapStatus
-from mlbs_actors.messages import Array, FrameStatus, LayerSummary, Region, Segmentation
+from orchestrator.rows.frame_row import FrameRow, ResultRow
 
 __all__ = [
-    "FrameRow",
-    "ResultRow",
     "frame_schema",
     "layer_schema",
-    "run_length_code",
     "stages_of",
     "write_frames",
     "write_layers",
@@ -32,99 +25,6 @@ __all__ = [
 
 #: Stage for the time of those that the first part did not have.
 OTHER_STAGES = "other"
-
-
-@dataclass(frozen=True, slots=True)
-class ResultRow:
-    """Values of a segmentation for the tables, without maps, so that waiting rows keep no frames in memory.
-
-    Attributes
-    ----------
-    layers : tuple of LayerSummary
-    run_length_codes : tuple of str
-        One for each of ``layers``.
-    shape : (H, W)
-    pixel_aspect : float
-        Width of a pixel for its height.
-    camera_motion : (float, float)
-        px/frame.
-    latency_frames : int
-    stage_ms : mapping of str to float
-    """
-
-    layers: tuple[LayerSummary, ...]
-    run_length_codes: tuple[str, ...]
-    shape: tuple[int, int]
-    pixel_aspect: float
-    camera_motion: tuple[float, float]
-    latency_frames: int
-    stage_ms: Mapping[str, float]
-
-    @classmethod
-    def of(cls, segmentation: Segmentation, pixel_aspect: float) -> ResultRow:
-        """Summarise a segmentation of a frame."""
-        labels = segmentation.labels
-        height, width = labels.shape
-        return cls(
-            layers=segmentation.layers,
-            run_length_codes=tuple(
-                run_length_code(labels, layer.layer, layer.region) for layer in segmentation.layers
-            ),
-            shape=(height, width),
-            pixel_aspect=pixel_aspect,
-            camera_motion=segmentation.camera_motion,
-            latency_frames=segmentation.latency_frames,
-            stage_ms=dict(segmentation.stage_ms),
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class FrameRow:
-    """One frame of the source in the record.
-
-    Attributes
-    ----------
-    frame : int
-        Source index.
-    pts : float
-        Seconds since the source's first frame.
-    status : FrameStatus or GapStatus
-    result : ResultRow, optional
-    name : str, optional
-        File name of the mask, without extension. Both are None without a label map.
-    """
-
-    frame: int
-    pts: float
-    status: FrameStatus | GapStatus
-    result: ResultRow | None = None
-    name: str | None = None
-
-
-def run_length_code(labels: Array, layer: int, region: Region) -> str:
-    """Encode the mask of one layer as COCO's compressed run-length string (column-major).
-
-    Parameters
-    ----------
-    labels : (H, W) uint16
-    layer : int
-    region : Region
-        Contains all the layer's pixels; only there they are searched for.
-    """
-    height, width = labels.shape
-    # A row of zeros below each column ends its last run, which may continue at the top of the next one.
-    pitch = min(region.height + 1, height)
-    inside = np.zeros(region.width * pitch + 2, np.bool_)  # with a zero before and after them all
-    columns = inside[1:-1].reshape(region.width, pitch)
-    np.equal(labels[region.slices].T, layer, out=columns[:, : region.height])
-    changes = (inside[1:] != inside[:-1]).nonzero()[0]
-    bounds = changes + changes // pitch * (height - pitch) + (region.x * height + region.y)
-    bounds = np.concatenate(([0], bounds, [height * width]))
-    counts = bounds[1:] - bounds[:-1]
-    if counts[-1] == 0:
-        counts = counts[:-1]  # the last run is the layer's own
-    plain = {"size": [height, width], "counts": counts.tolist()}
-    return str(coco_mask.frPyObjects(plain, height, width)["counts"].decode("ascii"))
 
 
 def stages_of(schema: pa.Schema) -> tuple[str, ...]:
@@ -146,6 +46,7 @@ def layer_schema() -> pa.Schema:
             *((name, pa.float32()) for name in ("cx", "cy", "vx", "vy", "confidence")),
             ("rle", pa.string()),
             ("state", pa.string()),
+            ("score", pa.float32()),
         ]
     )
 
@@ -172,6 +73,10 @@ def frame_schema(stages: Sequence[str]) -> pa.Schema:
             ("width", pa.int32()),
             ("pixel_aspect", pa.float32()),
             ("name", pa.string()),
+            ("camera", pa.list_(pa.float32())),
+            ("scene", pa.list_(pa.float32())),
+            ("scene_height", pa.int32()),
+            ("scene_width", pa.int32()),
             *((f"ms_{stage}", pa.float32()) for stage in (*stages, OTHER_STAGES)),
         ]
     )
@@ -197,6 +102,7 @@ def write_layers(path: Path, stream: str, rows: Sequence[FrameRow]) -> None:
             "vy": layer.velocity[1],
             "confidence": layer.confidence,
             "rle": code,
+            "score": layer.score,
         }
         for row in rows
         if row.result is not None
@@ -215,7 +121,11 @@ def write_frames(path: Path, stream: str, rows: Sequence[FrameRow], stages: Sequ
     pq.write_table(pa.Table.from_pylist(records, frame_schema(stages)), path)
 
 
-def _result_columns(result: ResultRow, stages: Sequence[str]) -> dict[str, float | int | None]:
+def _result_columns(
+    result: ResultRow, stages: Sequence[str]
+) -> dict[str, float | int | tuple[float, ...] | None]:
+    scene = result.scene
+    height, width = (None, None) if scene is None else scene.shape
     return {
         "layers": len(result.layers),
         "latency_frames": result.latency_frames,
@@ -224,6 +134,10 @@ def _result_columns(result: ResultRow, stages: Sequence[str]) -> dict[str, float
         "height": result.shape[0],
         "width": result.shape[1],
         "pixel_aspect": result.pixel_aspect,
+        "camera": result.camera,
+        "scene": None if scene is None else scene.matrix,
+        "scene_height": height,
+        "scene_width": width,
         **_stage_columns(result.stage_ms, stages),
     }
 

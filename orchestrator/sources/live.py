@@ -2,7 +2,7 @@
 
 A thread receives the camera's pictures, and :meth:`LiveReader.read` returns them at the pipeline's pace. A
 silent or absent camera does not end its stream: ``read`` then reports that, at least once in
-:data:`_ANSWER_SECONDS`. Only a camera that never sent a picture is given up.
+:data:`_ANSWER_SECONDS`. It is tried for ever, even if it never sent a picture, unless a limit is given.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from datetime import datetime
 from functools import partial
 from typing import Protocol
 
@@ -22,7 +23,14 @@ from mlbs_actors.actors.stream.protocol import SourceFrame, SourceSilence
 from mlbs_actors.errors import SourceError
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import open_video, reason, upright_bgr
-from orchestrator.sources.live_buffer import STALL_SECONDS, LiveBuffer, LiveTime, Picture, retry_seconds
+from orchestrator.sources.live_buffer import (
+    LONGEST_RETRY_SECONDS,
+    STALL_SECONDS,
+    LiveBuffer,
+    LiveTime,
+    Picture,
+    retry_seconds,
+)
 
 __all__ = ["Connection", "LibavConnection", "LiveReader"]
 
@@ -34,9 +42,6 @@ _DEAD_SECONDS = 2 * STALL_SECONDS
 
 #: Silence after which a connection is abandoned with its thread, s: a device whose driver hangs ends no call.
 _HUNG_SECONDS = 3 * STALL_SECONDS
-
-#: Attempts to connect until a camera that never sent a picture is given up.
-_FIRST_TRIES = 6
 
 #: A connection that lasted this long was good, so the next attempt follows soon, s.
 _GOOD_SECONDS = 10.0
@@ -102,24 +107,32 @@ class LiveReader:
         The camera's address without credentials, for messages.
     connect : callable
         Opens a connection; SourceError if the camera cannot be reached.
+    give_up_after : float, optional
+        Time without a picture after which the camera is given up, s.
     clock : callable
         Monotonic time, s.
     sleep : callable, optional
         Waits for some seconds, or until the reader is closed.
+
+    Attributes
+    ----------
+    problem : str, optional
+        That the camera was given up. Its drops and gaps are rows.
     """
 
-    #: A camera is cut off only by the end of the run; its drops and gaps are rows.
     problem: str | None = None
 
     def __init__(
         self,
         name: str,
         connect: Callable[[], Connection],
+        give_up_after: float | None = None,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], object] | None = None,
     ) -> None:
         self._name = name
         self._connect = connect
+        self._give_up_after = give_up_after
         self._clock = clock
         self._closed = threading.Event()
         self._sleep = sleep or self._closed.wait
@@ -127,34 +140,27 @@ class LiveReader:
         # The following is shared by the threads and only accessed with the condition held.
         self._buffer = LiveBuffer()
         self._time = LiveTime()
-        self._last_sign = clock()  # time of the camera's last sign of life
+        self._last_picture = self._last_sign = clock()  # a sign of life is a connection or a picture
+        self._last_picture_at = datetime.now().astimezone()
         self._delivered = False
-        self._absence: str | None = "it was not connected yet"  # why there is no connection
+        self._connected = False
+        self._absence: str | None = None  # why there was no connection since the last picture
         self._failures = 0
-        self._failure: str | None = None
         self._newest = 0  # number of the thread that serves the camera
         self._start_thread()
 
     @classmethod
-    def of(cls, address: SourceAddress) -> LiveReader:
+    def of(cls, address: SourceAddress, give_up_after: float | None = None) -> LiveReader:
         """Read the camera at an address."""
-        return cls(str(address), partial(LibavConnection, address))
+        return cls(str(address), partial(LibavConnection, address), give_up_after)
 
     def read(self) -> SourceFrame | SourceSilence | None:
-        """Return the next frame, drop or gap, or that there is none at present; None once closed.
-
-        Raises
-        ------
-        SourceError
-            If the camera never sent a picture and is given up.
-        """
+        """Return the next frame, drop or gap, or that there is none at present; None at the end."""
         with self._changed:
-            self._changed.wait_for(self._has_news, _ANSWER_SECONDS)
+            self._changed.wait_for(lambda: self._buffer or self._closed.is_set(), _ANSWER_SECONDS)
             if self._closed.is_set():
                 return None
             if not self._buffer:
-                if self._failure is not None:
-                    raise SourceError(self._failure)
                 return self._silence()
             taken = self._buffer.take()
         return taken()
@@ -166,19 +172,29 @@ class LiveReader:
             self._newest += 1
             self._changed.notify_all()
 
-    def _has_news(self) -> bool:
-        return bool(self._buffer) or self._failure is not None or self._closed.is_set()
-
-    def _silence(self) -> SourceSilence:
-        silent = self._clock() - self._last_sign
-        if self._absence is None and silent > _HUNG_SECONDS:
+    def _silence(self) -> SourceSilence | None:
+        now = self._clock()
+        silent = now - self._last_sign
+        if self._connected and silent > _HUNG_SECONDS:
             self._failures += 1
-            self._absence = f"it was silent for {silent:.0f} s"
+            self._connected, self._absence = False, f"it was silent for {silent:.0f} s"
             self._start_thread()
-        if self._absence is not None and self._failures:
-            return SourceSilence("reconnecting", f"The camera {self._name} is away: {self._absence}.")
-        if self._absence is None and silent > STALL_SECONDS:
-            return SourceSilence("stalled", f"The camera {self._name} has been silent for {silent:.0f} s.")
+        if self._give_up_after is not None and now - self._last_picture > self._give_up_after:
+            why = "" if self._absence is None else f": {self._absence}"
+            most = f"{self._give_up_after:.0f} s"
+            self.problem = f"The camera {self._name} sent no picture for {most} and was given up{why}."
+            self.close()
+            return None
+        # A connection alone does not make it reachable: the state would change with every attempt.
+        since = f"since {self._last_picture_at:%Y-%m-%d %H:%M %Z}"
+        if self._absence is not None:
+            return SourceSilence(
+                "reconnecting",
+                f"The camera {self._name} has been unreachable {since}: {self._absence}. "
+                f"It is tried again at least every {LONGEST_RETRY_SECONDS:.0f} s.",
+            )
+        if self._connected and silent > STALL_SECONDS:
+            return SourceSilence("stalled", f"The camera {self._name} has been silent {since}.")
         return SourceSilence(None)
 
     def _start_thread(self) -> None:
@@ -203,14 +219,7 @@ class LiveReader:
                     return
                 lasted = self._delivered and self._clock() - connected >= _GOOD_SECONDS
                 self._failures = 1 if lasted else self._failures + 1
-                self._absence = lost.rstrip(".")
-                if not self._delivered and self._failures >= _FIRST_TRIES:
-                    self._failure = (
-                        f"The camera {self._name} gave no picture in {_FIRST_TRIES} tries: {self._absence}. "
-                        "Check its address, its password and whether it is switched on."
-                    )
-                    self._changed.notify_all()
-                    return
+                self._connected, self._absence = False, lost.rstrip(".")
                 pause = retry_seconds(self._failures)
             self._sleep(pause)
 
@@ -218,7 +227,7 @@ class LiveReader:
         """Receive from one connection; return or raise why it ended."""
         with self._changed:
             if number == self._newest:
-                self._absence, self._last_sign = None, self._clock()
+                self._connected, self._last_sign = True, self._clock()
                 self._time.reconnected()
         returned = self._delivered
         try:
@@ -238,7 +247,9 @@ class LiveReader:
             if returned or (self._delivered and now - self._last_sign > STALL_SECONDS):
                 self._buffer.gap(self._time.last)
             self._buffer.put(picture, self._time.of(picture.time, now))
-            self._last_sign, self._delivered = now, True
+            self._last_picture = self._last_sign = now
+            self._last_picture_at = datetime.now().astimezone()
+            self._delivered, self._absence = True, None
             self._changed.notify_all()
             return True
 

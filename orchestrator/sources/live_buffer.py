@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from mlbs_actors.actors.stream.protocol import SourceFrame, SourceStatus
 from mlbs_actors.messages import Array
 
-__all__ = ["STALL_SECONDS", "LiveBuffer", "LiveTime", "Picture", "retry_seconds"]
+__all__ = ["LONGEST_RETRY_SECONDS", "STALL_SECONDS", "LiveBuffer", "LiveTime", "Picture", "retry_seconds"]
 
 #: Silence that counts as a stall, and as a gap in the record, s.
 STALL_SECONDS = 5.0
@@ -22,7 +22,10 @@ STALL_SECONDS = 5.0
 #: Pictures kept; few, because the newest are wanted.
 CAPACITY = 2
 
-_FIRST_RETRY_SECONDS, _LONGEST_RETRY_SECONDS = 0.5, 30.0
+#: Longest time between two attempts to connect, s.
+LONGEST_RETRY_SECONDS = 30.0
+
+_FIRST_RETRY_SECONDS = 0.5
 
 #: Largest deviation of a camera's clock from this machine's before it is reset, s.
 _MOST_DRIFT_SECONDS = 5.0
@@ -53,7 +56,7 @@ def retry_seconds(failures: int) -> float:
     It doubles with every failure up to a bound, and is randomised, so that many cameras behind one switch are
     not all tried at once.
     """
-    longest = min(_FIRST_RETRY_SECONDS * 2.0 ** min(failures - 1, 16), _LONGEST_RETRY_SECONDS)
+    longest = min(_FIRST_RETRY_SECONDS * 2.0 ** min(failures - 1, 16), LONGEST_RETRY_SECONDS)
     return random.uniform(0.5, 1.0) * longest
 
 

@@ -14,8 +14,14 @@ from orchestrator.sources.video import VideoReader
 __all__ = ["SceneReader", "open_reader"]
 
 
-def open_reader(address: SourceAddress) -> FrameReader:
+def open_reader(address: SourceAddress, give_up_after: float | None = None) -> FrameReader:
     """Open a source.
+
+    Parameters
+    ----------
+    address : SourceAddress
+    give_up_after : float, optional
+        Time without a picture after which a camera is given up, s.
 
     Raises
     ------
@@ -26,7 +32,7 @@ def open_reader(address: SourceAddress) -> FrameReader:
     if address.kind is SourceKind.SYNTHETIC:
         return SceneReader(scene_from_uri(address.location))
     if address.kind is not SourceKind.PATH:
-        return LiveReader.of(address)
+        return LiveReader.of(address, give_up_after)
     if is_animation(address.location):
         return AnimationReader(address.location)
     if holds_images(address):

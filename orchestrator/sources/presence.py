@@ -82,18 +82,18 @@ def parts_of(source: SourceAddress) -> list[SourceAddress]:
 def require_source(address: SourceAddress) -> None:
     """Check that there is something to open; cheap, and nothing is decoded.
 
+    A camera need not be there yet.
+
     Raises
     ------
     SourceError
-        If the file, folder or device is missing, or is not of a kind that can be read.
+        If the file or folder is missing, or is not of a kind that can be read.
     """
     if address.kind is SourceKind.PATH:
         try:
             _require_path(address)
         except OSError as error:
             raise SourceError(f"{address} cannot be read: {error.strerror}; check the path.") from None
-    elif address.kind is SourceKind.CAMERA and not Path(address.location).exists():
-        raise SourceError(f"There is no camera {address}; list those that are there with: ls /dev/video*")
 
 
 def _require_path(address: SourceAddress) -> None:

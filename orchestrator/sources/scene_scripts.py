@@ -128,6 +128,15 @@ def _walker(stage: Stage) -> None:
     stage.walker(1, (60 * _to_and_fro(stage.time, 180), 30 + 1.2 * np.cos(stage.time * 4 * np.pi / 26)), 95)
 
 
+def _passer_by(stage: Stage) -> None:
+    stage.slope = 0.0
+    stage.x = 60 * np.sin(stage.time / 40)
+    stage.y = 6 * np.sin(stage.time / 23)
+    stage.background()
+    walked = 1.6 * stage.time - 130, 20 + 1.2 * np.cos(stage.time * 4 * np.pi / 26)
+    stage.walker(1, (walked[0] - stage.x, walked[1] - stage.y), 95)
+
+
 def _rest(stage: Stage) -> None:
     stage.x = 25 * np.sin(stage.time / 14)
     stage.y = 4 * np.sin(stage.time / 10)
@@ -246,6 +255,7 @@ SCRIPTS: dict[str, Script] = {
     "no-mover": Script("moving camera and parallax, nothing else moves", _no_mover),
     "static-walker": Script("still camera; one walker with swinging arms and legs", _static_walker),
     "walker": Script("panning camera; one walker with swinging arms and legs", _walker),
+    "passer-by": Script("turning camera, no parallax; a walker crosses the scene", _passer_by),
     "rest": Script("an object drives, rests for up to 300 frames, and goes on; the camera sways", _rest),
     "hidden": Script("an object stays behind a rock for 60 frames and comes out again", _hidden),
     "twins": Script("two cars that look alike pass each other, again and again", _twins),

@@ -45,11 +45,6 @@ def test_as_many_cameras_are_served_as_nearly_fill_the_cores() -> None:
     assert 0.85 * by_hand <= cameras <= 1.02 * by_hand
 
 
-def test_no_more_than_two_cameras_a_core_are_admitted_however_little_they_do() -> None:
-    assert simulate(COSTS, 9, 4, 5.0).dropped == 0.0
-    assert most_cameras(COSTS, 4, 5.0) == 8
-
-
 def test_costs_come_from_the_measured_kinds_and_nothing_is_lost() -> None:
     measured = {
         "reader": 2.0, "coordinator": 10.0, "background layer": 6.0, "object layer": 6.0, "segmenter": 5.0,
@@ -63,4 +58,4 @@ def test_costs_come_from_the_measured_kinds_and_nothing_is_lost() -> None:
 def test_the_fleet_table_tells_nodes_for_a_thousand_cameras() -> None:
     rows = fleet_table("demo", COSTS, nodes=(2,)).splitlines()
     cameras, nodes = rows[1].split()[1], rows[1].split()[-1]
-    assert (cameras, nodes) == ("4", "250")
+    assert (cameras, nodes) == ("13", "77")

@@ -346,5 +346,8 @@ def test_a_run_survives_faults(words: list[str], tmp_path: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.ray
-def test_a_node_of_a_cluster_may_go(tmp_path: Path) -> None:
-    assert command.main(["--faults", "18", "--seeds", "1"], tmp_path) == 0
+@pytest.mark.parametrize("fault", ["18", "29", "30"])
+def test_a_run_survives_a_lost_and_an_unusable_node_and_a_receiver_that_is_away(
+    tmp_path: Path, fault: str
+) -> None:
+    assert command.main(["--faults", fault, "--seeds", "1"], tmp_path) == 0

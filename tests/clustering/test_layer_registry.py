@@ -20,7 +20,8 @@ CONFIG = LayersConfig(
     part_probation_frames=5,
     min_tracks=4,
     coast_frames=2,
-    dormant_frames=6,
+    dormant_frames=20,
+    fleeting_frames=6,
     wake_px=50.0,
     wake_similarity=0.7,
     max_layers=12,
@@ -331,6 +332,27 @@ def test_a_layer_that_was_held_up_is_found_where_it_fell_asleep() -> None:
     assert stream.layer_of("again") == 1
 
 
+@pytest.mark.parametrize(("hidden", "known"), [(3, 2), (CONFIG.dormant_frames - 1, 1)])
+def test_the_longer_it_was_hidden_the_farther_away_it_may_appear(hidden: int, known: int) -> None:
+    stream = Stream()
+    stream.see({"car": Thing()}, at_once=True)
+    for _ in range(CONFIG.moving_clusterings):
+        stream.registry.judge({1: 2.0}, 1.0)
+    stream.skip(hidden)
+    stream.see({"again": Thing(place=(190.0, 100.0))}, at_once=True)
+    assert stream.layer_of("again") == known
+
+
+def test_the_edge_that_disappears_last_does_not_change_its_colours() -> None:
+    stream = Stream()
+    stream.see({"car": Thing(tracks=100)}, at_once=True)
+    for _ in range(10):
+        stream.see({"car": Thing(tracks=5, colour=BLUE)})
+    stream.skip(2)
+    stream.see({"again": Thing(tracks=100)}, at_once=True)
+    assert stream.layer_of("again") == 1
+
+
 @pytest.mark.parametrize("other", [Thing(colour=GREEN), Thing(place=(300.0, 100.0))])
 def test_other_colours_or_a_far_place_make_another_layer(other: Thing) -> None:
     stream = Stream()
@@ -363,10 +385,21 @@ def test_a_layer_that_is_awake_is_not_taken_for_a_new_cluster() -> None:
     assert (stream.layer_of("car"), stream.layer_of("twin")) == (1, 2)
 
 
-def test_a_layer_that_sleeps_too_long_is_forgotten_and_its_id_is_not_given_again() -> None:
+@pytest.mark.parametrize(
+    ("moved", "frames"),
+    [
+        (CONFIG.moving_clusterings - 1, CONFIG.fleeting_frames),
+        (CONFIG.moving_clusterings, CONFIG.dormant_frames),
+    ],
+)
+def test_a_layer_that_sleeps_too_long_is_forgotten_and_its_id_is_not_given_again(
+    moved: int, frames: int
+) -> None:
     stream = Stream()
     stream.see({"car": Thing()}, at_once=True)
-    stream.skip(CONFIG.dormant_frames)
+    for _ in range(moved):
+        stream.registry.judge({1: 2.0}, 1.0)
+    stream.skip(frames)
     assert stream.remembered() == {1}
     stream.skip(1)
     assert stream.remembered() == set()

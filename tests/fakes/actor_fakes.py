@@ -416,6 +416,9 @@ class FakeSink:
     def keep(self, snapshot: Snapshot) -> bool:
         return False
 
+    def silent(self) -> None:
+        (self.folder / "silent").touch()
+
     def provisional(self) -> None:
         (self.folder / "provisional").touch()
 

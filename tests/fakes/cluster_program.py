@@ -16,8 +16,10 @@ from ray.cluster_utils import Cluster as LocalCluster
 from mlbs_actors import Config
 from mlbs_actors.actors.node.cluster import Cluster
 from mlbs_actors.actors.node.pool import PoolPolicy
+from mlbs_actors.actors.node.reservation import Share
 from mlbs_actors.actors.stream.protocol import StreamSpec
 from orchestrator.interruption import Interruption
+from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import StreamRecord
@@ -39,7 +41,7 @@ class Watch:
             self.under_way.set()
 
 
-def one() -> int:
+def one(cpus: float) -> int:
     """Every node takes one stream."""
     return 1
 
@@ -49,7 +51,7 @@ def main(folder: Path) -> None:
     victim = local.add_node(num_cpus=1, object_store_memory=STORE)
     ray.init(address=local.address, log_to_driver=False)
     said: list[str] = []
-    host = Cluster(one, said.append, policy=PoolPolicy(spare=1))
+    host = Cluster(one, Share(0.5, 100 * 2**20), said.append, policy=PoolPolicy(spare=1))
     specs = [
         StreamSpec(
             f"s{number}",
@@ -62,7 +64,13 @@ def main(folder: Path) -> None:
     with Interruption() as interruption:
         watch = Watch()
         statuses: list[int] = []
-        driver = Driver(specs, host, limit=host.places, observers=[watch], interruption=interruption)
+        driver = Driver(
+            specs,
+            host,
+            admission=by_count(host.places),
+            observers=[watch],
+            interruption=interruption,
+        )
         driving = threading.Thread(target=lambda: statuses.append(driver.run()))
         driving.start()
         watch.under_way.wait()

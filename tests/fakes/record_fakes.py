@@ -36,6 +36,7 @@ def segmentation(index: int, layer: int = 3, *more: int) -> Segmentation:
                 centroid=(x + 3.5, y + 4.5),
                 velocity=(1.0, 0.0),
                 confidence=0.75,
+                score=0.5,
             )
         )
     return Segmentation(

@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from orchestrator.progress import JsonLines, LiveTable, progress_for
-from orchestrator.run.stream_state import StreamState
+from orchestrator.run.stream_state import StreamState, after_start
 
 
 def lines(output: io.StringIO) -> list[dict[str, object]]:
@@ -68,8 +68,11 @@ def test_the_table_shows_frames_rate_objects_state_and_faults() -> None:
 
 def test_the_table_shows_how_much_is_left_where_that_is_known_and_what_a_start_waits_for() -> None:
     running = StreamState("yard", "running", read=120, frames_per_second=2.0, length=600)
-    shown = table([running, StreamState("gate", "starting"), StreamState("cam", "running", read=9)])
-    for text in ("120 of 600", "0:04:00", "waits for its processes"):
+    reason = "one of the 2 places, which are taken"
+    waiting = [StreamState(f"w{number}", waits_for=reason) for number in range(3)]
+    gate = after_start(StreamState("gate"))
+    shown = table([running, gate, StreamState("cam", "running", read=9), *waiting])
+    for text in ("120 of 600", "0:04:00", "gate: waits for its processes", f"3 streams waiting for {reason}"):
         assert text in shown
     assert "9 of" not in shown
     done = replace(running, state="done", read=590, frames_per_second=0.0)

@@ -75,6 +75,21 @@ def test_a_part_that_has_been_apart_for_some_frames_is_an_object_from_there_on()
     assert found[14:] == [{}, {}]
 
 
+@pytest.mark.parametrize(("bottom", "expected"), [(180, {}), (330, {2: 1})])
+def test_most_of_an_object_whose_own_layer_has_vanished_goes_on_as_it(
+    bottom: int, expected: dict[int, int]
+) -> None:
+    limb, whole = (2, 110, 140, 125, 180), picture(BODY, (2, 110, 140, 125, 180))
+    rest = picture((limb[0], 110, 30, 125, bottom))
+    assert follow(whole, *[rest] * 10)[-1] == expected
+
+
+def test_of_two_parts_the_larger_goes_on_as_the_vanished_object() -> None:
+    halves = picture((2, 90, 60, 130, 140), (3, 200, 60, 240, 130))
+    whole = picture(BODY, LIMB, (3, 160, 100, 170, 130))
+    assert follow(whole, *[halves] * 10)[-1] == {2: 1}
+
+
 def test_a_part_of_a_part_belongs_to_the_object() -> None:
     hand = (3, 112, 180, 122, 190)
     assert follow(picture(BODY), picture(BODY, LIMB), picture(BODY, LIMB, hand))[-1] == {2: 1, 3: 1}
@@ -108,7 +123,15 @@ def segmentation(labels: Array, *part_of: int) -> Segmentation:
         centre = float(columns.mean()), float(rows.mean())
         layers.append(
             LayerSummary(
-                layer, "object", box, len(rows), centre, (float(layer), 0.0), layer / 4, part_of=whole
+                layer,
+                "object",
+                box,
+                len(rows),
+                centre,
+                (float(layer), 0.0),
+                layer / 4,
+                score=layer / 8,
+                part_of=whole,
             )
         )
     maps = np.zeros((1, 1), np.uint8), np.zeros((1, 1), np.int8)
@@ -129,6 +152,7 @@ def test_published_parts_have_the_id_of_their_object() -> None:
     assert whole.centroid == pytest.approx((columns.mean(), rows.mean()))
     assert whole.velocity == pytest.approx(((body * 1 + limb * 2) / (body + limb), 0.0))
     assert whole.confidence == pytest.approx((body * 0.25 + limb * 0.5) / (body + limb))
+    assert whole.score == pytest.approx(whole.confidence / 2)
 
 
 def test_a_part_whose_object_shows_no_pixels_keeps_its_id() -> None:

@@ -26,6 +26,7 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 from mlbs_actors.segmentation.contrast import COST_QUANTUM
+from mlbs_actors.segmentation.mask_score import mask_score
 from mlbs_actors.segmentation.segmenter import Segmenter, SegmenterState
 
 SHAPE = (24, 32)
@@ -375,6 +376,8 @@ def test_the_summaries_are_those_of_plain_loops() -> None:
         assert summary.region == Region(min(xs), min(ys), max(xs) - min(xs) + 1, max(ys) - min(ys) + 1)
         assert summary.centroid == pytest.approx((np.mean(xs), np.mean(ys)))
         assert summary.confidence == pytest.approx(np.mean(certain))
+        share = len(own) / (SHAPE[0] * SHAPE[1])
+        assert summary.score == pytest.approx(mask_score(float(np.mean(certain)), one.confidence, share))
         assert summary.velocity == (summary.layer, -summary.layer)
         assert summary.kind == "object"
 

@@ -13,6 +13,7 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.priority import stepping_back
 from mlbs_actors.actors.node.process_memory import settle_memory
+from mlbs_actors.actors.node.reservation import Reservation
 
 __all__ = [
     "LOST_PROCESS",
@@ -40,11 +41,17 @@ LOST_PROCESS = (RayActorError, OutOfMemoryError)
 NOTICE_SECONDS = 10.0
 
 
-def spawn(kind: type, *arguments: object, node: str) -> Handle:
+def spawn(
+    kind: type,
+    *arguments: object,
+    node: str,
+    reservation: Reservation | None = None,
+    name: str | None = None,
+) -> Handle:
     """Start an actor on one node and return at once.
 
     Ray's own restarts and retries are off: a restarted actor would be an empty one, and a retried call could
-    feed a frame to a model twice. Zero CPUs are requested, since a stream's processes share cores.
+    feed a frame to a model twice.
 
     Parameters
     ----------
@@ -54,6 +61,10 @@ def spawn(kind: type, *arguments: object, node: str) -> Handle:
         Its constructor's arguments.
     node : str
         Ray's id of the node; there is no fallback to another one.
+    reservation : Reservation, optional
+        A granted one of that node, for an actor that takes it; all others ask for no resources.
+    name : str, optional
+        For Ray's lists of actors; unique.
 
     Returns
     -------
@@ -61,7 +72,10 @@ def spawn(kind: type, *arguments: object, node: str) -> Handle:
         Errors at the start are raised by the first call.
     """
     actor: Handle = ray.remote(num_cpus=0, max_restarts=0, max_task_retries=0)(kind)
-    return actor.options(scheduling_strategy=_there_or_nowhere(node)).remote(*arguments)
+    options: dict[str, object] = {"scheduling_strategy": _there_or_nowhere(node), "name": name}
+    if reservation is not None:
+        options |= reservation.options()
+    return actor.options(**options).remote(*arguments)
 
 
 def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node: str) -> Handle:

@@ -9,6 +9,7 @@ t−1, which decides which layers live.
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import time
 from collections import deque
@@ -34,6 +35,7 @@ from mlbs_actors.actors.node.failures import (
 )
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, identity
+from mlbs_actors.actors.node.usage import StreamUsage
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.account import StreamAccount
 from mlbs_actors.actors.stream.layers_at_work import AssignedProcess
@@ -125,14 +127,15 @@ class CoordinatorActor:
             if spec.replayable
             else LiveReadAhead(links.reader, spec.max_frames, self._slots, self._memory)
         )
-        self._layers = LiveLayers(links.pool, run, spec.config)
-        self._labelling = Labelling(links.segmenter, self._slots)
+        self._layers = LiveLayers(links.pool, run, spec.config, spec.name)
+        self._labelling = Labelling(links.segmenter, self._slots, spec.name)
         self._record = Record(links.sink, run, spec, self._slots)
         # Not yet labelled, in source order; a picture with its reference.
         self._waiting: deque[tuple[Shared[SourceFrame] | None, SourceFrame]] = deque()
         # The newest results, by the engine's frame index.
         self._segmentations: dict[int, Shared[Segmentation]] = {}
         self._account = StreamAccount(spec.max_frames)
+        self._usage = StreamUsage()
         self._ended: StreamProgress | MlbsError | None = None
         self._begun = self._interrupted = False
         self._to_skip = 0
@@ -202,6 +205,8 @@ class CoordinatorActor:
                 break
             if taken and taken % _COLLECT_FRAMES == 0:
                 self._collect()
+            if not self._spec.replayable:
+                self._hand_over_while_idle()
             delivered = self._next_frame()
             if delivered is None:
                 return self._finish()
@@ -209,6 +214,8 @@ class CoordinatorActor:
             self._write_labelled()
             self._account.take(frame)
             if isinstance(frame, SourceSilence):
+                if frame.state is not None and not self._waiting and not self._labelling.under_way:
+                    self._record.silent()
                 break
             self._waiting.append((shared, frame))
             if frame.image is None:
@@ -367,6 +374,16 @@ class CoordinatorActor:
         while self._labelling.has_answer():
             self._write_next_labelled()
 
+    def _hand_over_while_idle(self) -> None:
+        """Send label maps to the sink as they are finished while a camera has no picture ready.
+
+        Else each would wait for the camera's next pictures.
+        """
+        while not (ready := self._source.is_ready(_SOURCE_SECONDS)) and self._labelling.under_way:
+            self._write_labelled()
+        if not ready:
+            self._record.send_if_due()
+
     def _await_labelled(self) -> None:
         """Wait for all label maps under way, and send them to the sink."""
         while self._labelling.under_way:
@@ -431,7 +448,14 @@ class CoordinatorActor:
         progress = self._account.progress(
             self._record.committed, len(self._layers), done=done, kept_waiting=kept_waiting
         )
-        return replace(progress, without_process=self._layers.without_process)
+        processes = (os.getpid(), self._source.process, self._labelling.process, *self._layers.processes())
+        self._usage.measure(process for process in processes if process is not None)
+        return replace(
+            progress,
+            without_process=self._layers.without_process,
+            cpu_seconds=self._usage.cpu_seconds,
+            memory=self._usage.memory,
+        )
 
     def _roles(self) -> dict[str, str]:
         links = self._links

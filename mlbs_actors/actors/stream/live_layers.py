@@ -23,11 +23,12 @@ _FIRST_LAYERS = 4
 
 @dataclass(slots=True)
 class _Living:
-    """A layer, the last frame requested of it, its process, and the reference of its ``serve`` call."""
+    """A layer, the last frame requested of it, its process and that one's id and ``serve`` call."""
 
     kind: LayerKind
     last_frame: int
     process: Handle | None = None
+    process_id: int | None = None
     served: Reference | None = None
 
 
@@ -45,12 +46,16 @@ class LiveLayers:
         The node's :class:`~mlbs_actors.actors.node.pool.PoolActor`.
     run : int
         The stream's number in that pool.
+    config : Config
+    stream : str
+        The stream's name: each process is listed under its layer's.
     """
 
-    def __init__(self, pool: Handle, run: int, config: Config) -> None:
+    def __init__(self, pool: Handle, run: int, config: Config, stream: str) -> None:
         self._pool = pool
         self._run = run
         self._config = config
+        self._stream = stream
         self._living: dict[int, _Living] = {}
         self._asked: deque[Reference] = deque()  # processes, of any layer
         self._begun = self._is_short = False
@@ -68,6 +73,10 @@ class LiveLayers:
         for layer, living in self._living.items():
             if living.process is not None:
                 yield identity(living.process), f"layer {layer}"
+
+    def processes(self) -> list[int]:
+        """Return the ids of all layer processes."""
+        return [living.process_id for living in self._living.values() if living.process_id is not None]
 
     def served(self) -> list[Reference]:
         """Return the ``serve`` calls of all layer processes, which raise why one has failed or is gone."""
@@ -129,7 +138,9 @@ class LiveLayers:
             if waiting:
                 layer = waiting.popleft()
                 self._living[layer].process = process
-                self._living[layer].served = process.serve.remote(self._run)
+                self._living[layer].process_id = address.owner
+                named = process.serve.options(name=f"LayerActor.serve of {self._stream}, layer {layer}")
+                self._living[layer].served = named.remote(self._run)
                 yield layer, address
             else:  # the layer it was requested for has retired, or sleeps
                 self._release_process(process)

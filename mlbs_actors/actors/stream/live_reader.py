@@ -23,7 +23,6 @@ from mlbs_actors.actors.node.processes import Handle
 from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourcePosition, SourceSilence
 from mlbs_actors.actors.stream.reader import LEAST_ASKED, Answer, ReadAhead, ReadNext, answer
 from mlbs_actors.determinism import limit_process
-from mlbs_actors.errors import SourceError
 
 __all__ = ["MOST_PICTURES", "Forget", "FrameRing", "LiveReadAhead", "LiveReaderActor"]
 
@@ -154,17 +153,9 @@ class LiveReaderActor:
             yield self.read(message)
 
     def _ask_source(self) -> SourceFrame | SourceSilence | None:
-        try:
-            if self._reader is None:
-                self._reader = self._open_reader()
-            return self._reader.read()
-        except SourceError as error:
-            if self._ring.next == 0:
-                raise
-            # It has delivered pictures, if only to another process: wait for such a source.
-            self.close()
-            self._reader = None
-            return SourceSilence("reconnecting", str(error))
+        if self._reader is None:
+            self._reader = self._open_reader()
+        return self._reader.read()
 
     def _placed(self, frame: SourceFrame) -> SourceFrame:
         index, began = self._ring.next, self._position

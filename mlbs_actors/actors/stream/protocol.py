@@ -220,6 +220,9 @@ class StreamSink(Protocol):
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
         """Record source frame ``index`` as one without a label map; return as :meth:`write` does."""
 
+    def silent(self) -> None:
+        """Note that a camera sends nothing at present; a gap may follow, or the next picture."""
+
     def keep(self, snapshot: Snapshot) -> bool:
         """Register a snapshot to go back to; False if its files are not complete yet."""
 
@@ -325,6 +328,10 @@ class StreamProgress:
         Layers without a process of their own because the node's memory is too short.
     objects : int
         Objects in the newest label map: layers that own a pixel of it.
+    cpu_seconds : float
+        CPU time of the stream's own processes since this start, s.
+    memory : int
+        Their unique memory, bytes.
     """
 
     read: int
@@ -341,6 +348,8 @@ class StreamProgress:
     kept_waiting: bool = False
     without_process: int = 0
     objects: int = 0
+    cpu_seconds: float = 0.0
+    memory: int = 0
 
 
 class RunningStream(Protocol):
@@ -384,6 +393,11 @@ class StreamHost(Protocol):
         spec : StreamSpec
         before : RunningStream, optional
             An earlier start of this stream, stopped because it ``returns``.
+
+        Raises
+        ------
+        NoPlaceError
+            If no node can take it now.
         """
 
     def repair(self) -> None:

@@ -128,8 +128,14 @@ class ReadAhead:
         For the frames; the recipient of a frame releases its slot.
     memory : SharedMemory
         The coordinator's.
+
+    Attributes
+    ----------
+    process : int, optional
+        The reader's process id, once it serves.
     """
 
+    process: int | None = None
     _most_asked = _MOST_ASKED
 
     def __init__(self, reader: Handle, max_frames: int | None, slots: SlotPool, memory: SharedMemory) -> None:
@@ -175,6 +181,10 @@ class ReadAhead:
         return None, said
 
     def keeps_up(self, seconds: float) -> bool:
+        """Whether :meth:`next` would wait no longer than that, s, or the source is worth waiting for."""
+        return self.is_ready(seconds)
+
+    def is_ready(self, seconds: float) -> bool:
         """Whether :meth:`next` would wait no longer than that, s."""
         self._ask()
         assert self._channel is not None  # begun
@@ -200,6 +210,7 @@ class ReadAhead:
         """Report that rows before this number will not be read again."""
 
     def _serve(self, address: ChannelAddress) -> None:
+        self.process = address.owner
         with suppress(ChannelClosedError):
             self._channel = connect(address)
         # After connecting: a reader that outlives its stream must not wait for a peer that never connects.

@@ -202,6 +202,8 @@ class Labelling:
         The stream's :class:`SegmenterActor`.
     slots : SlotPool
         Of the stream.
+    stream : str
+        The stream's name, under which the segmenter's process is listed.
 
     Attributes
     ----------
@@ -209,12 +211,16 @@ class Labelling:
         The segmenter's ``serve`` call, which raises why it ended; set by :meth:`begin`.
     under_way : int
         Frames whose label maps have not arrived.
+    process : int, optional
+        The segmenter's process id; set by :meth:`begin`.
     """
 
     served: Reference
+    process: int | None = None
 
-    def __init__(self, segmenter: Handle, slots: SlotPool) -> None:
+    def __init__(self, segmenter: Handle, slots: SlotPool, stream: str) -> None:
         self._segmenter = segmenter
+        self._stream = stream
         self._slots = slots
         self._in_use: deque[tuple[Slot, ...]] = deque()  # of the frames under way, and of the one before
         self._address: Reference = segmenter.address.remote()
@@ -232,8 +238,9 @@ class Labelling:
 
     def begin(self) -> None:
         """Start the segmenter; raises RayError. All other methods raise ChannelClosedError."""
-        address = ray.get(self._address)
-        self.served = self._segmenter.serve.remote()
+        address: ChannelAddress = ray.get(self._address)
+        self.process = address.owner
+        self.served = self._segmenter.serve.options(name=f"SegmenterActor.serve of {self._stream}").remote()
         self._channel = connect(address)
 
     def start(self, work: FrameWork) -> None:

@@ -38,6 +38,9 @@ _PENDING_ROWS = 14
 #: but somebody may be watching a camera.
 _FILE_ROWS, _CAMERA_ROWS = 8, 4
 
+#: Least time between two calls of the sink for fewer rows, s.
+_CALL_SECONDS = 0.1
+
 #: Newest label maps in the sink that others may still read: with the next frame the layers, with the one
 #: after it the coordinator.
 _READ_ROWS = 2
@@ -118,6 +121,10 @@ class SinkActor:
         """See :meth:`StreamSink.provisional`."""
         self._record(run)[0].provisional()
 
+    def silent(self, run: int) -> None:
+        """See :meth:`StreamSink.silent`."""
+        self._record(run)[0].silent()
+
     def close(self, run: int, whole: bool = False) -> int:
         """Commit the rest, close the stream's files and forget it; return the final count, 0 if forgotten."""
         sink, *_ = self._records.pop(run, (None,))
@@ -163,6 +170,8 @@ class Record:
         self._batch: list[LabelRow | GapRow] = []
         self._pending: deque[tuple[Reference, list[LabelRow | GapRow]]] = deque()
         self._in_use: deque[tuple[Slot, ...]] = deque()  # of the newest label maps
+        self._sent = time.monotonic()
+        self._is_silent = False
         self._submitted: deque[Snapshot] = deque(maxlen=_PENDING_SNAPSHOTS)
         self._asked: tuple[Snapshot, Reference] | None = None
         self._next_asked = 0
@@ -211,10 +220,23 @@ class Record:
         """See :meth:`StreamSink.provisional`."""
         self._sink.provisional.remote(self._run)
 
+    def silent(self) -> None:
+        """Report, once until the next row, that all rows are under way and the source sends nothing."""
+        if not self._is_silent:
+            self._is_silent = True
+            self.send()
+            self._sink.silent.remote(self._run)
+
+    def send_if_due(self) -> None:
+        """Send the current batch unless another was sent just now."""
+        if time.monotonic() - self._sent >= _CALL_SECONDS:
+            self.send()
+
     def send(self) -> None:
         """Send the current batch, even if it is not full."""
         batch = self._batch
         if batch:
+            self._sent = time.monotonic()
             self._pending.append((self._sink.take.remote(self._run, batch), batch))
             self._batch = []
 
@@ -264,6 +286,7 @@ class Record:
 
     def _hand_over(self, row: LabelRow | GapRow) -> None:
         self._batch.append(row)
+        self._is_silent = False
         if len(self._batch) == self._batch_rows:
             self.send()
         while self._pending and self._under_way > _PENDING_ROWS:

@@ -19,7 +19,7 @@ from benchmark.through_ray.endless_video import EndlessReader
 from benchmark.through_ray.pipeline import pipeline
 from orchestrator.evaluation.datasets import open_sequence
 from orchestrator.evaluation.figures import format_number
-from orchestrator.run.admission import STREAMS_A_CORE, cores
+from orchestrator.run.admission import cores
 
 __all__ = ["Capacity", "cameras_a_core", "capacity_table", "measure_capacity"]
 
@@ -109,12 +109,11 @@ def _capacity(settings: Settings, width: int, height: int, objects: int, frames:
 def cameras_a_core(capacity: Capacity, rate: float) -> float:
     """Return how many cameras of that many pictures a second a core serves; 0 if one stream is too slow.
 
-    No more than a run admits, and of the cores' time no more than several streams make use of. Below 1 a
-    camera needs several cores.
+    Of the cores' time only what several streams make use of counts. Below 1 a camera needs several cores.
     """
     if capacity.frames_a_second < rate:
         return 0.0
-    return min(STREAMS_A_CORE, EFFICIENCY * 1e3 / (rate * capacity.cpu_ms))
+    return EFFICIENCY * 1e3 / (rate * capacity.cpu_ms)
 
 
 def capacity_table(measured: Mapping[str, Mapping[int, Capacity]]) -> str:

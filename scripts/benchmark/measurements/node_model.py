@@ -19,7 +19,6 @@ import numpy as np
 
 from mlbs_actors.actors.pipeline import sinks_of
 from mlbs_actors.messages import Array
-from orchestrator.run.admission import STREAMS_A_CORE
 
 __all__ = ["NodeRun", "StageCosts", "most_cameras", "simulate"]
 
@@ -137,16 +136,13 @@ def simulate(
 
 
 def most_cameras(costs: StageCosts, cores: int, camera_rate: float) -> int:
-    """Return how many cameras a run serves on a node without dropping more than one picture in a hundred.
-
-    It admits no more than :data:`STREAMS_A_CORE` allows, even if there were time for them.
-    """
+    """Return how many cameras a run serves on a node without dropping more than one picture in a hundred."""
 
     def serves(cameras: int) -> bool:
         return simulate(costs, cameras, cores, camera_rate).dropped <= MOST_DROPPED
 
     too_slow = math.ceil(1e3 * cores / (camera_rate * costs.together)) + 2  # more than there is time for
-    low, high = 0, min(too_slow, STREAMS_A_CORE * cores + 1)
+    low, high = 0, too_slow
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (middle, high) if serves(middle) else (low, middle)

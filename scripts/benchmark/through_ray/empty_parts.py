@@ -181,6 +181,9 @@ class EmptySink:
         """Decline the snapshot; none is requested."""
         return False
 
+    def silent(self) -> None:
+        """Do nothing: nothing is recorded."""
+
     def provisional(self) -> None:
         """Do nothing: nothing is recorded."""
 

@@ -125,6 +125,10 @@ class RecordingSink:
         """See :class:`StreamSink`."""
         return self._sink.keep(snapshot)
 
+    def silent(self) -> None:
+        """See :class:`StreamSink`."""
+        self._sink.silent()
+
     def provisional(self) -> None:
         """See :class:`StreamSink`."""
         self._sink.provisional()

@@ -27,6 +27,9 @@ class Method:
     def remote(self, *given: object, **named: object) -> Any:
         return ray.put(self.call(*given, **named))
 
+    def options(self, *, name: str) -> Method:
+        return self
+
 
 @dataclass
 class Process:
@@ -59,7 +62,7 @@ def evidence(frame: int, layers: tuple[int, ...]) -> FrameEvidence:
 @pytest.mark.ray
 def test_a_layer_that_sleeps_gets_its_process_when_it_wakes(ray_session: RaySession) -> None:
     pool = Pool()
-    layers = LiveLayers(pool, 1, CONFIG)
+    layers = LiveLayers(pool, 1, CONFIG, "stream")
     layers.restore([SavedLayer(0, "background", 3), SavedLayer(1, "object", 3), SavedLayer(2, "object", 3)])
     # Nobody would know when it has read the state that was sent there: it answers no frame.
     assigned = [[layer for layer, _ in layers.follow(evidence(t, (0, 2)))] for t in range(4, 9)]

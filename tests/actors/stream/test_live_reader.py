@@ -30,10 +30,11 @@ from mlbs_actors.actors.stream.protocol import (
     StreamSpec,
 )
 from mlbs_actors.actors.stream.reader import ReadNext
-from mlbs_actors.errors import SinkError, SourceError
+from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 from mlbs_actors.state_file import capture
 from orchestrator.interruption import Interruption
+from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.commit_log import read_commits
@@ -74,21 +75,16 @@ def test_a_ring_holds_so_many_pictures_and_the_rows_between_them() -> None:
 
 
 class Answers:
-    """A source that says what it is told to; an exception is raised."""
+    """A source that says what it is told to."""
 
     problem: str | None = None
 
-    def __init__(self, *said: SourceFrame | SourceSilence | SourceError) -> None:
+    def __init__(self, *said: SourceFrame | SourceSilence) -> None:
         self.said = list(said)
         self.closed = False
 
     def read(self) -> SourceFrame | SourceSilence | None:
-        if not self.said:
-            return None
-        said = self.said.pop(0)
-        if isinstance(said, SourceError):
-            raise said
-        return said
+        return self.said.pop(0) if self.said else None
 
     def close(self) -> None:
         self.closed = True
@@ -163,20 +159,6 @@ def test_what_the_ring_does_not_hold_any_more_is_a_gap(monkeypatch: pytest.Monke
     assert isinstance(fresh, SourceFrame)
     assert (gap.index, gap.status, gap.pts) == (1, "gap", 0.0)
     assert (fresh.index, fresh.status, fresh.pts) == (2, "ok", 6.6)
-
-
-def test_a_camera_that_gave_pictures_to_another_process_is_not_given_up() -> None:
-    away = Answers(SourceError("The camera is away."))
-    reader = reader_of(away, Answers(row(0, IMAGE)))
-    reader.go_on(SourcePosition(7, 1.0, time.time()))
-    asked(reader, fresh=True)
-    assert asked(reader, fresh=True) == SourceSilence("reconnecting", "The camera is away.")
-    assert away.closed
-    assert isinstance(asked(reader, fresh=True), SourceFrame)
-    new = reader_of(Answers(SourceError("The camera is away.")))
-    new.go_on(SourcePosition())
-    with pytest.raises(SourceError):
-        asked(new, fresh=True)
 
 
 # The record
@@ -344,7 +326,7 @@ def parts(tmp_path: Path) -> FakeParts:
 
 
 def drive(node: Node, spec: StreamSpec) -> StreamState:
-    driver = Driver([spec], node, limit=1, observers=[], interruption=Interruption())
+    driver = Driver([spec], node, admission=by_count(1), observers=[], interruption=Interruption())
     driver.run()
     return driver.states[0]
 

@@ -26,9 +26,10 @@ from mlbs_actors.state_file import capture
 from orchestrator.interruption import Interruption
 from orchestrator.run import driver as driver_module
 from orchestrator.run import durable_files
+from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver
 from orchestrator.run.recovery import MOST_RETURNS, Returns
-from orchestrator.run.run import _not_to_be_resumed
+from orchestrator.run.resumption import ended_before
 from orchestrator.run.run_folder import RunFolder, StatusFile
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks import commit_log
@@ -237,7 +238,7 @@ def test_streams_that_ended_and_cameras_without_a_snapshot_are_left_as_they_are(
             if name == "saved" and index == 20:
                 take(record, 20)
         record.close(whole=False)
-    left = _not_to_be_resumed(folder, specs)
+    left = ended_before(folder, specs)
     assert list(left) == ["done", "camera", "full"]
     assert left["done"] == StreamState("done", "done", read=9, committed=9, line=1)
     camera = left["camera"]
@@ -406,7 +407,7 @@ def spec(name: str, reader: FakeReader, folder: Path, snapshot_rows: int = 4) ->
 
 
 def drive(node: Node, *specs: StreamSpec) -> dict[str, StreamState]:
-    driver = Driver(specs, node, limit=4, observers=[], interruption=Interruption())
+    driver = Driver(specs, node, admission=by_count(4), observers=[], interruption=Interruption())
     driver.run()
     return {state.name: state for state in driver.states}
 

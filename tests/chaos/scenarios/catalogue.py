@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from chaos.harness.scenario import Scenario
 from chaos.scenarios import (
+    cluster_nodes,
     damaged_sources,
     ended_commands,
+    event_targets,
     lost_camera_processes,
     lost_frames,
     lost_processes,
@@ -21,4 +23,6 @@ FAULTS: tuple[Scenario, ...] = (
     *lost_camera_processes.SCENARIOS,
     *ended_commands.SCENARIOS,
     *scarce_resources.SCENARIOS,
+    *cluster_nodes.SCENARIOS,
+    *event_targets.SCENARIOS,
 )

@@ -1,16 +1,11 @@
-"""Remove the output folder, use up the memory, and lose a node of a cluster."""
+"""Remove the output folder, and use up the memory."""
 
 from __future__ import annotations
 
 import mmap
-import os
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
-from benchmark.through_ray.process_costs import process_tree
 from chaos.harness.fault_series import LABELLED, newest_label_map, time_recovery
 from chaos.harness.injection import Injector
 from chaos.harness.observed_run import ObservedRun, expect
@@ -36,8 +31,8 @@ _TAKEN_AT_ONCE_BYTES = 2**28
 #: Until a loss is reported, s.
 _NOTICED_SECONDS = 5.0
 
-#: Length of streams that go on while memory is taken, and while nodes are waited for, frames.
-_VERY_LONG, _LONG = 24 * FRAMES, 8 * FRAMES
+#: Length of streams that go on while memory is taken, frames.
+_VERY_LONG = 24 * FRAMES
 
 
 def _folder_gone(context: ScenarioContext) -> None:
@@ -104,55 +99,7 @@ def _memory_in_use(size: int) -> mmap.mmap:
     return memory
 
 
-def _node_lost(context: ScenarioContext) -> RecoveryTime:
-    """Remove one of a cluster's three nodes that has a stream, which is restored on another one."""
-    from ray.cluster_utils import Cluster
-
-    lines = victim(_LONG), bystander(_LONG)
-    context.prepare(lines)
-    injector = Injector(context.folder / "injector", [LABELLED])
-    with _injected_environment(injector):
-        cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-        nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
-    try:
-        with ObservedRun(lines, context.folder, "--address", cluster.address, injector=injector) as run:
-            run.wait_for_frames("victim", int(context.random.integers(8, FRAMES)))
-            run.wait_for_frames("bystander", int(context.random.integers(8, FRAMES)))
-            newest = {name: newest_label_map(run.output / name) for name in ("victim", "bystander")}
-            busy = [node for node in nodes if _has_a_stream(node)]
-            expect(bool(busy), "not injected: no stream is on a node that can be lost")
-            began = time.monotonic()
-            cluster.remove_node(busy[int(context.random.integers(len(busy)))], allow_graceful=False)
-            back = time_recovery(run, injector, began, newest, lambda: _returned(run))
-            expect_end(run, 0)
-            expect_identical(context, run, *lines)
-            return back
-    finally:
-        cluster.shutdown()  # type: ignore[no-untyped-call]
-
-
-@contextmanager
-def _injected_environment(injector: Injector) -> Iterator[None]:
-    """Give the injector's environment to the processes that are started in the ``with`` block."""
-    before = os.environ.get("PYTHONPATH")
-    os.environ["PYTHONPATH"] = injector.environment()["PYTHONPATH"]
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["PYTHONPATH"]
-        else:
-            os.environ["PYTHONPATH"] = before
-
-
-def _has_a_stream(node: Any) -> bool:
-    """Return whether a node of Ray's cluster for tests has processes of a stream."""
-    raylet = node.all_processes["raylet"][0].process.pid
-    return any(one.title.startswith("ray::SegmenterActor") for one in process_tree(raylet).values())
-
-
 SCENARIOS = (
-    single_fault("18", "a node of three lost with its stream", _node_lost),
     single_fault("23", "output folder gone", _folder_gone),
     single_fault("26", "memory runs out", _memory_runs_out),
 )

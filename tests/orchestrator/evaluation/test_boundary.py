@@ -10,7 +10,7 @@ import pytest
 
 from mlbs_actors.messages import Array
 from orchestrator.evaluation.boundary import boundary_f, outline_of
-from orchestrator.evaluation.metrics import count_overlap
+from orchestrator.evaluation.overlap import count_overlap
 
 
 def slow_boundary(mask: Array) -> list[tuple[int, int]]:

@@ -24,7 +24,8 @@ from orchestrator.evaluation.command import main
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, spread_evenly
 from orchestrator.evaluation.datasets import data_root, find_sequences, open_sequence
 from orchestrator.evaluation.figures import format_table, mean_of_sequences
-from orchestrator.evaluation.scoring import EngineLabelling, score_sequence
+from orchestrator.evaluation.labelling import EngineLabelling
+from orchestrator.evaluation.scoring import score_sequence
 from orchestrator.evaluation.sequences import FolderSequence, SceneSequence, read_label_map
 from orchestrator.sinks.layer_colours import layer_colour
 from orchestrator.sources.synthetic import SyntheticScene, scene

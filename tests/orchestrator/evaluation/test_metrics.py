@@ -11,22 +11,23 @@ import pytest
 from mlbs_actors.errors import FrameError
 from mlbs_actors.messages import Array, Region
 from orchestrator.evaluation.metrics import (
-    FrameOverlap,
-    count_overlap,
+    jaccard,
+    match_objects,
+    multi_label,
+    multi_label_matlab,
+    object_level,
+    two_label,
+)
+from orchestrator.evaluation.overlap import FrameOverlap, count_overlap
+from orchestrator.evaluation.sequence_scorer import SequenceScorer
+from orchestrator.evaluation.track_metrics import (
     davis_tracks,
     entry_delays,
     id_switches,
     ids_on,
-    jaccard,
-    match_objects,
     moving_objects,
-    multi_label,
-    multi_label_matlab,
-    object_level,
     track_j,
-    two_label,
 )
-from orchestrator.evaluation.sequence_scorer import SequenceScorer
 
 
 def row(text: str) -> Array:

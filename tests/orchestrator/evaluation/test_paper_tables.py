@@ -18,6 +18,7 @@ from mlbs_actors.messages import Array
 from orchestrator.evaluation import command, scoring
 from orchestrator.evaluation.command import main
 from orchestrator.evaluation.datasets import open_sequence
+from orchestrator.evaluation.labelling import EngineLabelling
 from orchestrator.evaluation.paper_tables import (
     METHODS,
     SEQUENCES,
@@ -31,7 +32,7 @@ from orchestrator.evaluation.paper_tables import (
     time_table,
     two_label_table,
 )
-from orchestrator.evaluation.scoring import EngineLabelling, SequenceResult, score_sequence
+from orchestrator.evaluation.scoring import SequenceResult, score_sequence
 from orchestrator.evaluation.sequence_scorer import SequenceScorer
 
 # Object 1 has 4 px, object 2 has 2 px. Label 5 finds 3 px of object 1 (P 1, R 3/4, F 6/7), label 6 one px of

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import base64
 import json
+import os
+import pwd
+import shutil
 import socket
 import socketserver
 import struct
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -282,3 +286,106 @@ def test_a_broker_that_refuses_the_password_is_reported() -> None:
     with pytest.raises(DeliveryError, match="it refuses: Not authorized"):
         open_sender(target).send(b"{}")
     broker.stop()
+
+
+class Mosquitto:
+    """A real broker with TLS and a password, which keeps what a subscriber has not got."""
+
+    def __init__(self, folder: Path) -> None:
+        program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
+        if program is None or shutil.which("openssl") is None:
+            pytest.skip("no real broker on this machine: install the packages mosquitto and openssl")
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = int(free.getsockname()[1])
+        self.certificate, key = folder / "certificate.pem", folder / "key.pem"
+        for_here = ("-days", "2", "-subj", "/CN=yard", "-addext", "subjectAltName=IP:127.0.0.1")
+        files = ("-keyout", str(key), "-out", str(self.certificate))
+        subprocess.run(
+            ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", *for_here, *files],
+            check=True,
+            capture_output=True,
+        )
+        passwords = folder / "passwords"
+        subprocess.run(["mosquitto_passwd", "-b", "-c", str(passwords), "bob", "s3cret"], check=True)
+        settings = {
+            "listener": f"{self.port} 127.0.0.1",
+            "certfile": self.certificate,
+            "keyfile": key,
+            "password_file": passwords,
+            "persistence": "true",
+            "persistence_location": f"{folder}/",
+            "user": pwd.getpwuid(os.getuid()).pw_name,
+        }
+        configuration = folder / "mosquitto.conf"
+        configuration.write_text("".join(f"{name} {value}\n" for name, value in settings.items()))
+        self._command = [program, "-c", str(configuration)]
+        self.begin()
+
+    def begin(self) -> None:
+        self._process = subprocess.Popen(self._command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def end(self) -> None:
+        self._process.terminate()
+        self._process.wait()
+
+
+def test_a_real_broker_gets_every_event_by_tls_though_it_was_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mqtt = pytest.importorskip("paho.mqtt.client")
+    broker = Mosquitto(tmp_path)
+    monkeypatch.setenv("SSL_CERT_FILE", str(broker.certificate))
+    received: list[str] = []
+    subscriber = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, "subscriber", clean_session=False)
+    subscriber.username_pw_set("bob", "s3cret")
+    subscriber.tls_set(str(broker.certificate))
+    subscriber.reconnect_delay_set(0.1, 0.1)
+    subscriber.on_connect = lambda client, *_: client.subscribe("yard/events", qos=1)
+    subscriber.on_message = lambda _, __, message: received.append(json.loads(message.payload)["id"])
+    wait_until(lambda: _connects(subscriber, broker.port))
+    subscriber.loop_start()
+    said: list[str] = []
+    url = f"mqtts://bob:s3cret@127.0.0.1:{broker.port}/yard/events"
+    gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
+    with delivering([parse_target(url)], tmp_path, said.append):
+        write(gate, 0, 20)
+        wait_until(lambda: received == ids(tmp_path / "gate"))
+        broker.end()
+        write(gate, 20, 60)
+        wait_until(lambda: bool(said))
+        broker.begin()
+        gate.close(whole=True)
+        wait_until(lambda: len(received) >= len(ids(tmp_path / "gate")))
+    subscriber.disconnect()
+    subscriber.loop_stop()
+    broker.end()
+    assert list(dict.fromkeys(received)) == ids(tmp_path / "gate")
+    assert "s3cret" not in " ".join(said)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # paho leaves its socket open
+def test_a_broker_without_a_known_certificate_gets_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("paho.mqtt.client")
+    broker = Mosquitto(tmp_path)
+    target = parse_target(f"mqtts://bob:s3cret@127.0.0.1:{broker.port}/yard/events")
+    wait_until(lambda: _listens(broker.port))
+    with pytest.raises(DeliveryError, match="certificate"):
+        open_sender(target).send(b"{}")
+    broker.end()
+
+
+def _connects(subscriber: Any, port: int) -> bool:
+    try:
+        subscriber.connect("127.0.0.1", port)
+    except OSError:
+        return False
+    return True
+
+
+def _listens(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port)).close()
+    except OSError:
+        return False
+    return True

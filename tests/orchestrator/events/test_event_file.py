@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 from record_fakes import frame, segmentation
 
@@ -72,14 +74,47 @@ def test_a_line_holds_what_happened(whole: bytes) -> None:
         "direction": None,
         "reason": None,
         "replaced_by": None,
+        "picture": "events/00000008-3.jpg",
         "number": 3,
     }
     assert [one["number"] for one in said] == [*range(1, len(said) + 1)]
+    with_picture = {one["kind"] for one in said if one["picture"] is not None}
+    assert with_picture == {"born", "entered", "left"}
     assert len({one["id"] for one in said}) == len(said)
     assert {one["reason"] for one in said if one["kind"] == "ended"} == {
         "no longer found",
         "end of the stream",
     }
+
+
+def test_a_line_names_a_picture_of_the_object_and_old_ones_are_deleted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("orchestrator.events.pictures._MOST_PICTURES", 5)
+    one = record(tmp_path)
+    for index in range(60):
+        shown = frame(index)
+        assert shown.image is not None
+        picture = shown.image.copy()
+        picture[segmentation(index).labels == 3] = (0, 0, 200)
+        one.write(segmentation(index, 3), replace(shown, image=picture))
+        if index == 8:
+            cut_out = cv2.imread(str(tmp_path / "events/00000008-3.jpg"))
+            assert cut_out is not None
+            assert cut_out.shape == (20, 16, 3)  # twice the box
+            red = cut_out[..., 2].astype(int) - cut_out[..., 0] > 100
+            assert 70 <= red.sum() <= 90
+            assert red[6:14, 5:11].all()
+    there = sorted(path.name for path in (tmp_path / "events").iterdir())
+    named = [event["picture"] for event in lines(tmp_path) if event["picture"] is not None]
+    assert [f"events/{name}" for name in there] == list(dict.fromkeys(named))[-5:]
+
+
+def test_without_zones_there_are_no_pictures(tmp_path: Path) -> None:
+    one = StreamRecord(tmp_path, "yard", SAVE)
+    write(one, 0, 9)
+    assert {event["picture"] for event in lines(tmp_path)} == {None}
+    assert not (tmp_path / "events").exists()
 
 
 @pytest.mark.parametrize("killed_after", [1, 8, 9, 20, 31, 32, 33, 57, 99])
@@ -135,6 +170,27 @@ def test_events_of_a_camera_are_there_before_their_commit_and_go_without_it(tmp_
     assert [event["frame"] for event in before[:4]] == [0, 0, 6, 8]
     again.gap(9, 30.0, "gap")
     assert lines(tmp_path)[-1]["kind"] == "stream lost"
+
+
+@pytest.mark.parametrize("kept_before", [True, False])
+def test_a_lost_camera_is_said_while_it_is_away_and_once(tmp_path: Path, kept_before: bool) -> None:
+    one = record(tmp_path, replayable=False)
+    write(one, 0, 9)
+    if kept_before:
+        assert one.keep(snapshot(one, 9))
+    one.silent()
+    [lost] = [event for event in lines(tmp_path) if event["kind"] == "stream lost"]
+    assert (lost["frame"], lost["time"]) == (9, 0.8)
+    if not kept_before:
+        assert one.keep(snapshot(one, 9))
+    one.gap(9, 0.8, "gap")
+    one.write(segmentation(10, 3), frame(10))
+    whole = lines(tmp_path)
+    assert [event["kind"] for event in whole[-2:]] == ["stream lost", "stream back"]
+    again = record(tmp_path, replayable=False)  # killed after it was back
+    again.gap(9, 0.8, "gap")
+    again.write(segmentation(10, 3), frame(10))
+    assert [event["id"] for event in lines(tmp_path)] == [event["id"] for event in whole]
 
 
 def test_events_of_a_camera_have_the_time_of_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,8 @@ from mlbs_actors.actors.stream.protocol import GapStatus
 from mlbs_actors.messages import Array
 from orchestrator.events.happenings import Event, Happenings
 from orchestrator.events.zones import EventRules, Minimum, Zone
-from orchestrator.sinks.tables import FrameRow, ResultRow
+from orchestrator.rows.frame_row import FrameRow, ResultRow
+from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
 EMPTY = np.zeros((40, 60), np.uint8)
@@ -94,6 +95,31 @@ def test_an_object_is_where_it_stands() -> None:
     assert [event.zone for event in said] == [None, "ground"]
 
 
+def test_nothing_is_said_of_a_zone_of_the_scene_while_its_place_is_unknown() -> None:
+    zone = Zone(name="right", polygon=((30, 0), (60, 0), (60, 40), (30, 40)), fixed_to="scene")
+    line = Zone(name="fence", kind="line", polygon=((30, 0), (30, 40)), fixed_to="scene")
+    still, turned = (
+        np.eye(3),
+        np.array([[1.0, 0, 20], [0, 1, 0], [0, 0, 1]]),
+    )  # the scene, by 20 px to the right
+
+    def seen(index: int, x: int, place: Array | None) -> FrameRow:
+        made = row(index, thing(x))
+        assert made.result is not None
+        scene = None if place is None else ScenePlace.of((40, 60), place)
+        return replace(made, result=replace(made.result, scene=scene))
+
+    rows = [seen(index, 32, still) for index in range(3)]
+    rows += [seen(3 + index, 52, turned) for index in range(4)]  # it goes along
+    rows += [seen(7 + index, 10, None) for index in range(9)]
+    rows += [seen(16 + index, 42, turned) for index in range(3)]
+    said = events(rows, EventRules((zone, line)))
+    kinds = [(event.kind, event.frame) for event in said]
+    assert kinds == [("born", 0), ("entered", 0), ("left", 16), ("crossed", 16)]
+    ended = events([*rows[:7], replace(row(7, EMPTY), status="cut")], EventRules((zone,)))
+    assert told(ended)[2:] == [("left", 7), ("ended", 7)]
+
+
 def test_an_object_is_hidden_and_back_and_ends() -> None:
     there, away = thing(20), EMPTY
     rows = [row(0, there), row(1, away), row(2, away), row(3, there)]  # too short to be said
@@ -155,6 +181,15 @@ def test_a_stream_is_lost_and_back() -> None:
         row(6, EMPTY),
     ]
     assert told(events(rows)) == [("stream lost", 1), ("stream back", 4)]
+
+
+def test_a_silence_is_said_once_and_as_the_gap_would_say_it() -> None:
+    gap, told_early = Happenings(EventRules()), Happenings(EventRules())
+    assert told_early.silent() == []  # it has never been there
+    said = [[event for one in (row(0, EMPTY), lost(1), row(2, EMPTY)) for event in gap.after(one)]]
+    early = told_early.after(row(0, EMPTY)) + told_early.silent() + told_early.silent()
+    said.append(early + told_early.after(replace(lost(1), pts=0.0)) + told_early.after(row(2, EMPTY)))
+    assert told(said[0]) == told(said[1]) == [("stream lost", 1), ("stream back", 2)]
 
 
 def test_nothing_is_said_of_many_objects_at_once() -> None:

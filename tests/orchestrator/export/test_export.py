@@ -85,13 +85,13 @@ def test_cocoeval_takes_a_coco_export_for_results_of_itself(run: Path, tmp_path:
 def test_csv_is_one_table_of_every_object_in_every_frame_with_its_time(run: Path, tmp_path: Path) -> None:
     table = pyarrow.csv.read_csv(export("csv", run, tmp_path / "run.csv"))
     of_tables = duckdb.execute(
-        "SELECT stream, frame, pts, layer, kind, state, x, y, w, h, area, cx, cy, vx, vy, confidence "
+        "SELECT stream, frame, pts, layer, kind, state, x, y, w, h, area, cx, cy, vx, vy, confidence, score "
         f"FROM '{run}/*/layers-*.parquet' JOIN '{run}/*/frames-*.parquet' USING (stream, frame) "
         "ORDER BY stream = 'gate', frame, layer"
     ).fetchall()
     assert len(of_tables) == 2 * (39 + 34)
     assert [tuple(row.values()) for row in table.to_pylist()] == of_tables
-    names = "stream frame seconds id kind state x y w h area cx cy vx vy confidence"
+    names = "stream frame seconds id kind state x y w h area cx cy vx vy confidence score"
     assert table.column_names == names.split()
 
 
@@ -101,9 +101,9 @@ def test_mot_has_a_box_a_line_counted_from_one(run: Path, tmp_path: Path) -> Non
     lines = np.loadtxt(out / "yard.txt", delimiter=",")
     assert lines.shape == (39 + 34, 10)
     assert lines[:3].tolist() == [
-        [1, 3, 1, 6, 8, 10, 0.75, -1, -1, -1],
-        [1, 5, 1, 18, 8, 10, 0.75, -1, -1, -1],
-        [2, 3, 2, 6, 8, 10, 0.75, -1, -1, -1],
+        [1, 3, 1, 6, 8, 10, 0.5, -1, -1, -1],
+        [1, 5, 1, 18, 8, 10, 0.5, -1, -1, -1],
+        [2, 3, 2, 6, 8, 10, 0.5, -1, -1, -1],
     ]
     saved = masks(run, "yard")
     for index, layer, left, top, width, height in lines[:, :6].astype(int).tolist():
@@ -267,6 +267,8 @@ def test_a_segmentation_becomes_detections_of_supervision() -> None:
     assert detections.tracker_id is not None
     assert detections.mask is not None
     assert detections.tracker_id.tolist() == [3, 9]
+    assert detections.confidence is not None
+    assert detections.confidence.tolist() == [0.5, 0.5]
     np.testing.assert_array_equal(detections.mask, [result.labels == 3, result.labels == 9])
     assert detections.xyxy.tolist() == [[4, 5, 12, 15], [4, 17, 12, 27]]
     assert detections.area.tolist() == [80, 80]

@@ -21,12 +21,13 @@ from record_fakes import frame, segmentation
 
 from mlbs_actors.actors.stream.protocol import SourceSilence, StreamProgress
 from mlbs_actors.errors import ConfigError
+from orchestrator.events.zones import EventRules, Zone
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.monitor.board import Board
 from orchestrator.monitor.metrics import MetricsText
 from orchestrator.monitor.server import serving
-from orchestrator.run.stream_state import StreamState, after_progress
-from orchestrator.sinks.live_picture import LivePicture, live_picture_path
+from orchestrator.run.stream_state import StreamState, after_progress, after_start
+from orchestrator.sinks.live_picture import LivePicture, live_picture_path, watch
 from orchestrator.sinks.record import StreamRecord
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -35,13 +36,13 @@ HERE = MonitorAddress("127.0.0.1", 0)
 STATES = [
     StreamState("yard", "running", read=20, committed=8, layers=3, frames_per_second=4.25, latency_ms=312.4),
     StreamState("<b>", "failed", error="The file <is> gone."),
-    StreamState("late", "starting"),
+    after_start(StreamState("late")),
 ]
 
 
 @pytest.fixture
 def board(tmp_path: Path) -> Board:
-    board = Board(tmp_path)
+    board = Board(tmp_path, tmp_path / "out")
     for read in (8, 16, 20):
         board.update([after_progress(STATES[0], progress(read), 4.25), *STATES[1:]])
     picture = LivePicture(live_picture_path(tmp_path, "yard"))
@@ -144,7 +145,7 @@ def test_grafanas_board_asks_for_all_that_the_page_serves_and_nothing_else() -> 
 
 
 def test_the_past_of_a_long_run_keeps_its_span_in_bounded_room(tmp_path: Path) -> None:
-    board = Board(tmp_path)
+    board = Board(tmp_path, tmp_path)
     for read in range(1, 5001):
         board.update([StreamState("a", "running", read=read, layers=2)])
     past = board.status()["streams"][0]["layers_over_time"]
@@ -166,6 +167,52 @@ def test_a_camera_that_sends_nothing_has_no_rate(away: Literal["stalled", "recon
     assert (state.state, state.frames_per_second, state.seconds_left) == (away, 0.0, None)
     usual = replace(progress(8), silence=SourceSilence(None))
     assert after_progress(state, usual, 3.5).frames_per_second == 3.5
+
+
+def test_the_status_has_the_last_events_and_the_page_their_pictures(
+    board: Board, url: str, tmp_path: Path
+) -> None:
+    zone = Zone(name="here", polygon=((0, 0), (1, 0), (1, 1), (0, 1)))
+    record = StreamRecord(tmp_path / "out/yard", "yard", frozenset(), rules=EventRules((zone,)))
+    for index in range(14):
+        record.write(segmentation(index, 3, *([5] if index // 5 % 2 else [])), frame(index))
+    yard, *others = json.loads(get(url, "/status.json")[1])["streams"]
+    assert [one["events"] for one in others] == [[], []]
+    assert 4 < len(yard["events"]) <= 10
+    written = (tmp_path / "out/yard/events.jsonl").read_text().splitlines()
+    assert yard["events"] == [json.loads(line) for line in written[-10:]]
+    pictures = [event["picture"] for event in yard["events"] if event["picture"] is not None]
+    assert pictures
+    answer, body = get(url, f"/streams/yard/{pictures[-1]}")
+    assert (answer.status, answer.getheader("Content-Type"), body[:2]) == (200, "image/jpeg", b"\xff\xd8")
+    for path in ("yard/events/../events.jsonl", "yard/events/nothing.jpg", "nobody/" + pictures[-1], "yard"):
+        assert get(url, f"/streams/{path}")[0].status == 404
+
+
+def test_other_viewers_get_the_pictures_as_motion_jpeg_until_the_stream_ends(
+    board: Board, url: str, tmp_path: Path
+) -> None:
+    live = LivePicture(live_picture_path(tmp_path, "yard"))
+    connection = HTTPConnection("127.0.0.1", int(url.split(":")[2].split("/")[0]), timeout=10)
+    connection.request("GET", "/streams/yard.mjpg")
+    answer = connection.getresponse()
+    assert answer.getheader("Content-Type") == "multipart/x-mixed-replace; boundary=picture"
+
+    def part() -> int:
+        """The brightness of the next picture."""
+        head = [answer.readline() for _ in range(4)]
+        assert head[0] == b"--picture\r\n"
+        jpeg = answer.read(int(head[2].split()[1]) + 2)[:-2]
+        picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None
+        return round(float(picture[-1, -1].mean()))
+
+    assert part() < 130  # that of the fixture, all of it one object
+    live.show(np.full((48, 64, 3), 200, np.uint8), np.zeros((48, 64), np.uint16), 8)
+    assert part() == 200
+    board.update([replace(STATES[0], state="done"), *STATES[1:]])
+    assert answer.read() == b""
+    assert get(url, "/streams/nobody.mjpg")[0].status == 404
 
 
 # To whom
@@ -200,6 +247,8 @@ def test_who_knows_the_token_gets_in_by_address_cookie_or_header_and_nobody_else
         assert "HttpOnly" in cookie
         assert get(url, "/status.json", Cookie=cookie.partition(";")[0])[0].status == 200
         assert get(url, "/status.json", Authorization=f"Bearer {TOKEN}")[0].status == 200
+        assert get(url, f"/streams/<b>.mjpg?token={TOKEN}")[0].status == 200  # a player keeps no cookie
+        assert get(url, "/streams/<b>.mjpg?token=wrong")[0].status == 401
         assert get(url, "/status.json", Cookie="mlbs-monitor=wrong; \x7f")[0].status == 401
 
 
@@ -230,23 +279,30 @@ def test_a_port_that_is_taken_is_refused_with_a_sentence(board: Board) -> None:
 # Live pictures
 
 
-def test_a_live_picture_is_replaced_once_a_second_and_at_most_640_wide(tmp_path: Path) -> None:
+def test_a_live_picture_is_replaced_twice_a_second_and_at_most_640_wide(tmp_path: Path) -> None:
     now = [0.0]
     live = LivePicture(tmp_path / "a.jpg", lambda: now[0])
     written = []
-    for index in range(30):
+    for index in range(13):
         now[0] = index / 10
         live.show(np.full((500, 1000, 3), 8 * index, np.uint8), np.zeros((500, 1000), np.uint16), index)
         picture = cv2.imread(str(tmp_path / "a.jpg"))
         assert picture is not None
         assert picture.shape == (320, 640, 3)
         written.append(round(float(picture[-1, -1].mean()) / 8))
-    assert written == [0] * 10 + [10] * 10 + [20] * 10
+    assert written == [0] * 5 + [5] * 5 + [10] * 3
     live.close()  # of a stream that is over the last frame is to be seen
     picture = cv2.imread(str(tmp_path / "a.jpg"))
     assert picture is not None
-    assert round(float(picture[-1, -1].mean()) / 8) == 29
+    assert round(float(picture[-1, -1].mean()) / 8) == 12
     assert [path.name for path in tmp_path.iterdir()] == ["a.jpg"]
+    watch(tmp_path / "a.jpg")
+    for index in range(13, 16):  # ten times a second for somebody who watches
+        now[0] = index / 9
+        live.show(np.full((500, 1000, 3), 8 * index, np.uint8), np.zeros((500, 1000), np.uint16), index)
+        picture = cv2.imread(str(tmp_path / "a.jpg"))
+        assert picture is not None
+        assert round(float(picture[-1, -1].mean()) / 8) == index
 
 
 def test_a_record_shows_its_frames_and_no_trouble_with_that_reaches_it(tmp_path: Path) -> None:
@@ -275,3 +331,28 @@ def test_a_browser_shows_every_stream_without_complaint(url: str) -> None:
     assert "layers over time, at most 2" in page.document
     # In the document itself, which is what a keyboard and a screen reader go through.
     assert re.findall(r'<h2 id="name-\d">(.*?)</h2>', page.document) == ["yard", "late", "&lt;b&gt;"]
+
+
+def test_a_browser_shows_fifty_streams_with_their_events(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
+    board = Board(tmp_path, tmp_path)
+    names = [f"camera {number}" for number in range(50)]
+    for read in (8, 16):
+        board.update([StreamState(name, "running", read=read, layers=2) for name in names])
+    event = {"clock": None, "time": 1.25, "object": 4, "zone": "yard", "kind": "entered", "direction": None}
+    for name in names:
+        LivePicture(live_picture_path(tmp_path, name)).show(
+            np.zeros((48, 64, 3), np.uint8), np.zeros((48, 64), np.uint16), 7
+        )
+        (tmp_path / name).mkdir()
+        line = json.dumps(event | {"id": name, "picture": "events/00000007-4.jpg"}) + "\n"
+        (tmp_path / name / "events.jsonl").write_text(line, encoding="utf-8")
+    with serving(HERE, board) as url:
+        page = open_page(url, seconds=3)
+    assert page.console == []
+    assert len(re.findall("<article", page.document)) == 51  # with that of the template
+    assert page.document.count("1.3 s: 4 entered yard") == 100
+    loaded = len(re.findall(r' src="/pictures/\d+\.jpg', page.document))
+    assert 0 < loaded < 50  # those in sight

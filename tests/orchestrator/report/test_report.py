@@ -143,6 +143,27 @@ def test_the_timeline_has_a_bar_for_each_time_an_object_is_seen(run_folder: Path
     ]
 
 
+def test_the_timeline_shows_when_an_object_rests_and_the_table_its_last_state(tmp_path: Path) -> None:
+    record = StreamRecord(tmp_path / "a", "a", frozenset({"parquet"}))
+    for index in range(20):
+        if index == 12:
+            record.gap(index, index / 10, "quarantined")  # ends no rest
+            continue
+        made = segmentation(index, 3, 5) if index < 16 else segmentation(index, 3)
+        resting = {3: 4 <= index < 8, 5: index >= 10}
+        layers = tuple(
+            replace(one, state="resting" if resting[one.layer] else "moving") for one in made.layers
+        )
+        record.write(replace(made, layers=layers), frame(index))
+    write_run(tmp_path, [StreamState("a", "done", read=20, committed=record.close(whole=True))])
+    history = read_history(tmp_path / "a")
+    assert history is not None
+    titles = re.findall(r"<title>(object \d rests.*?)</title>", timeline_chart(history, history.lives))
+    assert titles == ["object 3 rests: frames 4 to 7", "object 5 rests: frames 10 to 15"]
+    rows = re.findall(r"</span>(\d)</th>.*?<td>(moving|resting)</td>", render_report(tmp_path), re.DOTALL)
+    assert rows == [("3", "moving"), ("5", "resting")]
+
+
 def test_what_became_of_an_object_is_told_by_what_is_in_its_place(tmp_path: Path) -> None:
     boxes = [  # object → its box (x, y, side) in each of four frames, from the left
         {1: (0, 20, 8), 2: (20, 5, 10), 4: (30, 20, 8), 6: (40, 2, 5)},
@@ -204,7 +225,19 @@ def test_objects_are_those_of_the_label_maps_and_the_long_ones_are_counted(tmp_p
     assert 'href="a/objects.csv"' in page
     rows = re.findall(r'<th scope="row"><span[^>]*></span>(\d+)</th>(.*?)</tr>', page, re.DOTALL)
     cells = {int(layer): re.findall(r"<td[^>]*>([^<]*)</td>", row) for layer, row in rows}
-    assert cells[3] == ["object", "0.00", "1.00", "1.00", "0", "10", "11", "0", "80", "5 in its place"]
+    assert cells[3] == [
+        "object",
+        "0.00",
+        "1.00",
+        "1.00",
+        "0",
+        "10",
+        "11",
+        "0",
+        "80",
+        "moving",
+        "5 in its place",
+    ]
     assert cells[5][1:6] == ["1.10", "3.90", "2.80", "11", "39"]
     assert cells[20][3] == "0.00"
 
@@ -275,6 +308,16 @@ def test_the_report_can_be_read_without_seeing_it(run_folder: Path) -> None:
     for attributes in tags.of("div"):  # what scrolls must be reachable by key and have a name
         assert attributes["tabindex"] == "0"
         assert attributes["aria-label"]
+
+
+def test_the_report_lists_the_events_of_a_stream(run_folder: Path) -> None:
+    page = render_report(run_folder)
+    table = page.partition('aria-label="Events of yard"')[2].partition("</table>")[0]
+    events = [json.loads(line) for line in (run_folder / "yard/events.jsonl").read_text().splitlines()]
+    assert table.count("<tr>") == 1 + len(events)
+    rows = re.findall(r"</span>(\d+)</td>\n<td>([a-z ]+)</td>", table)
+    assert rows == [(str(event["object"]), event["kind"]) for event in events if event["object"] is not None]
+    assert 'aria-label="Events of a&lt;b&gt;"' not in page
 
 
 def test_a_stream_that_could_not_be_opened_has_no_link_to_files(tmp_path: Path) -> None:

@@ -9,23 +9,15 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import pytest
 
-from mlbs_actors.actors.node.memory import NodeMemory
 from mlbs_actors.actors.stream.protocol import RunningStream, SourceSilence, StreamProgress, StreamSpec
 from mlbs_actors.config import Config
-from mlbs_actors.errors import ActorLostError, ConfigError, SourceError
+from mlbs_actors.errors import ActorLostError, NoPlaceError, SourceError
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.run import driver as driver_module
-from orchestrator.run.admission import (
-    PLACE_BYTES,
-    cores,
-    places,
-    places_here,
-    streams_to_start,
-)
+from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver, SpecChange
 from orchestrator.run.recovery import MOST_RETURNS
 from orchestrator.run.stream_state import (
@@ -38,6 +30,7 @@ from orchestrator.run.stream_state import (
     after_progress,
     after_removal,
     exit_code,
+    has_ended,
     stopped,
     with_record,
 )
@@ -131,7 +124,7 @@ def drive(
     driver = Driver(
         [spec(name) for name in streams],
         host,
-        limit=limit,
+        admission=by_count(limit),
         observers=[recorder],
         interruption=interruption or Interruption(),
     )
@@ -175,7 +168,7 @@ def test_a_place_is_free_only_when_the_stream_before_has_given_its_processes_bac
     def check() -> None:
         assert gone.is_set()
 
-    status, states, _, _ = drive({"a": Slow(4), "b": FakeStream(4, on_advance=check)}, limit=1)
+    status, states, _, _ = drive({"a": Slow(4), "b": FakeStream(4, on_advance=check)}, 1)
     assert status == 0, states
 
 
@@ -200,7 +193,9 @@ def test_a_stream_that_cannot_even_be_started_fails_alone() -> None:
             return super().start(spec, before)
 
     host = Broken({"good": FakeStream(5)})
-    driver = Driver([spec("bad"), spec("good")], host, limit=1, observers=[], interruption=Interruption())
+    driver = Driver(
+        [spec("bad"), spec("good")], host, admission=by_count(1), observers=[], interruption=Interruption()
+    )
     assert driver.run() == 1
     assert [state.state for state in driver.states] == ["failed", "done"]
 
@@ -210,7 +205,7 @@ def test_a_stream_whose_processes_cannot_be_ended_holds_up_nobody() -> None:
         def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
             raise RuntimeError("lost")
 
-    status, states, _, _ = drive({"a": Stuck(4), "b": FakeStream(4)}, limit=1)
+    status, states, _, _ = drive({"a": Stuck(4), "b": FakeStream(4)}, 1)
     assert status == 0
     assert states["b"].state == "done"
 
@@ -250,7 +245,7 @@ def test_a_signal_drains_what_was_read_starts_nothing_more_and_gives_its_status(
         "ended": FakeStream(2),
         "later": FakeStream(5),
     }
-    status, states, _, host = drive(streams, limit=3, interruption=interruption)
+    status, states, _, host = drive(streams, 3, interruption=interruption)
     assert status == 143
     assert (states["a"].state, states["a"].read, states["a"].committed) == ("partial", BURST, BURST)
     assert "Interrupted after 4 frames" in (states["a"].error or "")
@@ -302,7 +297,9 @@ def losing(fails_at: int) -> FakeStream:
 
 def drive_again(host: Again, interruption: Interruption | None = None) -> dict[str, StreamState]:
     specs = [spec(name) for name in host.attempts]
-    driver = Driver(specs, host, limit=2, observers=[], interruption=interruption or Interruption())
+    driver = Driver(
+        specs, host, admission=by_count(2), observers=[], interruption=interruption or Interruption()
+    )
     driver.run()
     return {state.name: state for state in driver.states}
 
@@ -366,11 +363,12 @@ def test_a_stream_that_leaves_the_list_while_it_goes_back_is_not_started_again()
         asked.append(state)
         return SpecChange((), ("bad",))
 
-    driver = Driver([spec("bad")], host, limit=1, observers=[], interruption=interruption, changes=changes)
-    assert driver.run() == 128 + signal.SIGTERM
+    driver = Driver(
+        [spec("bad")], host, admission=by_count(1), observers=[], interruption=interruption, changes=changes
+    )
+    driver.run()
     assert host.started == ["bad"]
     assert (driver.states[0].state, driver.states[0].committed) == ("partial", 8)
-    assert not driver.states[0].interrupted
 
 
 def test_a_signal_while_a_stream_goes_back_leaves_it_to_be_resumed() -> None:
@@ -392,7 +390,12 @@ def test_a_signal_while_a_stream_goes_back_leaves_it_to_be_resumed() -> None:
 def test_a_waiting_stream_is_shown_with_what_it_will_read_of_its_length() -> None:
     specs = [spec("a", 5), spec("b", 50), spec("c")]
     driver = Driver(
-        specs, FakeHost({}), limit=1, observers=[], interruption=Interruption(), lengths={"a": 20, "b": 20}
+        specs,
+        FakeHost({}),
+        admission=by_count(1),
+        observers=[],
+        interruption=Interruption(),
+        lengths={"a": 20, "b": 20},
     )
     assert [state.length for state in driver.states] == [5, 20, None]
 
@@ -403,7 +406,7 @@ def test_streams_that_ended_in_an_earlier_run_are_left_alone() -> None:
     driver = Driver(
         [spec("old"), spec("new")],
         host,
-        limit=2,
+        admission=by_count(2),
         observers=[],
         interruption=Interruption(),
         ended=ended,
@@ -434,12 +437,6 @@ def test_the_first_signal_is_noted_the_second_ends_at_once_and_the_handlers_are_
 
 
 # Rules
-
-
-def test_a_rate_is_known_after_two_seconds_and_is_that_of_the_last_ten() -> None:
-    times = iter([0.0, 1.0, 2.0, 10.0, 12.5])
-    rate = driver_module._Rate(lambda: next(times))
-    assert [rate.after(frames) for frames in (8, 12, 28, 108, 133)] == [0.0, 0.0, 10.0, 10.0, 10.0]
 
 
 def test_counts_and_rate_follow_progress() -> None:
@@ -490,7 +487,7 @@ def test_a_run_that_is_ended_at_once_leaves_nothing_at_work_and_what_has_ended_a
         (("done", "done"), None, 0),
         (("done", "partial"), None, 1),
         (("failed", "done"), None, 1),
-        (("done", "done"), signal.SIGINT, 130),
+        (("done", "done"), signal.SIGINT, 0),
         (("failed", "waiting"), signal.SIGTERM, 143),
     ],
 )
@@ -500,34 +497,19 @@ def test_the_exit_status_follows_the_states_and_the_signal(
     assert exit_code([StreamState("x", name) for name in names], signal_number) == status
 
 
-def test_only_running_streams_hold_places() -> None:
-    names: list[StateName] = [
-        "done",
-        "running",
-        "waiting",
-        "failed",
-        "starting",
-        "waiting",
-        "partial",
-        "waiting",
-    ]
-    states = [StreamState(str(number), name) for number, name in enumerate(names)]
-    assert streams_to_start(states, 2) == ()
-    assert streams_to_start(states, 4) == ("2", "5")
-    assert streams_to_start(states, 99) == ("2", "5", "7")
-    assert streams_to_start(states, 1) == ()
-
-
-@pytest.mark.parametrize(
-    ("gibibytes", "core_count", "expected"), [(24, 2, 4), (6, 2, 3), (1, 2, 1), (0, 1, 1), (256, 64, 128)]
-)
-def test_places_are_bounded_by_memory_and_cores(gibibytes: int, core_count: int, expected: int) -> None:
-    assert places(NodeMemory(gibibytes * 2**30, gibibytes * 2**30), core_count) == expected
-
-
-def test_what_others_use_is_no_place_for_streams_and_a_reserve_stays_free() -> None:
-    assert places(NodeMemory(32 * 2**30, 6 * 2**30), 64) == 1
-    assert places(NodeMemory(8 * 2**30, 6 * 2**30), 64) == 3
+def test_cameras_that_a_signal_stopped_in_order_are_complete_beside_files_that_are() -> None:
+    running = StreamState("door", "running", read=20, committed=8, live=True)
+    door = after_interruption(running, progress(20, done=True))
+    assert (door.state, door.committed, door.error) == ("done", 20, None)
+    assert not has_ended(door)  # it continues with --resume
+    waiting, film = StreamState("gate", live=True), StreamState("film", "done")
+    assert exit_code([door, waiting, film], signal.SIGTERM) == 0
+    assert exit_code([door, StreamState("film")], signal.SIGTERM) == 143
+    cut = after_interruption(StreamState("film", "running"), progress(8))
+    assert exit_code([door, cut], signal.SIGINT) == 130
+    assert exit_code([door, StreamState("bad", "failed")], signal.SIGTERM) == 1
+    lost = after_interruption(running, None)
+    assert (lost.state, exit_code([door, lost], signal.SIGTERM)) == ("partial", 1)
 
 
 def test_a_stream_that_was_short_of_memory_says_so_to_its_end() -> None:
@@ -537,16 +519,6 @@ def test_a_stream_that_was_short_of_memory_says_so_to_its_end() -> None:
     assert "up to 3 layers" in (ended.memory_note or "")
     assert (ended.state, ended.error) == ("done", None)
     assert after_end(StreamState("b"), progress(20, done=True)).memory_note is None
-
-
-def test_all_places_together_fit_the_memory_with_room_left() -> None:
-    for gibibytes in range(3, 200):
-        memory = gibibytes * 2**30
-        assert places(NodeMemory(memory, memory), 10_000) * PLACE_BYTES < 0.9 * memory
-
-
-def test_this_machine_has_cores() -> None:
-    assert cores() >= 1
 
 
 def test_a_failed_stream_is_shown_with_what_its_record_holds() -> None:
@@ -573,12 +545,12 @@ def test_streams_that_come_are_run_and_those_that_leave_are_finished_until_a_sig
     driver = Driver(
         [spec("endless"), spec("waits")],
         host,
-        limit=1,
+        admission=by_count(1),
         observers=[recorder],
         interruption=interruption,
         changes=changes,
     )
-    assert driver.run() == 128 + signal.SIGTERM
+    assert driver.run() == 0
     states = {state.name: state for state in driver.states}
     assert list(states) == ["endless", "new"]
     assert (states["endless"].state, states["endless"].committed) == ("done", streams["endless"].read)
@@ -587,9 +559,37 @@ def test_streams_that_come_are_run_and_those_that_leave_are_finished_until_a_sig
     assert (states["new"].state, states["new"].committed) == ("done", 8)
 
 
+def test_a_stream_that_comes_back_is_started_again_once_it_is_gone_and_one_at_its_end_is_not() -> None:
+    interruption, recorder = Interruption(), Recorder()
+
+    class Slow(FakeStream):
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
+            time.sleep(0.3)
+            return super().stop(drain=drain, returns=returns)
+
+    first, second = Slow(10**9), FakeStream(10**9)
+    host = Again({"camera": [first, second], "film": [FakeStream(4)]})
+    left = [SpecChange((), ("film", "camera")), SpecChange((spec("camera"), spec("film")), ())]
+
+    def changes() -> SpecChange | None:
+        if second.read >= 20:
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left and first.read >= 20 else None
+
+    specs = [spec("camera"), spec("film")]
+    driver = Driver(
+        specs, host, admission=by_count(2), observers=[recorder], interruption=interruption, changes=changes
+    )
+    driver.run()
+    assert host.started == ["camera", "film", "camera"]
+    assert first.stops == second.stops == [True]
+    assert recorder.history["film"][-1] == "done"
+
+
 def test_a_stream_that_leaves_with_nothing_to_keep_or_without_an_answer_is_partial() -> None:
     running = StreamState("a", "running", read=9, committed=5)
-    assert after_removal(running, progress(9, done=True)).state == "done"
+    finished = after_removal(running, progress(9, done=True))
+    assert (finished.state, has_ended(finished)) == ("done", False)  # it may come back
     assert after_removal(running, progress(9, done=True, problem="Damaged.")).error == "Damaged."
     lost = after_removal(running, None)
     assert (lost.state, lost.committed) == ("partial", 5)
@@ -608,11 +608,25 @@ def test_a_camera_that_is_silent_or_away_is_told_until_it_is_back() -> None:
     assert (state.state, state.error, state.dropped, state.gaps) == ("running", None, 2, 1)
 
 
-def test_a_node_that_does_not_see_the_output_folder_takes_no_stream(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="put it on a file system that all nodes share"):
-        places_here(tmp_path)
-    (tmp_path / "run.json").touch()
-    assert places_here(tmp_path) >= 1
+def test_a_waiting_stream_says_what_for_and_a_running_one_no_more() -> None:
+    said: list[tuple[str | None, ...]] = []
+
+    class Watch(Recorder):
+        def update(self, states: Sequence[StreamState]) -> None:
+            super().update(states)
+            said.append(tuple(state.waits_for for state in states))
+
+    driver = Driver(
+        [spec("a"), spec("b")],
+        FakeHost({"a": FakeStream(8), "b": FakeStream(8)}),
+        admission=by_count(1),
+        observers=[Watch()],
+        interruption=Interruption(),
+    )
+    driver.run()
+    assert ("its processes and its first frames", None) in said
+    assert (None, "one of the 1 places, which are taken") in said
+    assert said[-1] == (None, None)
 
 
 def test_the_limit_can_grow_while_streams_run() -> None:
@@ -621,9 +635,52 @@ def test_the_limit_can_grow_while_streams_run() -> None:
     driver = Driver(
         [spec(name) for name in "abc"],
         host,
-        limit=lambda: next(limits, 3),
+        admission=by_count(lambda _: next(limits, 3)),
         observers=[],
         interruption=Interruption(),
     )
     assert driver.run() == 0
     assert [state.state for state in driver.states] == ["done"] * 3
+
+
+def test_streams_wait_while_there_is_no_place_for_any() -> None:
+    limits, asked = iter([0] * 3), []
+
+    def limit(waiting: int) -> int:
+        asked.append(waiting)
+        return next(limits, 2)
+
+    host = FakeHost({name: FakeStream(8) for name in "abc"})
+    driver = Driver(
+        [spec(name) for name in "abc"],
+        host,
+        admission=by_count(limit),
+        observers=[],
+        interruption=Interruption(),
+    )
+    assert driver.run() == 0
+    assert asked[:4] == [3, 3, 3, 3]
+    assert host.most_at_once == 2
+
+
+def test_a_stream_that_goes_back_when_no_node_is_left_waits_and_goes_on_from_its_last_start() -> None:
+    class Lost(Again):
+        def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
+            if before is not None and not refused:
+                refused.append(before)
+                raise NoPlaceError("No node takes streams.")
+            return super().start(spec, before)
+
+    refused: list[RunningStream] = []
+    first = losing(8)
+    host, recorder = Lost({"only": [first, FakeStream(20)]}), Recorder()
+    driver = Driver(
+        [spec("only")],
+        host,
+        admission=by_count(1),
+        observers=[recorder],
+        interruption=Interruption(),
+    )
+    assert driver.run() == 0
+    assert host.before == [None, first]
+    assert recorder.history["only"][-4:] == ["waiting", "starting", "running", "done"]

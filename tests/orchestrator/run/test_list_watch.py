@@ -20,11 +20,11 @@ class Watched:
         self.path.write_text(text)
         self.now = 0.0
         self.told: list[str] = []
-        self.records = {"a", "b"}
+        self.records = {name: str(folder / f"{name}.mp4") for name in ("a", "b")}
         self.watch = ListWatch(
             self.path,
             read_stream_list(self.path),
-            self.records.__contains__,
+            self.records.get,
             self.told.append,
             clock=lambda: self.now,
         )
@@ -99,8 +99,13 @@ def test_a_name_stands_for_one_source_throughout_a_run(watched: Watched) -> None
     assert watched.change("a c.mp4\nb.mp4\n") is None
     assert "line 1: the name 'a' stands for another source in this run" in watched.told[0]
     assert named(watched.change("b.mp4\n")) == ([], ["a"])
-    assert watched.change("a.mp4\nb.mp4\n") is None
+    assert watched.change("a d.mp4\nb.mp4\n") is None
     assert named(watched.change("a2 a.mp4\nb.mp4\n")) == (["a2"], [])
+
+
+def test_a_stream_that_left_may_come_back_with_the_same_source(watched: Watched) -> None:
+    assert named(watched.change("b.mp4\n")) == ([], ["a"])
+    assert named(watched.change("a.mp4\nb.mp4\n")) == (["a"], [])
 
 
 def test_a_stream_that_left_before_it_had_a_record_may_come_again(watched: Watched) -> None:

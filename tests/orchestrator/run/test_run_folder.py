@@ -133,6 +133,9 @@ def test_the_status_file_says_how_each_stream_stands(tmp_path: Path) -> None:
         "length": None,
         "without_process": 0,
         "objects": 0,
+        "live": False,
+        "cores": 0.0,
+        "memory": 0,
         "queued": 0,
         "seconds_left": None,
         "waits_for": None,
@@ -220,20 +223,21 @@ def test_lines_of_the_list_may_change_whose_streams_have_no_frame_yet(tmp_path: 
         described(gate="gate.mp4", yard="yard.mp4"),
         described(yard="yard.mp4"),
     ):
-        assert folder.refuse_other(allowed)["sources"]["door"].endswith("dor.mp4")
+        folder.refuse_other(folder.description(), allowed)
     for refused in (described(yard="other.mp4", door="dor.mp4"), described(door="dor.mp4")):
         with pytest.raises(ConfigError, match="had other streams"):
-            folder.refuse_other(refused)
+            folder.refuse_other(folder.description(), refused)
 
 
 def test_a_run_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
     plain = describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), None)
-    with pytest.raises(ConfigError, match="holds no run to resume"):
-        folder.refuse_other(plain)
+    assert not folder.holds_run
     folder.create(plain)
+    assert folder.holds_run
     record_frame(tmp_path / "yard")
-    assert folder.refuse_other(plain | {"started": "later"})["started"] == plain["started"]
+    begun = folder.description()
+    folder.refuse_other(begun, plain | {"started": "later"})
     other_config = Config.model_validate({"layers": {"lookahead": 1}})
     for description, words in (
         (
@@ -263,10 +267,10 @@ def test_a_run_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
         (plain | {"zones": "ab12"}, "contents of the file of --zones; give"),
     ):
         with pytest.raises(ConfigError, match=f"had other .*{words}"):
-            folder.refuse_other(description)
+            folder.refuse_other(begun, description)
     (tmp_path / "run.json").write_text("{")
     with pytest.raises(ConfigError, match="cannot be read"):
-        folder.refuse_other(plain)
+        folder.description()
 
 
 def test_the_states_of_the_streams_are_read_back_from_the_status(tmp_path: Path) -> None:

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from record_fakes import HEIGHT, WIDTH, frame, segmentation, write_stream
 
 from mlbs_actors.messages import FrameStatus, LayerSummary, Region, Segmentation
+from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.sinks.object_files import OBJECTS_CSV, OBJECTS_JSON, ObjectFiles
 from orchestrator.sinks.object_list import ObjectList
 from orchestrator.sinks.record import FIRST_COMMIT, GROUP_FRAMES, StreamRecord
 from orchestrator.sinks.record_tables import read_rows
-from orchestrator.sinks.tables import FrameRow, ResultRow
 
 TABLES = frozenset({"parquet"})
 
@@ -72,6 +72,7 @@ def test_a_row_says_when_and_where_an_object_was_seen(tmp_path: Path) -> None:
     assert [second[f"first_{side}"] for side in "xywh"] == ["0", "17", "8", "10"]
     assert [second[f"last_{side}"] for side in "xywh"] == ["9", "17", "8", "10"]
     assert (second["area_px"], second["start_cx"], second["end_cx"]) == ("80", "3.5", "12.5")
+    assert second["score"] == "0.5"
     # It goes a pixel a frame and at frame 30, where it begins anew, 29 back.
     assert float(first["path_px"]) == 29 + 29 + 9
 
@@ -92,7 +93,7 @@ def test_the_json_file_says_what_the_csv_file_says_and_has_the_path(tmp_path: Pa
     assert (content["stream"], content["complete"]) == ("yard", True)
     assert (content["label_maps"], content["last_frame"], content["last_s"]) == (39, 39, 3.9)
     for row, one in zip(rows_of(tmp_path / "yard"), content["objects"], strict=True):
-        for key in ("id", "frames", "seconds", "times_hidden", "area_px", "path_px", "kind", "state", "end"):
+        for key in ("id", "frames", "seconds", "times_hidden", "area_px", "path_px", "score", "state", "end"):
             assert str(one[key]) == row[key]
         for end in ("first", "last"):
             assert (str(one[end]["frame"]), str(one[end]["s"])) == (row[f"{end}_frame"], row[f"{end}_s"])

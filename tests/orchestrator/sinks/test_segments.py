@@ -18,7 +18,7 @@ from record_fakes import frame, segmentation
 from segment_fakes import SAVE, Camera
 
 from mlbs_actors.errors import SinkError
-from orchestrator.evaluation.scoring import run_label_maps
+from orchestrator.evaluation.labelling import run_label_maps
 from orchestrator.evaluation.sequences import FolderSequence
 from orchestrator.report.history import read_history
 from orchestrator.report.pictures import overlay_strip

@@ -22,13 +22,13 @@ from record_fakes import HEIGHT, WIDTH, frame, segmentation
 
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, Region, Segmentation
+from orchestrator.rows.frame_row import run_length_code
 from orchestrator.run import durable_files
 from orchestrator.sinks import commit_log
 from orchestrator.sinks.label_image import davis_palette, encode_label_image, voc_colours
 from orchestrator.sinks.overlay import OverlayVideo
 from orchestrator.sinks.record import FIRST_COMMIT, GROUP_FRAMES, StreamRecord
 from orchestrator.sinks.record_tables import read_table
-from orchestrator.sinks.tables import run_length_code
 
 EVERYTHING = frozenset({"masks", "parquet", "overlay"})
 
@@ -136,6 +136,7 @@ def test_the_tables_have_the_columns_and_types_of_the_contract_first(tmp_path: P
         ("confidence", "float"),
         ("rle", "string"),
         ("state", "string"),
+        ("score", "float"),
     ]
     frames = pq.read_schema(next((tmp_path / "yard").glob("frames-*.parquet")))
     assert [(field.name, str(field.type)) for field in frames][:8] == [

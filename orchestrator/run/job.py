@@ -1,0 +1,153 @@
+"""The streams of one run in the driver's form, and ``run.json``, which describes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from mlbs_actors.actors.stream.protocol import FrameReader, StreamSpec
+from mlbs_actors.config import Config
+from orchestrator.command_line import Arguments
+from orchestrator.credentials import mask
+from orchestrator.events.zones import EventRules
+from orchestrator.run.driver import SpecChange
+from orchestrator.run.list_watch import ListWatch
+from orchestrator.run.run_folder import RunFolder, describe_run
+from orchestrator.run.stream_list import ListedStream
+from orchestrator.sinks.live_picture import LivePicture, live_picture_path
+from orchestrator.sinks.record import StreamRecord, ends_group
+from orchestrator.sources.address import SourceAddress, SourceKind
+from orchestrator.sources.opening import open_reader
+from orchestrator.working_size import FullSizeRecord, ShrinkingReader
+
+__all__ = ["Job"]
+
+
+class Job:
+    """The streams of a run, including those added to a watched list.
+
+    Parameters
+    ----------
+    streams : sequence of ListedStream
+    arguments : Arguments
+    config : Config
+    folder : RunFolder
+    live : Path, optional
+        Folder of the monitor's pictures.
+    say : callable
+        Receives messages for the user.
+    recorded : mapping of str to str, optional
+        Sources of streams that an earlier run in the folder has recorded, by name. Those that the list does
+        not name any more stay in the description, so that their results can be exported.
+
+    Attributes
+    ----------
+    description : dict
+        Content of ``run.json``.
+    """
+
+    def __init__(
+        self,
+        streams: Sequence[ListedStream],
+        arguments: Arguments,
+        config: Config,
+        folder: RunFolder,
+        live: Path | None,
+        say: Callable[[str], None],
+        recorded: Mapping[str, str] | None = None,
+    ) -> None:
+        self._streams = {stream.name: stream for stream in streams}
+        self._arguments = arguments
+        self._config = config
+        self._folder = folder
+        self._live = live
+        self._say = say
+        self._sources = dict(recorded or {})
+        self._unlisted = {stream.name for stream in streams if stream.line is None}
+        self.description = self._described()
+        self._watch = None
+        if arguments.watch and arguments.streams is not None:
+            listed = [stream for stream in streams if stream.line is not None]
+            self._watch = ListWatch(
+                arguments.streams, listed, self._recorded_source, lambda text: say(mask(text))
+            )
+
+    @property
+    def specs(self) -> list[StreamSpec]:
+        """All streams, in the driver's form."""
+        return [self._spec(stream) for stream in self._streams.values()]
+
+    def files(self, specs: Sequence[StreamSpec]) -> dict[str, SourceAddress]:
+        """Return the sources of those of ``specs`` that are no cameras, by name."""
+        return {spec.name: self._streams[spec.name].source for spec in specs if spec.replayable}
+
+    def rules(self, name: str) -> EventRules:
+        """Return what the events of a stream depend on."""
+        return self._arguments.zones.rules_of(name, self._config.layers.dormant_frames)
+
+    def changes(self) -> SpecChange | None:
+        """Return changes to the list."""
+        change = None if self._watch is None else self._watch.look()
+        if change is None:
+            return None
+        self._streams |= {stream.name: stream for stream in change.added}
+        self.description = self._described() | {"started": self.description["started"]}
+        try:
+            self._folder.redescribe(self.description)
+        except OSError as error:
+            self._say(f"{self._folder.path}/run.json cannot be written: {error.strerror}; free some space.")
+        return SpecChange(tuple(self._spec(stream) for stream in change.added), change.removed)
+
+    def _recorded_source(self, name: str) -> str | None:
+        if name in self._unlisted:
+            return "an argument of the command"
+        return self._sources.get(name, "") if self._folder.stream(name).exists() else None
+
+    def _described(self) -> dict[str, Any]:
+        given = self._arguments
+        command = given.command(f"{self._folder.path}-again")
+        description = describe_run(
+            list(self._streams.values()), self._config, given.save, given.max_frames, given.max_side, command,
+            given.ignored.digests, given.zones.digest, self._sources,
+            given.segment, given.keep.words if given.keep else (),
+        )  # fmt: skip
+        self._sources = description["sources"]
+        return description
+
+    def _spec(self, stream: ListedStream) -> StreamSpec:
+        save, max_side = self._arguments.save, self._arguments.max_side
+        reader: Callable[[], FrameReader] = partial(open_reader, stream.source, self._arguments.give_up_after)
+        record = StreamRecord
+        if max_side is not None:
+            reader, record = partial(ShrinkingReader, reader, max_side), FullSizeRecord
+        rules = self.rules(stream.name)
+        picture = None
+        if self._live is not None:
+            picture = LivePicture(live_picture_path(self._live, stream.name), zones=rules.zones)
+        folder = self._folder.stream(stream.name)
+        replayable = stream.source.kind in (SourceKind.PATH, SourceKind.SYNTHETIC)
+        return StreamSpec(
+            name=stream.name,
+            config=self._config,
+            open_reader=reader,
+            open_sink=partial(
+                record,
+                folder,
+                stream.name,
+                save,
+                picture,
+                replayable=replayable,
+                source=stream.source,
+                rules=rules,
+                segment_seconds=None if replayable else self._arguments.segment,
+            ),
+            max_frames=self._arguments.max_frames,
+            wants_background=ends_group if "background" in save else None,
+            source=str(stream.source),
+            line=stream.line,
+            replayable=replayable,
+            path=stream.source.path,
+            ignored=self._arguments.ignored.mask_of(stream.name),
+        )
