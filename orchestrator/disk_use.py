@@ -14,13 +14,19 @@ from pathlib import Path
 import numpy as np
 
 from mlbs_actors.errors import ConfigError
+from orchestrator.events.pictures import PICTURES
+from orchestrator.events.scene import VIEWS
 from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.record_tables import read_table
+from orchestrator.sinks.snapshot_folder import SNAPSHOTS
 
 __all__ = ["KINDS", "StreamUse", "bytes_by_kind", "main", "stream_use"]
 
-#: What grows with the frames; the snapshots of a stream that goes on do not.
+#: What grows with the frames.
 KINDS = ("masks", "tables", "overlay", "background", "cutouts", "lists")
+
+#: Folders of a stream that do not, as their oldest files are deleted or their number is bounded.
+_BOUNDED = (SNAPSHOTS, PICTURES, VIEWS)
 
 _NEWEST_ROWS = 20_000  # by which sizes and rates are measured
 _DAY_SECONDS = 86_400
@@ -54,14 +60,13 @@ def bytes_by_kind(folder: Path) -> Counter[str]:
     """Return the bytes of the files of a stream's folder, or of a segment's, by kind."""
     found: Counter[str] = Counter()
     for place, _, files in os.walk(folder):
-        part = Path(place).name
+        part = next(iter(Path(place).relative_to(folder).parts), None)
         for name in files:
             try:
                 size = Path(place, name).stat().st_size
             except FileNotFoundError:
                 continue  # published or deleted just now
-            within = part if part in KINDS else "snapshots" if "/snapshots/" in f"{place}/" else None
-            found[within or _kind(name.lstrip("."))] += size
+            found[part if part in KINDS or part in _BOUNDED else _kind(name.lstrip("."))] += size
     return found
 
 

@@ -9,6 +9,7 @@ from record_fakes import frame, segmentation
 
 from mlbs_actors.actors.stream.protocol import Snapshot
 from mlbs_actors.state_file import capture
+from orchestrator.events.zones import EventRules
 from orchestrator.sinks.record import StreamRecord
 
 #: 2026-11-27T14:00:00Z, when the camera's first frame is taken; it sends ten a second.
@@ -33,12 +34,19 @@ class Camera:
         rate: float = 10.0,
         seconds: int = SECONDS,
         began: float = BEGAN,
+        rules: EventRules | None = None,
     ) -> None:
         self._rate = rate
         self._began = began
         self.now = began
         self.record = StreamRecord(
-            folder, folder.name, save, replayable=False, segment_seconds=seconds, clock=lambda: self.now
+            folder,
+            folder.name,
+            save,
+            replayable=False,
+            rules=rules,
+            segment_seconds=seconds,
+            clock=lambda: self.now,
         )
         before = self.record.opening.resume_from
         self.rows = 0 if before is None else before.rows

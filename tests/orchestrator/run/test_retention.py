@@ -19,6 +19,7 @@ from orchestrator.disk_use import bytes_by_kind
 from orchestrator.disk_use import main as disk_use
 from orchestrator.events import delivery as delivery_module
 from orchestrator.events.delivery import Delivery
+from orchestrator.events.zones import EventRules, Zone
 from orchestrator.export.recorded_stream import recorded_stream
 from orchestrator.report.page import render_report
 from orchestrator.run.retention import Retention
@@ -168,7 +169,8 @@ def test_events_of_what_is_deleted_go_and_the_others_are_delivered(
         def close(self) -> None:
             return
 
-    camera = Camera(tmp_path / "gate", TABLES)
+    here = Zone(name="here", polygon=((0, 0), (1, 0), (1, 1), (0, 1)), fixed_to="scene")
+    camera = Camera(tmp_path / "gate", TABLES, rules=EventRules((here,)))
     delivery = Delivery("target", "key", Target, tmp_path, lambda text: None)
     camera.send(250)
     keeping(tmp_path, "1m", now=75)
@@ -179,7 +181,10 @@ def test_events_of_what_is_deleted_go_and_the_others_are_delivered(
     assert [one["number"] for one in lines] == [*range(lines[0]["number"], lines[-1]["number"] + 1)]
     assert sent == sorted(set(sent))
     assert sent[-1] == lines[-1]["number"]
-    again = Camera(tmp_path / "gate", TABLES)  # goes back to row 460
+    pictures = {f"events/{path.name}" for path in (tmp_path / "gate/events").iterdir()}
+    assert pictures == {one["picture"] for one in lines} - {None}
+    assert (tmp_path / "gate/.views/00000000.npz").exists()  # the scene is still found by it
+    again = Camera(tmp_path / "gate", TABLES, rules=EventRules((here,)))  # goes back to row 460
     again.send(600)
     after = [json.loads(line)["number"] for line in (tmp_path / "gate/events.jsonl").read_text().splitlines()]
     assert after == [*range(lines[0]["number"], after[-1] + 1)]
