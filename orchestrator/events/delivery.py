@@ -44,12 +44,12 @@ class _Position:
     ----------
     number : int
         All events up to this number were, and they do not change.
-    ids : list of str
-        And these events behind them.
+    ids : dict of str to int
+        And these events behind them, with their numbers.
     """
 
     number: int = 0
-    ids: list[str] = field(default_factory=list)
+    ids: dict[str, int] = field(default_factory=dict)
 
 
 _POSITIONS = TypeAdapter(dict[str, _Position])
@@ -198,12 +198,13 @@ class Delivery:
 
     def _acknowledge(self, path: Path, line: bytes) -> None:
         position, event = self._position(path), json.loads(line)
-        position.ids.append(event["id"])
+        position.ids[event["id"]] = event["number"]
         end = min(event["number"], committed_events(path.parent))
         if end > position.number:
             final = {event["id"] for _, event in self._behind_position(path) if event["number"] <= end}
             if final.issubset(position.ids):
-                position.number, position.ids = end, [one for one in position.ids if one not in final]
+                position.number = end
+                position.ids = {one: number for one, number in position.ids.items() if number > end}
         replace_file(self._path, _POSITIONS.dump_json(self._positions))
 
 

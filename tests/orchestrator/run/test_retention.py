@@ -181,6 +181,8 @@ def test_events_of_what_is_deleted_go_and_the_others_are_delivered(
     assert [one["number"] for one in lines] == [*range(lines[0]["number"], lines[-1]["number"] + 1)]
     assert sent == sorted(set(sent))
     assert sent[-1] == lines[-1]["number"]
+    [position] = [json.loads(path.read_text())["gate"] for path in tmp_path.glob(".delivered-*")]
+    assert position["number"] + len(position["ids"]) == sent[-1]
     pictures = {f"events/{path.name}" for path in (tmp_path / "gate/events").iterdir()}
     assert pictures == {one["picture"] for one in lines} - {None}
     assert (tmp_path / "gate/.views/00000000.npz").exists()  # the scene is still found by it
