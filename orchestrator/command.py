@@ -12,7 +12,8 @@ from orchestrator.credentials import mask
 from orchestrator.interruption import StopAtOnce
 from orchestrator.ray_session import ray_settings
 from orchestrator.run.argument_streams import argument_streams
-from orchestrator.run.stream_list import missing_sources, read_stream_list
+from orchestrator.run.stream_list import ListedStream, missing_sources, read_stream_list
+from orchestrator.sources.address import SourceKind
 
 __all__ = ["run_command"]
 
@@ -40,6 +41,11 @@ def run_command(argv: Sequence[str]) -> int:
         unknown = sorted(arguments.zones.streams - {stream.name for stream in streams})
         if unknown and not arguments.watch:
             raise ConfigError(f"--zones names the stream {unknown[0]!r}, which is not one of this run.")
+        if arguments.segment is not None and not arguments.watch and not any(map(_is_camera, streams)):
+            raise ConfigError(
+                "--segment and --keep are for cameras, of which this run has none; leave them out. "
+                "The record of a file is always kept whole."
+            )
         config = load_config(arguments.config, arguments.overrides)
         missing = missing_sources(arguments.streams, streams)
         with ray_settings(arguments.address) as scratch:
@@ -60,3 +66,7 @@ def run_command(argv: Sequence[str]) -> int:
             file=sys.stderr,
         )
         return 128 + stop.signal_number
+
+
+def _is_camera(stream: ListedStream) -> bool:
+    return stream.source.kind not in (SourceKind.PATH, SourceKind.SYNTHETIC)

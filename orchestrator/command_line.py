@@ -18,6 +18,7 @@ from orchestrator.mistaken_flags import refuse_source_behind, unknown_flag
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.program import command_line_of, program_name
 from orchestrator.run.argument_streams import DEMO, argument_address, default_output
+from orchestrator.run.retention_limits import HOUR, Keep, parse_keep, parse_segment
 
 __all__ = ["SAVABLE", "SAVED", "Arguments", "parse"]
 
@@ -64,11 +65,13 @@ output:
   DIR/NAME/overlay.mp4           the labels over the video
   DIR/NAME/background/FRAME.png  the background without objects, now and then; with --save background
   DIR/NAME/cutouts/FRAME-ID.png  each object by itself; with --save cutouts
+  DIR/NAME/TIME/                 the same of an hour of a camera, with masks.tar; with --segment or --keep
   DIR/NAME/commits.jsonl         what is safely written: nothing counts before its line here
 
 while it runs: a table on a terminal, else JSON lines on standard output; messages on standard error
 afterwards:
   python -m orchestrator.export FORMAT DIR OUT   as coco, mots, davis, youtube-vos or rerun
+  python -m orchestrator.disk_use DIR            bytes a frame and GB a day of each stream
   python -m orchestrator.report DIR              report.html anew, also of a run that was killed
 
 exit status:
@@ -120,6 +123,10 @@ class Arguments:
         Where to send them.
     watch : bool
         Whether the list is read again when it changes.
+    segment : int, optional
+        Length of the segments of cameras, s; None for no segments.
+    keep : Keep, optional
+        How much of the record of cameras is kept; None for all.
     give_up_after : int, optional
         Time without a picture after which a camera is given up, s.
     places : int, optional
@@ -142,6 +149,8 @@ class Arguments:
     zones: ZonesFile
     events: tuple[EventTarget, ...]
     watch: bool
+    segment: int | None
+    keep: Keep | None
     give_up_after: int | None
     places: int | None
 
@@ -173,6 +182,10 @@ class Arguments:
             words += ["--zones", str(self.zones.path)]
         for target in self.events:
             words += ["--events", target.shown]
+        if self.segment is not None:
+            words += ["--segment", str(self.segment)]
+        if self.keep is not None:
+            words += [word for limit in self.keep.words for word in ("--keep", limit)]
         if self.watch:
             words.append("--watch")
         if self.give_up_after is not None:
@@ -208,6 +221,7 @@ def parse(argv: Sequence[str]) -> Arguments:
         raise ConfigError(
             "--watch reads a list again; write your sources into one and name it with --streams."
         )
+    keep = parse_keep(given.keep) if given.keep else None
     sources = tuple(given.sources)
     if not sources and given.streams is None:
         if not given.or_demo:
@@ -237,6 +251,8 @@ def parse(argv: Sequence[str]) -> Arguments:
         zones=ZonesFile() if given.zones is None else read_zones(given.zones),
         events=tuple(parse_target(text) for text in given.events),
         watch=given.watch,
+        segment=parse_segment(given.segment) if given.segment else HOUR if keep else None,
+        keep=keep,
         give_up_after=given.give_up_after,
         places=given.places,
     )
@@ -420,6 +436,20 @@ def _parser() -> argparse.ArgumentParser:
         help="send events to mqtt://[USER[:PASSWORD]@]HOST[:PORT]/TOPIC (mqtts: by TLS), or as a POST to a "
         "webhook at http:// or https://; for a USER without PASSWORD that of the environment variable "
         f"{PASSWORD_VARIABLE} is taken; may be given again",
+    )
+    parser.add_argument(
+        "--segment",
+        metavar="TIME",
+        help="write the record of each camera in segments of an hour, a day, or so many seconds: a folder "
+        "DIR/NAME/TIME for each, with one archive of all masks (default: none; with --keep hour)",
+    )
+    parser.add_argument(
+        "--keep",
+        action="append",
+        default=[],
+        metavar="LIMIT",
+        help="of cameras delete the oldest closed segments, so that what is left is not older than an age, "
+        "such as 7d, or all together not larger than a size, such as 50GB; may be given twice, once for each",
     )
     parser.add_argument(
         "--watch",

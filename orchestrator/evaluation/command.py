@@ -247,7 +247,8 @@ def _score_run(options: argparse.Namespace) -> list[VariantResults]:
         raise ConfigError(f"--run scores finished masks: leave {given} out.")
     sources = (read_description(options.run) or {}).get("sources", {})
     pairs = [pair for text in options.truth for pair in _streams_with_truth(options.run, text)]
-    unscored = {masks.parent.name for masks in options.run.glob("*/masks")} - {name for name, _ in pairs}
+    with_masks = {path.name for path in options.run.glob("*") if _has_masks(path)}
+    unscored = with_masks - {name for name, _ in pairs}
     if unscored:
         print(f"Streams of the run without --truth: {', '.join(sorted(unscored))}.", file=sys.stderr)
     results = [
@@ -263,13 +264,17 @@ def _streams_with_truth(run: Path, text: str) -> list[tuple[str, str]]:
         return [(name, truth)]
     folders = [Path(path) for path in sorted(glob.glob(text))]  # noqa: PTH207, also absolute patterns
     named = {datasets.truth_name(path): str(path) for path in folders if path.is_dir()}
-    streams = [(name, truth) for name, truth in named.items() if (run / name / "masks").is_dir()]
+    streams = [(name, truth) for name, truth in named.items() if _has_masks(run / name)]
     if not streams:
         raise ConfigError(
             f"Cannot use --truth {text!r}: no folder there has the name of a stream of {run}. "
             "Write NAME=GT_DIR, or a folder or glob of folders."
         )
     return streams
+
+
+def _has_masks(stream: Path) -> bool:
+    return (stream / "masks").is_dir() or any(stream.glob("*/masks.tar"))
 
 
 def _run_result(run: Path, name: str, truth: str, source: str | None, sheets: Path | None) -> SequenceResult:

@@ -6,6 +6,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from io import BytesIO
 from pathlib import Path
 from typing import Protocol
 
@@ -14,6 +15,7 @@ from mlbs_actors.messages import Array, Segmentation
 from orchestrator.evaluation import sequences
 from orchestrator.evaluation.stored_flow import StoredFlow
 from orchestrator.sinks.record_tables import read_rows
+from orchestrator.sinks.segments import archived_masks
 from orchestrator.working_size import labels_in_size, resized
 
 __all__ = ["EngineLabelling", "ResizingSubtractor", "Subtractor", "run_label_maps", "run_scores"]
@@ -116,21 +118,26 @@ class EngineLabelling:
 def run_label_maps(sequence: sequences.Sequence, masks: Path) -> Iterator[tuple[int, Array]]:
     """Read the masks of a run, by frame index; skip frames without a mask.
 
+    ``masks`` is the folder of that name in a stream's folder, which has segments instead if it was a camera.
+
     Raises
     ------
     SourceError
         If the folder is missing, no mask has the stem of a frame, or a mask cannot be read.
     """
-    if not masks.is_dir():
+    archived = archived_masks(masks.parent)
+    if not masks.is_dir() and not archived:
         raise SourceError(f"{masks} is no folder; name the stream as the run's list did.")
-    present = {path.stem for path in masks.glob("*.png")}
+    present = {path.stem for path in masks.glob("*.png")} | archived.keys()
     indices = [index for index, stem in enumerate(sequence.stems) if stem in present]
     if not indices:
         raise SourceError(
             f"No mask in {masks} has the stem of a frame of {sequence.name}; check the folder of the truth."
         )
     for index in indices:
-        yield index, sequences.read_label_map(masks / f"{sequence.stems[index]}.png")
+        stem = sequence.stems[index]
+        mask = BytesIO(archived[stem].read()) if stem in archived else masks / f"{stem}.png"
+        yield index, sequences.read_label_map(mask)
 
 
 def run_scores(sequence: sequences.Sequence, stream: Path) -> dict[int, dict[int, float]]:

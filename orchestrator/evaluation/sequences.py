@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import BinaryIO, Protocol
 
 import numpy as np
 from PIL import Image
@@ -175,7 +175,7 @@ class SceneSequence:
         return self._scene.flow(index)
 
 
-def read_label_map(path: Path) -> Array:
+def read_label_map(path: Path | BinaryIO) -> Array:
     """Read a label map: palette indices, or 8- or 16-bit grey values, also written as equal colours.
 
     Returns

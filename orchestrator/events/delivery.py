@@ -2,24 +2,27 @@
 
 The files ``events.jsonl`` are the queue. For each target the run's folder holds how far every stream's file
 was acknowledged. Lines that are not committed yet are sent, too, though a stream that goes back replaces
-them; so only the committed part of a file is counted by its length, the rest by its ids.
+them; so only the committed part of a file is counted by numbers, the rest by its ids. The oldest lines of a
+camera can be deleted, delivered or not, as the queue is bounded.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
 from mlbs_actors.wording import count_of
-from orchestrator.events.event_file import EVENTS, committed_bytes
+from orchestrator.events.event_file import EVENTS, committed_events
 from orchestrator.events.targets import DeliveryError, EventTarget, Sender, open_sender
 from orchestrator.run.durable_files import replace_file
 from orchestrator.sources.live_buffer import retry_seconds
@@ -39,14 +42,14 @@ class _Position:
 
     Attributes
     ----------
-    length : int
-        All of this many bytes were, and they do not change.
-    ids : list of str
-        And these events behind them.
+    number : int
+        All events up to this number were, and they do not change.
+    ids : dict of str to int
+        And these events behind them, with their numbers.
     """
 
-    length: int = 0
-    ids: list[str] = field(default_factory=list)
+    number: int = 0
+    ids: dict[str, int] = field(default_factory=dict)
 
 
 _POSITIONS = TypeAdapter(dict[str, _Position])
@@ -94,6 +97,8 @@ class Delivery:
         self._path = folder / f".delivered-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
         self._positions = _read_positions(self._path)
         self._looked: dict[Path, tuple[int, int]] = {}
+        # Of each file the inode, and where its first line is that may be waiting.
+        self._starts: dict[Path, tuple[int, int]] = {}
         self._faulty: set[Path] = set()
         self._last_look, self._stop = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -141,24 +146,39 @@ class Delivery:
         seen = stat.st_size, stat.st_mtime_ns
         if self._looked.get(path) == seen:
             return
-        for length, event in self._waiting(path):
+        for event in self._waiting(path):
             if not self._send(event, sender):
                 return
-            self._acknowledge(path, length, event)
+            self._acknowledge(path, event)
         self._looked[path] = seen
 
-    def _waiting(self, path: Path) -> Iterator[tuple[int, bytes]]:
-        """Yield each event that was not acknowledged, with the length of the file up to its end."""
-        position = self._positions.get(path.parent.name, _Position())
-        known, length = set(position.ids), position.length
+    def _waiting(self, path: Path) -> Iterator[bytes]:
+        """Yield each event that was not acknowledged."""
+        known = set(self._position(path).ids)
+        for line, event in self._behind_position(path):
+            if event["id"] not in known:
+                yield line.rstrip()
+
+    def _position(self, path: Path) -> _Position:
+        return self._positions.setdefault(path.parent.name, _Position())
+
+    def _behind_position(self, path: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
+        """Yield the lines behind a file's position, with their contents."""
+        number = self._position(path).number
         with path.open("rb") as file:
-            file.seek(length)
+            inode = os.fstat(file.fileno()).st_ino
+            before, place = self._starts.get(path, (inode, 0))
+            place = place if before == inode else 0
+            file.seek(place)
             for line in file:
                 if not line.endswith(b"\n"):
                     return  # it is being written
-                length += len(line)
-                if json.loads(line)["id"] not in known:
-                    yield length, line.rstrip()
+                place += len(line)
+                event = json.loads(line)
+                if event.get("number", 0) > number:  # an earlier version's have none
+                    yield line, event
+                else:
+                    self._starts[path] = inode, place
 
     def _send(self, event: bytes, sender: Sender) -> bool:
         failures = 0
@@ -176,17 +196,15 @@ class Delivery:
                 return True
         return False
 
-    def _acknowledge(self, path: Path, length: int, event: bytes) -> None:
-        position = self._positions.setdefault(path.parent.name, _Position())
-        position.ids.append(json.loads(event)["id"])
-        end = min(length, committed_bytes(path.parent))
-        if end > position.length:
-            with path.open("rb") as file:
-                file.seek(position.length)
-                lines = file.read(end - position.length).splitlines()
-            final = {json.loads(line)["id"] for line in lines}
+    def _acknowledge(self, path: Path, line: bytes) -> None:
+        position, event = self._position(path), json.loads(line)
+        position.ids[event["id"]] = event["number"]
+        end = min(event["number"], committed_events(path.parent))
+        if end > position.number:
+            final = {event["id"] for _, event in self._behind_position(path) if event["number"] <= end}
             if final.issubset(position.ids):
-                position.length, position.ids = end, [one for one in position.ids if one not in final]
+                position.number = end
+                position.ids = {one: number for one, number in position.ids.items() if number > end}
         replace_file(self._path, _POSITIONS.dump_json(self._positions))
 
 

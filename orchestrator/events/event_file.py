@@ -2,16 +2,18 @@
 
 A line is appended as soon as it is certain, so that it can be sent at once, and counts with the commit of the
 row that made it certain. ``.events`` holds what the events continue from after the last two commits, and how
-long the file was then: a record that is opened again cuts the file off there, and goes on. That is worked out
-from the rows when they are committed, for nobody knows before which of a camera's rows will be the last of a
-commit.
+many there were then: a record that is opened again cuts the file off behind those, and goes on. That is
+worked out from the rows when they are committed, for nobody knows before which of a camera's rows will be the
+last of a commit. Events are numbered, because the oldest lines can be deleted.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
@@ -23,9 +25,9 @@ from orchestrator.events.happenings import Event, EventKind, EventState, Happeni
 from orchestrator.events.pictures import picture_name
 from orchestrator.events.zones import EventRules
 from orchestrator.rows.frame_row import FrameRow
-from orchestrator.run.durable_files import publish, temporary_path
+from orchestrator.run.durable_files import publish, replace_file, temporary_path
 
-__all__ = ["EVENTS", "EventFile", "committed_bytes", "event_id"]
+__all__ = ["EVENTS", "EventFile", "committed_events", "event_id"]
 
 EVENTS = "events.jsonl"
 
@@ -45,15 +47,15 @@ class _Mark:
     Attributes
     ----------
     rows : int
-    length : int
-        Of the file, bytes.
+    events : int
+        Number of them up to there.
     began : float, optional
         When a camera's stream began, seconds since 1970.
     state : EventState
     """
 
     rows: int
-    length: int
+    events: int
     began: float | None = None
     state: EventState = field(default_factory=EventState)
 
@@ -79,12 +81,10 @@ class EventFile:
     def __init__(self, folder: Path, stream: str, rules: EventRules, rows: int) -> None:
         self._path = folder / EVENTS
         self._marks_path = folder / _MARKS
-        length = self._path.stat().st_size if self._path.exists() else 0
         found = [mark for mark in _read_marks(self._marks_path) if mark.rows == rows]
         # Without a mark, of an earlier version's record, what is there stays and the objects are born again.
-        mark = found[-1] if found else _Mark(rows, length if rows else 0)
-        if length > mark.length:
-            os.truncate(self._path, mark.length)
+        mark = found[-1] if found else _Mark(rows, _cut(self._path, math.inf if rows else 0))
+        _cut(self._path, mark.events)
         self._kept = _MARK.dump_json(mark)
         # Rows that are not committed go through twice: as they come, and with their commit.
         self._newest = _EventLines(stream, rules, mark)
@@ -117,6 +117,10 @@ class EventFile:
         """Add that the source sends nothing after the rows so far."""
         self._take(_Step(None, None))
 
+    def taken_at(self, pts: float) -> float | None:
+        """Return when a camera took the frame of a time of the stream, seconds since 1970, if known."""
+        return self._newest.taken_at(pts)
+
     def write(self) -> None:
         """Append the lines; OSError as the disk says."""
         with self._path.open("a", encoding="utf-8") as file:
@@ -141,6 +145,17 @@ class EventFile:
         self._kept = self._newest.mark(rows)
         temporary_path(self._marks_path).write_bytes(b"[" + self._kept + b"]\n")
         publish([self._marks_path])
+
+    def forget_before(self, frame: int) -> None:
+        """Delete the oldest lines, as far as they are of frames before a number."""
+        with self._path.open("rb") as file:
+            for line in file:
+                if json.loads(line)["frame"] >= frame:
+                    rest = line + file.read()
+                    break
+            else:
+                rest = b""
+        replace_file(self._path, rest)
 
     def _take(self, step: _Step) -> set[int]:
         lines = self._newest.after(step)
@@ -169,11 +184,14 @@ class _EventLines:
         self._has_pictures = bool(rules.zones)
         self._happenings = Happenings(rules, mark.state)
         self.pictured: set[int] = set()  # objects in the newest row that its lines name pictures of
-        self._length, self._began = mark.length, mark.began
+        self._events, self._began = mark.events, mark.began
 
     @property
     def state(self) -> EventState:
         return self._happenings.state
+
+    def taken_at(self, pts: float) -> float | None:
+        return None if self._began is None else self._began + pts
 
     def after(self, step: _Step) -> list[str]:
         if step.began is not None:
@@ -185,7 +203,7 @@ class _EventLines:
         return self._lines(self._happenings.end(), None)
 
     def mark(self, rows: int) -> bytes:
-        return _MARK.dump_json(_Mark(rows, self._length, self._began, self._happenings.state))
+        return _MARK.dump_json(_Mark(rows, self._events, self._began, self._happenings.state))
 
     def _lines(self, events: list[Event], row: FrameRow | None) -> list[str]:
         here = set()
@@ -193,11 +211,12 @@ class _EventLines:
             here = {layer.layer for layer in row.result.layers}
         pictured = {event.layer for event in events if event.kind in _PICTURED and event.layer in here}
         self.pictured = {layer for layer in pictured if layer is not None}
-        lines = [json.dumps(self._described(event, row)) + "\n" for event in events]
-        self._length += sum(map(len, lines))  # pure ASCII
-        return lines
+        first = self._events + 1
+        self._events += len(events)
+        described = (self._described(event, row, number) for number, event in enumerate(events, first))
+        return [json.dumps(one) + "\n" for one in described]
 
-    def _described(self, event: Event, row: FrameRow | None) -> dict[str, Any]:
+    def _described(self, event: Event, row: FrameRow | None, number: int) -> dict[str, Any]:
         picture = None
         if row is not None and event.kind in _PICTURED and event.layer in self.pictured:
             picture = picture_name(row.frame, event.layer)
@@ -207,7 +226,7 @@ class _EventLines:
             "kind": event.kind,
             "frame": event.frame,
             "time": round(event.pts, 3),
-            "clock": None if self._began is None else _iso(self._began + event.pts),
+            "clock": None if (clock := self.taken_at(event.pts)) is None else _iso(clock),
             "object": event.layer,
             "box": None if event.region is None else list(event.region.box),
             "zone": event.zone,
@@ -215,6 +234,7 @@ class _EventLines:
             "reason": event.reason,
             "replaced_by": event.replaced_by,
             "picture": picture,
+            "number": number,
         }
 
     def _set_clock(self, began: float) -> None:
@@ -233,9 +253,25 @@ def event_id(stream: str, event: Event) -> str:
     return "/".join(str(part) for part in parts if part is not None)
 
 
-def committed_bytes(folder: Path) -> int:
-    """Return the length of a stream's file up to which it never changes any more."""
-    return min((mark.length for mark in _read_marks(folder / _MARKS)), default=0)
+def committed_events(folder: Path) -> int:
+    """Return the number of a stream's events that never change any more."""
+    return min((mark.events for mark in _read_marks(folder / _MARKS)), default=0)
+
+
+def _cut(path: Path, events: float) -> int:
+    """Cut a file off behind the event of a number; return the number of the last one that is left."""
+    if not path.exists():
+        return 0
+    last = length = 0
+    with suppress(ValueError), path.open("rb") as file:  # a torn line is the last one
+        for line in file:
+            number = json.loads(line).get("number", 1)  # an earlier version's have none
+            if number > events:
+                break
+            last, length = number, length + len(line)
+    if length < path.stat().st_size:
+        os.truncate(path, length)
+    return last
 
 
 def _read_marks(path: Path) -> list[_Mark]:

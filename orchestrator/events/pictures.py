@@ -63,7 +63,15 @@ class EventPictures:
             if path.name not in self._names:  # a stream that goes back writes it again
                 self._names.append(path.name)
         while len(self._names) > _MOST_PICTURES:
-            (self._folder / PICTURES / self._names.popleft()).unlink(missing_ok=True)
+            self._delete_oldest()
+
+    def forget_before(self, frame: int) -> None:
+        """Delete the pictures of the frames before a number."""
+        while self._names and self._names[0] < f"{frame:08d}":
+            self._delete_oldest()
+
+    def _delete_oldest(self) -> None:
+        (self._folder / PICTURES / self._names.popleft()).unlink(missing_ok=True)
 
 
 def _cut_out(image: Array, region: Region) -> Array:

@@ -11,13 +11,17 @@ import pyarrow as pa
 
 from mlbs_actors.messages import Array
 from orchestrator.rows.frame_row import FrameRow
+from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.object_list import ObjectList, SeenObject
 from orchestrator.sinks.record_tables import read_rows, read_table
 
-__all__ = ["LONG_SECONDS", "StageTimes", "StreamHistory", "frame_ranges", "read_history"]
+__all__ = ["LONG_SECONDS", "MOST_FRAMES", "StageTimes", "StreamHistory", "frame_ranges", "read_history"]
 
 #: Objects that were seen for a shorter time are limbs, glimpses and errors for the most part, s.
 LONG_SECONDS = 1.0
+
+#: Most frames in the history of a camera: reading its weeks would take minutes. The newest ones count.
+MOST_FRAMES = 50_000
 
 #: Stages in the order of processing; others come after these.
 _ORDER = (
@@ -46,7 +50,7 @@ class StageTimes:
 
 @dataclass(frozen=True, slots=True)
 class StreamHistory:
-    """The history of a stream, as far as it is committed.
+    """The history of a stream, as far as it is committed; of a record in segments the newest frames of it.
 
     Attributes
     ----------
@@ -105,7 +109,10 @@ def read_history(folder: Path) -> StreamHistory | None:
     folder : Path
         Of the stream.
     """
-    table = read_table(folder, "frames")
+    commits = read_commits(folder)
+    in_segments = bool(commits) and commits[-1].segment is not None
+    begin = max(commits[-1].last + 1 - MOST_FRAMES, 0) if in_segments else 0
+    table = read_table(folder, "frames", begin)
     if not table.num_rows:
         return None
     frames, status = table["frame"].to_numpy(), np.asarray(table["status"].to_pylist())
@@ -116,7 +123,7 @@ def read_history(folder: Path) -> StreamHistory | None:
         pts[status == "gap"].tolist(), np.append(pts[1:], pts[-1])[status == "gap"].tolist(), strict=True
     )
     rests: dict[int, list[tuple[int, int]]] = {}
-    lives = ObjectList().add(_noting_rests(read_rows(folder), rests)).objects
+    lives = ObjectList().add(_noting_rests(read_rows(folder, begin), rests)).objects
     return StreamHistory(
         frames=frames[ok],
         pts=pts[ok],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,13 @@ from mlbs_actors.wording import count_of
 from orchestrator.events.event_file import EVENTS
 from orchestrator.events.recent import recent_events
 from orchestrator.report import charts
-from orchestrator.report.history import LONG_SECONDS, StreamHistory, frame_ranges, read_history
+from orchestrator.report.history import LONG_SECONDS, MOST_FRAMES, StreamHistory, frame_ranges, read_history
 from orchestrator.report.pictures import StripPicture, overlay_strip
+from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.object_files import OBJECTS_CSV
 from orchestrator.sinks.object_list import SeenObject
-from orchestrator.sinks.overlay import overlay_path, overlay_remarks, overlays
+from orchestrator.sinks.overlay import overlays, stream_remarks
+from orchestrator.sinks.segments import segment_time
 
 __all__ = ["render_report"]
 
@@ -35,6 +37,7 @@ _LAYERS = 40
 _UNFOLDED = 4
 
 _RANGES = 20  # of lost frames
+_OVERLAYS = 24  # newest videos with a link each
 
 #: Most events with a row of their own; of more, the newest.
 _EVENTS = 50
@@ -55,6 +58,7 @@ class _Stream:
     lives: list[SeenObject]
     strip: list[StripPicture]
     lost: list[str]
+    left_out: list[str]
     events: list[dict[str, Any]]
 
 
@@ -135,14 +139,30 @@ def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) ->
         has_folder=folder.is_dir(),
         has_list=(folder / OBJECTS_CSV).exists(),
         status=status,
-        faults=[*([status["error"]] if status["error"] else []), *overlay_remarks(overlay_path(folder, 0))],
-        overlays=tuple(path.name for _, path in overlays(folder)),
+        faults=[*([status["error"]] if status["error"] else []), *stream_remarks(folder)],
+        overlays=tuple(str(path.relative_to(folder)) for _, path in overlays(folder)[-_OVERLAYS:]),
         history=history,
         lives=lives,
         strip=strip,
         lost=lost,
+        left_out=_left_out(folder),
         events=recent_events(folder, _EVENTS),
     )
+
+
+def _left_out(folder: Path) -> list[str]:
+    """Say which frames of a stream are not on the page, and why."""
+    commits = read_commits(folder)
+    if not commits or commits[0].segment is None:
+        return []
+    first, end = commits[0].first, commits[-1].last + 1
+    said = []
+    if first:
+        began = datetime.fromtimestamp(segment_time(commits[0].segment), timezone.utc)
+        said.append(f"Frames before {first}, of the time before {began:%Y-%m-%d %H:%M:%S} UTC, were deleted")
+    if end - first > MOST_FRAMES:
+        said.append(f"Shown are the newest {MOST_FRAMES} frames; {end - MOST_FRAMES - first} more are kept")
+    return said
 
 
 def _ranges(frames: tuple[int, ...]) -> str:

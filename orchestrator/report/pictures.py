@@ -61,26 +61,36 @@ def overlay_strip(folder: Path, history: StreamHistory, count: int) -> list[Stri
     seconds = presentation_times(history.pts)
     places = np.unique(np.linspace(0, len(seconds) - 1, min(count, len(seconds))).round().astype(int))
     videos = overlays(folder)
-    by_video: dict[Path, list[int]] = {}
+    by_video: dict[tuple[int, Path], list[int]] = {}
     for place in places.tolist():
-        begun = [path for first, path in videos if first <= history.frames[place]]
+        begun = [video for video in videos if video[0] <= history.frames[place]]
         if begun:
             by_video.setdefault(begun[-1], []).append(place)
     pictures: list[StripPicture] = []
-    for path, wanted in by_video.items():
-        pictures += _pictures(path, wanted, seconds, history)
+    for (first, path), wanted in by_video.items():
+        # One that began before the history cannot be timed, unless it began with the stream.
+        if first >= history.frames[0] or not first:
+            begin = float(seconds[np.searchsorted(history.frames, first)]) if first else None
+            pictures += _pictures(path, wanted, seconds, begin, history)
     return pictures
 
 
-def _pictures(path: Path, places: list[int], seconds: Array, history: StreamHistory) -> list[StripPicture]:
+def _pictures(
+    path: Path, places: list[int], seconds: Array, begin: float | None, history: StreamHistory
+) -> list[StripPicture]:
+    """Take pictures from a video that begins at a time of the stream, s, or with it."""
     pictures: list[StripPicture] = []
     try:
         with av.open(str(path)) as container:
             stream = container.streams.video[0]
+            # Some count from there, others, of a resumed file, from the stream's beginning.
+            started = float((stream.start_time or 0) * (stream.time_base or 0))
+            offset = 0.0 if begin is None else begin - started
             for place in places:
-                container.seek(int(seconds[place] * av.time_base))  # to the key frame before it
+                wanted = seconds[place] - offset
+                container.seek(max(int(wanted * av.time_base), 0))  # to the key frame before it
                 for frame in container.decode(stream):
-                    if frame.time is not None and frame.time >= seconds[place] - TICK / 2:
+                    if frame.time is not None and frame.time >= wanted - TICK / 2:
                         image = frame.to_ndarray(format="bgr24")
                         aspect = float(stream.sample_aspect_ratio or 1)
                         pictures.append(

@@ -111,6 +111,7 @@ class Job:
         description = describe_run(
             list(self._streams.values()), self._config, given.save, given.max_frames, given.max_side, command,
             given.ignored.digests, given.zones.digest, self._sources,
+            given.segment, given.keep.words if given.keep else (),
         )  # fmt: skip
         self._sources = description["sources"]
         return description
@@ -140,6 +141,7 @@ class Job:
                 replayable=replayable,
                 source=stream.source,
                 rules=rules,
+                segment_seconds=None if replayable else self._arguments.segment,
             ),
             max_frames=self._arguments.max_frames,
             wants_background=ends_group if "background" in save else None,

@@ -44,13 +44,15 @@ from orchestrator.run.durable_files import replace_file
 from orchestrator.run.job import Job
 from orchestrator.run.node_check import node_places
 from orchestrator.run.resumption import changed_sources, ended_before, gone_from_list, words_on_resuming
+from orchestrator.run.retention import Retention
 from orchestrator.run.run_folder import RunFolder, StatusFile
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import StreamState, after_failure, exit_code, stopped, with_record
 from orchestrator.run.versions import installed_versions
 from orchestrator.run.whole_overlays import make_all_whole
-from orchestrator.sinks.overlay import overlay_path, overlay_remarks, overlays
+from orchestrator.sinks.overlay import overlays, stream_remarks
 from orchestrator.sinks.record import recorded_frames
+from orchestrator.sinks.segments import segment_folders
 from orchestrator.sources.lengths import finding_lengths
 
 __all__ = ["run", "what_to_look_at"]
@@ -103,12 +105,15 @@ def run(
     live = None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
     job = Job(streams, arguments, config, folder, live, _say, recorded if arguments.watch else None)
     memory = node_memory()
-    status = StatusFile(folder.path / "status.json")
+    retention = None if arguments.keep is None else Retention(folder.path, arguments.keep, _say)
+    status = StatusFile(
+        folder.path / "status.json", kept=None if retention is None else lambda: retention.figures
+    )
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
         if begun is not None:
             folder.refuse_other(begun, job.description)
             hold.enter_context(folder.locked())
-            changed = {key: job.description[key] for key in ("sources", "hashes")}
+            changed = {key: job.description[key] for key in ("sources", "hashes", "keep", "command")}
             if changed != {key: begun.get(key) for key in changed}:
                 try:
                     folder.redescribe(begun | changed)
@@ -133,6 +138,8 @@ def run(
             onlookers.append(RayMetrics())
             if arguments.address is None:
                 _say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
+        if retention is not None:
+            onlookers.append(retention)
         if begun is None:
             folder.create(job.description)
             hold.enter_context(folder.locked())
@@ -265,7 +272,7 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
     lines += [
         f"  {state.name}: {remark}"
         for state in states
-        for remark in overlay_remarks(overlay_path(folder.stream(state.name), 0))
+        for remark in stream_remarks(folder.stream(state.name))
     ]
     begun = [state.name for state in states if state.committed]
     if begun:
@@ -281,9 +288,11 @@ def what_to_look_at(stream: Path, save: frozenset[str]) -> str:
     """Return the results of a stream that show its labels best: the videos, or the masks without any."""
     videos = overlays(stream)
     if not videos:
-        return str(stream / "masks" if "masks" in save else stream)
-    # A resumed run has one for each start.
-    return f"{videos[0][1]}" if len(videos) == 1 else f"{stream / 'overlay*.mp4'} ({len(videos)} parts)"
+        in_archives = stream.is_dir() and segment_folders(stream)
+        return str(stream / "masks" if "masks" in save and not in_archives else stream)
+    # A resumed run has one for each start, that of a camera one for each segment.
+    parts = stream / "overlay*.mp4" if videos[0][1].parent == stream else stream / "*/overlay*.mp4"
+    return f"{videos[0][1]}" if len(videos) == 1 else f"{parts} ({len(videos)} parts)"
 
 
 def _say(text: str) -> None:

@@ -37,6 +37,7 @@ _SAME = {
     "max_side": "--max-side",
     "ignored": "files to --ignore",
     "zones": "contents of the file of --zones",
+    "segment": "--segment",
 }
 
 #: Those of them of which no differences are listed.
@@ -212,10 +213,18 @@ class StatusFile:
     path : Path
     clock : callable
         Monotonic time, s.
+    kept : callable, optional
+        Returns what :class:`orchestrator.run.retention.Retention` has done.
     """
 
-    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        path: Path,
+        clock: Callable[[], float] = time.monotonic,
+        kept: Callable[[], Mapping[str, Any]] | None = None,
+    ) -> None:
         self._path = path
+        self._kept = kept
         self._clock = clock
         self._written_at: float | None = None
 
@@ -248,6 +257,7 @@ class StatusFile:
             "exit_status": exit_status,
             "waiting": sum(state.state == "waiting" for state in states),
             "running": sum(state.state != "waiting" and state.state not in ENDED for state in states),
+            "kept": None if self._kept is None else self._kept(),
             "streams": streams,
         }
         replace_file(self._path, (json.dumps(status, indent=1) + "\n").encode())
@@ -284,11 +294,14 @@ def describe_run(
     ignored: Mapping[str, str] | None = None,
     zones: str | None = None,
     recorded: Mapping[str, str] | None = None,
+    segment: int | None = None,
+    keep: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the content of ``run.json``: everything that the results depend on, without credentials.
 
     ``command`` starts the same run; ``ignored`` are the digests of the files to ignore, and
     ``zones`` that of the file of zones; ``recorded`` are the sources of streams that were recorded before.
+    Of cameras, ``segment`` is the length of segments, s, and ``keep`` are the limits of what is kept.
     """
     parameters = config.model_dump(mode="json")
     sources = {**(recorded or {}), **{stream.name: str(stream.source) for stream in streams}}
@@ -301,6 +314,8 @@ def describe_run(
         "max_side": max_side,
         "ignored": ignored or None,
         "zones": zones,
+        "segment": segment,
+        "keep": list(keep),
         "command": [mask(word) for word in command],
         "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
         "versions": installed_versions(),

@@ -3,14 +3,18 @@
 Opening the log increments its *generation*. A surviving process of a killed run finds, before it commits,
 that there is a newer one, and is refused: checking and committing are done under one lock, which the system
 releases when a process dies.
+
+Of a record in segments the lines of a closed one are merged into a single line once its tables are, and the
+lines of deleted ones are gone: the log then begins with a later frame.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
+from itertools import dropwhile
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -18,7 +22,7 @@ from filelock import FileLock, Timeout
 from mlbs_actors.errors import SinkError
 from orchestrator.run.durable_files import append_line, replace_file
 
-__all__ = ["COMMIT_LOG", "Commit", "CommitLog", "read_commits"]
+__all__ = ["COMMIT_LOG", "Commit", "CommitLog", "first_frame", "forget_segment", "permanent", "read_commits"]
 
 COMMIT_LOG = "commits.jsonl"
 
@@ -26,6 +30,9 @@ _GENERATION, _LOCK = ".generation", ".lock"
 
 #: How long another process may take for its commit, s.
 _LOCK_SECONDS = 10.0
+
+#: The same for what can be tried again later, s.
+_BRIEF_SECONDS = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +49,12 @@ class Commit:
         Newest snapshot to go back to after these frames.
     provisional : bool
         Labelled without the frames that would have followed, because the run was interrupted.
+    segment : str, optional
+        Folder of their files in the stream's folder; by default they are in that itself.
+    archived : mapping of str to int
+        Of that folder's archives of pictures, by name: the length that counts so far, bytes.
+    merged : bool
+        Whether these are all frames of a closed segment, whose tables are one file each.
     """
 
     generation: int
@@ -49,6 +62,9 @@ class Commit:
     last: int
     snapshot: str | None
     provisional: bool = False
+    segment: str | None = None
+    archived: Mapping[str, int] = field(default_factory=dict)
+    merged: bool = False
 
 
 def read_commits(folder: Path) -> list[Commit]:
@@ -63,10 +79,45 @@ def read_commits(folder: Path) -> list[Commit]:
             commit = Commit(**json.loads(line))
         except (ValueError, TypeError):
             break
-        if commit.first != (commits[-1].last + 1 if commits else 0):
+        # What was before the first line's segment is deleted.
+        expected = commits[-1].last + 1 if commits else 0 if commit.segment is None else commit.first
+        if commit.first != expected:
             break
         commits.append(commit)
     return commits
+
+
+def first_frame(folder: Path) -> int:
+    """Return the first frame that a stream's log has, 0 if it is empty: those before it are deleted."""
+    try:
+        with (folder / COMMIT_LOG).open("rb") as log:
+            return int(json.loads(log.readline())["first"])
+    except (FileNotFoundError, ValueError, TypeError, KeyError):
+        return 0
+
+
+def permanent(commits: Sequence[Commit]) -> list[Commit]:
+    """Return the lines that a run that resumes goes on from."""
+    return [commit for commit in commits if not commit.provisional]
+
+
+def forget_segment(folder: Path, segment: str) -> bool:
+    """Remove the lines of a segment, which then counts no more; return whether it was the oldest one.
+
+    Raises
+    ------
+    SinkError
+        If another process keeps the lock.
+    OSError
+        As the disk says.
+    """
+    with _locked(folder, _BRIEF_SECONDS):
+        commits = read_commits(folder)
+        left = list(dropwhile(lambda commit: commit.segment == segment, commits))
+        if not left or len(left) == len(commits):
+            return False
+        _replace(folder, left)
+        return True
 
 
 class CommitLog:
@@ -95,16 +146,14 @@ class CommitLog:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._lock = FileLock(folder / _LOCK, timeout=_LOCK_SECONDS)
-        with self._locked():
+        with _locked(folder):
             known = (folder / _GENERATION).exists()
             self.generation = self._newest() + 1 if known else 0
             replace_file(folder / _GENERATION, f"{self.generation}\n".encode())
-            commits = [commit for commit in read_commits(folder) if not commit.provisional]
+            commits = permanent(read_commits(folder))
             self.rows = commits[-1].last + 1 if commits else 0
-            content = "".join(_line(commit) + "\n" for commit in commits).encode()
-            if (folder / COMMIT_LOG).exists() and (folder / COMMIT_LOG).read_bytes() != content:
-                replace_file(folder / COMMIT_LOG, content)
+            if (folder / COMMIT_LOG).exists():
+                _replace(folder, commits)
 
     @contextmanager
     def exclusive(self) -> Iterator[None]:
@@ -115,38 +164,65 @@ class CommitLog:
         SinkError
             If the stream has been started again since, by this run or another.
         """
-        with self._locked():
+        with _locked(self._folder):
             if self._newest() != self.generation:
                 raise SinkError(f"The stream in {self._folder} has been started again; this one is over.")
             yield
 
-    def add(self, last: int, snapshot: str | None, *, provisional: bool) -> None:
+    def add(
+        self,
+        last: int,
+        snapshot: str | None,
+        *,
+        provisional: bool,
+        segment: str | None = None,
+        archived: Mapping[str, int] | None = None,
+    ) -> None:
         """Commit the frames up to ``last``; only inside :meth:`exclusive`."""
-        append_line(
-            self._folder / COMMIT_LOG, _line(Commit(self.generation, self.rows, last, snapshot, provisional))
+        commit = Commit(
+            self.generation, self.rows, last, snapshot, provisional, segment, dict(archived or {})
         )
+        append_line(self._folder / COMMIT_LOG, _line(commit))
         self.rows = last + 1
+
+    def merge(self, segment: str) -> None:
+        """Merge the lines of a closed segment into one; only inside :meth:`exclusive`."""
+        commits = read_commits(self._folder)
+        its = [commit for commit in commits if commit.segment == segment]
+        merged = replace(its[-1], first=its[0].first, merged=True)
+        place = commits.index(its[0])
+        _replace(self._folder, [*commits[:place], merged, *commits[place + len(its) :]])
 
     def _newest(self) -> int:
         return int((self._folder / _GENERATION).read_text(encoding="ascii"))
 
-    @contextmanager
-    def _locked(self) -> Iterator[None]:
-        try:
-            self._lock.acquire()
-        except Timeout:
-            raise SinkError(
-                f"Another process is writing to {self._folder} and does not end; end it, then resume the run."
-            ) from None
-        try:
-            yield
-        finally:
-            self._lock.release()
+
+@contextmanager
+def _locked(folder: Path, seconds: float | None = None) -> Iterator[None]:
+    lock = FileLock(folder / _LOCK, timeout=_LOCK_SECONDS if seconds is None else seconds)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise SinkError(
+            f"Another process is writing to {folder} and does not end; end it, then resume the run."
+        ) from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _replace(folder: Path, commits: list[Commit]) -> None:
+    """Write the whole log, unless it is that already."""
+    content = "".join(_line(commit) + "\n" for commit in commits).encode()
+    if (folder / COMMIT_LOG).read_bytes() != content:
+        replace_file(folder / COMMIT_LOG, content)
 
 
 def _line(commit: Commit) -> str:
-    """Format a commit as JSON; ``provisional`` is rare and written only if true."""
+    """Format a commit as JSON; what is not of every record is written only where it says something."""
     fields = asdict(commit)
-    if not commit.provisional:
-        del fields["provisional"]
+    for key in ("provisional", "segment", "archived", "merged"):
+        if not fields[key]:
+            del fields[key]
     return json.dumps(fields)

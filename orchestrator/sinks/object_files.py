@@ -62,6 +62,10 @@ class ObjectFiles:
         if self._clock() >= self._due:
             self.write(complete=False)
 
+    def forget_before(self, frame: int) -> None:
+        """Leave out what was seen only before a frame whose predecessors are deleted."""
+        self._objects.forget_before(frame)
+
     def write(self, *, complete: bool) -> None:
         """Write the files; ``complete`` if the stream came to its end."""
         begun = self._clock()
@@ -91,8 +95,8 @@ def _continued(folder: Path) -> ObjectList:
     if not commits or state.rows > commits[-1].last + 1:
         state = ListState.begun()  # it is of another record
     shown = None
-    for commit in reversed([commit for commit in commits if commit.last < state.rows]):
-        rows = read_rows(folder, commit.first, commit.last + 1)
+    for commit in reversed([commit for commit in commits if commit.first < state.rows]):
+        rows = read_rows(folder, commit.first, min(commit.last + 1, state.rows))
         results = [row.result for row in rows if row.result is not None]
         if results:
             shown = results[-1]

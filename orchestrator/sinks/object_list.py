@@ -59,6 +59,8 @@ class SeenObject:
         The first one, and then the next after every full second; :attr:`last` is its end.
     spans : list of (int, int)
         First and last frame of every unbroken stretch. A frame without a label map breaks none.
+    forgotten_spans : int
+        Number of those before the first of them.
     ending : Ending
     """
 
@@ -75,6 +77,7 @@ class SeenObject:
     path: list[Sighting]
     spans: list[tuple[int, int]]
     ending: Ending = SEEN
+    forgotten_spans: int = 0
 
     @classmethod
     def begun(cls, layer: LayerSummary, here: Sighting) -> SeenObject:
@@ -103,6 +106,18 @@ class SeenObject:
     def mean_score(self) -> float:
         """Mean score of its masks over the frames that show it, in [0, 1]."""
         return self.total_score / self.frames
+
+    @property
+    def times_hidden(self) -> int:
+        """How often it was missing in a label map or more, and came back."""
+        return self.forgotten_spans + len(self.spans) - 1
+
+    def forget_before(self, frame: int) -> None:
+        """Leave out where and when it was before a frame, but for its first sighting."""
+        self.path = [place for place in self.path if place.frame >= frame] or [self.last]
+        spans = [span for span in self.spans if span[1] >= frame]
+        self.forgotten_spans += len(self.spans) - len(spans)
+        self.spans = spans
 
     def continues(self, layer: LayerSummary, here: Sighting, *, unbroken: bool) -> None:
         """Add the next sighting; ``unbroken`` if the label map before shows it, too."""
@@ -179,6 +194,14 @@ class ObjectList:
                 self._add(row, row.result)
         return self
 
+    def forget_before(self, frame: int) -> None:
+        """Leave out objects, and parts of paths, that were seen only before a frame."""
+        self.state.objects = {
+            layer: one for layer, one in self.state.objects.items() if one.last.frame >= frame
+        }
+        for one in self.state.objects.values():
+            one.forget_before(frame)
+
     def _add(self, row: FrameRow, result: ResultRow) -> None:
         objects, before = self.state.objects, self._shown
         shown_before = set() if before is None else {layer.layer for layer in before.layers}
@@ -191,7 +214,7 @@ class ObjectList:
         if before is not None:
             shown = {layer.layer for layer in result.layers}
             for place, layer in enumerate(before.layers):
-                if layer.layer not in shown:
+                if layer.layer not in shown and layer.layer in objects:
                     objects[layer.layer].ending = ending(place, before, result, cut=row.status == "cut")
         self.state.label_maps += 1
         self.state.newest, self._shown = (row.frame, row.pts), result
@@ -212,7 +235,7 @@ class ObjectList:
                 [
                     *(one.layer, one.kind, *_outcome(one, complete=complete)),
                     *(_seconds(one.first.pts), _seconds(one.last.pts), _seconds(one.seconds)),
-                    *(one.first.frame, one.last.frame, one.frames, len(one.spans) - 1),
+                    *(one.first.frame, one.last.frame, one.frames, one.times_hidden),
                     *(round(one.mean_area), *one.first.region.box, *one.last.region.box),
                     *(*_point(one.first), *_point(one.last), round(one.path_px, 1)),
                     round(one.mean_score, 3),
@@ -245,7 +268,7 @@ def _described(one: SeenObject, *, complete: bool) -> dict[str, Any]:
         "replaced_by": by,
         "seconds": _seconds(one.seconds),
         "frames": one.frames,
-        "times_hidden": len(one.spans) - 1,
+        "times_hidden": one.times_hidden,
         "area_px": round(one.mean_area),
         "path_px": round(one.path_px, 1),
         "score": round(one.mean_score, 3),

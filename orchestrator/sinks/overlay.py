@@ -19,6 +19,7 @@ from orchestrator.events.zones import Zone
 from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.durable_files import publish, temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
+from orchestrator.sinks.segments import segment_folders
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import reason
 from orchestrator.sources.sound import SoundReader
@@ -32,6 +33,7 @@ __all__ = [
     "overlay_remarks",
     "overlays",
     "presentation_times",
+    "stream_remarks",
 ]
 
 _TIME_BASE = Fraction(1, 90_000)
@@ -41,6 +43,8 @@ TICK = float(_TIME_BASE)
 _NOMINAL_RATE = 25  # only a hint to the encoder; every frame carries its own time
 _SMALLEST_SIDE = 16  # least that H.264 encoders accept, px
 _ERROR, _NOTE = _REMARKS = (".error", ".note")  # suffixes of the files beside a video
+#: Options of the mp4 format: a fragment begins with every key frame, and none stays in a buffer.
+_FRAGMENTS = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
 _KEY_FRAMES = 32  # interval of key frames, to which players and reports can seek
 
 
@@ -50,14 +54,25 @@ def overlay_path(folder: Path, first: int) -> Path:
 
 
 def overlays(folder: Path) -> list[tuple[int, Path]]:
-    """List first frames and files of a stream's videos, in order."""
-    return sorted((int(path.stem.partition("-")[2] or 0), path) for path in folder.glob("overlay*.mp4"))
+    """List first frames and files of a stream's videos, in order; those of its segments too."""
+    if not folder.is_dir():
+        return []
+    folders = [folder, *segment_folders(folder)]
+    paths = (path for place in folders for path in place.glob("overlay*.mp4"))
+    return sorted((int(path.stem.partition("-")[2] or 0), path) for path in paths)
 
 
 def overlay_remarks(path: Path) -> list[str]:
     """Return what was written beside a video: why there is none, or why it lacks sound."""
     beside = (path.with_suffix(suffix) for suffix in _REMARKS)
     return [remark.read_text(encoding="utf-8").strip() for remark in beside if remark.exists()]
+
+
+def stream_remarks(folder: Path) -> list[str]:
+    """Return what was written beside a stream's first video, or those of its newest segment."""
+    newest = segment_folders(folder)[-1:] if folder.is_dir() else []
+    videos = {path.with_suffix(".mp4") for place in newest for path in place.glob("overlay*")}
+    return [remark for path in (overlay_path(folder, 0), *sorted(videos)) for remark in overlay_remarks(path)]
 
 
 def forget_overlay(path: Path) -> None:
@@ -96,7 +111,8 @@ class OverlayVideo:
     """An overlay being written; an error ends the overlay alone.
 
     The first frame's size and aspect are the video's; frames of another size are scaled to it. The file has
-    its name only once it is closed: an mp4 without its index cannot be played.
+    its name only once it is closed: an mp4 without its index cannot be played. One that is growing is written
+    in fragments, each with an index of its own, so that a kill loses the last one alone.
 
     Parameters
     ----------
@@ -107,10 +123,20 @@ class OverlayVideo:
         The source, whose sound is copied if it is a file that has some.
     zones : sequence of Zone
         Drawn over every frame.
+    growing : bool
+        Whether it can be played before it is closed.
     """
 
-    def __init__(self, path: Path, sound: SourceAddress | None = None, zones: Sequence[Zone] = ()) -> None:
+    def __init__(
+        self,
+        path: Path,
+        sound: SourceAddress | None = None,
+        zones: Sequence[Zone] = (),
+        *,
+        growing: bool = False,
+    ) -> None:
         self._path = path
+        self._growing = growing
         self._zones = zones
         self._source_of_sound = sound
         self._sound: SoundReader | None = None
@@ -168,7 +194,8 @@ class OverlayVideo:
             self._mux(self._container, self._stream.encode(None))
             self._copy_sound((self._last_pts + self._duration) * TICK)
             self._container.close()
-            publish([self._path])
+            if not self._growing:
+                publish([self._path])
         except (av.error.FFmpegError, OSError, ValueError) as error:
             self._give_up(error)
         self._container = self._stream = None
@@ -228,7 +255,9 @@ class OverlayVideo:
         self, shape: tuple[int, ...], pixel_aspect: float
     ) -> tuple[av.container.OutputContainer, av.VideoStream]:
         if self._container is None or self._stream is None:
-            self._container = av.open(str(temporary_path(self._path)), "w", format="mp4")
+            path = self._path if self._growing else temporary_path(self._path)
+            options = _FRAGMENTS if self._growing else {}
+            self._container = av.open(str(path), "w", format="mp4", options=options)
             self._stream = self._container.add_stream("libx264", rate=_NOMINAL_RATE)
             self._stream.width, self._stream.height = _even(shape[1]), _even(shape[0])
             self._stream.pix_fmt = "yuv420p"

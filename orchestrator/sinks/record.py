@@ -8,13 +8,14 @@ ends of groups depend on the frame's index alone, so the parts do not depend on 
 An existing record is continued: rows that it already has are skipped when they come again.
 
 A live source cannot be read again. So its rows are committed only when a snapshot that covers them is
-complete: there is always a snapshot after exactly the committed rows.
+complete: there is always a snapshot after exactly the committed rows. Its record may be in segments.
 """
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -31,13 +32,15 @@ from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.durable_files import publish, remove_temporary, temporary_path
 from orchestrator.sinks.background import background_plate
-from orchestrator.sinks.commit_log import CommitLog, read_commits
+from orchestrator.sinks.commit_log import CommitLog, first_frame, permanent, read_commits
 from orchestrator.sinks.cutouts import cutouts
 from orchestrator.sinks.label_image import encode_label_image, encode_picture
 from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.object_files import ObjectFiles
 from orchestrator.sinks.overlay import OverlayVideo, overlay_path
-from orchestrator.sinks.record_tables import part_path
+from orchestrator.sinks.picture_folders import PictureFolders
+from orchestrator.sinks.record_tables import newest_part, part_path
+from orchestrator.sinks.segments import Segments
 from orchestrator.sinks.snapshot_folder import SNAPSHOTS, SnapshotFolder
 from orchestrator.sinks.tables import stages_of, write_frames, write_layers
 from orchestrator.sources.address import SourceAddress
@@ -49,10 +52,6 @@ FIRST_COMMIT = 8
 
 #: A commit ends before each multiple of this.
 GROUP_FRAMES = 32
-
-
-#: Parts that are folders of pictures.
-_FOLDERS = frozenset({"masks", "background", "cutouts"})
 
 
 def ends_group(index: int) -> bool:
@@ -79,6 +78,10 @@ class StreamRecord:
         Of the stream, whose sound the overlay gets.
     rules : EventRules, optional
         What its events depend on.
+    segment_seconds : int, optional
+        Length of the segments of a live source's record; by default it has none.
+    clock : callable
+        Seconds since 1970, at which a live source's rows come.
 
     Attributes
     ----------
@@ -100,31 +103,34 @@ class StreamRecord:
         replayable: bool = True,
         source: SourceAddress | None = None,
         rules: EventRules | None = None,
+        segment_seconds: int | None = None,
+        clock: Callable[[], float] | None = None,
     ) -> None:
-        rules = rules or EventRules()
+        self._rules = rules = rules or EventRules()
+        self._clock = clock or time.time
+        self._source = source
         self._folder = folder
         self._name = name
         self._save = save
         self._live = live
         self._replayable = replayable
         self._rows: list[FrameRow] = []
-        self._unpublished: list[tuple[int, Path]] = []  # with their frames
-        self._withdrawn: list[Path] = []  # cut-outs of an earlier run that are written again
+        self._views: list[tuple[int, Path]] = []  # unpublished ones, with their frames
         self._provisional = False
+        self._begins_with = 0  # first frame of which the lists know
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            for part in _FOLDERS & save:
-                (folder / part).mkdir(exist_ok=True)
             self._log = CommitLog(folder)
             with self._log.exclusive():
+                self._segments = None if segment_seconds is None else Segments(folder, segment_seconds)
+                self._pictures = self._segments or PictureFolders(folder, save)
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
                 self._events = EventFile(folder, name, rules, self._log.rows)
-                self._pictures = EventPictures(folder) if rules.zones else None
+                self._event_pictures = EventPictures(folder) if rules.zones else None
                 self._scene = self._scene_after(self._events.state) if rules.of_scene else None
             tables = "parquet" in save
             self._objects = ObjectFiles(folder, name) if tables else None
-            self._cutouts = _by_frame(folder / "cutouts")
         except OSError as error:
             raise self._unwritable(error) from None
         before = self._snapshots.newest
@@ -136,8 +142,9 @@ class StreamRecord:
         self.opening = Opening(self._snapshots.place, before)
         self._label_maps = 0 if before is None else before.label_maps
         self._committed = self._label_maps
-        overlay = overlay_path(folder, self._log.rows)
-        self._overlay = OverlayVideo(overlay, source, rules.zones) if "overlay" in save else None
+        self._overlay: OverlayVideo | None = None
+        if "overlay" in save and self._segments is None:
+            self._overlay = OverlayVideo(overlay_path(folder, self._log.rows), source, rules.zones)
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
@@ -148,21 +155,25 @@ class StreamRecord:
             self._committed = self._label_maps
             return self._committed
         try:
-            if "masks" in self._save:
-                self._put(frame, f"masks/{frame.name}.png", encode_label_image(segmentation.labels))
-            if "cutouts" in self._save and frame.image is not None:
-                self._withdrawn += self._cutouts.pop(frame.name, [])
-                for layer, picture in cutouts(segmentation, frame.image):
-                    self._put(frame, f"cutouts/{frame.name}-{layer}.png", encode_picture(picture))
-            if "background" in self._save and background is not None and frame.image is not None:
-                plate = background_plate(background, frame.image, segmentation.labels)
-                self._put(frame, f"background/{frame.name}.png", encode_picture(plate))
             scene = self._place_scene(segmentation, frame)
             result = ResultRow.of(segmentation, frame.pixel_aspect, scene)
             row = FrameRow(frame.index, frame.pts, segmentation.status, result, frame.name)
-            self._add(row, frame.image)
+            self._tell(row, frame.image)
+            if "masks" in self._save:
+                self._put(frame, "masks", f"{frame.name}.png", encode_label_image(segmentation.labels))
+            if "cutouts" in self._save and frame.image is not None:
+                self._pictures.begin(frame.name)
+                for layer, picture in cutouts(segmentation, frame.image):
+                    self._put(frame, "cutouts", f"{frame.name}-{layer}.png", encode_picture(picture))
+            if "background" in self._save and background is not None and frame.image is not None:
+                plate = background_plate(background, frame.image, segmentation.labels)
+                self._put(frame, "background", f"{frame.name}.png", encode_picture(plate))
+            self._add(row)
         except OSError as error:
             raise self._unwritable(error) from None
+        if self._segments is not None and self._overlay is None and "overlay" in self._save:
+            path = overlay_path(self._segments.folder, frame.index)
+            self._overlay = OverlayVideo(path, zones=self._rules.zones, growing=True)
         if self._overlay is not None and frame.image is not None:
             regions = {layer.layer: layer.region for layer in segmentation.layers}
             self._overlay.add(
@@ -176,7 +187,9 @@ class StreamRecord:
         """Record a frame that has no label map; return the number of label maps committed."""
         try:
             if index >= self._log.rows:
-                self._add(FrameRow(index, pts, status))
+                row = FrameRow(index, pts, status)
+                self._tell(row)
+                self._add(row)
         except OSError as error:
             raise self._unwritable(error) from None
         return self._committed
@@ -217,13 +230,16 @@ class StreamRecord:
         try:
             if self._replayable or self._provisional or whole:
                 self._commit()
-            if whole or self._objects is not None:
+            if whole or self._objects is not None or self._segments is not None:
                 with self._log.exclusive():
+                    if self._segments is not None:
+                        self._segments.merge_all(self._log)
                     if whole:
                         self._events.finish(self._log.rows)
                     if self._objects is not None:
                         self._objects.write(complete=whole)
-            for _, path in self._unpublished:
+            self._pictures.discard()
+            for _, path in self._views:
                 temporary_path(path).unlink(missing_ok=True)
         except OSError as error:
             raise self._unwritable(error) from None
@@ -235,34 +251,40 @@ class StreamRecord:
             self._snapshots.forget_all()
         return self._committed
 
-    def _put(self, frame: SourceFrame, name: str, content: bytes) -> None:
-        """Write a file that counts once its frame is committed."""
-        path = self._folder / name
-        temporary_path(path).write_bytes(content)
-        self._unpublished.append((frame.index, path))
+    def _taken_at(self, pts: float) -> float:
+        """Return when a live source's frame of a time was taken, seconds since 1970."""
+        taken = self._events.taken_at(pts)
+        return self._clock() if taken is None else taken
+
+    def _put(self, frame: SourceFrame, part: str, name: str, content: bytes) -> None:
+        """Write a picture that counts once its frame is committed."""
+        time = 0.0 if self._replayable else self._taken_at(frame.pts)
+        self._pictures.put(frame.index, part, name, content, time)
 
     def _clear_up(self) -> tuple[str, ...] | None:
         """Remove unfinished work of a killed run; return the stages that have columns in the tables."""
-        for folder in (self._folder, *(self._folder / part for part in _FOLDERS)):
-            remove_temporary(folder)
-        stages = None
-        for table in sorted(self._folder.glob("*-*.parquet")):
-            kind, _, first = table.stem.partition("-")
-            if int(first) >= self._log.rows:
+        remove_temporary(self._folder)
+        for table in self._folder.glob("*-*.parquet"):
+            if int(table.stem.partition("-")[2]) >= self._log.rows:
                 table.unlink()
-            elif kind == "frames":
-                stages = stages_of(pq.read_schema(table))
-        return stages
+        newest = newest_part(self._folder, "frames")
+        return None if newest is None else stages_of(pq.read_schema(newest))
 
-    def _add(self, row: FrameRow, image: Array | None = None) -> None:
+    def _add(self, row: FrameRow) -> None:
         self._rows.append(row)
-        pictured = self._events.add(row, None if self._replayable else time.time())
-        if pictured and self._pictures is not None and row.result is not None and image is not None:
-            shown = [layer for layer in row.result.layers if layer.layer in pictured]
-            self._pictures.write(image, row.frame, shown)
-        self._write_events()
         if self._replayable and ends_group(row.frame):
             self._commit()
+
+    def _tell(self, row: FrameRow, image: Array | None = None) -> None:
+        """Write the events that the next row makes certain, with their pictures."""
+        pictured = self._events.add(row, None if self._replayable else self._clock())
+        if self._segments is not None and self._segments.name is None:
+            with self._log.exclusive():
+                self._segments.advance(self._taken_at(row.pts))
+        if pictured and self._event_pictures is not None and row.result is not None and image is not None:
+            shown = [layer for layer in row.result.layers if layer.layer in pictured]
+            self._event_pictures.write(image, row.frame, shown)
+        self._write_events()
 
     def _write_events(self) -> None:
         if self._events.unwritten:
@@ -281,7 +303,9 @@ class StreamRecord:
         if self._scene is None or frame.image is None:
             return None
         if (view := self._scene.after(frame.pts, segmentation, frame.image)) is not None:
-            self._put(frame, f"{VIEWS}/{frame.index:08d}.npz", view.content())
+            path = self._folder / VIEWS / f"{frame.index:08d}.npz"
+            temporary_path(path).write_bytes(view.content())
+            self._views.append((frame.index, path))
         return self._scene.place
 
     def _commit(self, before: float = math.inf) -> None:
@@ -289,30 +313,60 @@ class StreamRecord:
         rows = [row for row in self._rows if row.frame < before]
         if not rows:
             return
-        files = [path for frame, path in self._unpublished if frame < before]
         last = rows[-1].frame
-        if "parquet" in self._save:
-            files += self._write_tables(rows, rows[0].frame)
-        if not self._provisional:
-            files.append(self._events.draft(last + 1))
         with self._log.exclusive():
-            for path in self._withdrawn:
-                path.unlink(missing_ok=True)
+            if self._segments is not None:
+                self._advance(rows[-1])
+            files = self._pictures.drafts(before)
+            files += [path for frame, path in self._views if frame < before]
+            if "parquet" in self._save:
+                files += self._write_tables(rows, self._pictures.folder)
+            if not self._provisional:
+                files.append(self._events.draft(last + 1))
             publish(files)
-            self._log.add(last, self._snapshots.name_after(last + 1), provisional=self._provisional)
+            archived = self._pictures.append(before)
+            self._log.add(
+                last,
+                self._snapshots.name_after(last + 1),
+                provisional=self._provisional,
+                segment=self._pictures.name,
+                archived=archived,
+            )
+            self._pictures.committed(before, archived)
+            self._views = [(frame, path) for frame, path in self._views if frame >= before]
+            self._rows = self._rows[len(rows) :]
+            self._committed = self._label_maps - sum(row.result is not None for row in self._rows)
             self._snapshots.forget_before(last + 1)
             if self._objects is not None:
                 self._objects.add(rows, provisional=self._provisional)
-        self._rows = self._rows[len(rows) :]
-        self._unpublished = [(frame, path) for frame, path in self._unpublished if frame >= before]
-        self._withdrawn = []
-        self._committed = self._label_maps - sum(row.result is not None for row in self._rows)
+            if self._segments is not None:
+                self._segments.merge(self._log)
+                self._forget_deleted()
 
-    def _write_tables(self, rows: list[FrameRow], first: int) -> list[Path]:
+    def _advance(self, row: FrameRow) -> None:
+        """Begin another segment if a commit with this last row is the first of one."""
+        assert self._segments is not None
+        if self._segments.advance(self._taken_at(row.pts)) and self._overlay is not None:
+            self._overlay.close()
+            self._overlay = None  # the next frame begins another
+
+    def _forget_deleted(self) -> None:
+        """Take out of the lists what is from before the oldest segment that is left."""
+        first = first_frame(self._folder)
+        if first > self._begins_with:
+            self._begins_with = first
+            self._events.forget_before(first)
+            if self._event_pictures is not None:
+                self._event_pictures.forget_before(first)
+            if self._objects is not None:
+                self._objects.forget_before(first)
+
+    def _write_tables(self, rows: list[FrameRow], folder: Path) -> list[Path]:
         if self._stages is None:
             results = [row.result for row in rows if row.result is not None]
             self._stages = tuple(sorted({stage for result in results for stage in result.stage_ms}))
-        layers, frames = part_path(self._folder, "layers", first), part_path(self._folder, "frames", first)
+        first = rows[0].frame
+        layers, frames = part_path(folder, "layers", first), part_path(folder, "frames", first)
         write_layers(temporary_path(layers), self._name, rows)
         write_frames(temporary_path(frames), self._name, rows, self._stages)
         return [layers, frames]
@@ -333,14 +387,6 @@ def recorded_frames(folder: Path) -> int:
 
 def has_snapshot(folder: Path) -> bool:
     """Whether there is the snapshot that the last permanent line of a stream's log names."""
-    commits = [commit for commit in read_commits(folder) if not commit.provisional]
+    commits = permanent(read_commits(folder))
     newest = commits[-1].snapshot if commits else None
     return newest is not None and (folder / SNAPSHOTS / newest).exists()
-
-
-def _by_frame(cutouts: Path) -> dict[str, list[Path]]:
-    """List existing cut-outs by the names of their frames; none without the folder."""
-    found: dict[str, list[Path]] = {}
-    for path in cutouts.glob("*.png"):
-        found.setdefault(path.stem.rpartition("-")[0], []).append(path)
-    return found

@@ -1,4 +1,4 @@
-"""Reads the committed tables of a stream's record."""
+"""Reads the committed tables of a stream's record, and merges the parts of a closed segment."""
 
 from __future__ import annotations
 
@@ -13,20 +13,66 @@ import pyarrow.parquet as pq
 from mlbs_actors.messages import LayerSummary, Region
 from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.rows.scene_place import ScenePlace
-from orchestrator.sinks.commit_log import read_commits
+from orchestrator.run.durable_files import temporary_path
+from orchestrator.sinks.commit_log import Commit, read_commits
 
-__all__ = ["part_path", "read_rows", "read_table"]
+__all__ = ["TABLES", "merge_parts", "newest_part", "part_path", "read_rows", "read_table"]
 
 _Table = Literal["frames", "layers"]
-_TABLES: tuple[_Table, _Table] = ("layers", "frames")
+TABLES: tuple[_Table, _Table] = ("layers", "frames")
+
+#: Rows in memory at once: a segment may be a day.
+_BATCH_ROWS = 4096
 
 
-def part_path(folder: Path, name: _Table, first: int) -> Path:
-    """Return the path of the part of a table whose commit begins with frame ``first``."""
-    return folder / f"{name}-{first:08d}.parquet"
+def part_path(folder: Path, name: _Table, first: int | None) -> Path:
+    """Return the path of the part of a table whose commit begins with frame ``first``.
+
+    ``folder`` is the stream's or a segment's; a segment's whole table is in one part, without a number.
+    """
+    return folder / (f"{name}.parquet" if first is None else f"{name}-{first:08d}.parquet")
 
 
-def read_table(folder: Path, name: _Table) -> pa.Table:
+def _part_of(folder: Path, name: _Table, commit: Commit) -> Path:
+    place = folder if commit.segment is None else folder / commit.segment
+    return part_path(place, name, None if commit.merged else commit.first)
+
+
+def newest_part(folder: Path, name: _Table) -> Path | None:
+    """Return the path of the newest part of a stream's table that counts, if there is one."""
+    paths = (_part_of(folder, name, commit) for commit in reversed(read_commits(folder)))
+    return next((path for path in paths if path.exists()), None)
+
+
+def merge_parts(folder: Path, commits: Sequence[Commit]) -> list[Path]:
+    """Write the tables of a segment into one part each, under temporary names; return their paths.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the stream.
+    commits : sequence of Commit
+        All of the segment.
+    """
+    merged = []
+    for name in TABLES:
+        parts = [path for commit in commits if (path := _part_of(folder, name, commit)).exists()]
+        if not parts:
+            continue
+        path = part_path(parts[0].parent, name, None)
+        with pq.ParquetWriter(temporary_path(path), pq.read_schema(parts[0])) as writer:
+            waiting: list[pa.Table] = []
+            for part in parts:
+                with pq.ParquetFile(part) as file:
+                    waiting.append(file.read(use_threads=False))
+                if part is parts[-1] or sum(table.num_rows for table in waiting) >= _BATCH_ROWS:
+                    writer.write_table(pa.concat_tables(waiting).combine_chunks())
+                    waiting = []
+        merged.append(path)
+    return merged
+
+
+def read_table(folder: Path, name: _Table, begin: int = 0) -> pa.Table:
     """Read committed rows of one table of a stream; without columns if the tables were not saved.
 
     Parameters
@@ -34,43 +80,62 @@ def read_table(folder: Path, name: _Table) -> pa.Table:
     folder : Path
         Of the stream.
     name : {"frames", "layers"}
+    begin : int
+        First frame.
     """
-    parts = [part_path(folder, name, commit.first) for commit in read_commits(folder)]
-    tables = [pq.read_table(part) for part in parts if part.exists()]
+    commits = [commit for commit in read_commits(folder) if commit.last >= begin]
+    parts = [_part_of(folder, name, commit) for commit in commits]
+    rows = [("frame", ">=", begin)] if begin else None
+    tables = [pq.read_table(part, filters=rows) for part in parts if part.exists()]
     return pa.concat_tables(tables) if tables else pa.table({})
 
 
 def read_rows(folder: Path, begin: int = 0, end: float = math.inf) -> Iterator[FrameRow]:
-    """Yield committed rows of a stream whose tables were saved, one part at a time; without stage times.
+    """Yield committed rows of a stream whose tables were saved, one after the other; without stage times.
 
     Parameters
     ----------
     folder : Path
         Of the stream; one that is not there has no rows.
     begin, end : int
-        Only parts whose rows are all from ``begin`` to before ``end``.
+        Frames from ``begin`` to before ``end``.
     """
     for commit in read_commits(folder):
-        if commit.first < begin or commit.last >= end:
+        if commit.last < begin or commit.first >= end:
             continue
-        paths = [part_path(folder, name, commit.first) for name in _TABLES]
+        paths = [_part_of(folder, name, commit) for name in TABLES]
         if not all(path.exists() for path in paths):
             continue
-        of_layers, of_frames = map(_without_times, paths)
-        layers: dict[int, list[dict[str, Any]]] = {}
-        for row in of_layers:
-            layers.setdefault(row["frame"], []).append(row)
+        of_layers, of_frames = (_without_times(path, begin, end) for path in paths)
+        layer = next(of_layers, None)
         for row in of_frames:
-            result = None if row["name"] is None else _result(row, layers.get(row["frame"], []))
-            yield FrameRow(row["frame"], row["pts"], row["status"], result, row["name"])
+            layers = []
+            while layer is not None and layer["frame"] <= row["frame"]:
+                if layer["frame"] == row["frame"]:
+                    layers.append(layer)
+                layer = next(of_layers, None)
+            if begin <= row["frame"] < end:
+                result = None if row["name"] is None else _result(row, layers)
+                yield FrameRow(row["frame"], row["pts"], row["status"], result, row["name"])
 
 
-def _without_times(path: Path) -> list[dict[str, Any]]:
-    """Read a part without the columns of stage times, which are half of its columns."""
+def _without_times(path: Path, begin: int, end: float) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a part without the columns of stage times, which are half of its columns.
+
+    Groups of rows that are all before ``begin``, or from ``end`` on, are left out.
+    """
     with pq.ParquetFile(path) as part:
-        columns = [name for name in part.schema_arrow.names if not name.startswith("ms_")]
-        rows: list[dict[str, Any]] = part.read(columns=columns).to_pylist()
-    return rows
+        names = part.schema_arrow.names
+        columns = [name for name in names if not name.startswith("ms_")]
+        groups = (part.metadata.row_group(number) for number in range(part.num_row_groups))
+        frames = [group.column(names.index("frame")).statistics for group in groups]
+        wanted = [
+            number
+            for number, span in enumerate(frames)
+            if span is None or not span.has_min_max or (span.max >= begin and span.min < end)
+        ]
+        for batch in part.iter_batches(_BATCH_ROWS, row_groups=wanted, columns=columns):
+            yield from batch.to_pylist()
 
 
 def _result(frame: dict[str, Any], layers: Sequence[dict[str, Any]]) -> ResultRow:

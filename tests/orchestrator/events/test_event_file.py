@@ -75,7 +75,9 @@ def test_a_line_holds_what_happened(whole: bytes) -> None:
         "reason": None,
         "replaced_by": None,
         "picture": "events/00000008-3.jpg",
+        "number": 3,
     }
+    assert [one["number"] for one in said] == [*range(1, len(said) + 1)]
     with_picture = {one["kind"] for one in said if one["picture"] is not None}
     assert with_picture == {"born", "entered", "left"}
     assert len({one["id"] for one in said}) == len(said)

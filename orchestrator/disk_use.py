@@ -1,0 +1,145 @@
+"""``python -m orchestrator.disk_use DIR``: how much of the disk a run's streams take, by frame and by day."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mlbs_actors.errors import ConfigError
+from orchestrator.events.pictures import PICTURES
+from orchestrator.events.scene import VIEWS
+from orchestrator.sinks.commit_log import read_commits
+from orchestrator.sinks.record_tables import read_table
+from orchestrator.sinks.snapshot_folder import SNAPSHOTS
+
+__all__ = ["KINDS", "StreamUse", "bytes_by_kind", "main", "stream_use"]
+
+#: What grows with the frames.
+KINDS = ("masks", "tables", "overlay", "background", "cutouts", "lists")
+
+#: Folders of a stream that do not, as their oldest files are deleted or their number is bounded.
+_BOUNDED = (SNAPSHOTS, PICTURES, VIEWS)
+
+_NEWEST_ROWS = 20_000  # by which sizes and rates are measured
+_DAY_SECONDS = 86_400
+
+
+@dataclass(frozen=True, slots=True)
+class StreamUse:
+    """What one stream takes.
+
+    Attributes
+    ----------
+    width, height : int
+        px.
+    rate : float
+        Label maps a second, without the times of gaps.
+    per_frame : mapping of str to float
+        Bytes a label map, by kind.
+    """
+
+    width: int
+    height: int
+    rate: float
+    per_frame: dict[str, float]
+
+    def per_day(self, rate: float | None = None) -> float:
+        """Return the bytes of a day at a rate, by default its own."""
+        return sum(self.per_frame.values()) * (self.rate if rate is None else rate) * _DAY_SECONDS
+
+
+def bytes_by_kind(folder: Path) -> Counter[str]:
+    """Return the bytes of the files of a stream's folder, or of a segment's, by kind."""
+    found: Counter[str] = Counter()
+    for place, _, files in os.walk(folder):
+        part = next(iter(Path(place).relative_to(folder).parts), None)
+        for name in files:
+            try:
+                size = Path(place, name).stat().st_size
+            except FileNotFoundError:
+                continue  # published or deleted just now
+            found[part if part in KINDS or part in _BOUNDED else _kind(name.lstrip("."))] += size
+    return found
+
+
+def _kind(name: str) -> str:
+    stem = name.partition(".")[0].partition("-")[0]
+    if stem in ("frames", "layers"):
+        return "tables"
+    return stem if stem in KINDS else "lists"
+
+
+def stream_use(folder: Path) -> StreamUse | None:
+    """Measure what a stream takes; None if its tables were not saved, or nothing is committed.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the stream.
+    """
+    commits = read_commits(folder)
+    rows = commits[-1].last + 1 - commits[0].first if commits else 0
+    table = read_table(folder, "frames", max(commits[-1].last - _NEWEST_ROWS, 0)) if rows else None
+    if table is None or not table.num_rows:
+        return None
+    labelled = table["name"].is_valid().to_numpy()
+    if labelled.sum() < 2:
+        return None
+    pts = table["pts"].to_numpy()
+    steps = np.diff(pts)[table["status"].to_numpy(zero_copy_only=False)[:-1] != "gap"]
+    label_maps = rows * labelled.mean()
+    found = bytes_by_kind(folder)
+    newest = table.filter(table["name"].is_valid()).slice(int(labelled.sum()) - 1).to_pylist()[0]
+    return StreamUse(
+        width=newest["width"],
+        height=newest["height"],
+        rate=float(labelled.sum() / max(steps.sum(), 1e-9)),
+        per_frame={kind: float(found[kind] / label_maps) for kind in KINDS if found[kind]},
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status: 0 printed, 2 no run there."""
+    parser = argparse.ArgumentParser(
+        prog="python -m orchestrator.disk_use",
+        description="Print how many bytes a frame each stream of a run takes, and how many GB that is a day.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("folder", type=Path, metavar="DIR", help="the run's output folder")
+    parser.add_argument("--rate", type=float, metavar="N", help="of N frames a second, instead of its own")
+    given = parser.parse_args(argv)
+    try:
+        names = list(_sources(given.folder))
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(f"{'stream':16} {'size':>11} {'frames/s':>8} {'GB a day':>8}  bytes a frame")
+    for name in names:
+        use = stream_use(given.folder / name)
+        if use is None:
+            print(f"{name:16} no tables with two label maps to measure by")
+            continue
+        rate = use.rate if given.rate is None else given.rate
+        kinds = ", ".join(f"{kind} {size:,.0f}" for kind, size in use.per_frame.items())
+        size = f"{use.width}×{use.height}"
+        print(f"{name:16} {size:>11} {rate:8.2f} {use.per_day(rate) / 1e9:8.2f}  {kinds}")
+    return 0
+
+
+def _sources(run: Path) -> dict[str, str]:
+    try:
+        return dict(json.loads((run / "run.json").read_text(encoding="utf-8"))["sources"])
+    except (OSError, ValueError, KeyError):
+        raise ConfigError(f"{run} holds no run; name the folder given to --output.") from None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

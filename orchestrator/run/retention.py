@@ -1,0 +1,167 @@
+"""``--keep``: deletes the oldest segments of cameras.
+
+Of all cameras together the oldest closed segment goes first, so each camera takes what it needs and all
+reach back about equally far. The lines of a segment leave its stream's commit log before its files are
+deleted; files without lines, of a deletion that was killed, are deleted by the next one.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from mlbs_actors.errors import SinkError
+from orchestrator.disk_use import bytes_by_kind
+from orchestrator.run.retention_limits import Keep
+from orchestrator.run.stream_state import StreamState
+from orchestrator.sinks.commit_log import Commit, forget_segment, permanent, read_commits
+from orchestrator.sinks.segments import segment_folders, segment_time
+from orchestrator.sinks.snapshot_folder import SNAPSHOTS
+
+__all__ = ["Retention"]
+
+#: Least time between two looks at the folder, s, and the share of the time that they may take.
+_LOOK_SECONDS, _SHARE_OF_TIME = 5.0, 1 / 50
+
+#: Share of the size that is left free for what is written until the next look, besides one more snapshot of
+#: each stream, of which two are kept.
+_FREE, _SNAPSHOTS_TO_COME = 0.02, 1 / 2
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class _Closed:
+    """A closed segment, and when it began and ended, seconds since 1970."""
+
+    begin: float
+    end: float
+    folder: Path
+
+
+class Retention:
+    """Deletes the oldest segments of a run's cameras; an observer of the driver.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the run.
+    keep : Keep
+    say : callable
+        Takes a sentence for the user.
+    clock : callable
+        Seconds since 1970.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        keep: Keep,
+        say: Callable[[str], None],
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._folder = folder
+        self._keep = keep
+        self._say = say
+        self._clock = clock
+        self._due = -float("inf")
+        self._sizes: dict[Path, int] = {}  # of merged segments, bytes
+        self._size = self._to_come = 0
+        self._begins: dict[str, dict[str, Any]] = {}
+        self._too_much = False
+
+    def update(self, states: Sequence[StreamState]) -> None:
+        """Look at the folder, unless that took place a moment ago."""
+        begun = time.monotonic()
+        if begun >= self._due:
+            with suppress(OSError):  # a file was deleted under our feet, or the disk has gone
+                self.apply()
+            ended = time.monotonic()
+            self._due = ended + max(_LOOK_SECONDS, (ended - begun) / _SHARE_OF_TIME)
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """What is kept, and with what streams begin of which something was deleted, for ``status.json``."""
+        return {
+            "seconds": self._keep.seconds,
+            "bytes": self._keep.size,
+            "bytes_in_use": self._size,
+            "begins": self._begins,
+        }
+
+    def apply(self) -> None:
+        """Delete what is too old, and then what is too much.
+
+        What cannot be deleted now, as a commit is going on or the disk refuses it, is tried again.
+        """
+        closed: list[_Closed] = []
+        self._size = self._to_come = 0
+        for stream in sorted(path.parent for path in self._folder.glob("*/commits.jsonl")):
+            commits = read_commits(stream)
+            segments = list(dict.fromkeys(one.segment for one in commits if one.segment is not None))
+            if segments:
+                if commits[0].first:
+                    self._begins[stream.name] = {"frame": commits[0].first, "segment": segments[0]}
+                _remove_remains(stream, segments)
+                closed += _closed_segments(stream, commits)
+                self._measure(stream, {one.segment for one in commits if one.merged})
+        for one in sorted(closed):
+            too_old = self._keep.seconds is not None and one.end <= self._clock() - self._keep.seconds
+            if too_old or self._exceeds():
+                size = self._sizes.pop(one.folder, None) or _size_of(one.folder)
+                try:
+                    if forget_segment(one.folder.parent, one.folder.name):
+                        shutil.rmtree(one.folder)
+                        self._size -= size
+                except (OSError, SinkError):
+                    break
+        if self._exceeds() and not closed and not self._too_much:
+            self._too_much = True
+            self._say(
+                f"The cameras take {self._size / 1e6:,.0f} MB without a closed segment to delete, more than "
+                "--keep allows; give it a greater size, or --segment a shorter time."
+            )
+
+    def _exceeds(self) -> bool:
+        size = self._size + self._to_come
+        return self._keep.size is not None and size > (1 - _FREE) * self._keep.size
+
+    def _measure(self, stream: Path, merged: set[str | None]) -> None:
+        """Add the bytes of a stream's folder; merged segments do not change, and are measured once."""
+        for path in stream.iterdir():
+            if path.name in merged:
+                if path not in self._sizes:
+                    self._sizes[path] = _size_of(path)
+                self._size += self._sizes[path]
+                continue
+            size = _size_of(path)
+            self._size += size
+            if path.name == SNAPSHOTS:
+                self._to_come += round(size * _SNAPSHOTS_TO_COME)
+
+
+def _closed_segments(stream: Path, commits: Sequence[Commit]) -> Iterator[_Closed]:
+    """Yield the segments before the one that the stream would resume from."""
+    names = list(dict.fromkeys(one.segment for one in permanent(commits) if one.segment is not None))
+    for name, following in pairwise(names):
+        yield _Closed(segment_time(name), segment_time(following), stream / name)
+
+
+def _remove_remains(stream: Path, segments: Sequence[str]) -> None:
+    """Delete the files of segments whose lines are gone: of a deletion that was killed."""
+    for path in segment_folders(stream):
+        if path.name < segments[0] and path.name not in segments:
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _size_of(path: Path) -> int:
+    if path.is_dir():
+        return bytes_by_kind(path).total()
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0  # published or deleted just now
