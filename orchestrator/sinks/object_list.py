@@ -259,7 +259,7 @@ class ObjectList:
 
 def _described(one: SeenObject, *, complete: bool) -> dict[str, Any]:
     state, end, by = _outcome(one, complete=complete)
-    path = one.path if one.path[-1] is one.last else [*one.path, one.last]
+    path = one.path if one.path[-1].frame == one.last.frame else [*one.path, one.last]
     return {
         "id": one.layer,
         "kind": one.kind,

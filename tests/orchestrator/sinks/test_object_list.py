@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,13 @@ import pyarrow.csv
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import TypeAdapter
 from record_fakes import HEIGHT, WIDTH, frame, segmentation, write_stream
 
 from mlbs_actors.messages import FrameStatus, LayerSummary, Region, Segmentation
 from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.sinks.object_files import OBJECTS_CSV, OBJECTS_JSON, ObjectFiles
-from orchestrator.sinks.object_list import ObjectList
+from orchestrator.sinks.object_list import ListState, ObjectList
 from orchestrator.sinks.record import FIRST_COMMIT, GROUP_FRAMES, StreamRecord
 from orchestrator.sinks.record_tables import read_rows
 
@@ -49,12 +51,17 @@ def squares(
     return replace(segmentation(index), labels=labels, layers=tuple(summaries), status=status)
 
 
-def listed(*maps: Segmentation) -> ObjectList:
-    """A list of these label maps, ten a second."""
-    return ObjectList().add(
+def rows_with(maps: Sequence[Segmentation]) -> list[FrameRow]:
+    """The rows of these label maps, ten a second."""
+    return [
         FrameRow(index, index / 10, one.status, ResultRow.of(one, 1.0), str(index))
         for index, one in enumerate(maps)
-    )
+    ]
+
+
+def listed(*maps: Segmentation) -> ObjectList:
+    """A list of these label maps."""
+    return ObjectList().add(rows_with(maps))
 
 
 def test_a_row_says_when_and_where_an_object_was_seen(tmp_path: Path) -> None:
@@ -214,6 +221,16 @@ def test_a_resumed_stream_has_the_list_of_an_undisturbed_one(
     record.close(whole=True)
     for name in (OBJECTS_CSV, OBJECTS_JSON):
         assert (tmp_path / "yard" / name).read_bytes() == (undisturbed / name).read_bytes()
+
+
+def test_a_list_that_is_continued_after_any_row_is_the_same() -> None:
+    rows, states = rows_with([wandering(index) for index in range(LONG)]), TypeAdapter(ListState)
+    whole = ObjectList().add(rows).json("yard", complete=True)
+    for index in range(1, LONG):
+        before = ObjectList().add(rows[:index])
+        read = ObjectList(states.validate_json(states.dump_json(before.state)), rows[index - 1].result)
+        assert read.json("yard", complete=False) == before.json("yard", complete=False)
+        assert read.add(rows[index:]).json("yard", complete=True) == whole
 
 
 def begun(folder: Path) -> None:
