@@ -72,10 +72,6 @@ TABLES = (_FIGURES, _RANGES, _DAVIS)
 COLUMNS = dict(itertools.chain(*TABLES))
 
 
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value
-
-
 def median_delay(score: SequenceScore) -> float:
     """Return the median entry delay, frames; infinite if half are never found, NaN if none enter."""
     delays = [math.inf if delay is None else float(delay) for delay in score.entry_delay.values()]

@@ -32,6 +32,7 @@ from orchestrator.report.page import render_report
 from orchestrator.run.admission import (
     PLACE_BYTES,
     STREAMS_A_CORE,
+    Admission,
     by_count,
     by_load,
     cores,
@@ -56,6 +57,9 @@ from orchestrator.sinks.segments import segment_folders
 from orchestrator.sources.lengths import finding_lengths
 
 __all__ = ["run", "what_to_look_at"]
+
+#: What a user who limits the streams is told that they wait for.
+_PLACES = "places (--places)"
 
 
 def run(
@@ -217,19 +221,14 @@ def _drive(
         try:
             host: Node | Cluster
             if arguments.address is None:
-                admission = by_load(cores(), places(memory, cores()), node_memory)
                 host = Node(policy=PoolPolicy(streams=_most_at_once(job, ended, memory, arguments)))
             else:
                 check = partial(node_places, folder.path, installed_versions())
                 host = Cluster(check, Share(1 / STREAMS_A_CORE, PLACE_BYTES), _say)
-                admission = by_count(host.places, "places of the nodes")
-            if (most := arguments.places) is not None:
-                on_nodes = host.places if isinstance(host, Cluster) else lambda _: most
-                admission = by_count(lambda waiting: min(most, on_nodes(waiting)), "places (--places)")
             driver = Driver(
                 job.specs,
                 host,
-                admission=admission,
+                admission=_admission(host, memory, arguments.places),
                 observers=[status, *onlookers, progress],
                 interruption=interruption,
                 lengths=lengths,
@@ -246,6 +245,17 @@ def _drive(
         finally:
             progress.close()
     return driver.states, exit_status
+
+
+def _admission(host: Node | Cluster, memory: NodeMemory, most: int | None) -> Admission:
+    """Return what decides which streams may run; ``most`` are those that the user allows."""
+    if isinstance(host, Cluster):
+        if most is None:
+            return by_count(host.places, "places of the nodes")
+        return by_count(lambda waiting: min(most, host.places(waiting)), _PLACES)
+    if most is None:
+        return by_load(cores(), places(memory, cores()), node_memory)
+    return by_count(most, _PLACES)
 
 
 def _most_at_once(

@@ -18,7 +18,6 @@ from mlbs_actors.errors import SourceError
 from orchestrator.sources.address import SourceAddress, SourceKind, fixed_part, has_wildcards
 
 __all__ = [
-    "has_video_name",
     "holds_images",
     "images_of",
     "is_image",
@@ -38,11 +37,6 @@ _VIDEO_SUFFIXES = frozenset(
 
 #: A stem that ends in a number as Python writes a float, such as time.time(): without zeros at the end.
 _DECIMAL_STEM = re.compile(r"(.*[^\d.])?\d+\.(0|\d*[1-9])")
-
-
-def has_video_name(path: str) -> bool:
-    """Whether a name ends as those of videos do."""
-    return Path(path).suffix.lower() in _VIDEO_SUFFIXES
 
 
 def is_image(path: str) -> bool:
