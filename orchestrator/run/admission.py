@@ -6,8 +6,9 @@ the pool starts processes while memory lasts (:mod:`mlbs_actors.actors.node.pool
 
 A stream of a file takes all CPU time that it gets, so a fixed number of them keeps the cores busy, and more
 would only cost memory. A camera takes what its rate asks for. So as many cameras start as files would; once
-it is measured what these take, more start, until the cores are busy. What was admitted stays: if it takes
-more later, cameras drop frames.
+it is measured what these take, with the objects that they have after half a minute, more start, until all
+but a tenth of the cores is busy: streams that share their last core to the full drop frames. What was admitted
+stays: if it takes more later, cameras drop frames.
 """
 
 from __future__ import annotations
@@ -43,6 +44,12 @@ _RESERVED_BYTES = 1_500 * 2**20
 
 #: Most streams of files for each core. A stream's stages wait for one another: two on a core keep it busy.
 STREAMS_A_CORE = 2
+
+#: Share of the cores that cameras may take.
+_BUSY_SHARE = 0.9
+
+#: Cores counted for a file, and for a camera while no camera has been measured.
+_CORES_A_FILE = _BUSY_SHARE / STREAMS_A_CORE
 
 #: What the sink and Ray take besides a stream's own processes, as a share of these (docs/scaling.md).
 _SHARED_SHARE = 0.14
@@ -135,7 +142,7 @@ def by_load(
         files_wait, cameras_wait = "" if load.files == load.streams else short, short
         if load.files >= most_files:
             files_wait = f"one of the {most_files} places for files, which are taken"
-        files_wait = files_wait or load.short_of_cores(core_count, 1 / STREAMS_A_CORE)
+        files_wait = files_wait or load.short_of_cores(core_count, _CORES_A_FILE)
         cameras_wait = cameras_wait or load.short_of_cores(core_count, load.cores_a_camera)
         fitting = {file: files_wait, camera: cameras_wait}
         names = (state.name for state in states if fitting.get(state.name) == "")
@@ -159,8 +166,8 @@ class _Load:
     def of(running: Sequence[StreamState]) -> _Load:
         files = sum(not state.live for state in running)
         cameras = [state.cores * (1 + _SHARED_SHARE) for state in running if state.live and state.cores]
-        a_camera = fmean(cameras) if cameras else 1 / STREAMS_A_CORE
-        taken = sum(cameras) + a_camera * (len(running) - files - len(cameras)) + files / STREAMS_A_CORE
+        a_camera = fmean(cameras) if cameras else _CORES_A_FILE
+        taken = sum(cameras) + a_camera * (len(running) - files - len(cameras)) + files * _CORES_A_FILE
         memory = [state.memory for state in running if state.memory]
         return _Load(
             streams=len(running),
@@ -173,11 +180,12 @@ class _Load:
 
     def short_of_cores(self, core_count: int, more: float) -> str:
         """Return why a stream that takes so many cores does not fit; empty if it does."""
-        if self.cores + more <= core_count + 1e-6:
+        if self.cores + more <= core_count * _BUSY_SHARE + 1e-6:
             return ""
         return (
             f"CPU time: {count_of(self.streams, 'stream')} {'take' if self.streams > 1 else 'takes'} "
-            f"{self.cores:.1f} of {count_of(core_count, 'core')}, and another one would take {more:.2f}"
+            f"{self.cores:.1f} of {count_of(core_count, 'core')}, and another one would take {more:.2f}; "
+            "a tenth stays free"
         )
 
     def short_of_memory(self, free: int) -> str:
