@@ -66,6 +66,8 @@ class Camera:
         What it shows, over and over.
     script : callable
         Number of the connection, from 0 → the numbers of the pictures to send; None refuses the connection.
+    port : int
+        0 for a free one.
 
     Attributes
     ----------
@@ -78,10 +80,12 @@ class Camera:
     #: Must not appear in any message or file.
     password = "hunter2"
 
-    def __init__(self, pictures: Sequence[Array], script: Callable[[int], Iterator[int] | None]) -> None:
+    def __init__(
+        self, pictures: Sequence[Array], script: Callable[[int], Iterator[int] | None], port: int = 0
+    ) -> None:
         self._pictures = pictures
         self._script = script
-        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener = socket.create_server(("127.0.0.1", port))
         self.address = f"rtsp://bob:{self.password}@127.0.0.1:{self._listener.getsockname()[1]}/door"
         self.connected: list[float] = []
 

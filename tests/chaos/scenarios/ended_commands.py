@@ -56,13 +56,13 @@ def _damage_files(output: Path) -> None:
     (foreign / "parts").write_bytes(pickle.dumps(Path("/tmp")))
 
 
-def _disk_fails(full: Injection) -> Inject:
+def _disk_fails(failure: Injection) -> Inject:
     """Let publishing fail: the streams fail, and what was committed is kept."""
 
     def inject(run: ObservedRun, injector: Injector) -> None:
-        injector.arm(full)
+        injector.arm(failure)
         stderr = expect_end(run, 1)
-        injector.disarm(full)
+        injector.disarm(failure)
         expect("cannot be written" in stderr, f"the error is not reported: {stderr}")
 
     return inject
@@ -86,6 +86,7 @@ _FAULTS = (
     Fault("20", "a second signal, then --resume"),
     Fault("27", "driver killed, files damaged, then --resume"),
     Fault("22", "disk full, then --resume"),
+    Fault("22", "disk quota reached, then --resume"),
     Fault("23", "output folder read-only, then --resume"),
 )
 
@@ -94,20 +95,20 @@ def _one_after_the_other(context: ScenarioContext, verdicts: Verdicts) -> None:
     one, two = (
         signal.SIGINT if interrupt else signal.SIGTERM for interrupt in context.random.integers(2, size=2)
     )
-    full, read_only = (_publishing_fails(context, number) for number in (errno.ENOSPC, errno.EROFS))
+    errors = errno.ENOSPC, errno.EDQUOT, errno.EROFS
+    failures = tuple(_publishing_fails(context, number) for number in errors)
     ends = (
         _two_runs_on_one_folder,
         kill,
         _interrupted(one, 1),
         _interrupted(two, 2),
         _killed_and_files_damaged,
-        _disk_fails(full),
-        _disk_fails(read_only),
+        *map(_disk_fails, failures),
     )
     chosen = [(fault.name, end) for fault, end in zip(_FAULTS, ends, strict=True) if fault.name in verdicts]
     # A stream alone: whatever ends the command hits all of its streams.
     lines = (victim(frames_for_ends(len(chosen))),)
-    run_end_series(FaultSeries(context, verdicts, chosen, lines, (full, read_only)))
+    run_end_series(FaultSeries(context, verdicts, chosen, lines, failures))
 
 
 SCENARIOS = (Scenario("the command ended one way after the other", _FAULTS, _one_after_the_other),)

@@ -1,13 +1,15 @@
-"""Have the receiver of a run's events be away."""
+"""Have the receiver of a run's events be away: a web server, an MQTT broker."""
 
 from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+from chaos.harness.broker import Broker
 from chaos.harness.observed_run import ObservedRun, expect
 from chaos.harness.scenario import FRAMES, LINES, ScenarioContext, expect_end, expect_identical, single_fault
 from orchestrator.events.event_file import EVENTS
@@ -63,11 +65,37 @@ def _away(context: ScenarioContext) -> None:
         webhook.away = False
         with ObservedRun(LINES, context.folder, *flags, "--resume") as run:
             expect_end(run, 0)
-        for name in ("victim", "bystander"):
-            lines = (run.output / name / EVENTS).read_text(encoding="utf-8").splitlines()
-            written = [json.loads(line)["id"] for line in lines]
-            sent = [one for one in webhook.ids if one.startswith(f"{name}/")]
-            expect(sent == written, f"{name}: {sent} arrived instead of {written}")
+        _expect_all(run, webhook.ids)
 
 
-SCENARIOS = (single_fault("29", "the receiver of events away", _away),)
+def _broker_away(context: ScenarioContext) -> None:
+    """Be away from some frame to the end of the run, and at the start of the one that resumes it."""
+    broker = Broker()
+    port = broker.server_address[1]
+    flags = "--events", f"mqtt://bob:s3cret@127.0.0.1:{port}/yard"
+    with ObservedRun(LINES, context.folder, *flags) as run:
+        run.wait_for_frames("victim", int(context.random.integers(1, FRAMES // 2)))
+        broker.stop()
+        expect("could not be delivered" in expect_end(run, 0), "undelivered events are not reported")
+        expect_identical(context, run)
+    with ObservedRun(LINES, context.folder, *flags, "--resume") as run:
+        time.sleep(context.random.uniform(0, 3.0))
+        again = Broker(port)
+        expect_end(run, 0)
+    again.stop()
+    _expect_all(run, [json.loads(payload)["id"] for _, payload in broker.published + again.published])
+
+
+def _expect_all(run: ObservedRun, sent: Sequence[str]) -> None:
+    """Expect that every event has arrived, in order and once."""
+    for name in ("victim", "bystander"):
+        lines = (run.output / name / EVENTS).read_text(encoding="utf-8").splitlines()
+        written = [json.loads(line)["id"] for line in lines]
+        arrived = [one for one in sent if one.startswith(f"{name}/")]
+        expect(arrived == written, f"{name}: {arrived} arrived instead of {written}")
+
+
+SCENARIOS = (
+    single_fault("29", "the receiver of events away", _away),
+    single_fault("29", "the MQTT broker of events away", _broker_away),
+)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -174,6 +175,29 @@ def _slow_pipeline(context: ScenarioContext) -> None:
                 expect(bool((mask == labels).all()), f"frame {row['frame']} is labelled otherwise")
 
 
+def _off_at_the_start(context: ScenarioContext) -> None:
+    """Switch a camera on when the stream beside it has long ended."""
+    pictures = _pictures()
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    line = f"door rtsp://bob:{Camera.password}@127.0.0.1:{port}/door"
+    with ObservedRun([line, BYSTANDER], context.folder, "--max-frames", str(_LABEL_MAPS)) as run:
+        run.wait(lambda: run.status().get("bystander", {}).get("state") == "done", "the other stream's end")
+        run.wait(lambda: run.status()["door"]["state"] == "reconnecting", "the camera reported as away")
+        seen = set()
+        until = time.monotonic() + context.random.uniform(3.0, 12.0)
+        while time.monotonic() < until:
+            door = run.status()["door"]
+            seen.add((door["state"], door["error"]))
+            time.sleep(0.1)
+        expect(len(seen) == 1, f"the camera's state is not steady: {seen}")
+        with Camera(pictures, lambda number: play(0, _FOREVER, time.monotonic()), port):
+            stderr = expect_end(run, 0)
+        _expect_consistent_rows(run, "door", 0)
+        expect_no_secret(run, stderr, Camera.password)
+        expect_identical(context, run, BYSTANDER)
+
+
 def _slow_sink(context: ScenarioContext) -> None:
     """Run with a disk that is slower than labelling: reading a file waits for it."""
     slow = Injection(
@@ -196,6 +220,7 @@ def _slow_sink(context: ScenarioContext) -> None:
 
 SCENARIOS = (
     Scenario("cameras that go wrong", (_REFUSES, _STALLS, _FLAPS), _cameras),
+    single_fault("3", "a camera off at the start", _off_at_the_start),
     single_fault("24", "slow sink, a file as source", _slow_sink),
     single_fault("25", "slow pipeline, a live source", _slow_pipeline),
 )

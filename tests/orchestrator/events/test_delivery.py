@@ -8,13 +8,10 @@ import os
 import pwd
 import shutil
 import socket
-import socketserver
-import struct
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -22,6 +19,7 @@ from typing import Any
 import pytest
 from record_fakes import frame, segmentation
 
+from chaos.harness.broker import Broker
 from mlbs_actors.errors import ConfigError
 from orchestrator.command_line import parse
 from orchestrator.events import delivery as delivery_module
@@ -211,55 +209,6 @@ def test_mqtt_without_its_package_says_what_to_install(monkeypatch: pytest.Monke
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install 'mlbs-actors\[mqtt\]'"):
         parse_target("mqtt://host/yard")
-
-
-class Broker(socketserver.ThreadingTCPServer):
-    """As much of MQTT 3.1.1 as a publisher with QoS 1 needs; refuses other passwords than ``s3cret``."""
-
-    allow_reuse_address = daemon_threads = True
-
-    def __init__(self, port: int = 0) -> None:
-        self.published: list[tuple[str, bytes]] = []
-        self.clients: list[Any] = []
-        super().__init__(("127.0.0.1", port), _Session)
-        threading.Thread(target=self.serve_forever, args=(0.02,), daemon=True).start()
-
-    def stop(self) -> None:
-        self.shutdown()
-        self.server_close()
-        for client in self.clients:
-            with suppress(OSError):  # it has gone by itself
-                client.shutdown(socket.SHUT_RDWR)
-
-
-class _Session(socketserver.StreamRequestHandler):
-    server: Broker
-
-    def handle(self) -> None:
-        self.server.clients.append(self.connection)
-        try:
-            while first := self.rfile.read(1):
-                self._answer(first[0] >> 4, self.rfile.read(self._length()))
-        except (OSError, ValueError):
-            return
-
-    def _length(self) -> int:
-        length = shift = 0
-        while True:
-            byte = self.rfile.read(1)[0]
-            length |= (byte & 127) << shift
-            shift += 7
-            if byte < 128:
-                return length
-
-    def _answer(self, kind: int, body: bytes) -> None:
-        if kind == 1:
-            self.wfile.write(bytes([0x20, 2, 0, 0 if body.endswith(b"s3cret") else 5]))
-        elif kind == 3:
-            (size,) = struct.unpack_from(">H", body)
-            topic, number = body[2 : 2 + size].decode(), body[2 + size : 4 + size]
-            self.server.published.append((topic, body[4 + size :]))
-            self.wfile.write(bytes([0x40, 2]) + number)
 
 
 def test_a_broker_gets_every_event_though_it_was_away() -> None:
