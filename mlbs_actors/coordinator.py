@@ -41,7 +41,7 @@ from mlbs_actors.footage.continuation import continuation
 from mlbs_actors.footage.continuity import LEAST_FOUND, found_again, is_torn, rows_astray, tells_motion
 from mlbs_actors.footage.fixed import FixedState
 from mlbs_actors.footage.light import colour_samples, unchanged
-from mlbs_actors.footage.pictures import is_blank, repeats
+from mlbs_actors.footage.pictures import is_blank, is_still, repeats
 from mlbs_actors.messages import (
     BACKGROUND,
     NO_PICTURE,
@@ -203,7 +203,8 @@ class Coordinator:
             return self._pass_over(frame_index, "damaged", feedback)
         if is_blank(picture.gray):
             return self._pass_over(frame_index, "blank", feedback)
-        if not self.state.unsettled and repeats(picture.gray, self.state.picture.gray):
+        seen = is_still if self._is_empty() else repeats
+        if not self.state.unsettled and seen(picture.gray, self.state.picture.gray):
             return self._pass_over(frame_index, "repeated", feedback)
         shown = self._go_on(NewFrame(frame_index, frame, picture), feedback, stage_ms)
         newest = frame_index if not self.state.unsettled else self.state.unsettled[0].frame_index - 1
@@ -369,6 +370,11 @@ class Coordinator:
             )  # fmt: skip
         held = held_frame(frame_index, tracked, state.labels, flow, stage_ms, status, match.light)
         state.held = (*state.held, held)
+
+    def _is_empty(self) -> bool:
+        """Whether there is no object in the last picture, nor anything that may become one."""
+        state = self.state
+        return state.evaluated.keys() == {BACKGROUND} and not (state.labels > BACKGROUND).any()
 
     def _pass_over(
         self, frame_index: int, status: FrameStatus, feedback: Callable[[], Segmentation] | None

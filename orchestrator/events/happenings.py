@@ -247,8 +247,9 @@ class Happenings:
         return said
 
     def _camera(self, row: FrameRow, result: ResultRow) -> Iterator[Event]:
-        if row.status != "ok":
+        if row.status not in ("ok", "repeated"):
             return
+        # Of a repeated picture the motion is 0.
         state, speed = self.state, math.hypot(*result.camera_motion) / max(result.shape)
         if (speed >= _MOVING / 2) if state.moving else (speed <= _MOVING):
             state.contrary = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 
 from mlbs_actors import MultilayerSubtractor, Result
 from mlbs_actors.footage.light import light_change, relit
-from mlbs_actors.footage.pictures import is_blank, repeats
+from mlbs_actors.footage.pictures import is_blank, is_still, repeats
 from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
@@ -183,7 +183,7 @@ def noisy(picture: Array, rng: np.random.Generator, noise: float = 2.0) -> Array
 
 def sky(frames: int) -> list[Array]:
     rng, (y, x) = np.random.default_rng(5), np.mgrid[0:240, 0:320]
-    shades = [150 + 0.2 * y + 20 * np.sin((x + 2 * index) / 160) for index in range(frames)]
+    shades = [150 + 0.2 * y + 20 * np.sin((x + 24 * index) / 160) for index in range(frames)]
     return [noisy(np.stack([shade] * 3, axis=-1), rng) for shade in shades]
 
 
@@ -256,6 +256,54 @@ def test_noise_of_a_codec_is_a_repetition_and_a_moving_thing_is_none() -> None:
     moved = gray.copy()
     moved[10:20, 10:20] = gray[10:20, 11:21]
     assert not repeats(moved, gray)
+
+
+def test_sensor_noise_alone_is_still_and_a_dim_little_thing_is_not() -> None:
+    rng = np.random.default_rng(0)
+    place = rng.integers(20, 235, (120, 160)).astype(np.float64)
+
+    def seen(light: float = 0.0) -> Array:
+        return np.clip(place + light + rng.normal(0, 1.5, place.shape), 0, 255).astype(np.uint8)
+
+    before = seen()
+    assert is_still(seen(), before)
+    assert not is_still(seen(light=5), before)
+    place[40:46, 60:66] += 12
+    assert not is_still(seen(), before)
+    assert not is_still(before[:-1], before)
+
+
+def _creeping(frames: int, speed: float) -> Iterator[Array]:
+    """A still camera; from frame 30 on something creeps through the picture."""
+    made = scene("static-empty", frames=frames, width=320, height=240)
+    rng = np.random.default_rng(3)
+    thing = cv2.resize(
+        rng.integers(80, 176, (8, 8, 3)).astype(np.uint8), (40, 40), interpolation=cv2.INTER_CUBIC
+    )
+    for t in range(frames):
+        place = np.array([[1, 0, 100 + max(0, t - 30) * speed], [0, 1, 120]], np.float32)
+        share = cv2.warpAffine(np.ones((40, 40), np.float32), place, (320, 240))[..., None]
+        noisy = cv2.warpAffine(thing, place, (320, 240)) + rng.normal(0, 2, (240, 320, 3))
+        frame = made.frame(t) * (1 - share) + noisy * share
+        yield np.clip(frame, 0, 255).astype(np.uint8)
+
+
+def test_an_empty_place_is_passed_over_and_what_comes_into_it_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    frames = list(_creeping(60, 0.5))
+    results = labelled(frames)
+    assert {result.status for result in results[6:29]} == {"repeated"}
+    assert {result.status for result in results[40:]} == {"ok"}
+    monkeypatch.setattr("mlbs_actors.coordinator.is_still", lambda gray, before: False)
+    looked_at = labelled(frames)
+    assert {result.status for result in looked_at} == {"ok"}
+
+    def birth(those: list[Result]) -> int:
+        return next(result.frame_index for result in those if result.labels.any())
+
+    assert 30 < birth(results) <= birth(looked_at)
+    assert all(result.labels.any() for result in results[birth(results) :])
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(1.2, 0.0), (0.6, 10.0), (1.0, -20.0)])

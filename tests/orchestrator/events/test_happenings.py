@@ -170,6 +170,12 @@ def test_a_camera_moves_and_is_still() -> None:
     assert told(said) == [("camera moving", 3), ("camera still", 15)]
 
 
+def test_a_camera_is_still_when_its_picture_is_always_the_same() -> None:
+    panned = [row(index, EMPTY, (1.0, 0.0)) for index in range(6)]
+    same = [replace(row(index, EMPTY), status="repeated") for index in range(6, 20)]
+    assert told(events(panned + same)) == [("camera moving", 0), ("camera still", 6)]
+
+
 def test_a_stream_is_lost_and_back() -> None:
     rows = [
         row(0, EMPTY),
