@@ -7,8 +7,8 @@ the pool starts processes while memory lasts (:mod:`mlbs_actors.actors.node.pool
 A stream of a file takes all CPU time that it gets, so a fixed number of them keeps the cores busy, and more
 would only cost memory. A camera takes what its rate asks for. So as many cameras start as files would; once
 it is measured what these take, with the objects that they have after half a minute, more start, until all
-but a tenth of the cores is busy: streams that share their last core to the full drop frames. What was admitted
-stays: if it takes more later, cameras drop frames.
+but a tenth of the cores is busy: without a reserve cameras drop frames. What was admitted stays: if it takes
+more later, they do, too.
 """
 
 from __future__ import annotations

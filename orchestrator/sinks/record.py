@@ -23,13 +23,9 @@ import pyarrow.parquet as pq
 from mlbs_actors.actors.stream.protocol import GapStatus, Opening, Snapshot, SourceFrame
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
-from orchestrator.events.event_file import EventFile
-from orchestrator.events.happenings import EventState
-from orchestrator.events.pictures import EventPictures
-from orchestrator.events.scene import VIEWS, SceneTracker
+from orchestrator.events.stream_events import StreamEvents
 from orchestrator.events.zones import EventRules
 from orchestrator.rows.frame_row import FrameRow, ResultRow
-from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.durable_files import publish, remove_temporary, temporary_path
 from orchestrator.sinks.background import background_plate
 from orchestrator.sinks.commit_log import CommitLog, first_frame, permanent, read_commits
@@ -115,7 +111,6 @@ class StreamRecord:
         self._live = live
         self._replayable = replayable
         self._rows: list[FrameRow] = []
-        self._views: list[tuple[int, Path]] = []  # unpublished ones, with their frames
         self._provisional = False
         self._begins_with = 0  # first frame of which the lists know
         try:
@@ -126,9 +121,7 @@ class StreamRecord:
                 self._pictures = self._segments or PictureFolders(folder, save)
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
-                self._events = EventFile(folder, name, rules, self._log.rows)
-                self._event_pictures = EventPictures(folder) if rules.zones else None
-                self._scene = self._scene_after(self._events.state) if rules.of_scene else None
+                self._events = StreamEvents(folder, name, rules, self._log.rows)
             tables = "parquet" in save
             self._objects = ObjectFiles(folder, name) if tables else None
         except OSError as error:
@@ -155,7 +148,7 @@ class StreamRecord:
             self._committed = self._label_maps
             return self._committed
         try:
-            scene = self._place_scene(segmentation, frame)
+            scene = self._events.place(segmentation, frame)
             result = ResultRow.of(segmentation, frame.pixel_aspect, scene)
             row = FrameRow(frame.index, frame.pts, segmentation.status, result, frame.name)
             self._tell(row, frame.image)
@@ -239,8 +232,7 @@ class StreamRecord:
                     if self._objects is not None:
                         self._objects.write(complete=whole)
             self._pictures.discard()
-            for _, path in self._views:
-                temporary_path(path).unlink(missing_ok=True)
+            self._events.discard()
         except OSError as error:
             raise self._unwritable(error) from None
         if self._overlay is not None:
@@ -277,36 +269,16 @@ class StreamRecord:
 
     def _tell(self, row: FrameRow, image: Array | None = None) -> None:
         """Write the events that the next row makes certain, with their pictures."""
-        pictured = self._events.add(row, None if self._replayable else self._clock())
+        self._events.add(row, image, None if self._replayable else self._clock())
         if self._segments is not None and self._segments.name is None:
             with self._log.exclusive():
                 self._segments.advance(self._taken_at(row.pts))
-        if pictured and self._event_pictures is not None and row.result is not None and image is not None:
-            shown = [layer for layer in row.result.layers if layer.layer in pictured]
-            self._event_pictures.write(image, row.frame, shown)
         self._write_events()
 
     def _write_events(self) -> None:
         if self._events.unwritten:
             with self._log.exclusive():
                 self._events.write()
-
-    def _scene_after(self, state: EventState) -> SceneTracker:
-        """Go on with the scene's place after the rows that count."""
-        views = self._folder / VIEWS
-        views.mkdir(exist_ok=True)
-        remove_temporary(views)
-        place = None if state.shown is None else state.shown.scene
-        return SceneTracker(views, self._log.rows, place, state.pts)
-
-    def _place_scene(self, segmentation: Segmentation, frame: SourceFrame) -> ScenePlace | None:
-        if self._scene is None or frame.image is None:
-            return None
-        if (view := self._scene.after(frame.pts, segmentation, frame.image)) is not None:
-            path = self._folder / VIEWS / f"{frame.index:08d}.npz"
-            temporary_path(path).write_bytes(view.content())
-            self._views.append((frame.index, path))
-        return self._scene.place
 
     def _commit(self, before: float = math.inf) -> None:
         """Commit the rows before a number, by default all."""
@@ -318,11 +290,9 @@ class StreamRecord:
             if self._segments is not None:
                 self._advance(rows[-1])
             files = self._pictures.drafts(before)
-            files += [path for frame, path in self._views if frame < before]
             if "parquet" in self._save:
                 files += self._write_tables(rows, self._pictures.folder)
-            if not self._provisional:
-                files.append(self._events.draft(last + 1))
+            files += self._events.drafts(last + 1, provisional=self._provisional)
             publish(files)
             archived = self._pictures.append(before)
             self._log.add(
@@ -333,7 +303,7 @@ class StreamRecord:
                 archived=archived,
             )
             self._pictures.committed(before, archived)
-            self._views = [(frame, path) for frame, path in self._views if frame >= before]
+            self._events.committed(last + 1)
             self._rows = self._rows[len(rows) :]
             self._committed = self._label_maps - sum(row.result is not None for row in self._rows)
             self._snapshots.forget_before(last + 1)
@@ -356,8 +326,6 @@ class StreamRecord:
         if first > self._begins_with:
             self._begins_with = first
             self._events.forget_before(first)
-            if self._event_pictures is not None:
-                self._event_pictures.forget_before(first)
             if self._objects is not None:
                 self._objects.forget_before(first)
 

@@ -1,0 +1,112 @@
+"""All that a stream's record holds of its events: the lines, the pictures, and the views of the scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mlbs_actors.actors.stream.protocol import SourceFrame
+from mlbs_actors.messages import Array, Segmentation
+from orchestrator.events.event_file import EventFile
+from orchestrator.events.pictures import EventPictures
+from orchestrator.events.scene import VIEWS, SceneTracker
+from orchestrator.events.zones import EventRules
+from orchestrator.rows.frame_row import FrameRow
+from orchestrator.rows.scene_place import ScenePlace
+from orchestrator.run.durable_files import remove_temporary, temporary_path
+
+__all__ = ["StreamEvents"]
+
+
+class StreamEvents:
+    """The events of one stream; made and written to only while other processes are kept out.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the stream.
+    stream : str
+        Its name.
+    rules : EventRules
+    rows : int
+        Rows of the record that count.
+    """
+
+    def __init__(self, folder: Path, stream: str, rules: EventRules, rows: int) -> None:
+        self._file = EventFile(folder, stream, rules, rows)
+        self._pictures = EventPictures(folder) if rules.zones else None
+        self._views = folder / VIEWS
+        self._new_views: list[tuple[int, Path]] = []  # not committed yet, with their frames
+        self._scene: SceneTracker | None = None
+        if rules.of_scene:
+            self._views.mkdir(exist_ok=True)
+            remove_temporary(self._views)
+            state = self._file.state
+            place = None if state.shown is None else state.shown.scene
+            self._scene = SceneTracker(self._views, rows, place, state.pts)
+
+    @property
+    def unwritten(self) -> bool:
+        """Whether there are lines to write."""
+        return self._file.unwritten
+
+    def place(self, segmentation: Segmentation, frame: SourceFrame) -> ScenePlace | None:
+        """Follow the scene into the next frame; return where it is there, None if unknown or not needed."""
+        if self._scene is None or frame.image is None:
+            return None
+        if (view := self._scene.after(frame.pts, segmentation, frame.image)) is not None:
+            path = self._views / f"{frame.index:08d}.npz"
+            temporary_path(path).write_bytes(view.content())
+            self._new_views.append((frame.index, path))
+        return self._scene.place
+
+    def add(self, row: FrameRow, image: Array | None, now: float | None) -> None:
+        """Add the next row of the record, and write the pictures that its lines name.
+
+        Parameters
+        ----------
+        row : FrameRow
+        image : (H, W, 3) uint8, optional
+            The frame's picture, if it has one.
+        now : float, optional
+            Seconds since 1970; only if the row has just happened.
+        """
+        pictured = self._file.add(row, now)
+        if pictured and self._pictures is not None and row.result is not None and image is not None:
+            shown = [layer for layer in row.result.layers if layer.layer in pictured]
+            self._pictures.write(image, row.frame, shown)
+
+    def silent(self) -> None:
+        """Add that the source sends nothing after the rows so far."""
+        self._file.silent()
+
+    def taken_at(self, pts: float) -> float | None:
+        """Return when a camera took the frame of a time of the stream, seconds since 1970, if known."""
+        return self._file.taken_at(pts)
+
+    def write(self) -> None:
+        """Append the lines; OSError as the disk says."""
+        self._file.write()
+
+    def drafts(self, rows: int, *, provisional: bool) -> list[Path]:
+        """Return the files to publish before so many rows are committed, provisionally or for good."""
+        views = [path for frame, path in self._new_views if frame < rows]
+        return views if provisional else [*views, self._file.draft(rows)]
+
+    def committed(self, rows: int) -> None:
+        """Note that so many rows count now."""
+        self._new_views = [(frame, path) for frame, path in self._new_views if frame >= rows]
+
+    def forget_before(self, frame: int) -> None:
+        """Delete the oldest lines and pictures, as far as they are of frames before a number."""
+        self._file.forget_before(frame)
+        if self._pictures is not None:
+            self._pictures.forget_before(frame)
+
+    def finish(self, rows: int) -> None:
+        """Write what is certain as the stream has come to its end after so many rows."""
+        self._file.finish(rows)
+
+    def discard(self) -> None:
+        """Delete what was written of rows that are not committed."""
+        for _, path in self._new_views:
+            temporary_path(path).unlink(missing_ok=True)
