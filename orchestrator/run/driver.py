@@ -71,6 +71,8 @@ class Driver:
         Checked between events.
     lengths : mapping of str to int, optional
         Frames that waiting streams will read, as far as known; for display only.
+    loads : mapping of str to float, optional
+        Cores that streams kept busy in the run that this one resumes.
     ended : mapping of str to StreamState, optional
         Streams that have no source, or ended in an earlier run; they are not started.
     changes : callable, optional
@@ -88,13 +90,14 @@ class Driver:
         observers: Sequence[Observer],
         interruption: Interruption,
         lengths: Mapping[str, int] | None = None,
+        loads: Mapping[str, float] | None = None,
         ended: Mapping[str, StreamState] | None = None,
         changes: Callable[[], SpecChange | None] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._specs = {spec.name: spec for spec in specs}
-        known = lengths or {}
-        self._states = {spec.name: _new_state(spec, known) for spec in specs} | dict(ended or {})
+        known = lengths or {}, loads or {}
+        self._states = {spec.name: _new_state(spec, *known) for spec in specs} | dict(ended or {})
         self._host = host
         self._admission = admission
         self._observers = observers
@@ -158,7 +161,7 @@ class Driver:
                 continue
             self._specs[name] = spec
             self._returns[name] = Returns()
-            self._states[name] = _new_state(spec, {})
+            self._states[name] = _new_state(spec, {}, {})
             self._show()
 
     def _admit(self) -> None:
@@ -300,11 +303,12 @@ class Driver:
             observer.update(self.states)
 
 
-def _new_state(spec: StreamSpec, lengths: Mapping[str, int]) -> StreamState:
+def _new_state(spec: StreamSpec, lengths: Mapping[str, int], loads: Mapping[str, float]) -> StreamState:
     length = lengths.get(spec.name)
     if spec.max_frames is not None and (length is not None or not spec.replayable):
         length = spec.max_frames if length is None else min(length, spec.max_frames)
-    return StreamState(spec.name, line=spec.line, length=length, live=not spec.replayable)
+    cores = loads.get(spec.name, 0.0)
+    return StreamState(spec.name, line=spec.line, length=length, live=not spec.replayable, cores=cores)
 
 
 def _sentence(error: Exception) -> str:

@@ -512,6 +512,20 @@ def test_cameras_that_a_signal_stopped_in_order_are_complete_beside_files_that_a
     assert (lost.state, exit_code([door, lost], signal.SIGTERM)) == ("partial", 1)
 
 
+def test_what_a_camera_took_when_it_was_stopped_is_known_when_it_is_resumed() -> None:
+    running = replace(StreamState("door", "running", read=20, live=True), cores=0.3)
+    loads = {"door": after_interruption(running, progress(20, done=True)).cores}
+    door = Driver(
+        [spec("door"), spec("new")],
+        FakeHost({}),
+        admission=by_count(1),
+        observers=[],
+        interruption=Interruption(),
+        loads=loads,
+    )
+    assert [state.cores for state in door.states] == [0.3, 0.0]
+
+
 def test_a_stream_that_was_short_of_memory_says_so_to_its_end() -> None:
     short = after_progress(StreamState("a"), replace(progress(9), without_process=3), 1.0)
     later = after_progress(short, replace(progress(12), without_process=1), 1.0)
