@@ -13,11 +13,10 @@ from typing import Any
 
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, MlbsError
-from orchestrator.command_line import LEAST_SIDE
 from orchestrator.evaluation import datasets
 from orchestrator.evaluation.ablation import ablation_table, ablation_variants
 from orchestrator.evaluation.disturbance import disturbance_as_json, disturbance_table, disturbance_variants
-from orchestrator.evaluation.figure_files import LATEX_COLUMNS, write_csv, write_json, write_latex
+from orchestrator.evaluation.figure_files import write_csv, write_json, write_latex
 from orchestrator.evaluation.figures import (
     COLUMNS,
     TABLES,
@@ -28,6 +27,7 @@ from orchestrator.evaluation.figures import (
     results_as_json,
 )
 from orchestrator.evaluation.labelling import run_label_maps, run_scores
+from orchestrator.evaluation.options import evaluation_parser
 from orchestrator.evaluation.paper_tables import paper_sequences, paper_tables
 from orchestrator.evaluation.reliability import reliability_table
 from orchestrator.evaluation.run_pictures import RunSequence
@@ -43,41 +43,10 @@ from orchestrator.evaluation.sequences import Sequence as TruthSequence
 from orchestrator.evaluation.sizes import size_variants, sizes_table
 from orchestrator.evaluation.variants import Variant, VariantResults, run_variants, variants_as_json
 from orchestrator.run.run_folder import read_description
+from orchestrator.run.versions import installed_versions
 from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
 __all__ = ["main"]
-
-DESCRIPTION = """\
-Score label maps against truth.
-
-  scripts/evaluate --run out --truth cars1=data/cars1/gt    the masks a run wrote in out/cars1/masks
-  scripts/evaluate --run out --truth 'DAVIS/Annotations/480p/*'
-                                                            those of its streams that have a folder's name
-  scripts/evaluate --data data                              the engine, in process, on every sequence below
-                                                            data: frames/ and gt/, or as DAVIS, YouTube-VOS,
-                                                            BMS-26 and FBMS come
-  scripts/evaluate --sequences 'synthetic:demo?frames=60'   the engine on a scene with exact truth
-  scripts/evaluate --data data --paper                      the tables of the paper, with our figures
-  scripts/evaluate --data data --ablate                     what each stage of the method gives
-  scripts/evaluate --data data --disturb                    how much accidents of parameters and input cost
-  scripts/evaluate --data data --sizes 480,960              what the engine finds in smaller or larger
-                                                            pictures, and what that costs
-
-Truth maps are PNG: 0 = background, 1 ... 254 = objects, 255 = not judged (an
-object where 0 and 255 are the only values, as in DAVIS 2016). Figures are percent, except
-extra (layers off the truth per 100 frames), ids_on (labels that lie mostly on an object in at least three
-frames, mean over the objects), switches (of identity), delay (median frames from an object's entry until it
-is found; synthetic scenes only), ms and cpu_ms (wall and CPU time a frame). These matter most:
-
-  two_label_f      moving against not moving: mean F of the frames;  j: the same with intersection over union
-  f, j&f           F of DAVIS, of the boundaries of what moves; the mean of j and f
-  object_f         every object of the truth on its own: mean F, 0 for a lost one
-  track_j          one label for each object over all frames: mean intersection over union
-  multi_f          the same, and a layer the truth does not know counts as a lost one too (the paper's text)
-  multi_f_matlab   as the paper's table was made: the background takes part, surplus layers do not count
-  first ten, after start, davis: of these frames only (davis: without the first and the last)
-  davis17          one label for each object over all frames, as in DAVIS 2017's unsupervised task
-"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -94,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0: all scored; 1: some sequence could not be scored, or not all of its frames with truth had a mask;
         2: wrong usage.
     """
-    parser = _parser()
+    parser = evaluation_parser()
     options = parser.parse_args(arguments)
     unknown = [name for name in options.columns if name not in COLUMNS]
     if unknown:
@@ -125,117 +94,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(any(result.error or result.missing for row in rows for result in row.results))
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="scripts/evaluate", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    add = parser.add_argument
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument(
-        "--run", type=Path, metavar="OUT_DIR", help="score the masks of this finished run; needs --truth"
-    )
-    what.add_argument(
-        "--paper",
-        action="store_true",
-        help="run the engine on those of the paper's ten sequences that are there, and print the paper's "
-        "tables 1 to 4 with our figures beside the published ones; --jobs 1 for times without contention",
-    )
-    what.add_argument(
-        "--ablate",
-        action="store_true",
-        help="run the engine once for each stage of the method: first with all stages off, then with one "
-        "more each time; then once for each of some parts that the whole method is left without; prints "
-        "means, and two_label_f of each sequence",
-    )
-    what.add_argument(
-        "--disturb",
-        action="store_true",
-        help="run the engine as it is, then disturbed: parameters 20 %% off, frames left out, mirrored, "
-        "cropped by 3 px, because there is no seed to change, a frame lost, in new light, and with a clock, "
-        "a logo, a bonnet or bars drawn over; prints the same and names the worst run. "
-        "Each run is judged on the frames it has",
-    )
-    what.add_argument(
-        "--sizes",
-        type=_sides,
-        metavar="PX,...",
-        help="run the engine on the pictures as they are, then shrunk or enlarged to each of these longer "
-        "sides; prints means of figures in the size of the truth, and the CPU time; --jobs 1 for times "
-        "without contention",
-    )
-    add(
-        "--truth",
-        nargs="+",
-        default=[],
-        metavar="NAME=GT_DIR",
-        help="a stream of the run and its truth: a folder of PNG label maps with the masks' stems, a folder "
-        "of BMS-26 or FBMS, or a synthetic: URI; or a folder or quoted glob of folders, each for the stream "
-        "of its name",
-    )
-    add(
-        "--data",
-        type=Path,
-        metavar="ROOT",
-        help="run the engine on the sequences below this folder "
-        f"(default: the environment variable {datasets.DATA_VARIABLE})",
-    )
-    add(
-        "--sequences",
-        type=lambda text: [name for name in text.split(",") if name],
-        metavar="NAME,...",
-        help="only these: by their folders below ROOT, as in mlbs/cars1, also globs such as '480p/*', or "
-        "synthetic:NAME?frames=60&seed=1",
-    )
-    add("--lookahead", type=int, metavar="N", help="the same as --set layers.lookahead=N")
-    add("--config", type=Path, metavar="FILE", help="YAML file with parameters of the engine")
-    add(
-        "--set",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="SECTION.KEY=VALUE",
-        help="parameters of the engine, after those of --config",
-    )
-    add(
-        "--flow",
-        type=Path,
-        metavar="FOLDER",
-        help="use stored flow in place of the engine's own: forward/NAME/STEM.flo from a frame to the next, "
-        "backward/NAME/STEM.flo to the one before, or .npy",
-    )
-    add(
-        "--reliability",
-        action="store_true",
-        help="also print how well the score of a mask says its intersection over union with the truth",
-    )
-    add(
-        "--jobs",
-        type=int,
-        default=2,
-        metavar="N",
-        help="runs of the engine at the same time (default 2)",
-    )
-    add("--json", type=Path, metavar="FILE", help="write all figures there, also by range of frames")
-    add("--csv", type=Path, metavar="FILE", help="write a row for each frame with truth there")
-    add("--latex", type=Path, metavar="FILE", help="write a table of the sequences there")
-    add(
-        "--columns",
-        type=lambda text: text.split(","),
-        default=LATEX_COLUMNS,
-        metavar="NAME,...",
-        help=f"of the LaTeX table, by their headings here (default {','.join(LATEX_COLUMNS)})",
-    )
-    add("--sheets", type=Path, metavar="DIR", help="write contact sheets there: labels, truth, difference")
-    return parser
-
-
-def _sides(text: str) -> list[int]:
-    sides = [int(one) if one.isdecimal() else 0 for one in text.split(",")]
-    if min(sides) < LEAST_SIDE:
-        raise argparse.ArgumentTypeError(f"{text!r} must be px, {LEAST_SIDE} or more each, as in 480,960")
-    return sides
-
-
 def _score_run(options: argparse.Namespace) -> list[VariantResults]:
     if not options.truth:
         raise ConfigError(
@@ -245,6 +103,8 @@ def _score_run(options: argparse.Namespace) -> list[VariantResults]:
     if any(getattr(options, one) not in (None, []) for one in for_engine):
         given = ", ".join(f"--{one}" for one in for_engine)
         raise ConfigError(f"--run scores finished masks: leave {given} out.")
+    if not options.run.is_dir():
+        raise ConfigError(f"There is no run {options.run}; check the path.")
     sources = (read_description(options.run) or {}).get("sources", {})
     pairs = [pair for text in options.truth for pair in _streams_with_truth(options.run, text)]
     with_masks = {path.name for path in options.run.glob("*") if _has_masks(path)}
@@ -308,9 +168,7 @@ def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
         raise ConfigError("--truth belongs to --run; with --data the truth is found beside the pictures.")
     if options.jobs < 1:
         raise ConfigError(f"--jobs is {options.jobs}; it must be 1 or more.")
-    overrides = list(options.set)
-    if options.lookahead is not None:
-        overrides.append(f"layers.lookahead={options.lookahead}")
+    overrides = _overrides(options)
     names = _sequence_names(options)
     # Unusable parameters and sequences are reported before anything runs.
     variants = _variants(options, overrides)
@@ -323,6 +181,11 @@ def _score_engine(options: argparse.Namespace) -> list[VariantResults]:
     prepare = warm_engine if options.paper or options.sizes else None  # their tables hold times
     setup = EngineSetup(options.data, options.config, options.flow, options.sheets)
     return run_variants(variants, names, setup, options.jobs, prepare)
+
+
+def _overrides(options: argparse.Namespace) -> list[str]:
+    lookahead = [] if options.lookahead is None else [f"layers.lookahead={options.lookahead}"]
+    return [*options.set, *lookahead]
 
 
 def _compares(options: argparse.Namespace) -> bool:
@@ -404,11 +267,20 @@ def _print_failures(rows: Sequence[VariantResults]) -> None:
 
 def _write_files(options: argparse.Namespace, rows: Sequence[VariantResults]) -> None:
     if options.json:
-        write_json(options.json, _as_json(options, rows))
+        write_json(options.json, _what_ran(options) | _as_json(options, rows))
     if options.csv:
         write_csv(options.csv, rows[0].results)
     if options.latex:
         write_latex(options.latex, rows[0].results, options.columns)
+
+
+def _what_ran(options: argparse.Namespace) -> dict[str, Any]:
+    """Return whose labels were scored: the run's, or those of an engine of these parameters and versions."""
+    if options.run:
+        return {"run": str(options.run)}
+    config = load_config(options.config, _overrides(options))
+    changed = config.model_dump(mode="json", exclude_defaults=True)
+    return {"parameters": changed, "versions": installed_versions()}
 
 
 def _as_json(options: argparse.Namespace, rows: Sequence[VariantResults]) -> dict[str, Any]:

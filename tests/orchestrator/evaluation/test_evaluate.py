@@ -202,7 +202,10 @@ def test_the_command_runs_the_engine_and_prints_its_time(
     arguments = ["--sequences", TINY_CROSSING, "--lookahead", "2", "--json", str(figures)]
     assert main([*arguments, "--sheets", str(tmp_path / "sheets")]) == 0
     assert lookaheads == [2]
-    result = json.loads(figures.read_text())["sequences"][TINY_CROSSING]
+    record = json.loads(figures.read_text())
+    assert record["parameters"] == {"layers": {"lookahead": 2}}
+    assert record["versions"]["numpy"] == np.__version__
+    result = record["sequences"][TINY_CROSSING]
     assert result["stage_ms"] == {"cut": 2.0}
     assert result["ms_per_frame"] > 0
     assert "100" in capsys.readouterr().out.splitlines()[1]
