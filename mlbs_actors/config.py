@@ -415,7 +415,9 @@ class PosteriorConfig(_Section):
 class SegmentationConfig(_Section):
     """Posterior, data costs and the label-cost graph cut (§6, §7)."""
 
-    contrast_strength: float = Field(1.8, ge=0, description="Cost of a boundary between pixels of one colour, which smooths the masks, nats.")
+    contrast_strength: float = Field(
+        1.8, ge=0, description="Cost of a boundary between pixels of one colour: more is smoother, nats."
+    )
     contrast_scale: float = Field(
         300.0, gt=0, description="Squared colour difference across a boundary at which its cost falls to 1/e."
     )

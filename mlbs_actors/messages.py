@@ -430,7 +430,7 @@ class Segmentation:
             import supervision
         except ImportError:
             raise MlbsError(
-                "to_supervision needs the package supervision; pip install 'mlbs-actors[supervision]'."
+                "to_supervision needs the package supervision; pip install supervision."
             ) from None
         ids, xyxy = self.boxes()
         return supervision.Detections(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import ConfigError, MlbsError
 from mlbs_actors.flow.estimate import FlowFunction
 from mlbs_actors.inspection import FrameInspection, inspect_frame
+from mlbs_actors.kernels.machine_code import has_machine_code
 from mlbs_actors.layer.layer import Layer
 from mlbs_actors.layer.layer_state import LayerState
 from mlbs_actors.messages import Array, FrameEvidence, LayerKind, Segmentation, readonly
@@ -30,6 +32,8 @@ from mlbs_actors.tracking.trajectories import TrackFunction
 from mlbs_actors.video_file import video_frames
 
 __all__ = ["MultilayerSubtractor"]
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +117,11 @@ class MultilayerSubtractor:
             raise ConfigError(
                 f"ignored must be a (height, width) mask of bool, not {ignored.shape} {ignored.dtype}; "
                 "mask != 0 makes one of a picture."
+            )
+        if not has_machine_code():
+            _log.warning(
+                "This is the first use of this installation: it compiles for one to three minutes, once, "
+                "or longer if the machine is busy. 'python -m mlbs_actors.warm_up' does that beforehand."
             )
         self.config = config or Config()
         self._inspector = inspector

@@ -16,7 +16,7 @@ from orchestrator.events.zones import ZonesFile, read_zones
 from orchestrator.ignored import Ignored, read_ignored
 from orchestrator.mistaken_flags import refuse_source_behind, unknown_flag
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
-from orchestrator.program import command_line_of, program_name
+from orchestrator.program import command_line_of, program_name, python_name
 from orchestrator.run.argument_streams import DEMO, argument_address, default_output
 from orchestrator.run.retention_limits import HOUR, Keep, parse_keep, parse_segment
 
@@ -59,6 +59,7 @@ output:
   DIR/ray.log                    warnings of Ray itself
   DIR/NAME/masks/FRAME.png       a pixel's value is its layer's id, 0 is the background; an
                                  indexed picture: read it with Pillow, cv2.imread gives colours
+  DIR/NAME/objects.csv, .json    a row per object: when, where, how it ended, a score of its masks
   DIR/NAME/layers-*.parquet      a row per frame and layer
   DIR/NAME/frames-*.parquet      a row per frame
   DIR/NAME/events.jsonl          what happened: births and ends of objects, zones, the camera
@@ -70,9 +71,9 @@ output:
 
 while it runs: a table on a terminal, else JSON lines on standard output; messages on standard error
 afterwards:
-  python -m orchestrator.export FORMAT DIR OUT   as coco, mots, davis, youtube-vos or rerun
-  python -m orchestrator.disk_use DIR            bytes a frame and GB a day of each stream
-  python -m orchestrator.report DIR              report.html anew, also of a run that was killed
+  PYTHON -m orchestrator.export FORMAT DIR OUT   csv, coco, mot, mots, davis, youtube-vos, overlay, rerun
+  PYTHON -m orchestrator.disk_use DIR            bytes a frame and GB a day of each stream
+  PYTHON -m orchestrator.report DIR              report.html anew, also of a run that was killed
 
 exit status:
   0    every stream was segmented to its end; that of a camera without --max-frames is SIGINT or SIGTERM
@@ -343,7 +344,7 @@ def _parser() -> argparse.ArgumentParser:
         usage="%(prog)s [SOURCE ...] [--streams LIST] [--output DIR] [flags]",
         description="Segment every independently moving object in many moving-camera videos at once: "
         "a label map for every frame of every stream.",
-        epilog=_EPILOG,
+        epilog=_EPILOG.replace("PYTHON", python_name()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )

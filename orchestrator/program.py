@@ -1,15 +1,16 @@
-"""The name of the command, as its user typed it: for the help, and for advice that can be pasted."""
+"""The names of the command, as its user typed it, and of its Python, for help and advice to be pasted."""
 
 from __future__ import annotations
 
 import os
 import shlex
+import shutil
 import sys
 from pathlib import Path
 
 from orchestrator.credentials import mask
 
-__all__ = ["command_line_of", "program_name"]
+__all__ = ["command_line_of", "program_name", "python_name"]
 
 #: Set by scripts/run to the path by which it was called.
 _VARIABLE = "MLBS_COMMAND"
@@ -26,3 +27,11 @@ def program_name() -> str:
 def command_line_of(*words: str) -> str:
     """Write the command with these arguments so that a shell takes it as it is meant, without credentials."""
     return f"{program_name()} {shlex.join(map(mask, words))}"
+
+
+def python_name() -> str:
+    """Return the word that starts this Python from here."""
+    if (found := shutil.which("python")) is not None and Path(found) == Path(sys.executable):
+        return "python"
+    below = Path(sys.executable).is_relative_to(Path.cwd())
+    return shlex.quote(os.path.relpath(sys.executable) if below else sys.executable)

@@ -96,6 +96,15 @@ def test_what_is_restored_from_a_pickle_goes_on_as_the_original(
     assert as_bytes(results) == as_bytes(expected)
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_the_first_use_says_that_it_compiles(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("mlbs_actors.subtractor.has_machine_code", lambda: compiled)
+    MultilayerSubtractor()
+    assert ("compiles for one to three minutes" in caplog.text) != compiled
+
+
 def test_something_else_than_a_configuration_is_refused() -> None:
     with pytest.raises(ConfigError, match="load_config"):
         MultilayerSubtractor("my.yaml")  # type: ignore[arg-type]

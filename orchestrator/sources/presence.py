@@ -11,6 +11,7 @@ import re
 import shlex
 from collections.abc import Collection
 from decimal import Decimal
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 
@@ -95,7 +96,7 @@ def _require_path(address: SourceAddress) -> None:
     if holds_images(address):
         images_of(address.location)
     elif not path.exists():
-        raise SourceError(f"There is no file or folder {address}; check the path.")
+        raise SourceError(f"There is no file or folder {address}; {_advice_on(path)}")
     elif not path.is_file():
         # A pipe would block its reader for ever.
         raise SourceError(f"{address} is no regular file; name a video file or a folder of images.")
@@ -103,6 +104,14 @@ def _require_path(address: SourceAddress) -> None:
         raise SourceError(f"The file {address} cannot be read; change its permissions.")
     elif path.stat().st_size == 0:
         raise SourceError(f"The file {address} is empty; copy it again.")
+
+
+def _advice_on(missing: Path) -> str:
+    """Say which name in its folder is meant, if one is nearly the same."""
+    there = [path.name for path in missing.parent.iterdir()] if missing.parent.is_dir() else []
+    alike = {name.lower(): name for name in there}
+    near = get_close_matches(missing.name.lower(), alike, n=1, cutoff=0.85)
+    return f"did you mean {alike[near[0]]!r}?" if near else "check the path."
 
 
 def holds_images(address: SourceAddress) -> bool:

@@ -559,6 +559,17 @@ def test_a_source_that_is_not_there_is_told_without_opening_it(
 
 
 @pytest.mark.parametrize(
+    ("name", "advice"), [("strete.mp4", "did you mean 'Street.mp4'?"), ("walk.mp4", "check the path.")]
+)
+def test_a_misspelt_name_is_answered_with_the_one_that_is_there(
+    tmp_path: Path, name: str, advice: str
+) -> None:
+    (tmp_path / "Street.mp4").touch()
+    with pytest.raises(SourceError, match=re.escape(advice)):
+        require_source(parse_address(name, tmp_path))
+
+
+@pytest.mark.parametrize(
     "uri", ["rtsp://127.0.0.1:9/door", "/dev/video999", "synthetic:demo", "x" * 300 + "/a.mp4"]
 )
 def test_what_cannot_be_known_without_opening_it_is_left_to_the_reader(uri: str, tmp_path: Path) -> None:
