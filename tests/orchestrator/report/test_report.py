@@ -235,6 +235,7 @@ def test_objects_are_those_of_the_label_maps_and_the_long_ones_are_counted(tmp_p
         "11",
         "0",
         "80",
+        "0.50",
         "moving",
         "5 in its place",
     ]
