@@ -17,6 +17,7 @@ from mlbs_actors.errors import ConfigError
 from orchestrator.events.pictures import PICTURES
 from orchestrator.events.scene import VIEWS
 from orchestrator.sinks.commit_log import read_commits
+from orchestrator.sinks.overlay import overlays
 from orchestrator.sinks.record_tables import read_table
 from orchestrator.sinks.snapshot_folder import SNAPSHOTS
 
@@ -97,12 +98,16 @@ def stream_use(folder: Path) -> StreamUse | None:
     steps = np.diff(pts)[table["status"].to_numpy(zero_copy_only=False)[:-1] != "gap"]
     label_maps = rows * labelled.mean()
     found = bytes_by_kind(folder)
+    per_frame = {kind: float(found[kind] / label_maps) for kind in KINDS if found[kind]}
+    if (videos := overlays(folder)) and (shown := commits[-1].last + 1 - videos[0][0]) > 0:
+        # That of a killed run is lost.
+        per_frame["overlay"] = found["overlay"] / min(label_maps, shown * float(labelled.mean()))
     newest = table.filter(table["name"].is_valid()).slice(int(labelled.sum()) - 1).to_pylist()[0]
     return StreamUse(
         width=newest["width"],
         height=newest["height"],
         rate=float(labelled.sum() / max(steps.sum(), 1e-9)),
-        per_frame={kind: float(found[kind] / label_maps) for kind in KINDS if found[kind]},
+        per_frame=per_frame,
     )
 
 

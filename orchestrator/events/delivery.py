@@ -188,7 +188,8 @@ class Delivery:
             except DeliveryError as error:
                 failures += 1
                 if failures == 1:
-                    self._say(f"Events cannot be delivered to {self._name}: {error}. It is tried again.")
+                    reason = str(error).rstrip(".")
+                    self._say(f"Events cannot be delivered to {self._name}: {reason}. It is tried again.")
                 self._stop.wait(retry_seconds(failures))
             else:
                 if failures:

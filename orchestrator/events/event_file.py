@@ -36,9 +36,6 @@ _MARKS = ".events"
 #: Events of an object that have a picture, if the stream has zones.
 _PICTURED = frozenset[EventKind](("born", "entered", "left", "crossed"))
 
-#: A difference of the clocks that is no delay: the machine's clock was set, s.
-_CLOCK_SET_SECONDS = 60.0
-
 
 @dataclass(slots=True)
 class _Mark:
@@ -102,16 +99,16 @@ class EventFile:
         """Whether there are lines to write."""
         return bool(self._unwritten)
 
-    def add(self, row: FrameRow, now: float | None) -> set[int]:
+    def add(self, row: FrameRow, taken: float | None) -> set[int]:
         """Add the next row of the record; return the objects whose pictures the lines name.
 
         Parameters
         ----------
         row : FrameRow
-        now : float, optional
-            Seconds since 1970; only if the row has just happened.
+        taken : float, optional
+            When a camera took it, seconds since 1970.
         """
-        return self._take(_Step(row, None if now is None or row.status == "gap" else now - row.pts))
+        return self._take(_Step(row, None if taken is None else taken - row.pts))
 
     def silent(self) -> None:
         """Add that the source sends nothing after the rows so far."""
@@ -195,7 +192,7 @@ class _EventLines:
 
     def after(self, step: _Step) -> list[str]:
         if step.began is not None:
-            self._set_clock(step.began)
+            self._began = step.began
         events = self._happenings.silent() if step.row is None else self._happenings.after(step.row)
         return self._lines(events, step.row)
 
@@ -236,11 +233,6 @@ class _EventLines:
             "picture": picture,
             "number": number,
         }
-
-    def _set_clock(self, began: float) -> None:
-        # Rows come late by what they take; the least of all delays is nearest to the truth.
-        if self._began is None or not self._began <= began < self._began + _CLOCK_SET_SECONDS:
-            self._began = began
 
 
 def event_id(stream: str, event: Event) -> str:

@@ -59,7 +59,7 @@ class StreamEvents:
             self._new_views.append((frame.index, path))
         return self._scene.place
 
-    def add(self, row: FrameRow, image: Array | None, now: float | None) -> None:
+    def add(self, row: FrameRow, image: Array | None, taken: float | None) -> None:
         """Add the next row of the record, and write the pictures that its lines name.
 
         Parameters
@@ -67,10 +67,10 @@ class StreamEvents:
         row : FrameRow
         image : (H, W, 3) uint8, optional
             The frame's picture, if it has one.
-        now : float, optional
-            Seconds since 1970; only if the row has just happened.
+        taken : float, optional
+            When a camera took it, seconds since 1970.
         """
-        pictured = self._file.add(row, now)
+        pictured = self._file.add(row, taken)
         if pictured and self._pictures is not None and row.result is not None and image is not None:
             shown = [layer for layer in row.result.layers if layer.layer in pictured]
             self._pictures.write(image, row.frame, shown)

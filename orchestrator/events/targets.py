@@ -91,7 +91,7 @@ def parse_target(text: str) -> EventTarget:
                 "without wildcards."
             )
         if importlib.util.find_spec("paho") is None:
-            raise ConfigError("--events mqtt://… needs a package: pip install 'mlbs-actors[mqtt]'")
+            raise ConfigError("--events mqtt://… needs a package: pip install paho-mqtt")
     host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
     place = host if port is None else f"{host}:{port}"
     user = None if parts.username is None else unquote(parts.username)

@@ -135,6 +135,11 @@ class RunFolder:
                 continue
             recorded = self.recorded_sources(begun) if key == "sources" else {}
             if key != "sources" or not recorded.items() <= description[key].items():
+                if key == "zones" and not begun.get(key):
+                    raise ConfigError(
+                        f"The run in {self.path} was started without --zones, on which its events depend: "
+                        "leave it out, or begin another folder with --output."
+                    )
                 changes = "" if key in _UNLISTED else f" ({_changes(begun.get(key), description[key])})"
                 raise ConfigError(
                     f"The run in {self.path} had other {meaning}{changes}; give the same ones as then (see "

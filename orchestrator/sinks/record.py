@@ -151,7 +151,7 @@ class StreamRecord:
             scene = self._events.place(segmentation, frame)
             result = ResultRow.of(segmentation, frame.pixel_aspect, scene)
             row = FrameRow(frame.index, frame.pts, segmentation.status, result, frame.name)
-            self._tell(row, frame.image)
+            self._tell(row, frame.image, frame.taken)
             if "masks" in self._save:
                 self._put(frame, "masks", f"{frame.name}.png", encode_label_image(segmentation.labels))
             if "cutouts" in self._save and frame.image is not None:
@@ -267,9 +267,9 @@ class StreamRecord:
         if self._replayable and ends_group(row.frame):
             self._commit()
 
-    def _tell(self, row: FrameRow, image: Array | None = None) -> None:
-        """Write the events that the next row makes certain, with their pictures."""
-        self._events.add(row, image, None if self._replayable else self._clock())
+    def _tell(self, row: FrameRow, image: Array | None = None, taken: float | None = None) -> None:
+        """Write the events that the next row, taken then, makes certain, with their pictures."""
+        self._events.add(row, image, taken)
         if self._segments is not None and self._segments.name is None:
             with self._log.exclusive():
                 self._segments.advance(self._taken_at(row.pts))

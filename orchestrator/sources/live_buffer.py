@@ -86,6 +86,11 @@ class LiveTime:
         self.last = max(self.last, pts)
         return self.last
 
+    def delay(self, now: float) -> float:
+        """Return how long before ``now`` the newest picture was taken, s, but for its way here."""
+        assert self._began is not None  # there is a picture
+        return now - self._began - self.last
+
 
 @dataclass(slots=True)
 class _Row:
@@ -93,6 +98,7 @@ class _Row:
     pts: float
     status: SourceStatus
     picture: Picture | None
+    taken: float | None
 
 
 class LiveBuffer:
@@ -106,9 +112,9 @@ class LiveBuffer:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def put(self, picture: Picture, pts: float) -> None:
-        """Append a picture; if there are too many, the oldest is dropped."""
-        row = self._append(pts, "ok", picture)
+    def put(self, picture: Picture, pts: float, taken: float | None = None) -> None:
+        """Append a picture taken then, seconds since 1970; if there are too many, the oldest is dropped."""
+        row = self._append(pts, "ok", picture, taken)
         self._pictures.append(row)
         if len(self._pictures) > CAPACITY:
             oldest = self._pictures.popleft()
@@ -116,7 +122,7 @@ class LiveBuffer:
 
     def gap(self, pts: float) -> None:
         """Append a row for a time without pictures that began at ``pts``."""
-        self._append(pts, "gap", None)
+        self._append(pts, "gap", None, None)
 
     def take(self) -> Callable[[], SourceFrame]:
         """Remove the oldest row; return a function that makes it a frame, which takes some milliseconds."""
@@ -125,8 +131,8 @@ class LiveBuffer:
             self._pictures.popleft()
         return lambda: _frame(row)
 
-    def _append(self, pts: float, status: SourceStatus, picture: Picture | None) -> _Row:
-        row = _Row(self._count, pts, status, picture)
+    def _append(self, pts: float, status: SourceStatus, picture: Picture | None, taken: float | None) -> _Row:
+        row = _Row(self._count, pts, status, picture, taken)
         self._rows.append(row)
         self._count += 1
         return row
@@ -136,4 +142,5 @@ def _frame(row: _Row) -> SourceFrame:
     image = None if row.picture is None else row.picture.convert()
     status: SourceStatus = "quarantined" if row.picture is not None and image is None else row.status
     concealed = row.picture is not None and row.picture.concealed
-    return SourceFrame(row.index, image, row.pts, f"{row.index:05d}", status, concealed=concealed)
+    name = f"{row.index:05d}"
+    return SourceFrame(row.index, image, row.pts, name, status, concealed=concealed, taken=row.taken)

@@ -83,6 +83,8 @@ class SourceFrame:
         How wide a pixel is to be shown for its height.
     concealed : bool
         Whether the decoder made up part of the picture. It is labelled as the picture before.
+    taken : float, optional
+        When a camera took it, by this machine's clock, seconds since 1970; None of a file.
     """
 
     index: int
@@ -94,6 +96,7 @@ class SourceFrame:
     length: int | None = None
     pixel_aspect: float = 1.0
     concealed: bool = False
+    taken: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -207,7 +207,7 @@ def test_a_target_that_cannot_be_is_refused_without_its_password(url: str, told:
 
 def test_mqtt_without_its_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"pip install 'mlbs-actors\[mqtt\]'"):
+    with pytest.raises(ConfigError, match=r"pip install paho-mqtt"):
         parse_target("mqtt://host/yard")
 
 

@@ -15,7 +15,7 @@ from segment_fakes import BEGAN, Camera
 from mlbs_actors.errors import ConfigError
 from orchestrator.command import run_command
 from orchestrator.command_line import parse
-from orchestrator.disk_use import bytes_by_kind
+from orchestrator.disk_use import bytes_by_kind, stream_use
 from orchestrator.disk_use import main as disk_use
 from orchestrator.events import delivery as delivery_module
 from orchestrator.events.delivery import Delivery
@@ -27,6 +27,7 @@ from orchestrator.run.retention_limits import Keep, parse_keep, parse_segment
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks import commit_log
 from orchestrator.sinks.commit_log import first_frame, read_commits
+from orchestrator.sinks.overlay import overlays
 from orchestrator.sinks.record import has_snapshot, recorded_frames
 from orchestrator.sinks.segments import segment_folders
 
@@ -85,7 +86,7 @@ def test_the_oldest_segments_of_all_cameras_go_until_the_rest_is_small_enough(tm
         retention.apply()
     assert [len(segment_folders(tmp_path / name)) for name in ("gate", "yard")] == [1, 1]
     assert len(said) == 1
-    assert "without a closed segment to delete" in said[0]
+    assert "there is no closed segment to delete" in said[0]
     again = Camera(tmp_path / "gate")
     assert again.rows == 440
     assert has_snapshot(tmp_path / "gate")
@@ -117,6 +118,19 @@ def test_after_a_deletion_a_stream_goes_on_and_everything_reads_what_is_left(
     printed = capsys.readouterr().out
     assert "50×36    10.0" in printed
     assert "masks 1," in printed
+
+
+def test_the_overlay_that_a_kill_has_lost_counts_for_no_frames(tmp_path: Path) -> None:
+    camera = Camera(tmp_path / "gate")
+    camera.send(440)
+    camera.record.close(whole=False)
+    before = stream_use(tmp_path / "gate")
+    for _, lost in overlays(tmp_path / "gate")[:-2]:
+        lost.unlink()
+    after = stream_use(tmp_path / "gate")
+    assert before is not None
+    assert after is not None
+    assert after.per_frame["overlay"] == pytest.approx(before.per_frame["overlay"], rel=0.3)
 
 
 def test_a_deletion_that_is_killed_is_finished_by_the_next_one(

@@ -264,10 +264,13 @@ def test_a_run_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
             ),
             r"files to --ignore \(was not given, now yard=/mask.png\)",
         ),
-        (plain | {"zones": "ab12"}, "contents of the file of --zones; give"),
     ):
         with pytest.raises(ConfigError, match=f"had other .*{words}"):
             folder.refuse_other(begun, description)
+    with pytest.raises(ConfigError, match="started without --zones"):
+        folder.refuse_other(begun, plain | {"zones": "ab12"})
+    with pytest.raises(ConfigError, match="had other contents of the file of --zones; give"):
+        folder.refuse_other(begun | {"zones": "cd34"}, plain | {"zones": "ab12"})
     (tmp_path / "run.json").write_text("{")
     with pytest.raises(ConfigError, match="cannot be read"):
         folder.description()
