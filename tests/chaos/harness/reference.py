@@ -75,7 +75,7 @@ def _label(source: SourceAddress, folder: Path) -> None:
         if frame.image is None:
             write_gaps()
         else:
-            write(subtractor.apply(frame.image))
+            write(subtractor.apply(frame.image, concealed=frame.concealed))
     write(subtractor.flush())
     record.close(whole=True)
     reader.close()
