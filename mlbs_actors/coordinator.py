@@ -357,6 +357,7 @@ class Coordinator:
             state.labels, state.clustered = np.full(len(trajectories), BACKGROUND, np.int64), True
             state.held = relabelled(state.held, trajectories, state.labels)
         if match.told and self._clustering_due(frame_index):
+            state.last_clustering = frame_index
             cluster(state, frame, frame_index, feedback, config, stage_ms)
         elif state.clustered:
             latest = None if feedback is None else feedback()
@@ -374,7 +375,8 @@ class Coordinator:
     def _is_empty(self) -> bool:
         """Whether there is no object in the last picture, nor anything that may become one."""
         state = self.state
-        return state.evaluated.keys() == {BACKGROUND} and not (state.labels > BACKGROUND).any()
+        known = state.clustered and state.evaluated.keys() == {BACKGROUND}
+        return known and not (state.labels > BACKGROUND).any()
 
     def _pass_over(
         self, frame_index: int, status: FrameStatus, feedback: Callable[[], Segmentation] | None
@@ -446,7 +448,11 @@ class Coordinator:
         layers, age = self.config.layers, frame_index - self.state.epoch
         if not self.state.clustered:
             return self.state.pictures >= layers.init_frames
-        return age < 2 * layers.init_frames or age % layers.clustering_period == 0
+        # A frame in which it was due may have been passed over.
+        last = self.state.last_clustering - self.state.epoch
+        return (
+            age < 2 * layers.init_frames or age // layers.clustering_period > last // layers.clustering_period
+        )
 
     def _emit(self, last: int) -> list[FrameEvidence]:
         """Return the evidence of the held frames up to ``last``."""

@@ -98,6 +98,8 @@ class CoordinatorState:
         Whether the first clustering is done.
     held : tuple of HeldFrame
         Oldest first.
+    last_clustering : int
+        Frame of it; of an epoch without one what it was before.
     evaluated : dict of int to int
         Last emitted frame of each layer that has a process.
     """
@@ -121,6 +123,7 @@ class CoordinatorState:
     registry: RegistryState
     clustered: bool
     held: tuple[HeldFrame, ...]
+    last_clustering: int
     evaluated: dict[int, int]
 
     @staticmethod
@@ -146,5 +149,6 @@ class CoordinatorState:
             registry=RegistryState.empty(),
             clustered=False,
             held=(),
+            last_clustering=0,
             evaluated={},
         )

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from os import PathLike
 from threading import Lock
 from typing import Any
@@ -52,6 +52,16 @@ class _SubtractorState:
     waiting: Mapping[int, Array]
     published: Mapping[int, Segmentation]
     known: tuple[int, ...]
+
+
+@cache
+def _say_if_it_compiles() -> None:
+    """Warn, once, that the first frame takes long."""
+    if not has_machine_code():
+        _log.warning(
+            "This is the first use of this installation: it compiles for one to three minutes, once, or "
+            "longer if the machine is busy. 'python -m mlbs_actors.warm_up' does that beforehand."
+        )
 
 
 class MultilayerSubtractor:
@@ -117,11 +127,6 @@ class MultilayerSubtractor:
             raise ConfigError(
                 f"ignored must be a (height, width) mask of bool, not {ignored.shape} {ignored.dtype}; "
                 "mask != 0 makes one of a picture."
-            )
-        if not has_machine_code():
-            _log.warning(
-                "This is the first use of this installation: it compiles for one to three minutes, once, "
-                "or longer if the machine is busy. 'python -m mlbs_actors.warm_up' does that beforehand."
             )
         self.config = config or Config()
         self._inspector = inspector
@@ -234,6 +239,7 @@ class MultilayerSubtractor:
             yield shown.copy(), result
 
     def _step(self, frame: Array, tag: object = None, concealed: bool = False) -> list[tuple[Array, Result]]:
+        _say_if_it_compiles()
         if isinstance(frame, np.ndarray):  # the coordinator rejects anything else
             frame = frame.copy()  # the caller may reuse its buffer
             frame.setflags(write=False)

@@ -6,6 +6,7 @@ existing machine code is only loaded.
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import sys
 from collections.abc import Iterator
@@ -108,6 +109,7 @@ def _warm_layer_and_cut() -> None:
 def _label_small_scene() -> None:
     from mlbs_actors.subtractor import MultilayerSubtractor
 
+    logging.getLogger(MultilayerSubtractor.__module__).setLevel(logging.ERROR)  # it would advise to do this
     subtractor = MultilayerSubtractor()
     for frame in _small_scene():
         subtractor.apply(frame)

@@ -100,7 +100,7 @@ def stream_use(folder: Path) -> StreamUse | None:
     found = bytes_by_kind(folder)
     per_frame = {kind: float(found[kind] / label_maps) for kind in KINDS if found[kind]}
     if (videos := overlays(folder)) and (shown := commits[-1].last + 1 - videos[0][0]) > 0:
-        # That of a killed run is lost.
+        # The first one may be lost, with a run that was killed.
         per_frame["overlay"] = found["overlay"] / min(label_maps, shown * float(labelled.mean()))
     newest = table.filter(table["name"].is_valid()).slice(int(labelled.sum()) - 1).to_pylist()[0]
     return StreamUse(

@@ -33,5 +33,5 @@ def python_name() -> str:
     """Return the word that starts this Python from here."""
     if (found := shutil.which("python")) is not None and Path(found) == Path(sys.executable):
         return "python"
-    below = Path(sys.executable).is_relative_to(Path.cwd())
+    below = Path(sys.executable).is_relative_to(Path.cwd() / ".venv")
     return shlex.quote(os.path.relpath(sys.executable) if below else sys.executable)

@@ -6,7 +6,7 @@ import argparse
 import fnmatch
 import glob
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -69,6 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         parser.error(f"There is no column {unknown[0]}; those of --columns are: {', '.join(COLUMNS)}.")
     try:
+        ran = _what_ran(options)
         rows = _score_run(options) if options.run else _score_engine(options)
     except MlbsError as error:
         parser.error(str(error))
@@ -88,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _print_remarks(rows[0].results)
     _print_failures(rows)
     try:
-        _write_files(options, rows)
+        _write_files(options, ran, rows)
     except MlbsError as error:
         parser.error(str(error))
     return int(any(result.error or result.missing for row in rows for result in row.results))
@@ -265,9 +266,9 @@ def _print_failures(rows: Sequence[VariantResults]) -> None:
                 print(f"{name}: {result.missing} frames with truth have no labels.", file=sys.stderr)
 
 
-def _write_files(options: argparse.Namespace, rows: Sequence[VariantResults]) -> None:
+def _write_files(options: argparse.Namespace, ran: Mapping[str, Any], rows: Sequence[VariantResults]) -> None:
     if options.json:
-        write_json(options.json, _what_ran(options) | _as_json(options, rows))
+        write_json(options.json, dict(ran) | _as_json(options, rows))
     if options.csv:
         write_csv(options.csv, rows[0].results)
     if options.latex:
@@ -280,7 +281,8 @@ def _what_ran(options: argparse.Namespace) -> dict[str, Any]:
         return {"run": str(options.run)}
     config = load_config(options.config, _overrides(options))
     changed = config.model_dump(mode="json", exclude_defaults=True)
-    return {"parameters": changed, "versions": installed_versions()}
+    flow = None if options.flow is None else str(options.flow)
+    return {"parameters": changed, "flow": flow, "versions": installed_versions()}
 
 
 def _as_json(options: argparse.Namespace, rows: Sequence[VariantResults]) -> dict[str, Any]:

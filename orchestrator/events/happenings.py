@@ -249,7 +249,9 @@ class Happenings:
     def _camera(self, row: FrameRow, result: ResultRow) -> Iterator[Event]:
         if row.status not in ("ok", "repeated"):
             return
-        # Of a repeated picture the motion is 0.
+        # A repetition shows no motion: a camera that moved may have stopped; one that stood still may move.
+        if row.status == "repeated" and not self.state.moving:
+            return
         state, speed = self.state, math.hypot(*result.camera_motion) / max(result.shape)
         if (speed >= _MOVING / 2) if state.moving else (speed <= _MOVING):
             state.contrary = 0

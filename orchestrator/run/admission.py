@@ -7,8 +7,8 @@ the pool starts processes while memory lasts (:mod:`mlbs_actors.actors.node.pool
 A stream of a file takes all CPU time that it gets, so a fixed number of them keeps the cores busy, and more
 would only cost memory. A camera takes what its rate asks for. So as many cameras start as files would; once
 it is measured what these take, with the objects that they have after half a minute, more start, until all
-but a tenth of the cores is busy: without a reserve cameras drop frames. Of those of a resumed run it is known
-from the start. What was admitted stays: if it takes more later, frames are dropped, too.
+but a tenth of the cores is busy: without a reserve cameras drop frames. Those of a resumed run
+start at once. What was admitted stays: if it takes more later, frames are dropped, too.
 """
 
 from __future__ import annotations
@@ -144,8 +144,11 @@ def by_load(
             files_wait = f"one of the {most_files} places for files, which are taken"
         files_wait = files_wait or load.short_of_cores(core_count, _CORES_A_FILE)
         if camera is not None:
-            more = _with_shared(camera.cores) or load.cores_a_camera
-            cameras_wait = cameras_wait or load.short_of_cores(core_count, more)
+            # One of the run that is resumed was there before, whatever the others take by now.
+            known = camera.earlier_cores > 0
+            cameras_wait = cameras_wait or (
+                "" if known else load.short_of_cores(core_count, load.cores_a_camera)
+            )
         fitting = (file, files_wait), (camera, cameras_wait)
         names = {state.name for state, waits_for in fitting if state is not None and not waits_for}
         first = next((state.name for state in states if state.name in names), None)
@@ -168,7 +171,8 @@ class _Load:
     @staticmethod
     def of(running: Sequence[StreamState]) -> _Load:
         files = sum(not state.live for state in running)
-        cameras = [_with_shared(state.cores) for state in running if state.live and state.cores]
+        measured = [state.cores or state.earlier_cores for state in running if state.live]
+        cameras = [cores * (1 + _SHARED_SHARE) for cores in measured if cores]
         a_camera = fmean(cameras) if cameras else _CORES_A_FILE
         taken = sum(cameras) + a_camera * (len(running) - files - len(cameras)) + files * _CORES_A_FILE
         memory = [state.memory for state in running if state.memory]
@@ -200,11 +204,6 @@ class _Load:
             return ""
         left, more = max(free - reserved, 0) / 2**30, self.memory_a_stream / 2**30
         return f"memory: {left:.1f} GiB are left for more streams, and one takes {more:.1f} GiB"
-
-
-def _with_shared(cores: float) -> float:
-    """Return the cores that a stream takes in all."""
-    return cores * (1 + _SHARED_SHARE)
 
 
 def _running(states: Sequence[StreamState], ending: Collection[str]) -> list[StreamState]:

@@ -72,7 +72,7 @@ class Driver:
     lengths : mapping of str to int, optional
         Frames that waiting streams will read, as far as known; for display only.
     loads : mapping of str to float, optional
-        Cores that streams kept busy in the run that this one resumes.
+        Cores that cameras kept busy in the run that this one resumes.
     ended : mapping of str to StreamState, optional
         Streams that have no source, or ended in an earlier run; they are not started.
     changes : callable, optional
@@ -307,8 +307,8 @@ def _new_state(spec: StreamSpec, lengths: Mapping[str, int], loads: Mapping[str,
     length = lengths.get(spec.name)
     if spec.max_frames is not None and (length is not None or not spec.replayable):
         length = spec.max_frames if length is None else min(length, spec.max_frames)
-    cores = loads.get(spec.name, 0.0)
-    return StreamState(spec.name, line=spec.line, length=length, live=not spec.replayable, cores=cores)
+    cores, live = loads.get(spec.name, 0.0), not spec.replayable
+    return StreamState(spec.name, line=spec.line, length=length, live=live, earlier_cores=cores)
 
 
 def _sentence(error: Exception) -> str:

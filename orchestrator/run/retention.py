@@ -121,12 +121,10 @@ class Retention:
                     break
         if self._exceeds() and not closed and not self._too_much:
             self._too_much = True
-            needed = (self._size + self._to_come) / (1 - _FREE)
             self._say(
-                f"The cameras take {self._size / 1e6:,.0f} MB, and there is no closed segment to delete. Of "
-                f"--keep {self._to_come / 1e6:,.0f} MB are reserved for their next snapshots and a fiftieth "
-                f"for what is being written, so give it more than {needed / 1e6:,.0f} MB, or --segment a "
-                "shorter time."
+                f"The cameras take {self._size / 1e6:,.0f} MB, their next snapshots may take "
+                f"{self._to_come / 1e6:,.0f} MB, and there is no closed segment to delete. That is more than "
+                "--keep allows: give it room for some segments of each camera, or --segment a shorter time."
             )
 
     def _exceeds(self) -> bool:

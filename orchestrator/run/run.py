@@ -107,7 +107,7 @@ def run(
         ended = gone_from_list(folder, recorded, streams, faults)
     # On a cluster the pictures come from other machines, through the shared folder.
     live = None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
-    loads = {name: state.cores for name, state in folder.states().items() if state.cores}
+    loads = {name: state.cores or state.earlier_cores for name, state in folder.states().items()}
     job = Job(streams, arguments, config, folder, live, _say, recorded if arguments.watch else None)
     memory = node_memory()
     retention = None if arguments.keep is None else Retention(folder.path, arguments.keep, _say)

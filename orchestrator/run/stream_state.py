@@ -67,8 +67,9 @@ class StreamState:
     live : bool
         Whether it is a camera's.
     cores : float
-        Cores that its processes keep busy if no frame is dropped, or did when a signal stopped it; 0 while it
-        is unknown.
+        Cores that its processes keep busy if no frame is dropped; 0 while it is unknown.
+    earlier_cores : float
+        The same of a camera in the run that this one resumes, or before a signal stopped it.
     memory : int
         Their unique memory, bytes.
     waits_for : str, optional
@@ -94,6 +95,7 @@ class StreamState:
     objects: int = 0
     live: bool = False
     cores: float = 0.0
+    earlier_cores: float = 0.0
     memory: int = 0
     waits_for: str | None = None
 
@@ -221,7 +223,9 @@ def with_record(state: StreamState, recorded: int) -> StreamState:
 def after_interruption(state: StreamState, progress: StreamProgress | None) -> StreamState:
     """Return the state of a running stream that was stopped by a signal and drained to ``progress``."""
     counted = state if progress is None else after_progress(state, progress, 0.0)
-    interrupted = replace(_ended(counted), interrupted=True, cores=counted.cores)
+    interrupted = replace(_ended(counted), interrupted=True)
+    if state.live:
+        interrupted = replace(interrupted, earlier_cores=counted.cores or counted.earlier_cores)
     if state.endless and progress is not None:
         return replace(interrupted, state="done", error=None)
     kept = "what was read is kept" if progress is not None else "what was committed is kept"

@@ -247,7 +247,7 @@ class LiveReader:
             if returned or (self._delivered and now - self._last_sign > STALL_SECONDS):
                 self._buffer.gap(self._time.last)
             pts = self._time.of(picture.time, now)
-            self._buffer.put(picture, pts, time.time() - self._time.delay(now))
+            self._buffer.put(picture, pts, time.time() - self._time.delay)
             self._last_picture = self._last_sign = now
             self._last_picture_at = datetime.now().astimezone()
             self._delivered, self._absence = True, None

@@ -67,6 +67,7 @@ class LiveTime:
         self._began: float | None = None
         self._offset: float | None = None
         self.last = 0.0
+        self._late = self._least_late = 0.0
 
     def reconnected(self) -> None:
         """Accept any time from a new connection."""
@@ -77,19 +78,27 @@ class LiveTime:
         if self._began is None:
             self._began = now
         arrived = now - self._began
+        offset = self._offset
         if camera_time is None:
             pts = arrived
         else:
-            if self._offset is None or abs(camera_time + self._offset - arrived) > _MOST_DRIFT_SECONDS:
-                self._offset = arrived - camera_time
-            pts = camera_time + self._offset
+            if offset is None or abs(camera_time + offset - arrived) > _MOST_DRIFT_SECONDS:
+                offset = arrived - camera_time
+            pts = camera_time + offset
         self.last = max(self.last, pts)
+        self._late = arrived - self.last
+        same_clock = offset is not None and offset == self._offset
+        self._least_late = min(self._late, self._least_late) if same_clock else self._late
+        self._offset = offset
         return self.last
 
-    def delay(self, now: float) -> float:
-        """Return how long before ``now`` the newest picture was taken, s, but for its way here."""
-        assert self._began is not None  # there is a picture
-        return now - self._began - self.last
+    @property
+    def delay(self) -> float:
+        """How long before its arrival the newest picture was taken, s, but for the quickest one's way here.
+
+        A connection may begin with pictures that have waited for it.
+        """
+        return self._late - self._least_late
 
 
 @dataclass(slots=True)

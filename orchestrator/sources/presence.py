@@ -10,9 +10,11 @@ import os
 import re
 import shlex
 from collections.abc import Collection
+from contextlib import suppress
 from decimal import Decimal
 from difflib import get_close_matches
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 from mlbs_actors.errors import SourceError
@@ -106,10 +108,17 @@ def _require_path(address: SourceAddress) -> None:
         raise SourceError(f"The file {address} is empty; copy it again.")
 
 
+#: Most names in a folder that a missing one is compared with.
+_NAMES_COMPARED = 2_000
+
+
 def _advice_on(missing: Path) -> str:
     """Say which name in its folder is meant, if one is nearly the same."""
-    there = [path.name for path in missing.parent.iterdir()] if missing.parent.is_dir() else []
-    alike = {name.lower(): name for name in there}
+    alike: dict[str, str] = {}
+    with suppress(OSError):  # the folder is missing, too, or cannot be listed
+        there = (path.name for path in islice(missing.parent.iterdir(), _NAMES_COMPARED))
+        ending = missing.suffix.lower()
+        alike = {name.lower(): name for name in there if Path(name).suffix.lower() == ending}
     near = get_close_matches(missing.name.lower(), alike, n=1, cutoff=0.85)
     return f"did you mean {alike[near[0]]!r}?" if near else "check the path."
 

@@ -306,6 +306,20 @@ def test_an_empty_place_is_passed_over_and_what_comes_into_it_is_found(
     assert all(result.labels.any() for result in results[birth(results) :])
 
 
+def test_an_empty_place_of_another_size_is_looked_at_before_it_is_passed_over() -> None:
+    small = scene("static-empty", frames=14, width=160, height=120)
+    large = scene("static-empty", frames=14, width=320, height=240)
+    results = labelled([one.frame(index) for one in (small, large) for index in range(14)])
+    for begin in (0, 14):
+        assert {result.status for result in results[begin : begin + 5]} == {"ok"}
+        assert {result.status for result in results[begin + 6 : begin + 14]} == {"repeated"}
+
+
+def test_objects_of_a_video_that_shows_each_picture_three_times_are_found(pictures: list[Array]) -> None:
+    results = labelled([pictures[0], *(picture for picture in pictures[:24] for _ in range(3))])
+    assert all(result.labels.any() for result in results[40:])
+
+
 @pytest.mark.parametrize(("gain", "offset"), [(1.2, 0.0), (0.6, 10.0), (1.0, -20.0)])
 def test_the_change_of_light_is_that_of_matched_colours(gain: float, offset: float) -> None:
     rng = np.random.default_rng(1)

@@ -92,6 +92,19 @@ def test_times_are_the_camera_s_own_from_its_first_picture() -> None:
     )
 
 
+def test_a_picture_that_waited_for_its_connection_was_taken_earlier() -> None:
+    times = LiveTime()
+    delays = []
+    for camera_time, now in ((900.0, 50.0), (900.2, 50.0), (900.4, 50.0), (900.6, 50.1), (900.8, 50.6)):
+        times.of(camera_time, now)
+        delays.append(times.delay)
+    # By the fourth picture it is known that the first ones came in a burst; the last one was late.
+    assert delays == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.3])
+    times.reconnected()
+    times.of(3.0, 57.0)
+    assert times.delay == 0.0
+
+
 def test_a_new_connection_goes_on_in_time_wherever_its_clock_begins() -> None:
     times = LiveTime()
     times.of(900.0, 50.0)

@@ -174,6 +174,11 @@ def test_a_camera_is_still_when_its_picture_is_always_the_same() -> None:
     panned = [row(index, EMPTY, (1.0, 0.0)) for index in range(6)]
     same = [replace(row(index, EMPTY), status="repeated") for index in range(6, 20)]
     assert told(events(panned + same)) == [("camera moving", 0), ("camera still", 6)]
+    doubled = [
+        replace(row(index, EMPTY, (float(index % 2), 0.0)), status="ok" if index % 2 else "repeated")
+        for index in range(12)
+    ]
+    assert told(events(doubled)) == [("camera moving", 1)]
 
 
 def test_a_stream_is_lost_and_back() -> None:

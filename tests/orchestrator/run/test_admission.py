@@ -65,9 +65,8 @@ def test_cameras_begin_as_many_as_files_and_more_follow_when_it_is_known_what_th
 
 def test_cameras_of_a_resumed_run_start_at_once_by_what_they_took() -> None:
     admission = by_load(2, 4, lambda: PLENTY)
-    known = [replace(camera(f"w{number}"), cores=0.15) for number in range(12)]
-    assert len(started(admission, known)) == 10
-    assert started(admission, [replace(camera("w"), cores=1.4), *known]) == ["w", "w0"]
+    known = [replace(camera(f"w{number}"), earlier_cores=0.5) for number in range(6)]
+    assert started(admission, [*known, *waiting(2)]) == [state.name for state in known]
 
 
 def test_a_camera_away_keeps_its_share() -> None:

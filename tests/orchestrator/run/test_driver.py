@@ -514,7 +514,9 @@ def test_cameras_that_a_signal_stopped_in_order_are_complete_beside_files_that_a
 
 def test_what_a_camera_took_when_it_was_stopped_is_known_when_it_is_resumed() -> None:
     running = replace(StreamState("door", "running", read=20, live=True), cores=0.3)
-    loads = {"door": after_interruption(running, progress(20, done=True)).cores}
+    stopped_door = after_interruption(running, progress(20, done=True))
+    assert stopped_door.cores == 0
+    loads = {"door": stopped_door.earlier_cores}
     door = Driver(
         [spec("door"), spec("new")],
         FakeHost({}),
@@ -523,7 +525,7 @@ def test_what_a_camera_took_when_it_was_stopped_is_known_when_it_is_resumed() ->
         interruption=Interruption(),
         loads=loads,
     )
-    assert [state.cores for state in door.states] == [0.3, 0.0]
+    assert [state.earlier_cores for state in door.states] == [0.3, 0.0]
 
 
 def test_a_stream_that_was_short_of_memory_says_so_to_its_end() -> None:
