@@ -387,7 +387,8 @@ class Coordinator:
             feedback()  # the layers must keep pace
         state, config = self.state, self.config.layers
         state.held = (*state.held, no_picture(frame_index, status))
-        if not state.clustered and len(state.held) >= config.init_frames:
+        newest = [held.status in NO_PICTURE for held in state.held[-config.init_frames :]]
+        if not state.clustered and len(newest) == config.init_frames and all(newest):
             # The scene stands still, or has not begun: it does when something is seen.
             shown = self.flush()
             picture, colours, cut = state.picture, state.colours, state.cut

@@ -135,6 +135,7 @@ def test_the_status_file_says_how_each_stream_stands(tmp_path: Path) -> None:
         "objects": 0,
         "live": False,
         "cores": 0.0,
+        "earlier_cores": 0.0,
         "memory": 0,
         "queued": 0,
         "seconds_left": None,
