@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
-from mlbs_actors import Config, ConfigError, FrameError, MlbsError, MultilayerSubtractor, Result, subtractor
+from mlbs_actors import Config, ConfigError, FrameError, MlbsError, MultilayerSubtractor, Result
 from mlbs_actors.inspection import FrameInspection
 from mlbs_actors.messages import Array
+from mlbs_actors.subtractor import _say_if_it_compiles
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
 
 def run(pictures: Iterable[Array], config: Config | None = None) -> list[Result]:
-    one_stream = MultilayerSubtractor(config)
-    return [one for picture in pictures for one in one_stream.apply(picture)] + one_stream.flush()
+    subtractor = MultilayerSubtractor(config)
+    return [one for picture in pictures for one in subtractor.apply(picture)] + subtractor.flush()
 
 
 def pictures_of(video: SyntheticScene, frames: int) -> list[Array]:
@@ -101,7 +102,7 @@ def test_the_first_use_says_that_it_compiles(
     compiled: bool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("mlbs_actors.subtractor.has_machine_code", lambda: compiled)
-    subtractor._say_if_it_compiles.cache_clear()
+    _say_if_it_compiles.cache_clear()
     MultilayerSubtractor().apply(np.zeros((96, 128, 3), np.uint8))
     assert ("compiles for one to three minutes" in caplog.text) != compiled
 
