@@ -99,7 +99,7 @@ class CoordinatorState:
     held : tuple of HeldFrame
         Oldest first.
     last_clustering : int
-        Frame of it; of an epoch without one what it was before.
+        Frame of the newest one; 0 if there was none in this epoch.
     evaluated : dict of int to int
         Last emitted frame of each layer that has a process.
     """

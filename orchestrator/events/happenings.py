@@ -247,10 +247,9 @@ class Happenings:
         return said
 
     def _camera(self, row: FrameRow, result: ResultRow) -> Iterator[Event]:
-        if row.status not in ("ok", "repeated"):
-            return
-        # A repetition shows no motion: a camera that moved may have stopped; one that stood still may move.
-        if row.status == "repeated" and not self.state.moving:
+        # A repetition has no motion, so a camera that moved may have stopped. One that stood may move all the
+        # same: of a video that shows each picture twice, every other one is a repetition.
+        if row.status != "ok" and not (row.status == "repeated" and self.state.moving):
             return
         state, speed = self.state, math.hypot(*result.camera_motion) / max(result.shape)
         if (speed >= _MOVING / 2) if state.moving else (speed <= _MOVING):

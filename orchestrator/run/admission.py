@@ -7,8 +7,8 @@ the pool starts processes while memory lasts (:mod:`mlbs_actors.actors.node.pool
 A stream of a file takes all CPU time that it gets, so a fixed number of them keeps the cores busy, and more
 would only cost memory. A camera takes what its rate asks for. So as many cameras start as files would; once
 it is measured what these take, with the objects that they have after half a minute, more start, until all
-but a tenth of the cores is busy: without a reserve cameras drop frames. Those of a resumed run
-start at once. What was admitted stays: if it takes more later, frames are dropped, too.
+but a tenth of the cores is busy: without a reserve cameras drop frames. Those of a resumed run start at once.
+What was admitted stays: if it takes more later, frames are dropped, too.
 """
 
 from __future__ import annotations
@@ -143,15 +143,11 @@ def by_load(
         if load.files >= most_files:
             files_wait = f"one of the {most_files} places for files, which are taken"
         files_wait = files_wait or load.short_of_cores(core_count, _CORES_A_FILE)
-        if camera is not None:
-            # One of the run that is resumed was there before, whatever the others take by now.
-            known = camera.earlier_cores > 0
-            cameras_wait = cameras_wait or (
-                "" if known else load.short_of_cores(core_count, load.cores_a_camera)
-            )
-        fitting = (file, files_wait), (camera, cameras_wait)
-        names = {state.name for state, waits_for in fitting if state is not None and not waits_for}
-        first = next((state.name for state in states if state.name in names), None)
+        # One of the run that is resumed was there before, whatever the others take by now.
+        if camera is None or not camera.earlier_cores:
+            cameras_wait = cameras_wait or load.short_of_cores(core_count, load.cores_a_camera)
+        fitting = [one for one, waits_for in ((file, files_wait), (camera, cameras_wait)) if not waits_for]
+        first = next((state.name for state in states if state in fitting), None)
         return Verdict(first, files_wait, cameras_wait)
 
     return admit

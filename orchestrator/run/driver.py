@@ -96,8 +96,10 @@ class Driver:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._specs = {spec.name: spec for spec in specs}
-        known = lengths or {}, loads or {}
-        self._states = {spec.name: _new_state(spec, *known) for spec in specs} | dict(ended or {})
+        lengths, loads = lengths or {}, loads or {}
+        self._states = {
+            spec.name: _new_state(spec, lengths.get(spec.name), loads.get(spec.name, 0.0)) for spec in specs
+        } | dict(ended or {})
         self._host = host
         self._admission = admission
         self._observers = observers
@@ -161,7 +163,7 @@ class Driver:
                 continue
             self._specs[name] = spec
             self._returns[name] = Returns()
-            self._states[name] = _new_state(spec, {}, {})
+            self._states[name] = _new_state(spec)
             self._show()
 
     def _admit(self) -> None:
@@ -303,12 +305,11 @@ class Driver:
             observer.update(self.states)
 
 
-def _new_state(spec: StreamSpec, lengths: Mapping[str, int], loads: Mapping[str, float]) -> StreamState:
-    length = lengths.get(spec.name)
+def _new_state(spec: StreamSpec, length: int | None = None, earlier_cores: float = 0.0) -> StreamState:
     if spec.max_frames is not None and (length is not None or not spec.replayable):
         length = spec.max_frames if length is None else min(length, spec.max_frames)
-    cores, live = loads.get(spec.name, 0.0), not spec.replayable
-    return StreamState(spec.name, line=spec.line, length=length, live=live, earlier_cores=cores)
+    live = not spec.replayable
+    return StreamState(spec.name, line=spec.line, length=length, live=live, earlier_cores=earlier_cores)
 
 
 def _sentence(error: Exception) -> str:

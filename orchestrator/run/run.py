@@ -107,7 +107,6 @@ def run(
         ended = gone_from_list(folder, recorded, streams, faults)
     # On a cluster the pictures come from other machines, through the shared folder.
     live = None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
-    loads = {name: state.cores or state.earlier_cores for name, state in folder.states().items()}
     job = Job(streams, arguments, config, folder, live, _say, recorded if arguments.watch else None)
     memory = node_memory()
     retention = None if arguments.keep is None else Retention(folder.path, arguments.keep, _say)
@@ -150,9 +149,7 @@ def run(
             hold.enter_context(folder.locked())
         session.enter_context(delivering(arguments.events, folder.path, _say))
         if at_work:
-            states, exit_status = _drive(
-                job, ended, memory, lengths(), loads, status, onlookers, folder, arguments
-            )
+            states, exit_status = _drive(job, ended, memory, lengths(), status, onlookers, folder, arguments)
         else:
             states = tuple(ended[spec.name] for spec in job.specs)
             exit_status = exit_code(states, None)
@@ -210,7 +207,6 @@ def _drive(
     ended: Mapping[str, StreamState],
     memory: NodeMemory,
     lengths: Mapping[str, int],
-    loads: Mapping[str, float],
     status: StatusFile,
     onlookers: Sequence[Observer],
     folder: RunFolder,
@@ -236,7 +232,7 @@ def _drive(
                 observers=[status, *onlookers, progress],
                 interruption=interruption,
                 lengths=lengths,
-                loads=loads,
+                loads={name: one.cores or one.earlier_cores for name, one in folder.states().items()},
                 ended=ended,
                 changes=job.changes if arguments.watch else None,
             )

@@ -6,6 +6,7 @@ time without pictures a row ``gap``.
 
 from __future__ import annotations
 
+import math
 import random
 from collections import deque
 from collections.abc import Callable
@@ -67,29 +68,26 @@ class LiveTime:
         self._began: float | None = None
         self._offset: float | None = None
         self.last = 0.0
-        self._late = self._least_late = 0.0
+        self._late, self._least_late = 0.0, math.inf
 
     def reconnected(self) -> None:
         """Accept any time from a new connection."""
-        self._offset = None
+        self._offset, self._least_late = None, math.inf
 
     def of(self, camera_time: float | None, now: float) -> float:
         """Return the time of a picture that arrived at ``now``, by this machine's clock; never decreasing."""
         if self._began is None:
             self._began = now
         arrived = now - self._began
-        offset = self._offset
         if camera_time is None:
             pts = arrived
         else:
-            if offset is None or abs(camera_time + offset - arrived) > _MOST_DRIFT_SECONDS:
-                offset = arrived - camera_time
-            pts = camera_time + offset
+            if self._offset is None or abs(camera_time + self._offset - arrived) > _MOST_DRIFT_SECONDS:
+                self._offset, self._least_late = arrived - camera_time, math.inf
+            pts = camera_time + self._offset
         self.last = max(self.last, pts)
         self._late = arrived - self.last
-        same_clock = offset is not None and offset == self._offset
-        self._least_late = min(self._late, self._least_late) if same_clock else self._late
-        self._offset = offset
+        self._least_late = min(self._late, self._least_late)
         return self.last
 
     @property

@@ -41,6 +41,9 @@ _VIDEO_SUFFIXES = frozenset(
 #: A stem that ends in a number as Python writes a float, such as time.time(): without zeros at the end.
 _DECIMAL_STEM = re.compile(r"(.*[^\d.])?\d+\.(0|\d*[1-9])")
 
+#: Most names in a folder that a missing one is compared with.
+_NAMES_COMPARED = 2_000
+
 
 def is_image(path: str) -> bool:
     """Whether there is a file at a path whose name ends as those of images do."""
@@ -106,10 +109,6 @@ def _require_path(address: SourceAddress) -> None:
         raise SourceError(f"The file {address} cannot be read; change its permissions.")
     elif path.stat().st_size == 0:
         raise SourceError(f"The file {address} is empty; copy it again.")
-
-
-#: Most names in a folder that a missing one is compared with.
-_NAMES_COMPARED = 2_000
 
 
 def _advice_on(missing: Path) -> str:

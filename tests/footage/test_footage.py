@@ -283,9 +283,8 @@ def _creeping(frames: int, speed: float) -> Iterator[Array]:
     for t in range(frames):
         place = np.array([[1, 0, 100 + max(0, t - 30) * speed], [0, 1, 120]], np.float32)
         share = cv2.warpAffine(np.ones((40, 40), np.float32), place, (320, 240))[..., None]
-        noisy = cv2.warpAffine(thing, place, (320, 240)) + rng.normal(0, 2, (240, 320, 3))
-        frame = made.frame(t) * (1 - share) + noisy * share
-        yield np.clip(frame, 0, 255).astype(np.uint8)
+        there = noisy(cv2.warpAffine(thing, place, (320, 240)), rng)
+        yield (made.frame(t) * (1 - share) + there * share).astype(np.uint8)
 
 
 def test_an_empty_place_is_passed_over_and_what_comes_into_it_is_found(
