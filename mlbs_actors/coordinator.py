@@ -203,7 +203,7 @@ class Coordinator:
             return self._pass_over(frame_index, "damaged", feedback)
         if is_blank(picture.gray):
             return self._pass_over(frame_index, "blank", feedback)
-        seen = is_still if self._is_empty() else repeats
+        seen = is_still if self._is_at_rest() else repeats
         if not self.state.unsettled and seen(picture.gray, self.state.picture.gray):
             return self._pass_over(frame_index, "repeated", feedback)
         shown = self._go_on(NewFrame(frame_index, frame, picture), feedback, stage_ms)
@@ -372,11 +372,17 @@ class Coordinator:
         held = held_frame(frame_index, tracked, state.labels, flow, stage_ms, status, match.light)
         state.held = (*state.held, held)
 
-    def _is_empty(self) -> bool:
-        """Whether there is no object in the last picture, nor anything that may become one."""
+    def _is_at_rest(self) -> bool:
+        """Whether nothing moves in the last picture: whatever is or may become an object has long rested.
+
+        What has not moved often may still turn out to be a part of the scene, and is looked at on.
+        """
         state = self.state
-        known = state.clustered and state.evaluated.keys() == {BACKGROUND}
-        return known and not (state.labels > BACKGROUND).any()
+        if not state.clustered or state.shape is None:
+            return False
+        registry = LayerRegistry(self.config.layers, state.shape, state.registry)
+        at_rest = {BACKGROUND, *(registry.lasting_layers() & set(registry.resting_layers()))}
+        return at_rest.issuperset({*state.evaluated, *distinct_labels(state.labels)})
 
     def _pass_over(
         self, frame_index: int, status: FrameStatus, feedback: Callable[[], Segmentation] | None

@@ -288,6 +288,11 @@ class StreamActors:
         self._stopped = False
         self._final: StreamProgress | None = None
 
+    @property
+    def node(self) -> str | None:
+        """None: whoever chose the :class:`Node` knows where it is."""
+        return None
+
     def advance(self) -> Future[StreamProgress]:
         """Ask for one bounded burst of frames; do not call again before the future is done.
 

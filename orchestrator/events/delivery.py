@@ -12,22 +12,25 @@ import hashlib
 import json
 import os
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
 from mlbs_actors.wording import count_of
 from orchestrator.events.event_file import EVENTS, committed_events
+from orchestrator.events.recent import recent_events
 from orchestrator.events.targets import DeliveryError, EventTarget, Sender, open_sender
 from orchestrator.run.durable_files import replace_file
 from orchestrator.sources.live_buffer import retry_seconds
 
-__all__ = ["Delivery", "delivering"]
+__all__ = ["Backlog", "Deliveries", "Delivery"]
 
 #: Between two looks at the files, s.
 _LOOK_SECONDS = 0.1
@@ -55,14 +58,60 @@ class _Position:
 _POSITIONS = TypeAdapter(dict[str, _Position])
 
 
-@contextmanager
-def delivering(targets: Sequence[EventTarget], folder: Path, say: Callable[[str], None]) -> Iterator[None]:
-    """Deliver the events of a run's folder to all targets while the ``with`` block runs."""
-    with ExitStack() as stack:
-        for target in targets:
-            delivery = Delivery(target.shown, target.url, partial(open_sender, target), folder, say)
-            stack.callback(delivery.close)
-        yield
+@dataclass(frozen=True, slots=True)
+class Backlog:
+    """What a target has not acknowledged.
+
+    Attributes
+    ----------
+    target : str
+        Without secrets.
+    waiting : int
+        Events.
+    away_since : float, optional
+        When it stopped accepting them, seconds since 1970; None while it does.
+    """
+
+    target: str
+    waiting: int
+    away_since: float | None
+
+    @property
+    def away_seconds(self) -> float:
+        """For how long it has accepted nothing, s; 0 while it does."""
+        return 0.0 if self.away_since is None else max(time.time() - self.away_since, 0.0)
+
+    def figures(self) -> dict[str, Any]:
+        """All values, by name, in JSON types."""
+        away = None
+        if self.away_since is not None:
+            away = datetime.fromtimestamp(self.away_since, timezone.utc).isoformat(timespec="seconds")
+        return {"target": self.target, "waiting": self.waiting, "away_since": away}
+
+
+class Deliveries:
+    """Delivers the events of a run's folder to all targets, from the start to the end of a ``with`` block."""
+
+    def __init__(self, targets: Sequence[EventTarget], folder: Path, say: Callable[[str], None]) -> None:
+        self._all = [
+            Delivery(target.shown, target.url, partial(open_sender, target), folder, say)
+            for target in targets
+        ]
+
+    def __enter__(self) -> Deliveries:
+        for delivery in self._all:
+            delivery.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, place: TracebackType | None
+    ) -> None:
+        for delivery in self._all:
+            delivery.close()
+
+    def backlogs(self) -> list[Backlog]:
+        """Return what each target has not acknowledged."""
+        return [delivery.backlog() for delivery in self._all]
 
 
 class Delivery:
@@ -95,14 +144,28 @@ class Delivery:
         self._folder = folder
         self._say = say
         self._path = folder / f".delivered-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
-        self._positions = _read_positions(self._path)
+        self._positions: dict[str, _Position] = {}
+        self._away_since: float | None = None
         self._looked: dict[Path, tuple[int, int]] = {}
         # Of each file the inode, and where its first line is that may be waiting.
         self._starts: dict[Path, tuple[int, int]] = {}
         self._faulty: set[Path] = set()
         self._last_look, self._stop = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def start(self) -> None:
+        """Go on where an earlier run was; the run's folder is locked."""
+        self._positions = _read_positions(self._path)
         self._thread.start()
+
+    def backlog(self) -> Backlog:
+        """Return what the target has not acknowledged, counted by numbers, as that takes no time."""
+        waiting = 0
+        for path in self._files():
+            position = self._positions.get(path.parent.name, _Position())
+            oldest, newest = _numbers(path)
+            waiting += max(newest - max(position.number, oldest - 1) - len(position.ids), 0)
+        return Backlog(self._name, waiting, self._away_since)
 
     def close(self) -> None:
         """Deliver what there is, for a limited time, and stop."""
@@ -188,10 +251,12 @@ class Delivery:
             except DeliveryError as error:
                 failures += 1
                 if failures == 1:
+                    self._away_since = time.time()
                     reason = str(error).rstrip(".")
                     self._say(f"Events cannot be delivered to {self._name}: {reason}. It is tried again.")
                 self._stop.wait(retry_seconds(failures))
             else:
+                self._away_since = None
                 if failures:
                     self._say(f"Events are delivered to {self._name} again.")
                 return True
@@ -214,3 +279,14 @@ def _read_positions(path: Path) -> dict[str, _Position]:
         return _POSITIONS.validate_json(path.read_bytes())
     except (FileNotFoundError, ValidationError):
         return {}
+
+
+def _numbers(path: Path) -> tuple[int, int]:
+    """Return the numbers of the oldest and the newest event of a file; 1 and 0 if it has none."""
+    newest = recent_events(path.parent, 1)
+    try:
+        with path.open("rb") as file:
+            oldest = json.loads(file.readline()) if newest else {}
+    except (OSError, ValueError):
+        return 1, 0
+    return oldest.get("number", 1), newest[0].get("number", 0) if newest else 0

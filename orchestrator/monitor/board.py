@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from orchestrator.events.delivery import Backlog
 from orchestrator.events.pictures import PICTURES
 from orchestrator.events.recent import RecentEvents
 from orchestrator.run.stream_state import ENDED, StreamState
@@ -32,11 +33,20 @@ class Board:
         Folder of the streams' newest pictures.
     folder : Path
         Of the run.
+    backlogs : callable
+        Returns what the targets of events have not acknowledged.
     clock : callable
         Monotonic time, s.
     """
 
-    def __init__(self, pictures: Path, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        pictures: Path,
+        folder: Path,
+        backlogs: Callable[[], Sequence[Backlog]] = list,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.backlogs = backlogs
         self._pictures = pictures
         self._folder = folder
         self._events = RecentEvents(_EVENTS)
@@ -69,7 +79,8 @@ class Board:
         Returns
         -------
         dict
-            ``seconds`` since the start; ``streams``, in the order of the list: those of ``status.json`` and
+            ``seconds`` since the start; ``events``, as in ``status.json``; ``streams``, in the order of
+            the list: those of ``status.json`` and
             ``name``, ``rank`` (display order: :attr:`StreamState.rank`), ``picture`` (changes with the
             picture, null if there is none), ``layers_over_time`` (pairs of frames read and layers),
             ``events`` (the newest ones, the last one last).
@@ -78,6 +89,7 @@ class Board:
             states, past = self._states, {name: list(points) for name, points in self._past.items()}
         return {
             "seconds": round(self._clock() - self._started, 1),
+            "events": [backlog.figures() for backlog in self.backlogs()],
             "streams": [
                 state.figures()
                 | {

@@ -1,4 +1,4 @@
-"""Prometheus metrics of the streams, and their text format for the monitor's own page."""
+"""Prometheus metrics of the streams and of the targets of events, and their text for the monitor's page."""
 
 from __future__ import annotations
 
@@ -7,9 +7,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from orchestrator.events.delivery import Backlog
 from orchestrator.run.stream_state import StreamState
 
-__all__ = ["CONTENT_TYPE", "METRICS", "STATE", "STATE_MEANING", "Metric", "MetricsText", "Reached"]
+__all__ = [
+    "CONTENT_TYPE",
+    "METRICS",
+    "STATE",
+    "STATE_MEANING",
+    "TARGET_METRICS",
+    "Metric",
+    "MetricsText",
+    "Reached",
+    "TargetMetric",
+]
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
@@ -89,6 +100,23 @@ METRICS = (
     Metric("mlbs_stream_memory_bytes", "gauge", "Unique memory of its processes.", lambda s: s.memory),
 )
 
+
+@dataclass(frozen=True, slots=True)
+class TargetMetric:
+    """A gauge of every target of events, with the label ``target``; as :class:`Metric`."""
+
+    name: str
+    meaning: str
+    value: Callable[[Backlog], float]
+
+
+TARGET_METRICS = (
+    TargetMetric("mlbs_events_waiting", "Events that a target has not acknowledged.", lambda b: b.waiting),
+    TargetMetric(
+        "mlbs_events_away_seconds", "For how long a target has accepted nothing.", lambda b: b.away_seconds
+    ),
+)
+
 #: Gauge that is 1 for a stream's current state, which is in its label ``state``.
 STATE = "mlbs_stream_state"
 STATE_MEANING = "1 for the state of the stream."
@@ -113,14 +141,14 @@ class Reached:
 
 
 class MetricsText:
-    """Formats :data:`METRICS` and :data:`STATE` of the streams, for any thread."""
+    """Formats the metrics of the streams and of the targets of events, for any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._reached = Reached()
 
-    def __call__(self, states: Sequence[StreamState]) -> str:
-        """Return the text of these states."""
+    def __call__(self, states: Sequence[StreamState], backlogs: Sequence[Backlog] = ()) -> str:
+        """Return the text of these states and backlogs."""
         lines = []
         for one in METRICS:
             lines += [f"# HELP {one.name} {one.meaning}", f"# TYPE {one.name} {one.kind}"]
@@ -130,6 +158,12 @@ class MetricsText:
             ]
         lines += [f"# HELP {STATE} {STATE_MEANING}", f"# TYPE {STATE} gauge"]
         lines += [f'{STATE}{{stream="{_escaped(state.name)}",state="{state.state}"}} 1' for state in states]
+        for gauge in TARGET_METRICS if backlogs else ():
+            lines += [f"# HELP {gauge.name} {gauge.meaning}", f"# TYPE {gauge.name} gauge"]
+            lines += [
+                f'{gauge.name}{{target="{_escaped(one.target)}"}} {float(gauge.value(one))!r}'
+                for one in backlogs
+            ]
         return "\n".join(lines) + "\n"
 
     def _value(self, one: Metric, state: StreamState) -> float:

@@ -4,6 +4,7 @@
 const PAUSE = 500; // ms
 const ENDED = ["done", "partial", "failed"];
 const summary = document.getElementById("summary");
+const waiting = document.getElementById("waiting");
 const pause = document.getElementById("pause");
 const list = document.getElementById("streams");
 const cards = []; // in the order of the list of streams
@@ -132,6 +133,11 @@ function show(stream, number) {
   listEvents(element.querySelector(".events"), stream);
 }
 
+function describeBacklog(target) {
+  const count = `${target.waiting} ${target.waiting === 1 ? "event waits" : "events wait"} for ${target.target}`;
+  return `${count}, away since ${new Date(target.away_since).toLocaleTimeString()}`;
+}
+
 // Those at work first. The cards themselves change places, so that a screen reader reads what the eye sees.
 function arrange(streams) {
   while (cards.length > streams.length) cards.pop().remove(); // one was taken from the list
@@ -150,6 +156,9 @@ async function refresh() {
       const answer = await fetch("/status.json");
       const status = await answer.json();
       status.streams.forEach(show);
+      const away = status.events.filter((target) => target.away_since);
+      waiting.hidden = !away.length;
+      write(waiting, away.map(describeBacklog).join("; "));
       const counts = new Map();
       for (const stream of arrange(status.streams)) counts.set(stream.state, (counts.get(stream.state) || 0) + 1);
       write(summary, [...counts].map(([state, count]) => `${count} ${state}`).join(", "));

@@ -3,23 +3,42 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 
 from ray.util.metrics import Counter, Gauge
 
-from orchestrator.monitor.metrics import METRICS, STATE, STATE_MEANING, Reached
+from orchestrator.events.delivery import Backlog
+from orchestrator.monitor.metrics import METRICS, STATE, STATE_MEANING, TARGET_METRICS, Reached
 from orchestrator.run.stream_state import StreamState
 
 __all__ = ["RayMetrics"]
+
+#: Least time between two looks at what waits for the targets of events, s.
+_LOOK_SECONDS = 1.0
 
 #: Replaces 0, which Ray drops: a counter must exist before it counts. It does not affect sums.
 _NOTHING = sys.float_info.min
 
 
 class RayMetrics:
-    """An observer of the driver; Ray writes ``ray_`` before the names and adds labels of its own."""
+    """An observer of the driver; Ray writes ``ray_`` before the names and adds labels of its own.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    backlogs : callable
+        Returns what the targets of events have not acknowledged.
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(
+        self, backlogs: Callable[[], Sequence[Backlog]] = list, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._backlogs = backlogs
+        self._clock = clock
+        self._looked = float("-inf")
+        self._of_targets = {one: Gauge(one.name, one.meaning, ("target",)) for one in TARGET_METRICS}
         self._counters = {
             one: Counter(one.name, one.meaning, ("stream",)) for one in METRICS if one.kind == "counter"
         }
@@ -39,6 +58,14 @@ class RayMetrics:
             # Ray would keep exporting the last values of a stream that no longer exists.
             self._report(StreamState(name))
             self._state.set(0, {"stream": name, "state": self._reported.pop(name).state})
+        if (now := self._clock()) - self._looked >= _LOOK_SECONDS:
+            self._looked = now
+            self._report_backlogs()
+
+    def _report_backlogs(self) -> None:
+        for backlog in self._backlogs():
+            for one, gauge in self._of_targets.items():
+                gauge.set(one.value(backlog), {"target": backlog.target})
 
     def _report(self, state: StreamState) -> None:
         stream = {"stream": state.name}

@@ -128,7 +128,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif url.path == "/status.json":
             self._answer(HTTPStatus.OK, json.dumps(self.server.board.status()).encode(), "application/json")
         elif url.path == "/metrics":
-            text = self.server.metrics_text(self.server.board.states)
+            text = self.server.metrics_text(self.server.board.states, self.server.board.backlogs())
             self._answer(HTTPStatus.OK, text.encode(), CONTENT_TYPE)
         elif url.path.endswith(_MOTION_JPEG) and (stream := self._stream(url.path)) is not None:
             self._send_on(stream)

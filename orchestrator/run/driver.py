@@ -184,6 +184,7 @@ class Driver:
         try:
             self._streams[name] = self._host.start(spec, self._returning.get(name))
             self._returning.pop(name, None)
+            self._states[name] = replace(self._states[name], node=self._streams[name].node)
             self._advance(name)
         except NoPlaceError:
             self._set(replace(self._states[name], state="waiting"))

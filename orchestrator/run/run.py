@@ -19,7 +19,7 @@ from mlbs_actors.errors import ConfigError, SinkError
 from mlbs_actors.kernels.machine_code import has_machine_code
 from mlbs_actors.wording import count_of
 from orchestrator.command_line import Arguments
-from orchestrator.events.delivery import delivering
+from orchestrator.events.delivery import Deliveries
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.monitor.board import Board
@@ -110,8 +110,11 @@ def run(
     job = Job(streams, arguments, config, folder, live, _say, recorded if arguments.watch else None)
     memory = node_memory()
     retention = None if arguments.keep is None else Retention(folder.path, arguments.keep, _say)
+    deliveries = Deliveries(arguments.events, folder.path, _say)
     status = StatusFile(
-        folder.path / "status.json", kept=None if retention is None else lambda: retention.figures
+        folder.path / "status.json",
+        kept=None if retention is None else lambda: retention.figures,
+        backlogs=deliveries.backlogs,
     )
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
         if begun is not None:
@@ -134,12 +137,12 @@ def run(
         onlookers: list[Observer] = []
         lengths: Callable[[], dict[str, int]] = dict
         if at_work := bool(due) or arguments.watch:
-            onlookers = session.enter_context(_monitored(arguments.monitor, live, folder.path))
+            onlookers = session.enter_context(_monitored(arguments.monitor, live, folder.path, deliveries))
             _announce(due, arguments, memory)
             lengths = session.enter_context(finding_lengths(job.files(due[1:]), scratch))
             session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
         if at_work and arguments.ray_metrics is not None:
-            onlookers.append(RayMetrics())
+            onlookers.append(RayMetrics(deliveries.backlogs))
             if arguments.address is None:
                 _say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
         if retention is not None:
@@ -147,7 +150,7 @@ def run(
         if begun is None:
             folder.create(job.description)
             hold.enter_context(folder.locked())
-        session.enter_context(delivering(arguments.events, folder.path, _say))
+        session.enter_context(deliveries)
         if at_work:
             states, exit_status = _drive(job, ended, memory, lengths(), status, onlookers, folder, arguments)
         else:
@@ -170,12 +173,14 @@ def run(
 
 
 @contextmanager
-def _monitored(address: MonitorAddress | None, live: Path | None, folder: Path) -> Iterator[list[Observer]]:
+def _monitored(
+    address: MonitorAddress | None, live: Path | None, folder: Path, deliveries: Deliveries
+) -> Iterator[list[Observer]]:
     """Serve the monitor's page if requested; yield its observer of the driver."""
     if address is None or live is None:
         yield []
         return
-    board = Board(live, folder)
+    board = Board(live, folder, deliveries.backlogs)
     with serving(address, board) as url:
         live.mkdir(parents=True, exist_ok=True)
         _say(f"Look on at {url}")

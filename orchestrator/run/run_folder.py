@@ -20,6 +20,7 @@ from filelock import FileLock, Timeout
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
+from orchestrator.events.delivery import Backlog
 from orchestrator.run.durable_files import replace_file
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import ENDED, StreamState
@@ -220,6 +221,8 @@ class StatusFile:
         Monotonic time, s.
     kept : callable, optional
         Returns what :class:`orchestrator.run.retention.Retention` has done.
+    backlogs : callable, optional
+        Returns what the targets of events have not acknowledged.
     """
 
     def __init__(
@@ -227,9 +230,11 @@ class StatusFile:
         path: Path,
         clock: Callable[[], float] = time.monotonic,
         kept: Callable[[], Mapping[str, Any]] | None = None,
+        backlogs: Callable[[], Sequence[Backlog]] = list,
     ) -> None:
         self._path = path
         self._kept = kept
+        self._backlogs = backlogs
         self._clock = clock
         self._written_at: float | None = None
 
@@ -263,6 +268,7 @@ class StatusFile:
             "waiting": sum(state.state == "waiting" for state in states),
             "running": sum(state.state != "waiting" and state.state not in ENDED for state in states),
             "kept": None if self._kept is None else self._kept(),
+            "events": [backlog.figures() for backlog in self._backlogs()],
             "streams": streams,
         }
         replace_file(self._path, (json.dumps(status, indent=1) + "\n").encode())

@@ -74,6 +74,8 @@ class StreamState:
         Their unique memory, bytes.
     waits_for : str, optional
         What a waiting or starting stream waits for.
+    node : str, optional
+        Of a cluster, where its processes are or were last.
     """
 
     name: str
@@ -98,6 +100,7 @@ class StreamState:
     earlier_cores: float = 0.0
     memory: int = 0
     waits_for: str | None = None
+    node: str | None = None
 
     @property
     def endless(self) -> bool:

@@ -305,6 +305,38 @@ def test_an_empty_place_is_passed_over_and_what_comes_into_it_is_found(
     assert all(result.labels.any() for result in results[birth(results) :])
 
 
+def _parking(frames: int) -> Iterator[Array]:
+    """A still camera; something drives in for 40 frames, parks until the last 20, and drives on."""
+    made = scene("static-empty", frames=frames, width=320, height=240)
+    rng = np.random.default_rng(3)
+    thing = cv2.resize(
+        rng.integers(0, 256, (5, 8, 3)).astype(np.uint8), (72, 44), interpolation=cv2.INTER_CUBIC
+    )
+    for t in range(frames):
+        driven = 3.5 * (min(t, 40) + max(t - (frames - 20), 0)) - 20
+        place = np.array([[1, 0, driven], [0, 1, 120]], np.float32)
+        share = cv2.warpAffine(np.ones((44, 72), np.float32), place, (320, 240))[..., None]
+        there = noisy(cv2.warpAffine(thing, place, (320, 240)), rng)
+        yield (made.frame(t) * (1 - share) + there * share).astype(np.uint8)
+
+
+def test_a_place_in_which_all_has_come_to_rest_is_passed_over_until_something_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    frames = list(_parking(100))
+    results = labelled(frames)
+    # Noise may exceed the threshold once in a while.
+    assert [result.status for result in results[60:80]].count("repeated") > 15
+    assert {result.status for result in results[82:]} == {"ok"}
+    monkeypatch.setattr("mlbs_actors.coordinator.is_still", lambda gray, before: False)
+    looked_at = labelled(frames)
+    assert {result.status for result in looked_at} == {"ok"}
+    for passed, seen in zip(results, looked_at, strict=True):
+        both = (passed.labels > 0) & (seen.labels > 0)
+        assert both.sum() >= 0.9 * ((passed.labels > 0) | (seen.labels > 0)).sum()
+        assert {one.layer for one in passed.layers} == {one.layer for one in seen.layers}
+
+
 def test_an_empty_place_of_another_size_is_looked_at_before_it_is_passed_over() -> None:
     small = scene("static-empty", frames=14, width=160, height=120)
     large = scene("static-empty", frames=14, width=320, height=240)

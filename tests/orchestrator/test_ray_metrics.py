@@ -17,8 +17,9 @@ import pytest
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.command_line import parse
+from orchestrator.events.delivery import Backlog
 from orchestrator.monitor import ray_metrics
-from orchestrator.monitor.metrics import METRICS, STATE
+from orchestrator.monitor.metrics import METRICS, STATE, TARGET_METRICS
 from orchestrator.monitor.ray_metrics import RayMetrics
 from orchestrator.ray_session import ray_session
 from orchestrator.run.stream_state import StreamState, after_loss
@@ -58,7 +59,7 @@ def test_ray_is_told_the_figures_that_the_page_serves(told: dict[str, dict[tuple
     state = StreamState("yard", "running", read=20, committed=8, layers=3, frames_per_second=4.25)
     metrics.update([state, StreamState("late")])
     metrics.update([replace(state, read=36, dropped=2, latency_ms=500.0), StreamState("late")])
-    assert set(told) == {one.name for one in METRICS} | {STATE}
+    assert set(told) == {one.name for one in (*METRICS, *TARGET_METRICS)} | {STATE}
     # Before they count anything counters are there, so that a Prometheus sees them begin.
     nothing = pytest.approx(0, abs=1e-300)
     assert told["mlbs_stream_read_frames_total"] == {("yard",): 36, ("late",): nothing}
@@ -83,6 +84,17 @@ def test_a_counter_never_falls_and_a_frame_that_is_read_again_counts_once(
         metrics.update([state])
     assert told["mlbs_stream_read_frames_total"] == {("yard",): 48}
     assert told[STATE] == {("yard", "running"): 1, ("yard", "starting"): 0}
+
+
+def test_what_waits_for_a_target_of_events_is_told_once_a_second(
+    told: dict[str, dict[tuple[str, ...], float]],
+) -> None:
+    now, waiting = [10.0], [3]
+    metrics = RayMetrics(lambda: [Backlog("mqtt://broker/***", waiting[0], None)], lambda: now[0])
+    for now[0], waiting[0], known in ((10.0, 3, 3), (10.5, 4, 3), (11.0, 5, 5)):
+        metrics.update([])
+        assert told["mlbs_events_waiting"] == {("mqtt://broker/***",): known}
+    assert told["mlbs_events_away_seconds"] == {("mqtt://broker/***",): 0}
 
 
 def test_nothing_goes_on_of_a_stream_that_was_taken_from_the_list(

@@ -202,7 +202,7 @@ class Cluster:
             if cpus := _cpus(alive[node]):
                 self._asked[node] = ask(partial(self._places, cpus), node=node)
             else:
-                self._say(f"The {_name(alive[node])} takes no streams, because Ray has no CPUs there.")
+                self._say(f"The node {_name(alive[node])} takes no streams, because Ray has no CPUs there.")
         if self._asked:
             asked = list(self._asked.values())
             answered, _ = ray.wait(asked, num_returns=len(asked), timeout=patience)
@@ -217,7 +217,7 @@ class Cluster:
             places: int = ray.get(answer)
         except RayError as error:
             self._refused += 1
-            self._say(f"The {name} is not used: {_refusal(error)}.")
+            self._say(f"The node {name} is not used: {_refusal(error)}.")
             return
         share = Share(
             min(self._share.cpus, _cpus(node) / places),
@@ -226,12 +226,12 @@ class Cluster:
         policy = replace(self._policy, streams=places)
         actors = Node(number, parts=self._parts, policy=policy)
         self._members[number] = _Member(name, actors, places, share)
-        self._say(f"The {name} takes up to {places} of the streams.")
+        self._say(f"The node {name} takes up to {places} of the streams.")
 
     def _lose(self, node: str) -> None:
         member = self._members.pop(node)
         self._drop_next(member)
-        self._say(f"The {member.name} is lost; its streams go on elsewhere.")
+        self._say(f"The node {member.name} is lost; its streams go on elsewhere.")
 
     def _drop_next(self, member: _Member) -> None:
         if member.next is not None:
@@ -252,7 +252,8 @@ class Cluster:
         if not self._members:
             self._say("No node takes streams; they wait until one joins the cluster.")
         elif late:
-            self._say(f"Streams wait: CPUs or memory of the {', the '.join(late)} are in use by others.")
+            nodes = " and ".join(f"the node {name}" for name in late)
+            self._say(f"Streams wait: CPUs or memory of {nodes} are in use by others.")
         return bool(late) or not self._members
 
     def _with_file(self, path: Path) -> dict[str, _Member]:
@@ -271,6 +272,10 @@ class _Placed:
         self.place = place
         self.reservation = reservation
         self._holds_place = True
+
+    @property
+    def node(self) -> str:
+        return self.place.name
 
     def advance(self) -> Future[StreamProgress]:
         return self.stream.advance()
@@ -292,8 +297,8 @@ def _cpus(node: dict[str, Any]) -> float:
 
 
 def _name(node: dict[str, Any]) -> str:
-    """Name a node in messages: several can have one address."""
-    return f"node {node['NodeManagerAddress']} ({str(node['NodeID'])[:8]})"
+    """Name a node by its address and, as several can have one, the start of its id."""
+    return f"{node['NodeManagerAddress']} ({str(node['NodeID'])[:8]})"
 
 
 def _refusal(error: RayError) -> str:

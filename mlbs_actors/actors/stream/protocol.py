@@ -358,6 +358,10 @@ class StreamProgress:
 class RunningStream(Protocol):
     """One stream's actors, as the driver sees them."""
 
+    @property
+    def node(self) -> str | None:
+        """Where they are, in words; None on this machine."""
+
     def advance(self) -> Future[StreamProgress]:
         """Ask for one bounded burst of frames; do not call again before the future is done.
 

@@ -24,7 +24,7 @@ from mlbs_actors.errors import ConfigError
 from orchestrator.command_line import parse
 from orchestrator.events import delivery as delivery_module
 from orchestrator.events import targets as targets_module
-from orchestrator.events.delivery import delivering
+from orchestrator.events.delivery import Deliveries
 from orchestrator.events.targets import (
     PASSWORD_VARIABLE,
     DeliveryError,
@@ -111,7 +111,7 @@ def test_every_event_arrives_once_and_in_order_though_the_webhook_is_away(
 ) -> None:
     said: list[str] = []
     gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
-    with delivering([parse_target(webhook.url)], tmp_path, said.append):
+    with Deliveries([parse_target(webhook.url)], tmp_path, said.append) as deliveries:
         write(gate, 0, 20)
         wait_until(lambda: webhook.ids == ids(tmp_path / "gate"))  # live, before a commit
         webhook.away = True
@@ -119,9 +119,15 @@ def test_every_event_arrives_once_and_in_order_though_the_webhook_is_away(
         write(gate, 20, 70)
         assert time.monotonic() - began < 5  # nobody waited for the webhook
         wait_until(lambda: bool(said))
+        [backlog] = deliveries.backlogs()
+        assert backlog.waiting == len(ids(tmp_path / "gate")) - len(webhook.ids) > 0
+        assert 0 < backlog.away_seconds < 60
+        assert "hook" not in backlog.target
         webhook.away = False
         write(gate, 70, 90)
         gate.close(whole=True)
+    [backlog] = deliveries.backlogs()
+    assert (backlog.waiting, backlog.away_since) == (0, None)
     assert webhook.ids == ids(tmp_path / "gate")
     assert len(set(webhook.ids)) == len(webhook.ids) > 20
     assert said[0].endswith("it answers 503 Service Unavailable. It is tried again.")
@@ -132,20 +138,21 @@ def test_a_run_that_is_resumed_goes_on_where_the_target_was(tmp_path: Path, webh
     said: list[str] = []
     url, port = webhook.url, webhook.server_address[1]
     gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
-    with delivering([parse_target(url)], tmp_path, said.append):
+    with Deliveries([parse_target(url)], tmp_path, said.append):
         write(gate, 0, 40)
     first = webhook.ids
     assert first == ids(tmp_path / "gate")
     webhook.stop()
     # Killed, and opened again: the lines after the last commit come again, with the same ids.
     again = StreamRecord(tmp_path / "gate", "gate", frozenset())
-    with delivering([parse_target(url)], tmp_path, said.append):
+    with Deliveries([parse_target(url)], tmp_path, said.append) as deliveries:
         write(again, 0, 90)
         again.close(whole=True)
     left = len(ids(tmp_path / "gate")) - len(first)
+    assert deliveries.backlogs()[0].waiting == left
     assert said[-1].startswith(f"{left} events could not be delivered to http://127.0.0.1:{port}/***")
     late = Webhook(port)
-    with delivering([parse_target(url)], tmp_path, said.append):
+    with Deliveries([parse_target(url)], tmp_path, said.append):
         wait_until(lambda: len(late.events) == left)
     late.stop()
     assert [*first, *late.ids] == ids(tmp_path / "gate")
@@ -297,7 +304,7 @@ def test_a_real_broker_gets_every_event_by_tls_though_it_was_away(
     said: list[str] = []
     url = f"mqtts://bob:s3cret@127.0.0.1:{broker.port}/yard/events"
     gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
-    with delivering([parse_target(url)], tmp_path, said.append):
+    with Deliveries([parse_target(url)], tmp_path, said.append):
         write(gate, 0, 20)
         wait_until(lambda: received == ids(tmp_path / "gate"))
         broker.end()

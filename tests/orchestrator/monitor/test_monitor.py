@@ -21,6 +21,7 @@ from record_fakes import frame, segmentation
 
 from mlbs_actors.actors.stream.protocol import SourceSilence, StreamProgress
 from mlbs_actors.errors import ConfigError
+from orchestrator.events.delivery import Backlog
 from orchestrator.events.zones import EventRules, Zone
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.monitor.board import Board
@@ -42,7 +43,7 @@ STATES = [
 
 @pytest.fixture
 def board(tmp_path: Path) -> Board:
-    board = Board(tmp_path, tmp_path / "out")
+    board = Board(tmp_path, tmp_path / "out", lambda: [Backlog("mqtt://broker/***", 3, 0.0)])
     for read in (8, 16, 20):
         board.update([after_progress(STATES[0], progress(read), 4.25), *STATES[1:]])
     picture = LivePicture(live_picture_path(tmp_path, "yard"))
@@ -121,9 +122,15 @@ def test_prometheus_gets_a_sample_for_every_stream_and_metric(url: str) -> None:
     assert float(samples['mlbs_stream_latency_seconds{stream="yard"}']) == pytest.approx(0.3124)
     assert samples['mlbs_stream_state{stream="<b>",state="failed"}'] == "1"
     kinds = [line.split()[2] for line in body.decode().splitlines() if line.startswith("# TYPE")]
-    assert len(kinds) == len(set(kinds)) == len(samples) / 3
+    assert len(kinds) == len(set(kinds)) == (len(samples) - 2) / 3 + 2
+    assert samples['mlbs_events_waiting{target="mqtt://broker/***"}'] == "3.0"
+    assert float(samples['mlbs_events_away_seconds{target="mqtt://broker/***"}']) > 1e9
     hostile = MetricsText()([StreamState('a"b\\c')])
     assert 'stream="a\\"b\\\\c"' in hostile
+
+
+def test_without_targets_of_events_there_are_no_samples_of_them() -> None:
+    assert "mlbs_events" not in MetricsText()(STATES)
 
 
 def test_a_counter_does_not_fall_when_a_stream_goes_back() -> None:
@@ -136,11 +143,12 @@ def test_grafanas_board_asks_for_all_that_the_page_serves_and_nothing_else() -> 
     text = (ROOT / "configs/grafana.json").read_text(encoding="utf-8")
     panels = json.loads(text)["panels"]
     queries = [target["expr"] for panel in panels for target in panel["targets"]]
-    served = set(re.findall(r"^# TYPE (\S+)", MetricsText()(STATES), re.MULTILINE))
+    page = MetricsText()(STATES, [Backlog("mqtt://broker/***", 3, None)])
+    served = set(re.findall(r"^# TYPE (\S+)", page, re.MULTILINE))
     assert {name for query in queries for name in re.findall(r"mlbs_\w+", query)} == served
     assert set(re.findall(r"mlbs_\w+", text)) == served  # those that the choice of streams asks for too
-    labels = set(re.findall(r"(\w+)=\"", MetricsText()(STATES)))
-    assert set(re.findall(r"\{\{(\w+)\}\}", text)) == labels == {"stream", "state"}
+    labels = set(re.findall(r"(\w+)=\"", page))
+    assert set(re.findall(r"\{\{(\w+)\}\}", text)) == labels == {"stream", "state", "target"}
     assert len({panel["id"] for panel in panels}) == len(panels)
 
 
@@ -327,6 +335,7 @@ def test_a_browser_shows_every_stream_without_complaint(url: str) -> None:
     for words in ("20 of 37", "00:00:04", "waits for its processes and its first frames"):
         assert words in page.document
     assert "1 running, 1 starting, 1 failed" in page.document
+    assert "3 events wait for mqtt://broker/***, away since " in page.document
     assert 'alt="Newest frame of yard with its objects outlined and numbered"' in page.document
     assert "layers over time, at most 2" in page.document
     # In the document itself, which is what a keyboard and a screen reader go through.

@@ -62,6 +62,7 @@ class FakeStream:
     stops: list[bool] = field(default_factory=list)
     returns: bool = False
     on_advance: Callable[[], None] = lambda: None
+    node: str | None = None
 
     def advance(self) -> Future[StreamProgress]:
         assert not self.stops, "advanced after its end"
@@ -134,6 +135,7 @@ def drive(
 
 def test_all_streams_run_to_their_ends_and_give_their_processes_back() -> None:
     streams = {name: FakeStream(frames) for name, frames in (("a", 3), ("b", 17), ("c", 8))}
+    streams["b"].node = "10.0.0.7 (1a2b3c4d)"
     status, states, recorder, _ = drive(streams)
     assert status == 0
     assert {name: (s.state, s.read, s.committed) for name, s in states.items()} == {
@@ -144,6 +146,7 @@ def test_all_streams_run_to_their_ends_and_give_their_processes_back() -> None:
     assert [stream.stops for stream in streams.values()] == [[False]] * 3
     assert recorder.history["b"] == ["waiting", "starting", "running", "done"]
     assert list(recorder.last) == list(states.values())
+    assert [state.node for state in states.values()] == [None, "10.0.0.7 (1a2b3c4d)", None]
 
 
 @pytest.mark.parametrize("limit", [1, 2, 5])

@@ -186,11 +186,15 @@ def test_events_of_what_is_deleted_go_and_the_others_are_delivered(
     here = Zone(name="here", polygon=((0, 0), (1, 0), (1, 1), (0, 1)), fixed_to="scene")
     camera = Camera(tmp_path / "gate", TABLES, rules=EventRules((here,)))
     delivery = Delivery("target", "key", Target, tmp_path, lambda text: None)
+    delivery.start()
     camera.send(250)
     keeping(tmp_path, "1m", now=75)
     camera.send(470)
     lines = [json.loads(line) for line in (tmp_path / "gate/events.jsonl").read_text().splitlines()]
     delivery.close()
+    assert delivery.backlog().waiting == 0
+    behind = Delivery("target", "other key", Target, tmp_path, lambda text: None)
+    assert behind.backlog().waiting == len(lines)
     assert lines[0]["frame"] >= 100
     assert [one["number"] for one in lines] == [*range(lines[0]["number"], lines[-1]["number"] + 1)]
     assert sent == sorted(set(sent))

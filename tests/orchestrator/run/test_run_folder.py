@@ -13,6 +13,7 @@ import pytest
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
+from orchestrator.events.delivery import Backlog
 from orchestrator.run import durable_files
 from orchestrator.run.durable_files import append_line, replace_file
 from orchestrator.run.run import what_to_look_at
@@ -109,10 +110,14 @@ def test_the_hashes_change_with_the_configuration_and_the_sources_only() -> None
 
 
 def test_the_status_file_says_how_each_stream_stands(tmp_path: Path) -> None:
-    status = StatusFile(tmp_path / "status.json")
+    backlog = Backlog("mqtt://broker/***", 3, 1.75e9)
+    status = StatusFile(tmp_path / "status.json", backlogs=lambda: [backlog])
     status.update([StreamState("yard", "running", read=9, committed=4), StreamState("door")])
     written = json.loads((tmp_path / "status.json").read_text())
     assert (written["ended"], written["running"], written["waiting"]) == (False, 1, 1)
+    assert written["events"] == [
+        {"target": "mqtt://broker/***", "waiting": 3, "away_since": "2025-06-15T15:06:40+00:00"}
+    ]
     status.finish(STATES, 1)
     written = json.loads((tmp_path / "status.json").read_text())
     assert (written["ended"], written["exit_status"]) == (True, 1)
@@ -139,6 +144,7 @@ def test_the_status_file_says_how_each_stream_stands(tmp_path: Path) -> None:
         "memory": 0,
         "queued": 0,
         "seconds_left": None,
+        "node": None,
         "waits_for": None,
     }
 
