@@ -94,8 +94,8 @@ class Deliveries:
 
     def __init__(self, targets: Sequence[EventTarget], folder: Path, say: Callable[[str], None]) -> None:
         self._all = [
-            Delivery(target.shown, target.url, partial(open_sender, target), folder, say)
-            for target in targets
+            Delivery(name, target.url, partial(open_sender, target), folder, say)
+            for name, target in zip(_names(targets), targets, strict=True)
         ]
 
     def __enter__(self) -> Deliveries:
@@ -281,12 +281,22 @@ def _read_positions(path: Path) -> dict[str, _Position]:
         return {}
 
 
+def _names(targets: Sequence[EventTarget]) -> list[str]:
+    """Return what each target is called; those that differ only in what is not shown are numbered."""
+    shown = [target.shown for target in targets]
+    earlier = [shown[:place].count(name) for place, name in enumerate(shown)]
+    return [f"{name} ({many + 1})" if many else name for name, many in zip(shown, earlier, strict=True)]
+
+
 def _numbers(path: Path) -> tuple[int, int]:
-    """Return the numbers of the oldest and the newest event of a file; 1 and 0 if it has none."""
-    newest = recent_events(path.parent, 1)
+    """Return the numbers of the oldest and the newest event of a file; 1 and 0 if it has none.
+
+    So it has for a moment while its last lines are replaced.
+    """
     try:
         with path.open("rb") as file:
-            oldest = json.loads(file.readline()) if newest else {}
+            oldest = json.loads(file.readline())
+        [newest] = recent_events(path.parent, 1)
     except (OSError, ValueError):
         return 1, 0
-    return oldest.get("number", 1), newest[0].get("number", 0) if newest else 0
+    return oldest.get("number", 1), newest.get("number", 0)

@@ -79,11 +79,10 @@ class Board:
         Returns
         -------
         dict
-            ``seconds`` since the start; ``events``, as in ``status.json``; ``streams``, in the order of
-            the list: those of ``status.json`` and
-            ``name``, ``rank`` (display order: :attr:`StreamState.rank`), ``picture`` (changes with the
-            picture, null if there is none), ``layers_over_time`` (pairs of frames read and layers),
-            ``events`` (the newest ones, the last one last).
+            ``seconds`` since the start; ``events``, as in ``status.json``; ``streams``, in the order of the
+            list: those of ``status.json`` and ``name``, ``rank`` (display order: :attr:`StreamState.rank`),
+            ``picture`` (changes with the picture, null if there is none), ``layers_over_time`` (pairs of
+            frames read and layers), ``events`` (the newest ones, the last one last).
         """
         with self._lock:
             states, past = self._states, {name: list(points) for name, points in self._past.items()}

@@ -134,6 +134,19 @@ def test_every_event_arrives_once_and_in_order_though_the_webhook_is_away(
     assert said[1:] == ["Events are delivered to http://127.0.0.1:" + said[1].split(":")[2]]
 
 
+def test_targets_that_look_alike_without_their_secrets_have_names_of_their_own(tmp_path: Path) -> None:
+    urls = ["http://bob:1@host/one", "http://host:80/", "http://bob:2@host/two"]
+    deliveries = Deliveries([parse_target(url) for url in urls], tmp_path, print)
+    assert len({backlog.target for backlog in deliveries.backlogs()}) == 3
+
+
+def test_a_line_that_is_just_replaced_is_no_backlog(tmp_path: Path, webhook: Webhook) -> None:
+    (tmp_path / "gate").mkdir()
+    (tmp_path / "gate/events.jsonl").write_bytes(b'{"id": "a", "num{"id": "b", "number": 2}\n')
+    [backlog] = Deliveries([parse_target(webhook.url)], tmp_path, print).backlogs()
+    assert backlog.waiting == 0
+
+
 def test_a_run_that_is_resumed_goes_on_where_the_target_was(tmp_path: Path, webhook: Webhook) -> None:
     said: list[str] = []
     url, port = webhook.url, webhook.server_address[1]
