@@ -3,69 +3,32 @@
 from __future__ import annotations
 
 import json
-import threading
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from collections.abc import Sequence
 
 from chaos.harness.broker import Broker
 from chaos.harness.observed_run import ObservedRun, expect
 from chaos.harness.scenario import FRAMES, LINES, ScenarioContext, expect_end, expect_identical, single_fault
+from chaos.harness.webhook import Webhook
 from orchestrator.events.event_file import EVENTS
 
 __all__ = ["SCENARIOS"]
 
 
-class _Webhook(ThreadingHTTPServer):
-    """Keeps the ids of what it is sent; refuses everything while it is ``away``."""
-
-    daemon_threads = True
-
-    def __init__(self) -> None:
-        self.ids: list[str] = []
-        self.away = False
-        super().__init__(("127.0.0.1", 0), _Answer)
-
-
-class _Answer(BaseHTTPRequestHandler):
-    server: _Webhook
-
-    def do_POST(self) -> None:
-        body = self.rfile.read(int(self.headers["Content-Length"]))
-        if not self.server.away:
-            self.server.ids.append(json.loads(body)["id"])
-        self.send_response(503 if self.server.away else 204)
-        self.end_headers()
-
-    def log_message(self, *_: object) -> None:
-        return
-
-
-@contextmanager
-def _webhook() -> Iterator[_Webhook]:
-    server = _Webhook()
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    try:
-        yield server
-    finally:
-        server.shutdown()
-        server.server_close()
-
-
 def _away(context: ScenarioContext) -> None:
     """Be away from some frame to the end of the run, and there again when it is resumed."""
-    with _webhook() as webhook:
-        flags = "--events", f"http://127.0.0.1:{webhook.server_address[1]}/hook"
-        with ObservedRun(LINES, context.folder, *flags) as run:
-            run.wait_for_frames("victim", int(context.random.integers(1, FRAMES // 2)))
-            webhook.away = True
-            expect("could not be delivered" in expect_end(run, 0), "undelivered events are not reported")
-            expect_identical(context, run)
-        webhook.away = False
-        with ObservedRun(LINES, context.folder, *flags, "--resume") as run:
-            expect_end(run, 0)
-        _expect_all(run, webhook.ids)
+    webhook = Webhook()
+    flags = "--events", webhook.url
+    with ObservedRun(LINES, context.folder, *flags) as run:
+        run.wait_for_frames("victim", int(context.random.integers(1, FRAMES // 2)))
+        webhook.away = True
+        expect("could not be delivered" in expect_end(run, 0), "undelivered events are not reported")
+        expect_identical(context, run)
+    webhook.away = False
+    with ObservedRun(LINES, context.folder, *flags, "--resume") as run:
+        expect_end(run, 0)
+    webhook.stop()
+    _expect_all(run, webhook.ids)
 
 
 def _broker_away(context: ScenarioContext) -> None:

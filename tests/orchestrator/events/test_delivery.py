@@ -20,6 +20,7 @@ import pytest
 from record_fakes import frame, segmentation
 
 from chaos.harness.broker import Broker
+from chaos.harness.webhook import Webhook
 from mlbs_actors.errors import ConfigError
 from orchestrator.command_line import parse
 from orchestrator.events import delivery as delivery_module
@@ -33,46 +34,6 @@ from orchestrator.events.targets import (
     parse_target,
 )
 from orchestrator.sinks.record import StreamRecord
-
-
-class Webhook(ThreadingHTTPServer):
-    """Notes what it is sent; refuses it while it is ``away``."""
-
-    daemon_threads = True
-
-    def __init__(self, port: int = 0) -> None:
-        self.events: list[dict[str, Any]] = []
-        self.headers: list[dict[str, str]] = []
-        self.away = False
-        super().__init__(("127.0.0.1", port), _Answer)
-        threading.Thread(target=self.serve_forever, args=(0.02,), daemon=True).start()
-
-    @property
-    def url(self) -> str:
-        return f"http://127.0.0.1:{self.server_address[1]}/hook"
-
-    @property
-    def ids(self) -> list[str]:
-        return [event["id"] for event in self.events]
-
-    def stop(self) -> None:
-        self.shutdown()
-        self.server_close()
-
-
-class _Answer(BaseHTTPRequestHandler):
-    server: Webhook
-
-    def do_POST(self) -> None:
-        body = self.rfile.read(int(self.headers["Content-Length"]))
-        if not self.server.away:
-            self.server.headers.append(dict(self.headers))
-            self.server.events.append(json.loads(body))
-        self.send_response(503 if self.server.away else 204)
-        self.end_headers()
-
-    def log_message(self, *_: object) -> None:
-        return
 
 
 @pytest.fixture
