@@ -82,7 +82,10 @@ def main(folder: Path) -> None:
         driving.join()
     host.close()
     outcome = [[state.name, state.state, state.committed, state.error] for state in driver.states]
-    print(json.dumps({"status": statuses[0], "states": outcome, "said": said}))
+    # Ray prints warnings of its own on standard output.
+    (folder / "outcome.json").write_text(
+        json.dumps({"status": statuses[0], "states": outcome, "said": said}), encoding="utf-8"
+    )
     ray.shutdown()
     local.shutdown()  # type: ignore[no-untyped-call]
 

@@ -30,7 +30,7 @@ def test_streams_go_to_all_nodes_and_those_of_a_lost_one_go_on_with_the_same_lab
         timeout=580,
     )
     assert ran.returncode == 0, ran.stderr[-3000:]
-    outcome = json.loads(ran.stdout.splitlines()[-1])
+    outcome = json.loads((tmp_path / "outcome.json").read_text(encoding="utf-8"))
     assert outcome["status"] == 0, outcome
     assert [state[1:] for state in outcome["states"]] == [["done", 120, None]] * 4
     assert sum("takes up to 1 " in one for one in outcome["said"]) == 3
