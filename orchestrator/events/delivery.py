@@ -14,6 +14,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from functools import partial
@@ -97,17 +98,18 @@ class Deliveries:
             Delivery(name, target.url, partial(open_sender, target), folder, say)
             for name, target in zip(_names(targets), targets, strict=True)
         ]
+        self._closing = ExitStack()
 
     def __enter__(self) -> Deliveries:
         for delivery in self._all:
             delivery.start()
+            self._closing.callback(delivery.close)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, place: TracebackType | None
     ) -> None:
-        for delivery in self._all:
-            delivery.close()
+        self._closing.close()
 
     def backlogs(self) -> list[Backlog]:
         """Return what each target has not acknowledged."""

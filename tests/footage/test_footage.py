@@ -273,18 +273,23 @@ def test_sensor_noise_alone_is_still_and_a_dim_little_thing_is_not() -> None:
     assert not is_still(before[:-1], before)
 
 
+def _driven(thing: Array, lefts: Sequence[float], rng: np.random.Generator) -> Iterator[Array]:
+    """A still camera; a thing's left edge is at each of these columns in turn."""
+    made = scene("static-empty", frames=len(lefts), width=320, height=240)
+    for t, left in enumerate(lefts):
+        place = np.array([[1, 0, left], [0, 1, 120]], np.float32)
+        share = cv2.warpAffine(np.ones(thing.shape[:2], np.float32), place, (320, 240))[..., None]
+        there = noisy(cv2.warpAffine(thing, place, (320, 240)), rng)
+        yield (made.frame(t) * (1 - share) + there * share).astype(np.uint8)
+
+
 def _creeping(frames: int, speed: float) -> Iterator[Array]:
     """A still camera; from frame 30 on something creeps through the picture."""
-    made = scene("static-empty", frames=frames, width=320, height=240)
     rng = np.random.default_rng(3)
     thing = cv2.resize(
         rng.integers(80, 176, (8, 8, 3)).astype(np.uint8), (40, 40), interpolation=cv2.INTER_CUBIC
     )
-    for t in range(frames):
-        place = np.array([[1, 0, 100 + max(0, t - 30) * speed], [0, 1, 120]], np.float32)
-        share = cv2.warpAffine(np.ones((40, 40), np.float32), place, (320, 240))[..., None]
-        there = noisy(cv2.warpAffine(thing, place, (320, 240)), rng)
-        yield (made.frame(t) * (1 - share) + there * share).astype(np.uint8)
+    return _driven(thing, [100 + max(0, t - 30) * speed for t in range(frames)], rng)
 
 
 def test_an_empty_place_is_passed_over_and_what_comes_into_it_is_found(
@@ -307,17 +312,12 @@ def test_an_empty_place_is_passed_over_and_what_comes_into_it_is_found(
 
 def _parking(frames: int) -> Iterator[Array]:
     """A still camera; something drives in for 40 frames, parks until the last 20, and drives on."""
-    made = scene("static-empty", frames=frames, width=320, height=240)
     rng = np.random.default_rng(3)
     thing = cv2.resize(
         rng.integers(0, 256, (5, 8, 3)).astype(np.uint8), (72, 44), interpolation=cv2.INTER_CUBIC
     )
-    for t in range(frames):
-        driven = 3.5 * (min(t, 40) + max(t - (frames - 20), 0)) - 20
-        place = np.array([[1, 0, driven], [0, 1, 120]], np.float32)
-        share = cv2.warpAffine(np.ones((44, 72), np.float32), place, (320, 240))[..., None]
-        there = noisy(cv2.warpAffine(thing, place, (320, 240)), rng)
-        yield (made.frame(t) * (1 - share) + there * share).astype(np.uint8)
+    driven = [3.5 * (min(t, 40) + max(t - (frames - 20), 0)) - 20 for t in range(frames)]
+    return _driven(thing, driven, rng)
 
 
 def test_a_place_in_which_all_has_come_to_rest_is_passed_over_until_something_moves(
