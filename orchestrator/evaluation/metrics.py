@@ -22,6 +22,7 @@ from orchestrator.evaluation.overlap import FrameOverlap
 
 __all__ = [
     "Agreement",
+    "false_area",
     "jaccard",
     "match_objects",
     "multi_label",
@@ -56,6 +57,12 @@ def jaccard(overlap: FrameOverlap) -> float:
     counts = overlap.counts
     union = int(counts.sum() - counts[0, 0])
     return float(counts[1:, 1:].sum() / union) if union else 1.0
+
+
+def false_area(overlap: FrameOverlap) -> float:
+    """Return the share of the judged pixels that are labelled but background, in [0, 1]."""
+    counts = overlap.counts
+    return float(counts[0, 1:].sum() / max(int(counts.sum()), 1))
 
 
 def _region_scores(overlap: FrameOverlap) -> tuple[Array, Array, Array]:

@@ -31,7 +31,9 @@ Truth maps are PNG: 0 = background, 1 ... 254 = objects, 255 = not judged (an
 object where 0 and 255 are the only values, as in DAVIS 2016). Figures are percent, except
 extra (layers off the truth per 100 frames), ids_on (labels that lie mostly on an object in at least three
 frames, mean over the objects), switches (of identity), delay (median frames from an object's entry until it
-is found; synthetic scenes only), ms and cpu_ms (wall and CPU time a frame). These matter most:
+is found; synthetic scenes only), ms and cpu_ms (wall and CPU time a frame). false is the share of the frame
+that is labelled but background, shared that of the found objects whose label another one has as well. These
+matter most:
 
   two_label_f      moving against not moving: mean F of the frames;  j: the same with intersection over union
   f, j&f           F of DAVIS, of the boundaries of what moves; the mean of j and f

@@ -15,6 +15,7 @@ import numpy as np
 
 from mlbs_actors.messages import Array, Region
 from orchestrator.evaluation.metrics import (
+    false_area,
     jaccard,
     match_objects,
     multi_label,
@@ -30,6 +31,7 @@ from orchestrator.evaluation.track_metrics import (
     id_switches,
     ids_on,
     moving_objects,
+    shared_ids,
     track_j,
 )
 
@@ -74,8 +76,9 @@ class ExtraLayer:
 class RangeScore:
     """Means over the frames with truth of one range of a sequence; NaN where no frame counts.
 
-    ``precision``, ``recall``, ``two_label_f``, ``j`` and ``f`` are means over all of them, the others over
-    those whose truth has objects: ``multi_precision``, ``multi_recall`` and ``multi_f`` as the paper's text
+    ``precision``, ``recall``, ``two_label_f``, ``j``, ``f`` and ``false_area``, the share of the judged
+    pixels that are labelled but background, are means over all of them, the others over those whose truth has
+    objects: ``multi_precision``, ``multi_recall`` and ``multi_f`` as the paper's text
     has them, the same with ``_matlab`` as the authors' program does. All in [0, 1].
     """
 
@@ -85,6 +88,7 @@ class RangeScore:
     two_label_f: float
     j: float
     f: float
+    false_area: float
     multi_precision: float
     multi_recall: float
     multi_f: float
@@ -168,6 +172,9 @@ class SequenceScore:
         The same, one by one, in ascending id.
     ids_on : float
         Labels on a truth object, mean over the objects; NaN where the truth has none.
+    shared_ids : float
+        Share of the found objects of all frames that have their label in common with another one, in [0, 1];
+        NaN where none is found.
     id_switches : int
     entry_delay : mapping of int to int or None
         Frames from an object's entry until it is found, by truth id; None: never found. Objects there from
@@ -185,6 +192,7 @@ class SequenceScore:
     extra_layers: float
     extras: tuple[ExtraLayer, ...]
     ids_on: float
+    shared_ids: float
     id_switches: int
     entry_delay: Mapping[int, int | None]
 
@@ -201,6 +209,7 @@ def _score_range(overlaps: Sequence[FrameOverlap]) -> RangeScore:
         two_label_f=_mean(agreement.f for agreement in binary),
         j=_mean(jaccard(overlap) for overlap in overlaps),
         f=_mean(overlap.boundary_f for overlap in overlaps),
+        false_area=_mean(false_area(overlap) for overlap in overlaps),
         multi_precision=_mean(agreement.precision for agreement in multi),
         multi_recall=_mean(agreement.recall for agreement in multi),
         multi_f=_mean(agreement.f for agreement in multi),
@@ -300,6 +309,7 @@ class SequenceScorer:
             extra_layers=100.0 * len(extras) / self._frames if self._frames else 0.0,
             extras=extras,
             ids_on=ids_on(self._overlaps),
+            shared_ids=shared_ids(self._overlaps),
             id_switches=id_switches(self._overlaps),
             entry_delay=entry_delays(self._overlaps, self._entries),
         )

@@ -15,13 +15,23 @@ from mlbs_actors.messages import Array
 from orchestrator.evaluation.metrics import match_objects
 from orchestrator.evaluation.overlap import NOT_JUDGED, FrameOverlap, ious_of
 
-__all__ = ["TrackScore", "davis_tracks", "entry_delays", "id_switches", "ids_on", "moving_objects", "track_j"]
+__all__ = [
+    "TrackScore",
+    "davis_tracks",
+    "entry_delays",
+    "id_switches",
+    "ids_on",
+    "moving_objects",
+    "shared_ids",
+    "track_j",
+]
 
 MIN_ENTRY_AREA = 400  # visible px from which an object counts as entered
 MIN_ENTRY_SPEED = 1.0  # px/frame against its surroundings
 SURROUNDINGS = 12  # width of the ring around an object that counts as its surroundings, px
 FOUND_IOU = 0.5
 MIN_FRAMES_ON = 3  # frames in which a label must lie on an object to count as one of its ids
+MIN_FOUND = 0.3  # share of an object's pixels under one label from which on it counts as found
 
 
 def id_switches(overlaps: Iterable[FrameOverlap]) -> int:
@@ -142,6 +152,27 @@ def ids_on(overlaps: Iterable[FrameOverlap]) -> float:
     if not objects:
         return math.nan
     return sum(count >= MIN_FRAMES_ON for count in frames.values()) / len(objects)
+
+
+def shared_ids(overlaps: Iterable[FrameOverlap]) -> float:
+    """Return how often an object that is found shares its label with another one, in [0, 1].
+
+    The counterpart of :func:`ids_on`, which alone would reward one label for everything. An object's label in
+    a frame is the one on most of its judged pixels; the object is found if they are at least 30 %. The result
+    is the share of all found objects of all frames whose label is another found object's, too; NaN if nothing
+    is found.
+    """
+    found = shared = 0
+    for overlap in overlaps:
+        if not overlap.labels.size or not overlap.objects.size:
+            continue
+        counts = overlap.counts[1:]
+        main = counts[:, 1:].argmax(axis=1)
+        is_found = counts[:, 1:].max(axis=1) >= MIN_FOUND * counts.sum(axis=1)
+        holders = np.bincount(main[is_found], minlength=overlap.labels.size)
+        found += int(is_found.sum())
+        shared += int(holders[holders > 1].sum())
+    return shared / found if found else math.nan
 
 
 def moving_objects(truth: Array, flow: Array) -> list[int]:

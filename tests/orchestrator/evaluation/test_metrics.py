@@ -11,6 +11,7 @@ import pytest
 from mlbs_actors.errors import FrameError
 from mlbs_actors.messages import Array, Region
 from orchestrator.evaluation.metrics import (
+    false_area,
     jaccard,
     match_objects,
     multi_label,
@@ -26,6 +27,7 @@ from orchestrator.evaluation.track_metrics import (
     id_switches,
     ids_on,
     moving_objects,
+    shared_ids,
     track_j,
 )
 
@@ -213,6 +215,22 @@ def test_ids_on_an_object_lie_there_with_half_of_their_pixels_in_three_frames() 
     assert ids_on(over_frames(two, three, two)) == (2 + 0) / 2
 
 
+def test_an_object_shares_its_label_if_most_of_another_one_that_is_found_has_it_too() -> None:
+    truth = "1 1 1 2 2 2 3 3 3 0"
+    apart, joined, mostly = "5 5 5 6 6 6 7 7 7 0", "5 5 5 5 5 5 7 7 7 5", "5 5 6 5 5 5 6 7 7 0"
+    assert shared_ids(over_frames((truth, apart))) == 0
+    assert shared_ids(over_frames((truth, joined))) == 2 / 3
+    assert shared_ids(over_frames((truth, apart), (truth, joined), (truth, mostly))) == 4 / 9
+    # An object of which too little is labelled is not found; of an unknown label nobody else has any.
+    assert shared_ids(over_frames(("1 1 1 1 2 0", "5 0 0 0 5 5"))) == 0
+    assert math.isnan(shared_ids(over_frames((truth, "0 0 0 0 0 0 0 0 0 8"))))
+
+
+def test_false_area_is_what_is_labelled_and_background_among_the_judged_pixels() -> None:
+    assert false_area(overlap("0 0 0 1 1 255 255 0", "5 6 0 5 0 5 0 0")) == 2 / 6
+    assert false_area(overlap("255 255", "5 0")) == 0
+
+
 def test_figures_of_whole_sequences_leave_pixels_out_that_are_not_judged() -> None:
     frames = over_frames(*[("1 1 255 255 255", "5 5 5 5 5")] * 3)
     assert track_j(frames) == 1
@@ -250,6 +268,20 @@ def test_figures_of_whole_sequences_equal_those_of_loops_over_masks(seed: int) -
     counted = [count_overlap(found, true.astype(np.uint8)) for found, true in zip(labels, truth, strict=True)]
     assert track_j(counted) == pytest.approx(best / len(objects))
     assert ids_on(counted) == sum(count >= 3 for count in on.values()) / len(objects)
+    found = sharing = 0
+    for lab, true in zip(labels, truth, strict=True):
+        mains = []
+        for one in sorted(set(true[(true > 0) & (true < 255)].tolist())):
+            own = lab[true == one]
+            sizes = {
+                label: int((own == label).sum()) for label in sorted(set(lab[true < 255].tolist()) - {0})
+            }
+            main = max(sizes, key=lambda label: sizes[label], default=0)
+            if main and sizes[main] >= 0.3 * own.size:
+                mains.append(main)
+        found += len(mains)
+        sharing += sum(mains.count(main) > 1 for main in mains)
+    assert shared_ids(counted) == pytest.approx(sharing / found)
 
 
 def score_extra(lives: list[tuple[str, str | None]]) -> SequenceScorer:
