@@ -7,6 +7,8 @@ import signal
 import sys
 from collections.abc import Sequence
 
+from orchestrator.command_options import command_parser
+
 __all__ = ["main"]
 
 #: OpenCV, which nothing requires, as its packages exclude each other, and the modules of the extra ``run``,
@@ -20,6 +22,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     # is ended too.
     signal.signal(signal.SIGTERM, _exit)
     signal.signal(signal.SIGINT, _exit)
+    given = sys.argv[1:] if argv is None else argv
+    if not {"-h", "--help"}.isdisjoint(given):  # also where nothing is installed yet
+        command_parser().print_help()
+        return 0
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         extras = "run,headless" if "cv2" in missing else "run"
@@ -32,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Imported here, because that takes a second, in which a signal may come.
     from orchestrator.command import run_command
 
-    return run_command(sys.argv[1:] if argv is None else argv)
+    return run_command(given)
 
 
 def _exit(number: int, frame: object) -> None:

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["MASK", "mask"]
+__all__ = ["MASK", "PASSWORD_VARIABLE", "mask"]
 
 #: Replacement of a secret.
 MASK = "***"
+
+#: Environment variable with the password of targets of events that name a user only.
+PASSWORD_VARIABLE = "MLBS_EVENTS_PASSWORD"
 
 # Greedy up to the last @ of the word: a password may itself hold "/", "@", ":" or a quote.
 _USER_INFO = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)\S*@")

@@ -33,5 +33,8 @@ def python_name() -> str:
     """Return the word that starts this Python from here."""
     if (found := shutil.which("python")) is not None and Path(found) == Path(sys.executable):
         return "python"
-    below = Path(sys.executable).is_relative_to(Path.cwd() / ".venv")
-    return shlex.quote(os.path.relpath(sys.executable) if below else sys.executable)
+    executable = Path(sys.executable)
+    if script := os.environ.get(_VARIABLE):  # which shows the help by any Python until its own is there
+        executable = Path(script).absolute().parents[1] / ".venv/bin/python"
+    below = executable.is_relative_to(Path.cwd() / ".venv")
+    return shlex.quote(os.path.relpath(executable) if below else str(executable))

@@ -2,7 +2,12 @@
 
 import sys
 
-from orchestrator.evaluation.command import main
+from orchestrator.evaluation.options import evaluation_parser
 
 if __name__ == "__main__":
+    if not {"-h", "--help"}.isdisjoint(sys.argv[1:]):  # also where nothing is installed yet
+        evaluation_parser().print_help()
+        sys.exit()
+    from orchestrator.evaluation.command import main
+
     sys.exit(main())

@@ -63,12 +63,12 @@ def outline_of(mask: Array) -> Outline:
     if not len(rows):
         return Outline(rows, columns, 0, 0, np.zeros((0, 0), bool))
     reach = math.ceil(REACH * math.hypot(*mask.shape))
-    top, left = max(rows.min() - reach, 0), max(columns.min() - reach, 0)
+    top, left = max(int(rows.min()) - reach, 0), max(int(columns.min()) - reach, 0)
     around = edge[top : rows.max() + reach + 1, left : columns.max() + reach + 1]
     distance = cv2.distanceTransform((~around).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     # Between a distance of the reach and the next larger one there is more than this, up to a diagonal of
     # 10,000 px.
-    return Outline(rows, columns, int(top), int(left), distance <= reach + 0.005)
+    return Outline(rows, columns, top, left, distance <= reach + 0.005)
 
 
 def boundary_f(truth: Outline, label: Outline) -> float:

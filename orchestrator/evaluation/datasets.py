@@ -20,20 +20,17 @@ from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.evaluation.bms_truth import BmsSequence, definition_of
+from orchestrator.evaluation.options import DATA_VARIABLE
 from orchestrator.evaluation.sequences import FileSequence, FolderSequence, SceneSequence, Sequence
 from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
 __all__ = [
-    "DATA_VARIABLE",
     "data_root",
     "find_sequences",
     "open_sequence",
     "open_truth",
     "truth_name",
 ]
-
-#: Environment variable that names the default data root.
-DATA_VARIABLE = "MLBS_DATA"
 
 _ANNOTATIONS = frozenset({"Annotations", "Annotations_unsupervised"})
 

@@ -14,10 +14,7 @@ from mlbs_actors.errors import ConfigError
 from orchestrator.evaluation.figures import COLUMNS, mean_of_sequences, null_if_unknown
 from orchestrator.evaluation.scoring import SequenceResult
 
-__all__ = ["LATEX_COLUMNS", "write_csv", "write_json", "write_latex"]
-
-#: The columns of a LaTeX table, unless others are asked for.
-LATEX_COLUMNS = ("two_label_f", "j", "f", "j&f", "object_f", "track_j")
+__all__ = ["write_csv", "write_json", "write_latex"]
 
 _MATH = {"j": r"$\mathcal{J}$", "f": r"$\mathcal{F}$", "j&f": r"$\mathcal{J}\&\mathcal{F}$"}
 _ESCAPED = str.maketrans({character: f"\\{character}" for character in "_&%#$"})

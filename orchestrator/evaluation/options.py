@@ -1,15 +1,19 @@
-"""The command line of ``scripts/evaluate``."""
+"""The command line of ``scripts/evaluate``, for which nothing has to be installed but Python."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from orchestrator.command_line import LEAST_SIDE
-from orchestrator.evaluation import datasets
-from orchestrator.evaluation.figure_files import LATEX_COLUMNS
+from orchestrator.command_options import LEAST_SIDE
 
-__all__ = ["evaluation_parser"]
+__all__ = ["DATA_VARIABLE", "evaluation_parser"]
+
+#: Environment variable that names the default folder of the sequences.
+DATA_VARIABLE = "MLBS_DATA"
+
+#: The columns of a LaTeX table, unless others are asked for.
+_LATEX_COLUMNS = ("two_label_f", "j", "f", "j&f", "object_f", "track_j")
 
 _DESCRIPTION = """\
 Score label maps against truth.
@@ -101,7 +105,7 @@ def evaluation_parser() -> argparse.ArgumentParser:
         type=Path,
         metavar="ROOT",
         help="run the engine on the sequences below this folder "
-        f"(default: the environment variable {datasets.DATA_VARIABLE})",
+        f"(default: the environment variable {DATA_VARIABLE})",
     )
     add(
         "--sequences",
@@ -145,9 +149,9 @@ def evaluation_parser() -> argparse.ArgumentParser:
     add(
         "--columns",
         type=lambda text: text.split(","),
-        default=LATEX_COLUMNS,
+        default=_LATEX_COLUMNS,
         metavar="NAME,...",
-        help=f"of the LaTeX table, by their headings here (default {','.join(LATEX_COLUMNS)})",
+        help=f"of the LaTeX table, by their headings here (default {','.join(_LATEX_COLUMNS)})",
     )
     add("--sheets", type=Path, metavar="DIR", help="write contact sheets there: labels, truth, difference")
     return parser

@@ -15,12 +15,9 @@ from typing import Any, Protocol
 from urllib.parse import unquote, urlsplit, urlunsplit
 
 from mlbs_actors.errors import ConfigError, MlbsError
-from orchestrator.credentials import MASK, mask
+from orchestrator.credentials import MASK, PASSWORD_VARIABLE, mask
 
-__all__ = ["PASSWORD_VARIABLE", "DeliveryError", "EventTarget", "Sender", "open_sender", "parse_target"]
-
-#: Environment variable with the password of targets that name a user only.
-PASSWORD_VARIABLE = "MLBS_EVENTS_PASSWORD"
+__all__ = ["DeliveryError", "EventTarget", "Sender", "open_sender", "parse_target"]
 
 #: Longest time until a target has answered, s.
 _ANSWER_SECONDS = 10.0

@@ -2,7 +2,7 @@
 
 Read in this order:
 
-- :mod:`benchmark.command`: the options, and which measurement each name stands for
+- :mod:`benchmark.options`, :mod:`benchmark.command`: the options, and which measurement each name stands for
 - :mod:`benchmark.settings`, :mod:`benchmark.result`, :mod:`benchmark.plots`: what a measurement is given and
   what it returns
 - :mod:`benchmark.in_process`: the engine, and OpenCV's subtractors beside it, in this process

@@ -3,7 +3,7 @@
 import signal
 import sys
 
-from orchestrator.ray_session import ray_settings
+from chaos.options import chaos_parser
 
 
 def _exit(number: int, frame: object) -> None:
@@ -11,6 +11,11 @@ def _exit(number: int, frame: object) -> None:
 
 
 if __name__ == "__main__":
+    if not {"-h", "--help"}.isdisjoint(sys.argv[1:]):  # also where nothing is installed yet
+        chaos_parser().print_help()
+        sys.exit()
+    from orchestrator.ray_session import ray_settings
+
     signal.signal(signal.SIGTERM, _exit)  # unwinds, so that a run that is under way is ended too
     with ray_settings(None) as scratch:
         # Imported here, because it imports Ray, which reads its settings then.

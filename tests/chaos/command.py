@@ -20,6 +20,7 @@ from chaos.endurance.soak import memory_plot, soak
 from chaos.harness.observed_run import ExpectationError
 from chaos.harness.reference import References
 from chaos.harness.scenario import Fault, Scenario, ScenarioContext, Verdict, Verdicts
+from chaos.options import chaos_parser
 from chaos.scenarios.catalogue import FAULTS
 from chaos.scenarios.kills import KILLS
 from mlbs_actors.errors import ConfigError, MlbsError
@@ -28,16 +29,6 @@ __all__ = ["main"]
 
 #: Numbers of some quick faults, for ``--fast``.
 _FAST = ("1", "28")
-
-_DESCRIPTION = """\
-Bring faults about in real runs of the command, and tell which of them are survived.
-
-  faults   every fault of the list: a row each, how often it was held; how long until label maps were made
-           again ("back after"), and until there was one that had not been there before ("got on after")
-  kills    every kind of process killed at every step, the command between any two steps of a commit
-  soak     long streams whose objects come and go: memory, processes and descriptors over time
-  cost     the rate with synced commits and snapshots beside that with the same files alone, in turns
-"""
 
 
 def main(argv: Sequence[str] | None, ray_scratch: Path) -> int:
@@ -55,7 +46,7 @@ def main(argv: Sequence[str] | None, ray_scratch: Path) -> int:
     int
         0: everything was survived; 1: something was not; 2: wrong usage.
     """
-    arguments = _parser().parse_args(argv)
+    arguments = chaos_parser().parse_args(argv)
     try:
         if arguments.plot:
             require_matplotlib()
@@ -177,32 +168,3 @@ def _soak(arguments: argparse.Namespace, scratch: Path) -> int:
     if arguments.plot:
         draw(memory_plot(figures.samples), arguments.plot)
     return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="scripts/chaos",
-        description=_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    add = parser.add_argument
-    add(
-        "what",
-        nargs="?",
-        choices=("faults", "kills", "soak", "cost"),
-        default="faults",
-        help="what to do (default: faults)",
-    )
-    add(
-        "--seeds", type=int, metavar="N", help="how often each, at other moments (default: faults 3, kills 1)"
-    )
-    add("--faults", metavar="NUMBERS", help="only these, with commas (default: all)")
-    add("--only", metavar="WORDS", help="only those with these words in their name")
-    add("--jobs", type=int, default=1, metavar="N", help="runs at once, which makes each slower (default: 1)")
-    add("--fast", action="store_true", help="a few quick ones, one seed")
-    add("--streams", type=int, default=2, metavar="N", help="streams of the soak (default: 2)")
-    add("--frames", type=int, metavar="N", help="frames of each stream (default: soak 300, cost 144)")
-    add("--plot", type=Path, metavar="PNG", help="draw the soak's memory over time there")
-    add("--pairs", type=int, default=3, metavar="N", help="pairs of runs for the cost (default: 3)")
-    return parser

@@ -28,7 +28,8 @@ from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator import ray_session
 from orchestrator.__main__ import main
-from orchestrator.command_line import SAVED, parse
+from orchestrator.command_line import parse
+from orchestrator.command_options import SAVED
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.ray_session import ray_settings
 from orchestrator.run.argument_streams import DEMO

@@ -13,6 +13,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
+from benchmark.options import PEER_NAMES
 from mlbs_actors.messages import Array
 
 __all__ = ["PEERS", "FlowComposite", "FlowResidual", "Peer", "StabilisedMog2"]
@@ -112,11 +113,9 @@ class StabilisedMog2:
 
 
 #: By the name that chooses it.
-PEERS: dict[str, Callable[[], Peer]] = {
-    "mog2": StabilisedMog2,
-    "residual": FlowResidual,
-    "composite": FlowComposite,
-}
+PEERS: dict[str, Callable[[], Peer]] = dict(
+    zip(PEER_NAMES, (StabilisedMog2, FlowResidual, FlowComposite), strict=True)
+)
 
 
 class _BackwardFlow:

@@ -25,7 +25,7 @@ from mlbs_actors import Config
 from mlbs_actors.actors import Node, PoolPolicy, StreamActors
 from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.stream.protocol import FrameReader, StreamProgress, StreamSink, StreamSpec
-from orchestrator.command_line import SAVED
+from orchestrator.command_options import SAVED
 from orchestrator.ray_session import ray_session
 from orchestrator.sinks.record import StreamRecord
 

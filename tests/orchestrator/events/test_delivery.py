@@ -23,16 +23,11 @@ from chaos.harness.broker import Broker
 from chaos.harness.webhook import Webhook
 from mlbs_actors.errors import ConfigError
 from orchestrator.command_line import parse
+from orchestrator.credentials import PASSWORD_VARIABLE
 from orchestrator.events import delivery as delivery_module
 from orchestrator.events import targets as targets_module
 from orchestrator.events.delivery import Deliveries
-from orchestrator.events.targets import (
-    PASSWORD_VARIABLE,
-    DeliveryError,
-    EventTarget,
-    open_sender,
-    parse_target,
-)
+from orchestrator.events.targets import DeliveryError, EventTarget, open_sender, parse_target
 from orchestrator.sinks.record import StreamRecord
 
 
