@@ -23,6 +23,7 @@ import pytest
 import ray
 from camera_server import PASSWORD, camera, free_port, needs_rtsp_server
 from PIL import Image
+from whole_run import DAMAGED, REPOSITORY, SECRET, FinishedRun, run_whole
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
@@ -36,20 +37,6 @@ from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sources.synthetic import scene
-
-REPOSITORY = Path(__file__).resolve().parents[2]
-
-
-def command(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "orchestrator", *map(str, arguments)],
-        cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-    )
-
 
 def stream_list(folder: Path, *lines: str) -> Path:
     path = folder / "list.txt"
@@ -186,7 +173,7 @@ def test_a_bad_list_or_configuration_ends_with_status_2_and_leaves_no_trace(
     tmp_path: Path, lines: list[str], flags: list[str], words: str
 ) -> None:
     output = tmp_path / "out"
-    ended = command("--streams", stream_list(tmp_path, *lines), "--output", output, *flags)
+    ended = run_whole("--streams", stream_list(tmp_path, *lines), "--output", output, *flags)
     assert (ended.returncode, ended.stdout) == (2, "")
     assert words in ended.stderr
     assert "Traceback" not in ended.stderr
@@ -212,7 +199,7 @@ def test_a_signal_while_the_program_is_still_loading_ends_it_without_a_traceback
 
 
 def test_a_missing_list_ends_with_status_2() -> None:
-    ended = command("--streams", "/nowhere/list.txt")
+    ended = run_whole("--streams", "/nowhere/list.txt")
     assert ended.returncode == 2
     assert "/nowhere/list.txt" in ended.stderr
 
@@ -345,7 +332,7 @@ def test_the_help_begins_with_examples_of_the_command_that_was_typed(
 def test_an_output_folder_that_holds_a_run_is_refused_untouched(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out/run.json").write_text("{}")
-    ended = command("--streams", stream_list(tmp_path, "synthetic:demo"), "--output", tmp_path / "out")
+    ended = run_whole("--streams", stream_list(tmp_path, "synthetic:demo"), "--output", tmp_path / "out")
     assert ended.returncode == 2
     assert "holds a run already" in ended.stderr
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["run.json"]
@@ -360,7 +347,7 @@ def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) ->
     folder = RunFolder(tmp_path / "out")
     folder.create(describe_run(streams, config, arguments.save, None))
     StatusFile(folder.path / "status.json").finish([StreamState("street", "done", read=9, committed=9)], 0)
-    ended = command(*given, "--resume")
+    ended = run_whole(*given, "--resume")
     assert ended.returncode == 0, ended.stderr
     assert "1 stream ended before" in ended.stderr
     assert "1 of 1 stream complete" in ended.stderr
@@ -385,7 +372,7 @@ def test_a_ray_that_does_not_run_on_this_machine_is_told_so(
 def test_a_cluster_that_cannot_be_reached_ends_with_status_2_soon(tmp_path: Path, address: str) -> None:
     path, output = stream_list(tmp_path, "synthetic:demo"), tmp_path / "out"
     started = time.monotonic()
-    ended = command("--streams", path, "--output", output, "--address", address)
+    ended = run_whole("--streams", path, "--output", output, "--address", address)
     assert ended.returncode == 2
     assert "cannot be joined" in ended.stderr
     assert not output.exists()
@@ -550,22 +537,11 @@ def test_processes_of_a_session_of_our_own_are_as_nice_as_the_command() -> None:
 
 
 @pytest.mark.ray
-def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(tmp_path: Path) -> None:
-    pictures = [scene("no-mover", frames=12, width=160, height=120).frame(index) for index in range(12)]
-    (tmp_path / "folder").mkdir()
-    for index, picture in enumerate(pictures):
-        cv2.imwrite(str(tmp_path / f"folder/p{index}.png"), picture)
-    (tmp_path / "folder/p4.png").write_bytes(b"damaged")
-    lines = [
-        "demo 'synthetic:demo?frames=12&width=160&height=120'",
-        "folder",
-        "gone none.mp4",
-        "door rtsp://bob:hunter2@127.0.0.1:9/door",
-    ]
-    output = tmp_path / "out"
-    listed = stream_list(tmp_path, *lines)
-    ended = command("--streams", listed, "--output", output, "--give-up-after", "5")
-    assert ended.returncode == 1, ended.stderr
+def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(
+    finished_run: FinishedRun,
+) -> None:
+    output = finished_run.output
+    assert finished_run.exit_status == 1, finished_run.stderr
     status = json.loads((output / "status.json").read_text())["streams"]
     assert {
         name: (s["state"], s["read"], s["committed"], s["quarantined"]) for name, s in status.items()
@@ -576,25 +552,32 @@ def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(
         "door": ("failed", 0, 0, 0),
     }
     assert list(_masks(output / "demo")) == [f"{index:05d}.png" for index in range(12)]
-    assert status["gone"]["line"] == 3
-    before_ray, _, _ = ended.stderr.partition("Starting Ray")
-    assert f"line 3: There is no file or folder {tmp_path / 'none.mp4'}" in before_ray
-    assert "line 4, door (failed): " in ended.stderr
     assert len(_masks(output / "folder")) == 11
     assert "p4.png" not in _masks(output / "folder")
-    assert [row["status"] for row in _frames(output / "folder")].index("quarantined") == 4
+    assert [row["status"] for row in _frames(output / "folder")].index("quarantined") == DAMAGED
     labels = np.asarray(Image.open(output / "demo/masks/00011.png"))
     assert labels.shape == (120, 160)
     for name in ("run.json", "report.html", "demo/overlay.mp4", "demo/commits.jsonl"):
         assert (output / name).stat().st_size
-    last = [json.loads(line) for line in ended.stdout.splitlines()]
+
+
+@pytest.mark.ray
+def test_a_run_says_what_is_wrong_with_which_line_and_where_its_results_are(
+    finished_run: FinishedRun,
+) -> None:
+    status = json.loads((finished_run.output / "status.json").read_text())["streams"]
+    assert status["gone"]["line"] == 3
+    before_ray, _, _ = finished_run.stderr.partition("Starting Ray")
+    assert f"line 3: There is no file or folder {finished_run.sources / 'none.mp4'}" in before_ray
+    assert "line 4, door (failed): " in finished_run.stderr
+    last = [json.loads(line) for line in finished_run.stdout.splitlines()]
     assert {line["stream"]: line["state"] for line in last} == {
         name: stream["state"] for name, stream in status.items()
     }
-    assert str(output) in ended.stderr
-    everything = ended.stdout + ended.stderr
-    everything += "".join(path.read_text() for path in output.glob("*.*"))
-    assert "hunter2" not in everything
+    assert str(finished_run.output) in finished_run.stderr
+    everything = finished_run.stdout + finished_run.stderr
+    everything += "".join(path.read_text() for path in finished_run.output.glob("*.*"))
+    assert SECRET not in everything
     assert "Traceback" not in everything
 
 
@@ -611,12 +594,12 @@ def test_a_video_named_as_an_argument_has_its_results_beside_it_and_a_second_run
     writer.release()
     (tmp_path / "x.mp4").rename(video)
     for number in ("", "-2"):
-        ended = command(video, "--max-frames", "8", "--save", "masks")
+        ended = run_whole(video, "--max-frames", "8", "--save", "masks")
         assert ended.returncode == 0, ended.stderr
         output = tmp_path / f"my clips/street [1]-objects{number}"
         assert f"Results: {output}\n" in ended.stderr
         assert len(_masks(output / "street [1]")) == 8
-    ended = command(video, "--max-frames", "8", "--save", "masks", "--resume")
+    ended = run_whole(video, "--max-frames", "8", "--save", "masks", "--resume")
     assert "1 stream ended before" in ended.stderr
     assert f"Results: {output}\n" in ended.stderr
 
