@@ -9,11 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mlbs_actors import __version__
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
 from orchestrator.events.targets import PASSWORD_VARIABLE, EventTarget, parse_target
 from orchestrator.events.zones import ZonesFile, read_zones
 from orchestrator.ignored import Ignored, read_ignored
+from orchestrator.log import FORMATS, LogFormat
 from orchestrator.mistaken_flags import refuse_source_behind, unknown_flag
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.program import command_line_of, program_name, python_name
@@ -81,6 +83,7 @@ exit status:
   2    the command, the configuration or the list cannot be used, or no stream has a source;
        nothing was started
   130, 143  interrupted by SIGINT or SIGTERM before the end of another stream; what was read is kept
+  141  the same, because nobody reads the output any more, as after | head -1
 a second signal ends the run at once, with 130 or 143; it goes on with --resume, as does a killed one
 """
 
@@ -132,6 +135,8 @@ class Arguments:
         Time without a picture after which a camera is given up, s.
     places : int, optional
         Streams at once, whatever they take.
+    log : LogFormat
+        How progress and messages are written where no table is shown.
     """
 
     sources: tuple[str, ...]
@@ -154,6 +159,7 @@ class Arguments:
     keep: Keep | None
     give_up_after: int | None
     places: int | None
+    log: LogFormat
 
     def command(self, output: str) -> list[str]:
         """Return the arguments that start the same run from any folder, with another output folder."""
@@ -256,6 +262,7 @@ def parse(argv: Sequence[str]) -> Arguments:
         keep=keep,
         give_up_after=given.give_up_after,
         places=given.places,
+        log=given.log,
     )
 
 
@@ -473,4 +480,12 @@ def _parser() -> argparse.ArgumentParser:
         help="run N streams at once, whatever they take (default: two files a core, and cameras as long as "
         "CPU time and memory last for what they are measured to take)",
     )
+    parser.add_argument(
+        "--log",
+        choices=FORMATS,
+        default="text",
+        help="how progress and messages are written: json for JSON lines (default: text, a live table on a "
+        "terminal, else a line of text per stream when something changes, and now and then)",
+    )
+    parser.add_argument("--version", action="version", version=f"mlbs-actors {__version__}")
     return parser

@@ -54,10 +54,10 @@ def run_whole(*arguments: str | Path, timeout: float = 200) -> subprocess.Comple
 
 
 def run_mixed_sources(folder: Path) -> FinishedRun:
-    """Run over four streams with all that can be saved, and take progress as JSON lines.
+    """Run over four streams with all that can be saved, and with JSON lines.
 
-    ``demo`` is whole, ``folder`` has an image that cannot be decoded, ``gone`` has no file, and nothing listens
-    at the address of the camera ``door``.
+    ``demo`` is whole, ``folder`` has an image that cannot be decoded, ``gone`` has no file, and nothing
+    listens at the address of the camera ``door``.
     """
     width, height = SIZE
     still = scene("no-mover", frames=FRAMES, width=width, height=height)
@@ -74,6 +74,7 @@ def run_mixed_sources(folder: Path) -> FinishedRun:
     output = folder / "out"
     ended = run_whole(
         *("--streams", folder / "list.txt", "--output", output, "--give-up-after", "5"),
+        *("--log", "json"),
         *("--save", "masks,parquet,overlay,background,cutouts"),
     )
     return FinishedRun(folder, output, ended.returncode, ended.stdout, ended.stderr)

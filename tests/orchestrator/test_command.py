@@ -13,6 +13,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import cast
 
@@ -25,6 +27,7 @@ from camera_server import PASSWORD, camera, free_port, needs_rtsp_server
 from PIL import Image
 from whole_run import DAMAGED, REPOSITORY, SECRET, FinishedRun, run_whole
 
+from mlbs_actors import __version__
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator import ray_session
@@ -37,6 +40,7 @@ from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sources.synthetic import scene
+
 
 def stream_list(folder: Path, *lines: str) -> Path:
     path = folder / "list.txt"
@@ -181,6 +185,29 @@ def test_a_bad_list_or_configuration_ends_with_status_2_and_leaves_no_trace(
     assert not output.exists()
 
 
+@pytest.mark.parametrize("listed", [True, False])
+def test_files_that_are_no_videos_are_refused_before_ray_starts(tmp_path: Path, listed: bool) -> None:
+    false = tmp_path / "false.mp4"
+    false.write_text("no video")
+    sources = ["--streams", stream_list(tmp_path, "# mine", "gone.mp4", "false.mp4")] if listed else [false]
+    ended = run_whole(*sources, "--output", tmp_path / "out")
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert str(false) in ended.stderr
+    if listed:
+        assert "line 2: There is no file" in ended.stderr
+        assert "line 3: " in ended.stderr
+    assert "Starting Ray" not in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        parse(["--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out == f"mlbs-actors {__version__}\n"
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_while_the_program_is_still_loading_ends_it_without_a_traceback(
     tmp_path: Path, number: signal.Signals
@@ -219,7 +246,8 @@ def test_the_main_script_passes_its_arguments_on_with_the_name_by_which_it_was_c
 ) -> None:
     script = _with_stubs(tmp_path / "root", 'printf \'%s\\n\' "$MLBS_COMMAND" "$@"')
     ended = subprocess.run([script, *given], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert ended.stdout.splitlines() == [str(script), "-m", "orchestrator", "--or-demo", *given]
+    program = str(tmp_path / "root/.venv/bin/mlbs-actors")
+    assert ended.stdout.splitlines() == [str(script), program, "--or-demo", *given]
 
 
 def test_the_main_script_becomes_the_program_that_signals_are_for(tmp_path: Path) -> None:
@@ -352,7 +380,7 @@ def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) ->
     assert "1 stream ended before" in ended.stderr
     assert "1 of 1 stream complete" in ended.stderr
     assert "Starting Ray" not in ended.stderr
-    assert json.loads(ended.stdout)["state"] == "done"
+    assert ended.stdout == "street: done, 9 frames\n"
     assert (folder.path / "report.html").stat().st_size
 
 
@@ -581,32 +609,148 @@ def test_a_run_says_what_is_wrong_with_which_line_and_where_its_results_are(
     assert "Traceback" not in everything
 
 
-@pytest.mark.ray
-def test_a_video_named_as_an_argument_has_its_results_beside_it_and_a_second_run_does_not_touch_them(
-    tmp_path: Path,
-) -> None:
-    video = tmp_path / "my clips/street [1].mp4"
-    video.parent.mkdir()
-    writer = cv2.VideoWriter(str(tmp_path / "x.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 25, (160, 120))
+#: Names of modules that a run imports, of packages and of Python itself.
+_PLANTED = ("av", "cv2", "yaml", "queue", "select", "secrets")
+
+
+@dataclass(frozen=True, slots=True)
+class VideoRuns:
+    """Two runs over a video named as an argument, from its folder, where files have names of modules.
+
+    Attributes
+    ----------
+    folder : Path
+        Of the video.
+    whole : subprocess.CompletedProcess
+        The first run.
+    unread : subprocess.CompletedProcess
+        The second one, whose output is read to the end of its first line.
+    """
+
+    folder: Path
+    whole: subprocess.CompletedProcess[str]
+    unread: subprocess.CompletedProcess[str]
+
+
+@pytest.fixture(scope="module")
+def video_runs(tmp_path_factory: pytest.TempPathFactory) -> VideoRuns:
+    folder = tmp_path_factory.mktemp("films") / "my clips"
+    folder.mkdir()
+    writer = cv2.VideoWriter(str(folder / "x.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 25, (160, 120))
     street = scene("demo", frames=8, width=160, height=120)
     for index in range(8):
         writer.write(street.frame(index))
     writer.release()
-    (tmp_path / "x.mp4").rename(video)
-    for number in ("", "-2"):
-        ended = run_whole(video, "--max-frames", "8", "--save", "masks")
-        assert ended.returncode == 0, ended.stderr
-        output = tmp_path / f"my clips/street [1]-objects{number}"
-        assert f"Results: {output}\n" in ended.stderr
-        assert len(_masks(output / "street [1]")) == 8
-    ended = run_whole(video, "--max-frames", "8", "--save", "masks", "--resume")
+    (folder / "x.mp4").rename(folder / "street [1].mp4")
+    for name in _PLANTED:
+        mark = repr(str(folder / f"{name}.was-run"))
+        (folder / f"{name}.py").write_text(f"open({mark}, 'w').close()\n")
+    words = [
+        *(sys.executable, "-m", "orchestrator", "street [1].mp4"),
+        *("--max-frames", "8", "--save", "masks"),
+    ]
+    whole = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=200, check=False)
+    with subprocess.Popen(
+        words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as second:
+        assert second.stdout is not None
+        assert second.stderr is not None
+        first_line = second.stdout.readline()
+        second.stdout.close()
+        stderr = second.stderr.read()
+    unread = subprocess.CompletedProcess(words, second.returncode, first_line, stderr)
+    return VideoRuns(folder, whole, unread)
+
+
+@pytest.mark.ray
+def test_a_video_named_as_an_argument_has_its_results_beside_it_and_a_second_run_does_not_touch_them(
+    video_runs: VideoRuns,
+) -> None:
+    first, second = (video_runs.folder / f"street [1]-objects{number}" for number in ("", "-2"))
+    assert video_runs.whole.returncode == 0, video_runs.whole.stderr
+    assert f"Results: {first}\n" in video_runs.whole.stderr
+    assert len(_masks(first / "street [1]")) == 8
+    assert f"Results: {second}\n" in video_runs.unread.stderr
+    assert (second / "run.json").exists()
+    status = (second / "status.json").read_bytes()
+    ended = run_whole(
+        *(video_runs.folder / "street [1].mp4", "--output", first),
+        *("--max-frames", "8", "--save", "masks", "--resume"),
+    )
     assert "1 stream ended before" in ended.stderr
-    assert f"Results: {output}\n" in ended.stderr
+    assert f"Results: {first}\n" in ended.stderr
+    assert (second / "status.json").read_bytes() == status
+
+
+@pytest.mark.ray
+def test_nothing_of_the_folder_in_which_the_command_is_given_is_run(video_runs: VideoRuns) -> None:
+    assert video_runs.whole.returncode == 0, video_runs.whole.stderr
+    assert not list(video_runs.folder.glob("*.was-run"))
+
+
+@pytest.mark.ray
+def test_away_from_a_terminal_a_run_prints_lines_for_people(video_runs: VideoRuns) -> None:
+    first, *_, last = video_runs.whole.stdout.splitlines()
+    assert first.startswith("street [1]: starting")
+    assert last == "street [1]: done, 8 frames"
+    assert "1 file, 8 frames: probably a few seconds " in video_runs.whole.stderr.partition("complete")[0]
+
+
+@pytest.mark.ray
+def test_a_run_whose_output_nobody_reads_any_more_ends_quietly_and_says_how_it_goes_on(
+    video_runs: VideoRuns,
+) -> None:
+    output = video_runs.folder / "street [1]-objects-2"
+    assert video_runs.unread.returncode == 141, video_runs.unread.stderr
+    for word in ("Traceback", "BrokenPipe", "second signal"):
+        assert word not in video_runs.unread.stderr
+    assert f"give the same command with --resume --output '{output}'." in video_runs.unread.stderr
+    status = json.loads((output / "status.json").read_text())
+    assert status["exit_status"] == 141
+    assert status["streams"]["street [1]"]["read"] == status["streams"]["street [1]"]["committed"]
+
+
+@pytest.mark.ray
+def test_with_json_lines_messages_and_progress_have_one_schema(finished_run: FinishedRun) -> None:
+    messages = [json.loads(line) for line in finished_run.stderr.splitlines()]
+    progress = [json.loads(line) for line in finished_run.stdout.splitlines()]
+    for line in (*messages, *progress):
+        assert list(line)[:5] == ["time", "level", "run", "stream", "event"]
+        assert datetime.fromisoformat(line["time"].replace("Z", "+00:00")).utcoffset() == timedelta(0)
+        assert line["run"] == str(finished_run.output)
+        assert line["level"] in ("info", "warning", "error")
+    assert {line["event"] for line in messages} == {"message"}
+    assert {line["event"] for line in progress} <= {"state", "progress"}
+    assert {line["stream"] for line in progress} == {"demo", "folder", "gone", "door"}
+
+
+@pytest.mark.ray
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_to_its_group_while_ray_starts_ends_the_command_without_a_word(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    words = [sys.executable, "-m", "orchestrator", "synthetic:no-mover", "--output", str(tmp_path / "out")]
+    with subprocess.Popen(
+        words,
+        cwd=REPOSITORY,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as run:
+        _wait_for(lambda: any(folder.glob("session_*") for folder in _session_folders(run.pid)), 120)
+        os.killpg(run.pid, number)
+        stdout, stderr = run.communicate(timeout=60)
+    assert run.returncode == 128 + number, stderr
+    assert stdout == ""
+    assert all(line.startswith(("Starting Ray", "1 file, ")) for line in stderr.splitlines())
+    assert not (tmp_path / "out").exists()
+    assert not _session_folders(run.pid)
 
 
 def _session_folders(driver: int) -> set[Path]:
     """Those of one run, told by its process: other runs may begin meanwhile."""
-    return set(Path("/tmp").glob(f"mlbs-ray-*/session_*_{driver}"))
+    return set(Path("/tmp").glob(f"mlbs-ray-{driver}-*"))
 
 
 def _wait_for(condition: Callable[[], bool], seconds: float) -> None:
@@ -618,7 +762,7 @@ def _wait_for(condition: Callable[[], bool], seconds: float) -> None:
 
 @pytest.mark.ray
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
-def test_a_signal_ends_a_run_cleanly_with_all_that_was_read_committed(
+def test_a_signal_to_its_group_ends_a_run_cleanly_with_all_that_was_read_committed(
     tmp_path: Path, number: signal.Signals
 ) -> None:
     path = stream_list(
@@ -631,10 +775,11 @@ def test_a_signal_ends_a_run_cleanly_with_all_that_was_read_committed(
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
     )
     with run:
         _wait_for(lambda: (output / "demo/commits.jsonl").exists(), 120)
-        run.send_signal(number)
+        os.killpg(run.pid, number)  # as a terminal and timeout do
         _, stderr = run.communicate(timeout=60)
     assert run.returncode == 128 + number, stderr
     for words in (
