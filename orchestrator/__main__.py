@@ -37,8 +37,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     # Imported here, because that takes a second, in which a signal may come.
     from orchestrator.command import run_command
+    from orchestrator.log import ending_quietly
 
-    return run_command(given)
+    with ending_quietly():
+        return run_command(given)
 
 
 def _exit(number: int, frame: object) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.command_line import parse
-from orchestrator.credentials import mask
 from orchestrator.interruption import StopAtOnce
+from orchestrator.log import Log
 from orchestrator.ray_session import ray_settings
 from orchestrator.run.argument_streams import argument_streams
 from orchestrator.run.stream_list import ListedStream, missing_sources, read_stream_list
@@ -31,8 +30,10 @@ def run_command(argv: Sequence[str]) -> int:
     int
         Exit status; see ``--help``.
     """
+    log = Log()
     try:
         arguments = parse(argv)
+        log = Log(arguments.log, str(arguments.output.resolve()))
         streams = () if arguments.streams is None else read_stream_list(arguments.streams)
         streams += argument_streams(arguments.sources, [stream.name for stream in streams])
         unknown = sorted(arguments.ignored.streams - {stream.name for stream in streams})
@@ -52,18 +53,17 @@ def run_command(argv: Sequence[str]) -> int:
             # Imported here, because it imports Ray, which reads its settings then.
             from orchestrator.run.run import run
 
-            return run(arguments, streams, missing, config, scratch)
+            return run(arguments, streams, missing, config, scratch, log)
     except ConfigError as error:
-        print(mask(str(error)), file=sys.stderr)
+        log.say(str(error), "error")
         return 2
     except MlbsError as error:
-        print(mask(str(error)), file=sys.stderr)
+        log.say(str(error), "error")
         return 1
     except StopAtOnce as stop:
-        print(
+        log.warn(
             "Stopped at once; what was committed before is kept. "
-            "To continue, give the same command with --resume.",
-            file=sys.stderr,
+            "To continue, give the same command with --resume."
         )
         return 128 + stop.signal_number
 

@@ -14,6 +14,7 @@ from orchestrator.credentials import mask
 from orchestrator.events.targets import EventTarget, parse_target
 from orchestrator.events.zones import ZonesFile, read_zones
 from orchestrator.ignored import Ignored, read_ignored
+from orchestrator.log import LogFormat
 from orchestrator.mistaken_flags import refuse_source_behind, unknown_flag
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.program import command_line_of
@@ -70,6 +71,8 @@ class Arguments:
         Time without a picture after which a camera is given up, s.
     places : int, optional
         Streams at once, whatever they take.
+    log : LogFormat
+        How progress and messages are written where no table is shown.
     """
 
     sources: tuple[str, ...]
@@ -92,6 +95,7 @@ class Arguments:
     keep: Keep | None
     give_up_after: int | None
     places: int | None
+    log: LogFormat
 
     def command(self, output: str) -> list[str]:
         """Return the arguments that start the same run from any folder, with another output folder."""
@@ -194,6 +198,7 @@ def parse(argv: Sequence[str]) -> Arguments:
         keep=keep,
         give_up_after=given.give_up_after,
         places=given.places,
+        log=given.log,
     )
 
 

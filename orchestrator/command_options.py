@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.credentials import PASSWORD_VARIABLE
+from orchestrator.log import FORMATS
 from orchestrator.monitor.address import TOKEN_VARIABLE
 from orchestrator.program import program_name, python_name
 
@@ -60,7 +61,8 @@ output:
   DIR/NAME/TIME/                 the same of an hour of a camera, with masks.tar; with --segment or --keep
   DIR/NAME/commits.jsonl         what is safely written: nothing counts before its line here
 
-while it runs: a table on a terminal, else JSON lines on standard output; messages on standard error
+while it runs: a table on a terminal, else lines of text on standard output (--log json: JSON lines);
+messages on standard error
 afterwards:
   PYTHON -m orchestrator.export FORMAT DIR OUT   csv, coco, mot, mots, davis, youtube-vos, overlay, rerun
   PYTHON -m orchestrator.disk_use DIR            bytes a frame and GB a day of each stream
@@ -72,6 +74,7 @@ exit status:
   2    the command, the configuration or the list cannot be used, or no stream has a source;
        nothing was started
   130, 143  interrupted by SIGINT or SIGTERM before the end of another stream; what was read is kept
+  141  the same, because nobody reads the output any more, as after | head -1
 a second signal ends the run at once, with 130 or 143; it goes on with --resume, as does a killed one
 """
 
@@ -211,6 +214,13 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="N",
         help="run N streams at once, whatever they take (default: two files a core, and cameras as long as "
         "CPU time and memory last for what they are measured to take)",
+    )
+    parser.add_argument(
+        "--log",
+        choices=FORMATS,
+        default="text",
+        help="how progress and messages are written: json for JSON lines (default: text, a live table on a "
+        "terminal, else a line of text per stream when something changes, and now and then)",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     return parser

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import signal
-import sys
 import threading
+from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Any
+
+from orchestrator.log import Log
 
 __all__ = ["Interruption", "StopAtOnce"]
 
@@ -32,14 +34,21 @@ class Interruption:
 
     Ray replaces the handler of SIGTERM when it starts. The handlers found on entry are restored on exit.
 
+    Parameters
+    ----------
+    say : callable, optional
+        Receives a message for the user when a signal has come.
+
     Attributes
     ----------
     signal_number : int, optional
         The signal that came first, if any.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, say: Callable[[str], None] | None = None) -> None:
         self.signal_number: int | None = None
+        self._say = say or Log().say
+        self._silent = False
         self._received = threading.Event()
         self._announcer = threading.Thread(target=self._announce, daemon=True)
         self._found: dict[signal.Signals, Any] = {}
@@ -57,6 +66,11 @@ class Interruption:
         self._received.set()
         self._announcer.join()
 
+    def ask(self, number: int) -> None:
+        """Ask for a clean end without a word, as if a signal had come."""
+        if self.signal_number is None:
+            self.signal_number, self._silent = number, True
+
     def _receive(self, number: int, frame: FrameType | None) -> None:
         if self.signal_number is not None:
             raise StopAtOnce(self.signal_number)
@@ -67,7 +81,5 @@ class Interruption:
         # In a thread of its own: a signal may come in the middle of a print, and a live table overwrites
         # everything that is not printed through its console.
         self._received.wait()
-        if self.signal_number is not None:
-            print(
-                "Finishing what was read; a second signal ends the run at once.", file=sys.stderr, flush=True
-            )
+        if self.signal_number is not None and not self._silent:
+            self._say("Finishing what was read; a second signal ends the run at once.")

@@ -12,6 +12,9 @@ from orchestrator.program import command_line_of
 
 __all__ = ["refuse_source_behind", "unknown_flag"]
 
+#: Of a flag to the one that may be meant; less is chance, ``--bogus`` has 0.67 of ``--log``.
+_LEAST_LIKENESS = 0.7
+
 
 def unknown_flag(word: str, known: Sequence[str]) -> str:
     """Say that there is no such flag, and which one may be meant."""
@@ -19,7 +22,7 @@ def unknown_flag(word: str, known: Sequence[str]) -> str:
         return f"{word} begins like a flag; to name the file write {shlex.quote(f'./{word}')}"
     flag = word.partition("=")[0]
     near = [name for name in known if name.startswith(flag if flag.startswith("--") else f"-{flag}")]
-    near = near if len(near) == 1 else get_close_matches(flag, known, 1)
+    near = near if len(near) == 1 else get_close_matches(flag, known, 1, _LEAST_LIKENESS)
     return f"there is no {flag}; " + (f"did you mean {near[0]}?" if near else "--help lists all flags")
 
 

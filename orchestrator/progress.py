@@ -1,8 +1,7 @@
-"""Shows the progress of a run: a live table on a terminal, JSON lines elsewhere."""
+"""Shows the progress of a run: a live table on a terminal, lines of text elsewhere, JSON lines on request."""
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections import Counter, deque
@@ -18,12 +17,13 @@ from rich.table import Table
 from rich.text import Text
 
 from mlbs_actors.wording import count_of
+from orchestrator.log import Level, Log
 from orchestrator.run.stream_state import ENDED, StreamState, frames_left
 
-__all__ = ["JsonLines", "LiveTable", "Progress", "progress_for"]
+__all__ = ["JsonLines", "LiveTable", "PlainLines", "Progress", "progress_for"]
 
-#: Least time between two lines about a stream in the same state, s.
-_LINE_SECONDS = 5.0
+#: Least time between two lines about a stream in the same state, s: for people, and for programs.
+_TEXT_SECONDS, _JSON_SECONDS = 30.0, 5.0
 
 #: Least number of streams in the table, and lines reserved for a note.
 _LEAST_SHOWN, _NOTE_LINES = 3, 2
@@ -44,9 +44,31 @@ class Progress(Protocol):
         """Show the last states and release the terminal."""
 
 
-def progress_for(output: TextIO) -> Progress:
-    """Return the display for ``output``: a table if it is a terminal."""
-    return LiveTable(Console(file=output)) if output.isatty() else JsonLines(output)
+def progress_for(output: TextIO, log: Log) -> Progress:
+    """Return the display for ``output``: lines in the log's format, or a table on a terminal of a person."""
+    if log.form == "json":
+        return JsonLines(output, log)
+    return LiveTable(Console(file=output)) if output.isatty() else PlainLines(output, log)
+
+
+class _Pace:
+    """Decides when a line about a stream is due: its state has changed, or it moves and had none for long."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._shown: dict[str, tuple[float, StreamState]] = {}
+
+    def due(self, state: StreamState, now: float) -> str | None:
+        """Return ``state`` for a new state, ``progress`` for more of the same, or None if no line is due."""
+        last = self._shown.get(state.name)
+        if last is None or last[1].state != state.state:
+            event = "state"
+        elif state != last[1] and now - last[0] >= self._seconds:
+            event = "progress"
+        else:
+            return None
+        self._shown[state.name] = now, state
+        return event
 
 
 class JsonLines:
@@ -55,35 +77,95 @@ class JsonLines:
     Parameters
     ----------
     output : text file
+    log : Log
     clock : callable
         Monotonic time, s.
     """
 
-    def __init__(self, output: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, output: TextIO, log: Log, clock: Callable[[], float] = time.monotonic) -> None:
         self._output = output
+        self._log = log
         self._clock = clock
-        self._shown: dict[str, tuple[float, StreamState]] = {}
+        self._pace = _Pace(_JSON_SECONDS)
 
     def update(self, states: Sequence[StreamState]) -> None:
         """Write the lines that are due."""
         now = self._clock()
         for state in states:
-            last = self._shown.get(state.name)
-            if last is None or last[1].state != state.state:
-                due = True
-            else:
-                due = state != last[1] and now - last[0] >= _LINE_SECONDS
-            if due:
-                self._shown[state.name] = now, state
-                self._write(state)
+            if event := self._pace.due(state, now):
+                figures = state.figures()
+                name = figures.pop("name")
+                self._log.write(self._output, self._log.json_line(event, _level(state), name, figures))
 
     def close(self) -> None:
         """Do nothing: no line is pending."""
 
-    def _write(self, state: StreamState) -> None:
-        figures = state.figures()
-        self._output.write(json.dumps({"stream": figures.pop("name")} | figures) + "\n")
-        self._output.flush()
+
+class PlainLines:
+    """A sentence per stream when its state changes, and now and then while it runs; one for all that wait.
+
+    Parameters
+    ----------
+    output : text file
+    log : Log
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(self, output: TextIO, log: Log, clock: Callable[[], float] = time.monotonic) -> None:
+        self._output = output
+        self._log = log
+        self._clock = clock
+        self._pace = _Pace(_TEXT_SECONDS)
+        self._throughput = _Throughput(clock)
+        self._summed_up = clock()
+        self._reasons: set[str] = set()
+
+    def update(self, states: Sequence[StreamState]) -> None:
+        """Write the lines that are due."""
+        now, total_left = self._clock(), _left(states, self._throughput.after(states))
+        for state in states:
+            if state.state != "waiting" and self._pace.due(state, now):
+                self._write(_sentence(state))
+        waiting = _waiting(states)
+        if now - self._summed_up >= _TEXT_SECONDS:
+            self._summed_up = now
+            if len(states) > 1:
+                self._write(f"{_totals(states)}{total_left}")
+        elif waiting.keys() <= self._reasons:
+            return
+        self._reasons = set(waiting)
+        for reason, count in waiting.items():
+            self._write(f"{count_of(count, 'stream')} waiting for {reason}")
+
+    def close(self) -> None:
+        """Do nothing: no line is pending."""
+
+    def _write(self, line: str) -> None:
+        self._log.write(self._output, line)
+
+
+def _level(state: StreamState) -> Level:
+    if state.state == "failed":
+        return "error"
+    return "warning" if state.error is not None else "info"
+
+
+def _sentence(state: StreamState) -> str:
+    """Describe a stream in a line."""
+    parts = [f"{state.name}: {state.state}"]
+    if state.read:
+        parts.append(f"{_read(state)} frames" if state.read > 1 or state.length else "1 frame")
+    if state.frames_per_second:
+        parts.append(f"{state.frames_per_second:.1f} frames/s")
+    if state.layers and state.state not in ENDED:
+        parts.append(count_of(state.objects, "object"))
+    if lost := state.dropped + state.quarantined:
+        parts.append(f"{lost} lost")
+    if state.seconds_left is not None and state.state not in ENDED:
+        parts.append(f"{_time(state.seconds_left)} left")
+    note = _note(state)
+    return ", ".join(parts) + (f": {note}" if note else "")
 
 
 class LiveTable:
@@ -94,19 +176,29 @@ class LiveTable:
     console : rich.console.Console
     clock : callable
         Monotonic time, s.
+    refresh : bool
+        Whether a thread draws the table four times a second; else it is drawn with every update.
     """
 
-    def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, console: Console, clock: Callable[[], float] = time.monotonic, *, refresh: bool = True
+    ) -> None:
         self._console = console
         self._throughput = _Throughput(clock)
+        self._refresh = refresh
         # Messages to the same terminal go above the table, which would overwrite them.
-        above = sys.stderr.isatty()
-        self._live = Live(console=console, refresh_per_second=4, redirect_stdout=False, redirect_stderr=above)
+        self._live = Live(
+            console=console,
+            auto_refresh=refresh,
+            refresh_per_second=4,
+            redirect_stdout=False,
+            redirect_stderr=sys.stderr.isatty(),
+        )
         self._live.start()
 
     def update(self, states: Sequence[StreamState]) -> None:
-        """Redraw the table with the next refresh."""
-        self._live.update(self._table(states))
+        """Show the states with the next refresh."""
+        self._live.update(self._table(states), refresh=not self._refresh)
 
     def close(self) -> None:
         """Draw the last states and release the terminal."""
@@ -116,7 +208,7 @@ class LiveTable:
         total_left = _left(states, self._throughput.after(states))
         states = sorted(states, key=lambda state: state.rank)
         shown: list[StreamState] = []
-        waiting = Counter(s.waits_for for s in states if s.state == "waiting" and s.waits_for)
+        waiting = _waiting(states)
         room = self._console.height - 7 - _NOTE_LINES * len(waiting)
         for state in states:
             room -= 1 + _NOTE_LINES * bool(_note(state))
@@ -126,9 +218,7 @@ class LiveTable:
         # Notes go below: a terminal of 80 columns has no room for a sentence beside the figures.
         notes = "".join(f"{state.name}: {note}\n" for state in shown if (note := _note(state)))
         notes += "".join(
-            f"{count_of(count, 'stream')} waiting for {reason}\n"
-            for reason, count in waiting.items()
-            if reason
+            f"{count_of(count, 'stream')} waiting for {reason}\n" for reason, count in waiting.items()
         )
         table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
         for heading in ("stream", "state"):
@@ -184,6 +274,11 @@ class _Throughput:
         return (frames - already) / (now - started)
 
 
+def _waiting(states: Sequence[StreamState]) -> dict[str, int]:
+    """Return what streams wait for, and how many do."""
+    return Counter(s.waits_for for s in states if s.state == "waiting" and s.waits_for)
+
+
 def _note(state: StreamState) -> str:
     if state.state == "waiting":
         return ""  # many have the same reason
@@ -197,13 +292,23 @@ def _read(state: StreamState) -> str:
 
 
 def _summary(states: Sequence[StreamState], shown: int) -> str:
-    counts = Counter(state.state for state in states)
-    parts = ", ".join(f"{count} {name}" for name, count in counts.items())
     hidden = len(states) - shown
-    frames = sum(state.read for state in states), sum(state.committed for state in states)
+    return f"{_counts(states)}{f' ({hidden} not shown)' if hidden else ''}\n{_work(states)}"
+
+
+def _totals(states: Sequence[StreamState]) -> str:
+    return f"{_counts(states)}; {_work(states)}"
+
+
+def _counts(states: Sequence[StreamState]) -> str:
+    counts = Counter(state.state for state in states)
+    return ", ".join(f"{count} {name}" for name, count in counts.items())
+
+
+def _work(states: Sequence[StreamState]) -> str:
+    read, committed = sum(state.read for state in states), sum(state.committed for state in states)
     rate = sum(state.frames_per_second for state in states)
-    totals = f"{frames[0]} frames read, {frames[1]} committed, {rate:.1f} frames/s"
-    return f"{parts}{f' ({hidden} not shown)' if hidden else ''}\n{totals}"
+    return f"{read} frames read, {committed} committed, {rate:.1f} frames/s"
 
 
 def _left(states: Sequence[StreamState], rate: float) -> str:

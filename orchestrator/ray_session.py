@@ -13,15 +13,18 @@ import logging
 import os
 import secrets
 import shutil
+import signal
 import socket
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError, MlbsError
+from orchestrator.module_path import PACKAGE_ROOT
+from orchestrator.ray_head import ray_head
 
 __all__ = ["ray_session", "ray_settings"]
 
@@ -117,7 +120,7 @@ def _new_scratch() -> tuple[Path, int]:
     between these lines; then it is made again.
     """
     while True:
-        scratch = Path(tempfile.mkdtemp(prefix=_SCRATCH_PREFIX, dir=_SCRATCH_PARENT))
+        scratch = Path(tempfile.mkdtemp(prefix=f"{_SCRATCH_PREFIX}{os.getpid()}-", dir=_SCRATCH_PARENT))
         try:
             own = os.open(scratch, os.O_RDONLY)
         except FileNotFoundError:
@@ -170,31 +173,58 @@ def ray_session(address: str | None, scratch: Path, metrics_port: int | None = N
 
     if metrics_port is not None:
         _refuse_unexportable(metrics_port)
-    try:
-        if address is None:
-            ray.init(
-                address="local",
-                include_dashboard=False,
-                log_to_driver=False,
-                logging_level=logging.ERROR,
-                object_store_memory=_object_store_bytes(),
-                _temp_dir=str(scratch),
-                _metrics_export_port=metrics_port,
-            )
-        else:
-            _refuse_unreachable(address)
-            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
-    except Exception as error:
+    with ExitStack() as session:
+        try:
+            if address is None:
+                options = {
+                    "logging_level": logging.ERROR,
+                    "object_store_memory": _object_store_bytes(),
+                    "_temp_dir": str(scratch),
+                    "_metrics_export_port": metrics_port,
+                }
+                joined = session.enter_context(ray_head(scratch, options))
+            else:
+                _refuse_unreachable(address)
+                joined = address
+            session.callback(_shut_down)
+            with _unchanged_handler(), _folder_for_processes():
+                ray.init(address=joined, log_to_driver=False, logging_level=logging.ERROR)
+        except Exception as error:
+            raise _start_failure(address, error) from error
+        if address is not None:
+            session.callback(_withdraw_demand)
+        yield
+
+
+def _shut_down() -> None:
+    """Leave the session quietly: Ray prints repeated warnings that it has held back."""
+    import ray
+
+    with redirect_stdout(io.StringIO()):
         ray.shutdown()
-        raise _start_failure(address, error) from error
+
+
+@contextmanager
+def _unchanged_handler() -> Iterator[None]:
+    """Keep the handler of SIGTERM, which Ray replaces by one that exits with another status."""
+    handler = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    except SystemExit:
+        raise SystemExit(128 + signal.SIGTERM) from None
+    finally:
+        signal.signal(signal.SIGTERM, handler)
+
+
+@contextmanager
+def _folder_for_processes() -> Iterator[None]:
+    """Work in the package's own folder: Ray's processes look for modules where it is joined from."""
+    before = Path.cwd()
+    os.chdir(PACKAGE_ROOT)
     try:
         yield
     finally:
-        if address is not None:
-            _withdraw_demand()
-        # At its end Ray prints repeated warnings that it has held back; standard output is for the progress.
-        with redirect_stdout(io.StringIO()):
-            ray.shutdown()
+        os.chdir(before)
 
 
 def _withdraw_demand() -> None:

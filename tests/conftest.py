@@ -1,4 +1,4 @@
-"""What all tests share: one Ray session, as starting one takes seconds, and Hypothesis's settings."""
+"""What all tests share: one Ray session and one finished run, as both take seconds; Hypothesis's settings."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import pytest
 import ray
 from actor_fakes import FakeParts, RaySession
 from hypothesis import settings
+from whole_run import FinishedRun, run_mixed_sources
 
 from mlbs_actors.actors import Node, PoolPolicy
 
@@ -25,10 +26,11 @@ settings.load_profile("untimed")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave all tests in the session of Ray to one process, so that there is one."""
+    """Leave all tests in the session of Ray, or of the finished run, to one process, so that there is one."""
     for item in items:
-        if isinstance(item, pytest.Function) and "ray_session" in item.fixturenames:
-            item.add_marker(pytest.mark.xdist_group("ray"))
+        for shared in ("ray_session", "finished_run"):
+            if isinstance(item, pytest.Function) and shared in item.fixturenames:
+                item.add_marker(pytest.mark.xdist_group(shared))
 
 
 @pytest.fixture(scope="session")
@@ -56,6 +58,12 @@ def ray_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RaySession
             # Ray drops the handles of the processes it has ended without waiting for them.
             warnings.simplefilter("ignore", ResourceWarning)
             gc.collect()
+
+
+@pytest.fixture(scope="session")
+def finished_run(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
+    """A run of the command over good, damaged and missing sources; its files must stay as they are."""
+    return run_mixed_sources(tmp_path_factory.mktemp("finished"))
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from functools import partial
 from pathlib import Path
@@ -19,8 +19,10 @@ from mlbs_actors.errors import ConfigError, SinkError
 from mlbs_actors.kernels.machine_code import has_machine_code
 from mlbs_actors.wording import count_of
 from orchestrator.command_line import Arguments
+from orchestrator.credentials import mask
 from orchestrator.events.delivery import Deliveries
 from orchestrator.interruption import Interruption, StopAtOnce
+from orchestrator.log import Log
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.monitor.board import Board
 from orchestrator.monitor.ray_metrics import RayMetrics
@@ -42,21 +44,25 @@ from orchestrator.run.admission import (
 from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.driver import Driver, Observer
 from orchestrator.run.durable_files import replace_file
+from orchestrator.run.expected_time import words_on_expected_time
 from orchestrator.run.job import Job
 from orchestrator.run.node_check import node_places
 from orchestrator.run.resumption import changed_sources, ended_before, gone_from_list, words_on_resuming
 from orchestrator.run.retention import Retention
 from orchestrator.run.run_folder import RunFolder, StatusFile
-from orchestrator.run.stream_list import ListedStream
+from orchestrator.run.stream_list import ListedStream, refuse_if_all
 from orchestrator.run.stream_state import StreamState, after_failure, exit_code, stopped, with_record
 from orchestrator.run.versions import installed_versions
 from orchestrator.run.whole_overlays import make_all_whole
 from orchestrator.sinks.overlay import overlays, stream_remarks
 from orchestrator.sinks.record import recorded_frames
 from orchestrator.sinks.segments import segment_folders
-from orchestrator.sources.lengths import finding_lengths
+from orchestrator.sources.survey import SourceContent, surveying
 
 __all__ = ["run", "what_to_look_at"]
+
+#: How long files are looked into before Ray starts, s; faults of the rest are found when their turn comes.
+_SURVEY_SECONDS = 5.0
 
 #: What a user who limits the streams is told that they wait for.
 _PLACES = "places (--places)"
@@ -68,6 +74,7 @@ def run(
     missing: Mapping[str, str],
     config: Config,
     scratch: Path,
+    log: Log,
 ) -> int:
     """Segment all streams; return the exit status.
 
@@ -82,11 +89,13 @@ def run(
         The parameters according to ``arguments``.
     scratch : Path
         Folder for Ray's files, from :func:`orchestrator.ray_session.ray_settings`.
+    log : Log
+        Receives messages and progress.
 
     Raises
     ------
     ConfigError
-        If the output folder or the cluster cannot be used; nothing was started.
+        If the output folder or the cluster cannot be used, or no source can be read; nothing was started.
     MlbsError
         If Ray cannot be started, or the run's own files cannot be written.
     """
@@ -97,20 +106,18 @@ def run(
     ended: dict[str, StreamState] = {}
     if arguments.watch:
         faults |= changed_sources(streams, recorded)
-    for stream in [stream for stream in streams if stream.name in faults]:
-        place = f"{arguments.streams}, line {stream.line}: " if stream.line else ""
-        _say(place + faults[stream.name])
-        failed = after_failure(StreamState(stream.name, line=stream.line), faults[stream.name])
-        ended |= {} if arguments.watch else {stream.name: failed}
-    if arguments.watch:  # bad lines are ignored until they are corrected
+    faulty = [stream for stream in streams if stream.name in faults]
+    if not arguments.watch:
+        ended |= {stream.name: _without_source(stream, faults[stream.name]) for stream in faulty}
+    else:  # bad lines are ignored until they are corrected
         streams = [stream for stream in streams if stream.name not in faults]
         ended = gone_from_list(folder, recorded, streams, faults)
     # On a cluster the pictures come from other machines, through the shared folder.
     live = None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
-    job = Job(streams, arguments, config, folder, live, _say, recorded if arguments.watch else None)
+    job = Job(streams, arguments, config, folder, live, log.warn, recorded if arguments.watch else None)
     memory = node_memory()
-    retention = None if arguments.keep is None else Retention(folder.path, arguments.keep, _say)
-    deliveries = Deliveries(arguments.events, folder.path, _say)
+    retention = None if arguments.keep is None else Retention(folder.path, arguments.keep, log.warn)
+    deliveries = Deliveries(arguments.events, folder.path, log.warn)
     status = StatusFile(
         folder.path / "status.json",
         kept=None if retention is None else lambda: retention.figures,
@@ -127,24 +134,35 @@ def run(
                 except OSError as error:
                     raise ConfigError(f"Cannot write to {folder.path}: {error.strerror}.") from None
             earlier = ended_before(folder, job.specs)
-            _say(words_on_resuming(begun, job.description, len(earlier)))
+            log.say(words_on_resuming(begun, job.description, len(earlier)))
             ended |= earlier
         else:
             folder.refuse_if_used([stream.name for stream in streams])
             if arguments.resume:
-                _say(f"There is no run in {folder.path} yet; this is its first start.")
+                log.say(f"There is no run in {folder.path} yet; this is its first start.")
         due = [spec for spec in job.specs if spec.name not in ended]
+        survey = session.enter_context(surveying(job.files(due), scratch))
+        contents = survey.begin(_SURVEY_SECONDS)
+        if not arguments.watch:
+            bad = {name: mask(content.fault) for name, content in contents.items() if content.fault}
+            refuse_if_all(arguments.streams, streams, {**missing, **bad})
+            unreadable = [stream for stream in streams if stream.name in bad]
+            ended |= {stream.name: _without_source(stream, bad[stream.name]) for stream in unreadable}
+            faulty, faults = [*faulty, *unreadable], faults | bad
+            due = [spec for spec in due if spec.name not in bad]
+        for stream in faulty:
+            place = f"{arguments.streams}, line {stream.line}: " if stream.line else ""
+            log.say(place + faults[stream.name], "error")
         onlookers: list[Observer] = []
-        lengths: Callable[[], dict[str, int]] = dict
         if at_work := bool(due) or arguments.watch:
-            onlookers = session.enter_context(_monitored(arguments.monitor, live, folder.path, deliveries))
-            _announce(due, arguments, memory)
-            lengths = session.enter_context(finding_lengths(job.files(due[1:]), scratch))
+            monitored = _monitored(arguments.monitor, live, folder.path, deliveries, log)
+            onlookers = session.enter_context(monitored)
+            _announce(due, arguments, memory, contents, log)
             session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
         if at_work and arguments.ray_metrics is not None:
             onlookers.append(RayMetrics(deliveries.backlogs))
             if arguments.address is None:
-                _say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
+                log.say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
         if retention is not None:
             onlookers.append(retention)
         if begun is None:
@@ -152,11 +170,14 @@ def run(
             hold.enter_context(folder.locked())
         session.enter_context(deliveries)
         if at_work:
-            states, exit_status = _drive(job, ended, memory, lengths(), status, onlookers, folder, arguments)
+            lengths = {name: one.length for name, one in survey.finish().items() if one.length is not None}
+            states, exit_status = _drive(
+                job, ended, memory, lengths, status, onlookers, folder, arguments, log
+            )
         else:
             states = tuple(ended[spec.name] for spec in job.specs)
             exit_status = exit_code(states, None)
-            progress = progress_for(sys.stdout)
+            progress = progress_for(sys.stdout, log)
             progress.update(states)
             progress.close()
         session.close()
@@ -164,17 +185,22 @@ def run(
         try:
             status.finish(states, exit_status)
             if arguments.save >= {"overlay", "parquet"}:
-                make_all_whole(job, {spec.name for spec in due}, states, folder, _say)
+                make_all_whole(job, {spec.name for spec in due}, states, folder, log.warn)
             replace_file(folder.path / "report.html", render_report(folder.path).encode())
         except OSError as error:
             raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
-    _say(_closing_words(folder, states, arguments))
+    log.say(_closing_words(folder, states, arguments))
     return exit_status
+
+
+def _without_source(stream: ListedStream, fault: str) -> StreamState:
+    """Return the state of a stream whose source is missing or cannot be read."""
+    return after_failure(StreamState(stream.name, line=stream.line), fault)
 
 
 @contextmanager
 def _monitored(
-    address: MonitorAddress | None, live: Path | None, folder: Path, deliveries: Deliveries
+    address: MonitorAddress | None, live: Path | None, folder: Path, deliveries: Deliveries, log: Log
 ) -> Iterator[list[Observer]]:
     """Serve the monitor's page if requested; yield its observer of the driver."""
     if address is None or live is None:
@@ -183,28 +209,37 @@ def _monitored(
     board = Board(live, folder, deliveries.backlogs)
     with serving(address, board) as url:
         live.mkdir(parents=True, exist_ok=True)
-        _say(f"Look on at {url}")
+        log.say(f"Look on at {url}")
         try:
             yield [board]
         finally:
             shutil.rmtree(live, ignore_errors=True)
 
 
-def _announce(due: Sequence[StreamSpec], arguments: Arguments, memory: NodeMemory) -> None:
+def _announce(
+    due: Sequence[StreamSpec],
+    arguments: Arguments,
+    memory: NodeMemory,
+    contents: Mapping[str, SourceContent],
+    log: Log,
+) -> None:
     """Announce the run, and anything about it that may surprise."""
     count = count_of(len(due), "stream")
     if [spec.source for spec in due] == [DEMO]:
-        _say(f"This is a built-in scene; for a video of your own: {command_line_of('VIDEO')}")
+        log.say(f"This is a built-in scene; for a video of your own: {command_line_of('VIDEO')}")
     if arguments.address is not None:
-        _say(f"Joining Ray at {arguments.address}; {count}.")
+        log.say(f"Joining Ray at {arguments.address}; {count}.")
         return
     room = f"{count_of(cores(), 'core')}, {memory.available / 2**30:.1f} GiB of memory"
     at_once = f"up to {arguments.places or places(memory, cores())} at a time"
     if arguments.places is None and not all(spec.replayable for spec in due):
         at_once = f"files {at_once}, cameras as long as CPU time and memory last"
-    _say(f"Starting Ray; {count}, {at_once} ({room}).")
+    log.say(f"Starting Ray; {count}, {at_once} ({room}).")
+    files = [contents.get(spec.name, SourceContent()) for spec in due if spec.replayable]
+    if words := words_on_expected_time(files, cores(), arguments.max_frames, arguments.max_side):
+        log.say(words)
     if not has_machine_code():
-        _say("This is the first run of this installation: it compiles for one to three minutes, once.")
+        log.say("This is the first run of this installation: it compiles for one to three minutes, once.")
 
 
 def _drive(
@@ -216,20 +251,26 @@ def _drive(
     onlookers: Sequence[Observer],
     folder: RunFolder,
     arguments: Arguments,
+    log: Log,
 ) -> tuple[tuple[StreamState, ...], int]:
     """Run the streams; return their final states, and the run's exit status."""
     output = sys.stdout
     # Ray prints its own warnings; standard output belongs to the progress.
     ray_log = folder.path / "ray.log"
-    with ray_log.open("a", encoding="utf-8") as log, redirect_stdout(log), Interruption() as interruption:
-        progress = progress_for(output)
+    with (
+        ray_log.open("a", encoding="utf-8") as of_ray,
+        redirect_stdout(of_ray),
+        Interruption(log.say) as interruption,
+    ):
+        log.on_reader_gone = interruption.ask
+        progress = progress_for(output, log)
         try:
             host: Node | Cluster
             if arguments.address is None:
                 host = Node(policy=PoolPolicy(streams=_most_at_once(job, ended, memory, arguments)))
             else:
                 check = partial(node_places, folder.path, installed_versions())
-                host = Cluster(check, Share(1 / STREAMS_A_CORE, PLACE_BYTES), _say)
+                host = Cluster(check, Share(1 / STREAMS_A_CORE, PLACE_BYTES), log.warn)
             driver = Driver(
                 job.specs,
                 host,
@@ -309,8 +350,3 @@ def what_to_look_at(stream: Path, save: frozenset[str]) -> str:
     # A resumed run has one for each start, that of a camera one for each segment.
     parts = stream / "overlay*.mp4" if videos[0][1].parent == stream else stream / "*/overlay*.mp4"
     return f"{videos[0][1]}" if len(videos) == 1 else f"{parts} ({len(videos)} parts)"
-
-
-def _say(text: str) -> None:
-    """Print a message on standard error: standard output is for the progress, which a program may read."""
-    print(text, file=sys.stderr, flush=True)

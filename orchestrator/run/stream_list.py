@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import shlex
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +31,7 @@ __all__ = [
     "missing_sources",
     "parse_stream_list",
     "read_stream_list",
+    "refuse_if_all",
 ]
 
 MAX_BYTES = 8 * 2**20
@@ -152,12 +153,17 @@ def missing_sources(path: Path | None, streams: Sequence[ListedStream]) -> dict[
         If none has a source.
     """
     missing = {stream.name: sentence for stream, sentence in _sourceless(streams)}
-    if len(missing) == len(streams):
-        listed = {stream.line: missing[stream.name].rstrip(".") for stream in streams if stream.line}
-        given = [missing[stream.name] for stream in streams if stream.line is None]
+    refuse_if_all(path, streams, missing)
+    return missing
+
+
+def refuse_if_all(path: Path | None, streams: Sequence[ListedStream], faults: Mapping[str, str]) -> None:
+    """Raise ConfigError if all streams have a fault, for one of which a run would go on without it."""
+    if len(faults) == len(streams):
+        listed = {stream.line: faults[stream.name].rstrip(".") for stream in streams if stream.line}
+        given = [faults[stream.name] for stream in streams if stream.line is None]
         report = [] if path is None else [_fault_report(path, listed)]
         raise ConfigError("\n".join([*report, *given[:_LINES_SHOWN]]))
-    return missing
 
 
 def _sourceless(streams: Sequence[ListedStream]) -> Iterator[tuple[ListedStream, str]]:

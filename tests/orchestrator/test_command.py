@@ -13,6 +13,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import cast
 
@@ -23,7 +25,9 @@ import pytest
 import ray
 from camera_server import PASSWORD, camera, free_port, needs_rtsp_server
 from PIL import Image
+from whole_run import DAMAGED, REPOSITORY, SECRET, FinishedRun, run_whole
 
+from mlbs_actors import __version__
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator import ray_session
@@ -37,19 +41,6 @@ from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sources.synthetic import scene
-
-REPOSITORY = Path(__file__).resolve().parents[2]
-
-
-def command(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "orchestrator", *map(str, arguments)],
-        cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-    )
 
 
 def stream_list(folder: Path, *lines: str) -> Path:
@@ -187,12 +178,35 @@ def test_a_bad_list_or_configuration_ends_with_status_2_and_leaves_no_trace(
     tmp_path: Path, lines: list[str], flags: list[str], words: str
 ) -> None:
     output = tmp_path / "out"
-    ended = command("--streams", stream_list(tmp_path, *lines), "--output", output, *flags)
+    ended = run_whole("--streams", stream_list(tmp_path, *lines), "--output", output, *flags)
     assert (ended.returncode, ended.stdout) == (2, "")
     assert words in ended.stderr
     assert "Traceback" not in ended.stderr
     assert "hunter2" not in ended.stderr
     assert not output.exists()
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_files_that_are_no_videos_are_refused_before_ray_starts(tmp_path: Path, listed: bool) -> None:
+    false = tmp_path / "false.mp4"
+    false.write_text("no video")
+    sources = ["--streams", stream_list(tmp_path, "# mine", "gone.mp4", "false.mp4")] if listed else [false]
+    ended = run_whole(*sources, "--output", tmp_path / "out")
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert str(false) in ended.stderr
+    if listed:
+        assert "line 2: There is no file" in ended.stderr
+        assert "line 3: " in ended.stderr
+    assert "Starting Ray" not in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        parse(["--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out == f"mlbs-actors {__version__}\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -213,7 +227,7 @@ def test_a_signal_while_the_program_is_still_loading_ends_it_without_a_traceback
 
 
 def test_a_missing_list_ends_with_status_2() -> None:
-    ended = command("--streams", "/nowhere/list.txt")
+    ended = run_whole("--streams", "/nowhere/list.txt")
     assert ended.returncode == 2
     assert "/nowhere/list.txt" in ended.stderr
 
@@ -233,7 +247,8 @@ def test_the_main_script_passes_its_arguments_on_with_the_name_by_which_it_was_c
 ) -> None:
     script = _with_stubs(tmp_path / "root", 'printf \'%s\\n\' "$MLBS_COMMAND" "$@"')
     ended = subprocess.run([script, *given], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert ended.stdout.splitlines() == [str(script), "-m", "orchestrator", "--or-demo", *given]
+    program = str(tmp_path / "root/.venv/bin/mlbs-actors")
+    assert ended.stdout.splitlines() == [str(script), program, "--or-demo", *given]
 
 
 def test_the_main_script_becomes_the_program_that_signals_are_for(tmp_path: Path) -> None:
@@ -346,7 +361,7 @@ def test_the_help_begins_with_examples_of_the_command_that_was_typed(
 def test_an_output_folder_that_holds_a_run_is_refused_untouched(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out/run.json").write_text("{}")
-    ended = command("--streams", stream_list(tmp_path, "synthetic:demo"), "--output", tmp_path / "out")
+    ended = run_whole("--streams", stream_list(tmp_path, "synthetic:demo"), "--output", tmp_path / "out")
     assert ended.returncode == 2
     assert "holds a run already" in ended.stderr
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["run.json"]
@@ -361,12 +376,12 @@ def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) ->
     folder = RunFolder(tmp_path / "out")
     folder.create(describe_run(streams, config, arguments.save, None))
     StatusFile(folder.path / "status.json").finish([StreamState("street", "done", read=9, committed=9)], 0)
-    ended = command(*given, "--resume")
+    ended = run_whole(*given, "--resume")
     assert ended.returncode == 0, ended.stderr
     assert "1 stream ended before" in ended.stderr
     assert "1 of 1 stream complete" in ended.stderr
     assert "Starting Ray" not in ended.stderr
-    assert json.loads(ended.stdout)["state"] == "done"
+    assert ended.stdout == "street: done, 9 frames\n"
     assert (folder.path / "report.html").stat().st_size
 
 
@@ -386,7 +401,7 @@ def test_a_ray_that_does_not_run_on_this_machine_is_told_so(
 def test_a_cluster_that_cannot_be_reached_ends_with_status_2_soon(tmp_path: Path, address: str) -> None:
     path, output = stream_list(tmp_path, "synthetic:demo"), tmp_path / "out"
     started = time.monotonic()
-    ended = command("--streams", path, "--output", output, "--address", address)
+    ended = run_whole("--streams", path, "--output", output, "--address", address)
     assert ended.returncode == 2
     assert "cannot be joined" in ended.stderr
     assert not output.exists()
@@ -551,22 +566,11 @@ def test_processes_of_a_session_of_our_own_are_as_nice_as_the_command() -> None:
 
 
 @pytest.mark.ray
-def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(tmp_path: Path) -> None:
-    pictures = [scene("no-mover", frames=12, width=160, height=120).frame(index) for index in range(12)]
-    (tmp_path / "folder").mkdir()
-    for index, picture in enumerate(pictures):
-        cv2.imwrite(str(tmp_path / f"folder/p{index}.png"), picture)
-    (tmp_path / "folder/p4.png").write_bytes(b"damaged")
-    lines = [
-        "demo 'synthetic:demo?frames=12&width=160&height=120'",
-        "folder",
-        "gone none.mp4",
-        "door rtsp://bob:hunter2@127.0.0.1:9/door",
-    ]
-    output = tmp_path / "out"
-    listed = stream_list(tmp_path, *lines)
-    ended = command("--streams", listed, "--output", output, "--give-up-after", "5")
-    assert ended.returncode == 1, ended.stderr
+def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(
+    finished_run: FinishedRun,
+) -> None:
+    output = finished_run.output
+    assert finished_run.exit_status == 1, finished_run.stderr
     status = json.loads((output / "status.json").read_text())["streams"]
     assert {
         name: (s["state"], s["read"], s["committed"], s["quarantined"]) for name, s in status.items()
@@ -577,54 +581,177 @@ def test_a_run_over_good_damaged_and_missing_sources_keeps_all_that_can_be_kept(
         "door": ("failed", 0, 0, 0),
     }
     assert list(_masks(output / "demo")) == [f"{index:05d}.png" for index in range(12)]
-    assert status["gone"]["line"] == 3
-    before_ray, _, _ = ended.stderr.partition("Starting Ray")
-    assert f"line 3: There is no file or folder {tmp_path / 'none.mp4'}" in before_ray
-    assert "line 4, door (failed): " in ended.stderr
     assert len(_masks(output / "folder")) == 11
     assert "p4.png" not in _masks(output / "folder")
-    assert [row["status"] for row in _frames(output / "folder")].index("quarantined") == 4
+    assert [row["status"] for row in _frames(output / "folder")].index("quarantined") == DAMAGED
     labels = np.asarray(Image.open(output / "demo/masks/00011.png"))
     assert labels.shape == (120, 160)
     for name in ("run.json", "report.html", "demo/overlay.mp4", "demo/commits.jsonl"):
         assert (output / name).stat().st_size
-    last = [json.loads(line) for line in ended.stdout.splitlines()]
-    assert {line["stream"]: line["state"] for line in last} == {
-        name: stream["state"] for name, stream in status.items()
-    }
-    assert str(output) in ended.stderr
-    everything = ended.stdout + ended.stderr
-    everything += "".join(path.read_text() for path in output.glob("*.*"))
-    assert "hunter2" not in everything
-    assert "Traceback" not in everything
 
 
 @pytest.mark.ray
-def test_a_video_named_as_an_argument_has_its_results_beside_it_and_a_second_run_does_not_touch_them(
-    tmp_path: Path,
+def test_a_run_says_what_is_wrong_with_which_line_and_where_its_results_are(
+    finished_run: FinishedRun,
 ) -> None:
-    video = tmp_path / "my clips/street [1].mp4"
-    video.parent.mkdir()
-    writer = cv2.VideoWriter(str(tmp_path / "x.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 25, (160, 120))
+    status = json.loads((finished_run.output / "status.json").read_text())["streams"]
+    assert status["gone"]["line"] == 3
+    before_ray, _, _ = finished_run.stderr.partition("Starting Ray")
+    assert f"line 3: There is no file or folder {finished_run.sources / 'none.mp4'}" in before_ray
+    assert "line 4, door (failed): " in finished_run.stderr
+    last = [json.loads(line) for line in finished_run.stdout.splitlines()]
+    assert {line["stream"]: line["state"] for line in last} == {
+        name: stream["state"] for name, stream in status.items()
+    }
+    assert str(finished_run.output) in finished_run.stderr
+    everything = finished_run.stdout + finished_run.stderr
+    everything += "".join(path.read_text() for path in finished_run.output.glob("*.*"))
+    assert SECRET not in everything
+    assert "Traceback" not in everything
+
+
+#: Names of modules that a run imports, of packages and of Python itself.
+_PLANTED = ("av", "cv2", "yaml", "queue", "select", "secrets")
+
+
+@dataclass(frozen=True, slots=True)
+class VideoRuns:
+    """Two runs over a video named as an argument, from its folder, where files have names of modules.
+
+    Attributes
+    ----------
+    folder : Path
+        Of the video.
+    whole : subprocess.CompletedProcess
+        The first run.
+    unread : subprocess.CompletedProcess
+        The second one, whose output is read to the end of its first line.
+    """
+
+    folder: Path
+    whole: subprocess.CompletedProcess[str]
+    unread: subprocess.CompletedProcess[str]
+
+
+@pytest.fixture(scope="module")
+def video_runs(tmp_path_factory: pytest.TempPathFactory) -> VideoRuns:
+    folder = tmp_path_factory.mktemp("films") / "my clips"
+    folder.mkdir()
+    writer = cv2.VideoWriter(str(folder / "x.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 25, (160, 120))
     street = scene("demo", frames=8, width=160, height=120)
     for index in range(8):
         writer.write(street.frame(index))
     writer.release()
-    (tmp_path / "x.mp4").rename(video)
-    for number in ("", "-2"):
-        ended = command(video, "--max-frames", "8", "--save", "masks")
-        assert ended.returncode == 0, ended.stderr
-        output = tmp_path / f"my clips/street [1]-objects{number}"
-        assert f"Results: {output}\n" in ended.stderr
-        assert len(_masks(output / "street [1]")) == 8
-    ended = command(video, "--max-frames", "8", "--save", "masks", "--resume")
+    (folder / "x.mp4").rename(folder / "street [1].mp4")
+    for name in _PLANTED:
+        mark = repr(str(folder / f"{name}.was-run"))
+        (folder / f"{name}.py").write_text(f"open({mark}, 'w').close()\n")
+    words = [
+        *(sys.executable, "-m", "orchestrator", "street [1].mp4"),
+        *("--max-frames", "8", "--save", "masks"),
+    ]
+    whole = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=200, check=False)
+    with subprocess.Popen(
+        words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as second:
+        assert second.stdout is not None
+        assert second.stderr is not None
+        first_line = second.stdout.readline()
+        second.stdout.close()
+        stderr = second.stderr.read()
+    unread = subprocess.CompletedProcess(words, second.returncode, first_line, stderr)
+    return VideoRuns(folder, whole, unread)
+
+
+@pytest.mark.ray
+def test_a_video_named_as_an_argument_has_its_results_beside_it_and_a_second_run_does_not_touch_them(
+    video_runs: VideoRuns,
+) -> None:
+    first, second = (video_runs.folder / f"street [1]-objects{number}" for number in ("", "-2"))
+    assert video_runs.whole.returncode == 0, video_runs.whole.stderr
+    assert f"Results: {first}\n" in video_runs.whole.stderr
+    assert len(_masks(first / "street [1]")) == 8
+    assert f"Results: {second}\n" in video_runs.unread.stderr
+    assert (second / "run.json").exists()
+    status = (second / "status.json").read_bytes()
+    ended = run_whole(
+        *(video_runs.folder / "street [1].mp4", "--output", first),
+        *("--max-frames", "8", "--save", "masks", "--resume"),
+    )
     assert "1 stream ended before" in ended.stderr
-    assert f"Results: {output}\n" in ended.stderr
+    assert f"Results: {first}\n" in ended.stderr
+    assert (second / "status.json").read_bytes() == status
+
+
+@pytest.mark.ray
+def test_nothing_of_the_folder_in_which_the_command_is_given_is_run(video_runs: VideoRuns) -> None:
+    assert video_runs.whole.returncode == 0, video_runs.whole.stderr
+    assert not list(video_runs.folder.glob("*.was-run"))
+
+
+@pytest.mark.ray
+def test_away_from_a_terminal_a_run_prints_lines_for_people(video_runs: VideoRuns) -> None:
+    first, *_, last = video_runs.whole.stdout.splitlines()
+    assert first.startswith("street [1]: starting")
+    assert last == "street [1]: done, 8 frames"
+    assert "1 file, 8 frames: probably a few seconds " in video_runs.whole.stderr.partition("complete")[0]
+
+
+@pytest.mark.ray
+def test_a_run_whose_output_nobody_reads_any_more_ends_quietly_and_says_how_it_goes_on(
+    video_runs: VideoRuns,
+) -> None:
+    output = video_runs.folder / "street [1]-objects-2"
+    assert video_runs.unread.returncode == 141, video_runs.unread.stderr
+    for word in ("Traceback", "BrokenPipe", "second signal"):
+        assert word not in video_runs.unread.stderr
+    assert f"give the same command with --resume --output '{output}'." in video_runs.unread.stderr
+    status = json.loads((output / "status.json").read_text())
+    assert status["exit_status"] == 141
+    assert status["streams"]["street [1]"]["read"] == status["streams"]["street [1]"]["committed"]
+
+
+@pytest.mark.ray
+def test_with_json_lines_messages_and_progress_have_one_schema(finished_run: FinishedRun) -> None:
+    messages = [json.loads(line) for line in finished_run.stderr.splitlines()]
+    progress = [json.loads(line) for line in finished_run.stdout.splitlines()]
+    for line in (*messages, *progress):
+        assert list(line)[:5] == ["time", "level", "run", "stream", "event"]
+        assert datetime.fromisoformat(line["time"].replace("Z", "+00:00")).utcoffset() == timedelta(0)
+        assert line["run"] == str(finished_run.output)
+        assert line["level"] in ("info", "warning", "error")
+    assert {line["event"] for line in messages} == {"message"}
+    assert {line["event"] for line in progress} <= {"state", "progress"}
+    assert {line["stream"] for line in progress} == {"demo", "folder", "gone", "door"}
+
+
+@pytest.mark.ray
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_to_its_group_while_ray_starts_ends_the_command_without_a_word(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    words = [sys.executable, "-m", "orchestrator", "synthetic:no-mover", "--output", str(tmp_path / "out")]
+    with subprocess.Popen(
+        words,
+        cwd=REPOSITORY,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as run:
+        _wait_for(lambda: any(folder.glob("session_*") for folder in _session_folders(run.pid)), 120)
+        os.killpg(run.pid, number)
+        stdout, stderr = run.communicate(timeout=60)
+    assert run.returncode == 128 + number, stderr
+    assert stdout == ""
+    assert all(line.startswith(("Starting Ray", "1 file, ")) for line in stderr.splitlines())
+    assert not (tmp_path / "out").exists()
+    assert not _session_folders(run.pid)
 
 
 def _session_folders(driver: int) -> set[Path]:
     """Those of one run, told by its process: other runs may begin meanwhile."""
-    return set(Path("/tmp").glob(f"mlbs-ray-*/session_*_{driver}"))
+    return set(Path("/tmp").glob(f"mlbs-ray-{driver}-*"))
 
 
 def _wait_for(condition: Callable[[], bool], seconds: float) -> None:
@@ -636,7 +763,7 @@ def _wait_for(condition: Callable[[], bool], seconds: float) -> None:
 
 @pytest.mark.ray
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
-def test_a_signal_ends_a_run_cleanly_with_all_that_was_read_committed(
+def test_a_signal_to_its_group_ends_a_run_cleanly_with_all_that_was_read_committed(
     tmp_path: Path, number: signal.Signals
 ) -> None:
     path = stream_list(
@@ -649,10 +776,11 @@ def test_a_signal_ends_a_run_cleanly_with_all_that_was_read_committed(
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
     )
     with run:
         _wait_for(lambda: (output / "demo/commits.jsonl").exists(), 120)
-        run.send_signal(number)
+        os.killpg(run.pid, number)  # as a terminal and timeout do
         _, stderr = run.communicate(timeout=60)
     assert run.returncode == 128 + number, stderr
     for words in (

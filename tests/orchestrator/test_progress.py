@@ -6,46 +6,125 @@ import io
 import json
 import sys
 from dataclasses import replace
+from datetime import datetime, timezone
 
 import pytest
 from rich.console import Console
 
-from orchestrator.progress import JsonLines, LiveTable, progress_for
+from orchestrator.log import Log, LogFormat
+from orchestrator.progress import JsonLines, LiveTable, PlainLines, progress_for
 from orchestrator.run.stream_state import StreamState, after_start
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def log(form: LogFormat = "json") -> Log:
+    return Log(form, "/out", lambda: datetime(2026, 1, 2, 3, 4, 5, 678901, timezone.utc))
 
 
 def lines(output: io.StringIO) -> list[dict[str, object]]:
     return [json.loads(line) for line in output.getvalue().splitlines()]
 
 
-def test_away_from_a_terminal_each_change_of_state_is_a_json_line() -> None:
+def test_each_change_of_state_is_a_json_line_if_those_are_wanted_on_a_terminal_too() -> None:
+    for output in (io.StringIO(), Terminal()):
+        progress = progress_for(output, log())
+        progress.update([StreamState("a"), StreamState("b")])
+        progress.update([StreamState("a", "starting"), StreamState("b")])
+        progress.update([StreamState("a", "failed", error="It is gone."), StreamState("b")])
+        progress.close()
+        assert [(line["stream"], line["state"], line["level"]) for line in lines(output)] == [
+            ("a", "waiting", "info"),
+            ("b", "waiting", "info"),
+            ("a", "starting", "info"),
+            ("a", "failed", "error"),
+        ]
+        assert lines(output)[-1]["error"] == "It is gone."
+
+
+def test_a_json_line_says_when_of_which_run_and_stream_and_what_it_is_about() -> None:
     output = io.StringIO()
-    progress = progress_for(output)
-    progress.update([StreamState("a"), StreamState("b")])
-    progress.update([StreamState("a", "starting"), StreamState("b")])
-    progress.update([StreamState("a", "failed", error="It is gone."), StreamState("b")])
-    progress.close()
-    assert [(line["stream"], line["state"]) for line in lines(output)] == [
-        ("a", "waiting"),
-        ("b", "waiting"),
-        ("a", "starting"),
-        ("a", "failed"),
-    ]
-    assert lines(output)[-1]["error"] == "It is gone."
+    progress = JsonLines(output, log(), lambda: 0.0)
+    progress.update([StreamState("a", "reconnecting", read=7, error="It is off.")])
+    head = {
+        "time": "2026-01-02T03:04:05.678Z",
+        "level": "warning",
+        "run": "/out",
+        "stream": "a",
+        "event": "state",
+    }
+    assert list(lines(output)[0])[:5] == list(head)
+    assert lines(output)[0].items() >= (head | {"state": "reconnecting", "read": 7}).items()
 
 
-def test_a_running_stream_gets_a_line_every_five_seconds_if_it_moves() -> None:
+def test_a_running_stream_gets_a_json_line_every_five_seconds_if_it_moves() -> None:
     output, now = io.StringIO(), [0.0]
-    progress = JsonLines(output, lambda: now[0])
+    progress = JsonLines(output, log(), lambda: now[0])
     for second in range(31):
         now[0] = float(second)
         progress.update([StreamState("a", "running", read=min(second, 20))])
     assert [line["read"] for line in lines(output)] == [0, 5, 10, 15, 20]
+    assert [line["event"] for line in lines(output)] == ["state", *["progress"] * 4]
+
+
+def test_away_from_a_terminal_a_change_is_a_line_to_read() -> None:
+    output = io.StringIO()
+    progress = progress_for(output, log("text"))
+    running = StreamState("a", "running", read=48, length=120, layers=4, objects=3, frames_per_second=16.0)
+    progress.update([StreamState("a")])
+    progress.update([after_start(StreamState("a"))])
+    progress.update([running])
+    progress.update([replace(running, read=50)])  # nothing that one must know at once
+    progress.update([replace(running, state="partial", read=60, quarantined=1, error="It is cut off.")])
+    progress.close()
+    assert output.getvalue().splitlines() == [
+        "a: starting: waits for its processes and its first frames",
+        "a: running, 48 of 120 frames, 16.0 frames/s, 3 objects, 0:00:04 left",
+        "a: partial, 60 frames, 16.0 frames/s, 1 lost: It is cut off.",
+    ]
+
+
+def test_a_running_stream_gets_a_line_to_read_every_half_minute_and_so_do_several_together() -> None:
+    output, now = io.StringIO(), [0.0]
+    progress = PlainLines(output, log("text"), lambda: now[0])
+    for second in range(61):
+        now[0] = float(second)
+        progress.update(
+            [
+                StreamState("a", "running", read=second, length=600),
+                StreamState("b", "done", read=9, committed=9, length=9),
+            ]
+        )
+    assert output.getvalue().splitlines() == [
+        "a: running",
+        "b: done, 9 frames",
+        "a: running, 30 of 600 frames",
+        "1 running, 1 done; 39 frames read, 9 committed, 0.0 frames/s, 0:09:50 left",
+        "a: running, 60 of 600 frames",
+        "1 running, 1 done; 69 frames read, 9 committed, 0.0 frames/s, 0:09:00 left",
+    ]
+
+
+def test_streams_that_wait_are_summed_up_at_once_for_a_new_reason_else_now_and_then() -> None:
+    output, now = io.StringIO(), [0.0]
+    progress = PlainLines(output, log("text"), lambda: now[0])
+    for count, reason in ((3, "places"), (2, "places"), (2, "memory")):
+        progress.update([StreamState(f"w{number}", waits_for=reason) for number in range(count)])
+    now[0] = 40.0
+    progress.update([StreamState("w", waits_for="memory")])
+    assert output.getvalue().splitlines() == [
+        "3 streams waiting for places",
+        "2 streams waiting for memory",
+        "1 stream waiting for memory",
+    ]
 
 
 def table(states: list[StreamState], height: int = 40, width: int = 110) -> str:
     console = Console(file=io.StringIO(), force_terminal=True, width=width, height=height, no_color=True)
-    progress = LiveTable(console)
+    progress = LiveTable(console, lambda: 0.0, refresh=False)
     progress.update(states)
     progress.close()
     assert isinstance(console.file, io.StringIO)
@@ -115,7 +194,7 @@ def test_the_table_adds_up_what_all_streams_have_done() -> None:
 def test_the_table_shows_how_long_all_files_together_take_at_the_rate_of_the_last_half_minute() -> None:
     now = 0.0
     console = Console(file=io.StringIO(), force_terminal=True, width=110, height=40, no_color=True)
-    progress = LiveTable(console, lambda: now)
+    progress = LiveTable(console, lambda: now, refresh=False)
     others = [
         StreamState("waits", length=1500),
         StreamState("ended", "done", read=70, length=70),
@@ -156,18 +235,13 @@ def test_streams_at_work_come_first_then_those_gone_wrong_waiting_and_done() -> 
     assert names[-8:] == ["r", "s", "f", "p", "w", "e", "d", "x"]
 
 
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
 @pytest.mark.parametrize("own", [Terminal(), io.StringIO()])
 def test_what_is_said_meanwhile_goes_above_the_table_where_both_are_on_the_terminal(
     own: io.StringIO, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "stderr", own)
     console = Console(file=io.StringIO(), force_terminal=True, width=110, height=40, no_color=True)
-    progress = LiveTable(console)
+    progress = LiveTable(console, lambda: 0.0, refresh=False)
     progress.update([StreamState("yard", "running")])
     print("Line 3 [cannot] be used.", file=sys.stderr)
     progress.close()

@@ -238,7 +238,7 @@ class ObservedRun:
 
     def scratch_is_gone(self) -> bool:
         """Return whether nothing is left of the files of this run's Ray."""
-        return not [*Path("/tmp").glob(f"mlbs-ray-*/session_*_{self._process.pid}")]
+        return not [*Path("/tmp").glob(f"mlbs-ray-{self._process.pid}-*")]
 
     def _remaining(self) -> dict[int, str]:
         """Return ids and titles of the run's processes that are still alive."""
