@@ -1,4 +1,4 @@
-"""What all tests share: one Ray session, as starting one takes seconds, and Hypothesis's settings."""
+"""What all tests share: a Ray session and a labelled clip, which take seconds, and Hypothesis's settings."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import pytest
 import ray
 from actor_fakes import FakeParts, RaySession
 from hypothesis import settings
+from labelled_clip import LabelledClip
 
 from mlbs_actors.actors import Node, PoolPolicy
 
@@ -56,6 +57,12 @@ def ray_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RaySession
             # Ray drops the handles of the processes it has ended without waiting for them.
             warnings.simplefilter("ignore", ResourceWarning)
             gc.collect()
+
+
+@pytest.fixture(scope="session")
+def clip() -> LabelledClip:
+    """Forty frames of a moving camera and two moving objects, as the engine labels them."""
+    return LabelledClip.of("demo", frames=40, width=320, height=240)
 
 
 @pytest.fixture
