@@ -26,10 +26,11 @@ settings.load_profile("untimed")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave all tests in the session of Ray to one process, so that there is one."""
+    """Leave all tests of what takes seconds to make to one process, so that it is made once."""
     for item in items:
-        if isinstance(item, pytest.Function) and "ray_session" in item.fixturenames:
-            item.add_marker(pytest.mark.xdist_group("ray"))
+        for shared in ("ray_session", "clip"):
+            if isinstance(item, pytest.Function) and shared in item.fixturenames:
+                item.add_marker(pytest.mark.xdist_group(shared))
 
 
 @pytest.fixture(scope="session")
