@@ -1,4 +1,4 @@
-"""What all tests share: one Ray session and one finished run, as both take seconds; Hypothesis's settings."""
+"""What all tests share: a Ray session, a finished run and a labelled clip, which take seconds to make."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import pytest
 import ray
 from actor_fakes import FakeParts, RaySession
 from hypothesis import settings
+from labelled_clip import LabelledClip
 from whole_run import FinishedRun, run_mixed_sources
 
 from mlbs_actors.actors import Node, PoolPolicy
@@ -26,9 +27,9 @@ settings.load_profile("untimed")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave all tests in the session of Ray, or of the finished run, to one process, so that there is one."""
+    """Leave all tests of what takes seconds to make to one process, so that it is made once."""
     for item in items:
-        for shared in ("ray_session", "finished_run"):
+        for shared in ("ray_session", "finished_run", "clip"):
             if isinstance(item, pytest.Function) and shared in item.fixturenames:
                 item.add_marker(pytest.mark.xdist_group(shared))
 
@@ -64,6 +65,12 @@ def ray_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RaySession
 def finished_run(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
     """A run of the command over good, damaged and missing sources; its files must stay as they are."""
     return run_mixed_sources(tmp_path_factory.mktemp("finished"))
+
+
+@pytest.fixture(scope="session")
+def clip() -> LabelledClip:
+    """Forty frames of a moving camera and two moving objects, as the engine labels them."""
+    return LabelledClip.of("demo", frames=40, width=320, height=240)
 
 
 @pytest.fixture

@@ -73,6 +73,7 @@ def command(installed: Path, folder: Path, *words: str) -> subprocess.CompletedP
     )
 
 
+@pytest.mark.long
 def test_the_wheel_holds_all_of_both_packages_and_the_configurations_and_nothing_else(built: Path) -> None:
     expected = {
         str(path.relative_to(ROOT)): path.read_bytes()
@@ -88,6 +89,7 @@ def test_the_wheel_holds_all_of_both_packages_and_the_configurations_and_nothing
     }
 
 
+@pytest.mark.long
 def test_the_sdist_holds_the_tests_and_the_scripts(built: Path) -> None:
     (sdist,) = built.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
@@ -97,6 +99,7 @@ def test_the_sdist_holds_the_tests_and_the_scripts(built: Path) -> None:
             assert held.read() == (ROOT / name).read_bytes()
 
 
+@pytest.mark.long
 def test_the_installed_command_reads_nothing_of_the_repository(installed: Path, tmp_path: Path) -> None:
     asked = command(installed, tmp_path, "--help")
     assert asked.stdout.splitlines()[1].startswith("  mlbs-actors street.mp4")
@@ -119,6 +122,7 @@ def test_the_installed_command_compiles_and_runs_the_demo(installed: Path, tmp_p
     assert list((installed / "mlbs_actors").rglob("*.nbi"))  # it was this copy that ran
 
 
+@pytest.mark.long
 def test_what_the_container_copies_is_all_that_the_package_is_built_from(built: Path, tmp_path: Path) -> None:
     source = tmp_path / "src"
     source.mkdir()

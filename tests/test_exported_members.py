@@ -66,7 +66,7 @@ def test_help_and_dir_begin_with_what_a_program_needs() -> None:
 
 def test_a_process_that_runs_no_part_of_the_engine_does_not_load_it() -> None:
     code = "import sys, mlbs_actors.actors; sys.exit('numba' in sys.modules or 'scipy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=200).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_a_module_lists_the_names_it_defines() -> None:
@@ -120,4 +120,4 @@ def test_without_a_fitting_opencv_the_import_says_what_to_do(opencv: str, words:
 
 def test_the_engine_runs_without_ray() -> None:
     code = "import sys, mlbs_actors.subtractor; sys.exit('ray' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=200).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -39,6 +39,7 @@ def strictly_typed(program: Path, folder: Path) -> subprocess.CompletedProcess[s
     )
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="types are checked with Python 3.11 and later")
 def test_a_program_passes_strict_type_checks_and_its_mistakes_are_found(tmp_path: Path) -> None:
     pytest.importorskip("mypy", reason="scripts/setup dev installs it")

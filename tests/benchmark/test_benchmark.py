@@ -44,6 +44,7 @@ def test_a_sequence_is_played_back_and_forth_without_a_repeat_at_its_ends() -> N
     assert frame_order(5, 2) == [0, 1]
 
 
+@pytest.mark.long
 def test_every_method_gets_every_frame_and_is_scored_on_the_first_pass_alone() -> None:
     sequence, peers = demo(6), [Everything()]
     measured = measure(sequence, {"all": lambda: peers[0]}, Config(), frames=9, warm=7)
@@ -54,6 +55,7 @@ def test_every_method_gets_every_frame_and_is_scored_on_the_first_pass_alone() -
     assert measured[0].score.all_frames.precision > measured[1].score.all_frames.precision
 
 
+@pytest.mark.long
 def test_waiting_is_wall_time_and_no_cpu_time() -> None:
     peers = {"slow": lambda: Everything(0.5), "quick": Everything}
     engine, slow, quick = measure(demo(4), peers, Config(), frames=4, warm=1)
@@ -62,12 +64,14 @@ def test_waiting_is_wall_time_and_no_cpu_time() -> None:
     assert engine.cpu_ms > quick.cpu_ms
 
 
+@pytest.mark.long
 def test_the_engines_stages_make_up_its_time() -> None:
     engine = measure(demo(8), {}, Config(), frames=8, warm=6)[0]
     assert {"flow", "clustering", "posterior", "cut"} <= set(engine.stage_ms)
     assert sum(engine.stage_ms.values()) > 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PEERS)
 def test_a_peer_finds_a_walker_before_a_moving_camera(name: str) -> None:
     sequence = SceneSequence("demo", scene("demo", frames=10, width=320, height=240))
@@ -86,6 +90,7 @@ def test_a_peer_finds_a_walker_before_a_moving_camera(name: str) -> None:
     assert np.mean(found) > 0.3  # all of the frame has 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PEERS)
 def test_for_a_peer_nothing_moves_in_a_frozen_video(name: str) -> None:
     frame = scene("demo", frames=2, width=160, height=120).frame(0)
@@ -94,6 +99,7 @@ def test_for_a_peer_nothing_moves_in_a_frozen_video(name: str) -> None:
     assert not masks[-1].any()
 
 
+@pytest.mark.long
 def test_the_command_prints_a_row_for_each_method_and_writes_the_figures(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -119,6 +125,7 @@ def test_the_command_prints_a_row_for_each_method_and_writes_the_figures(
     assert figures[ENGINE]["stage_ms"]["flow"] > 0
 
 
+@pytest.mark.long
 def test_several_sequences_are_followed_by_the_means_of_each_method() -> None:
     peers = {"composite": PEERS["composite"]}
     measured = {

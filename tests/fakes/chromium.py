@@ -39,7 +39,6 @@ def open_page(url: str, *, seconds: float = 0.0) -> Page:
         ],
         capture_output=True,
         text=True,
-        timeout=120,
         check=True,
     )
     return Page(ended.stdout, re.findall(r"CONSOLE[^\]]*\] (.*)", ended.stderr))

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 import pytest
+from labelled_clip import LabelledClip
 
 from mlbs_actors import MultilayerSubtractor, Result
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.footage.fixed import FixedState, _completed, fixed_cells
 from mlbs_actors.messages import Array
-from orchestrator.sources.synthetic import SyntheticScene, scene
-
-FRAMES = 40
+from orchestrator.sources.synthetic import SyntheticScene
 
 
 @pytest.fixture(scope="module")
-def demo() -> SyntheticScene:
-    return scene("demo", frames=FRAMES, width=320, height=240)
+def demo(clip: LabelledClip) -> SyntheticScene:
+    return clip.scene
 
 
 def with_clock(picture: Array, index: int) -> Array:
@@ -47,7 +47,7 @@ def labelled(frames: list[Array], ignored: Array | None = None) -> list[Result]:
     return [result for frame in frames for result in subtractor.apply(frame)] + subtractor.flush()
 
 
-def f_score(results: list[Result], demo: SyntheticScene, seen: Array) -> float:
+def f_score(results: Sequence[Result], demo: SyntheticScene, seen: Array) -> float:
     scores = []
     for result in results:
         found, true = (result.labels > 0) & seen, (demo.labels(result.frame_index) > 0) & seen
@@ -57,13 +57,12 @@ def f_score(results: list[Result], demo: SyntheticScene, seen: Array) -> float:
 
 @pytest.mark.parametrize("draw", [with_clock, with_bars, with_bonnet])
 def test_what_is_drawn_over_the_picture_is_background_and_costs_the_rest_little(
-    demo: SyntheticScene, draw: object
+    clip: LabelledClip, demo: SyntheticScene, draw: object
 ) -> None:
-    plain = [demo.frame(index) for index in range(FRAMES)]
-    drawn = [draw(picture, index) for index, picture in enumerate(plain)]  # type: ignore[operator]
-    seen = (drawn[0] == plain[0]).all(axis=2)
+    drawn = [draw(picture, index) for index, picture in enumerate(clip.frames)]  # type: ignore[operator]
+    seen = (drawn[0] == clip.frames[0]).all(axis=2)
     results = labelled(drawn)
-    assert f_score(results, demo, seen) > f_score(labelled(plain), demo, seen) - 0.02
+    assert f_score(results, demo, seen) > f_score(clip.results, demo, seen) - 0.02
     if draw is not with_clock:  # an object's hole of the width of a stroke is closed
         assert not any(result.labels[~seen].any() for result in results[10:])
 

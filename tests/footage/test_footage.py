@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 import cv2
 import numpy as np
 import pytest
+from labelled_clip import LabelledClip
 
 from mlbs_actors import MultilayerSubtractor, Result
 from mlbs_actors.footage.light import light_change, relit
@@ -20,19 +21,28 @@ AT = 20
 
 
 @pytest.fixture(scope="module")
-def demo() -> SyntheticScene:
-    return scene("demo", frames=FRAMES, width=320, height=240)
-
-
-@pytest.fixture(scope="module")
-def pictures(demo: SyntheticScene) -> list[Array]:
-    return [demo.frame(index) for index in range(FRAMES)]
+def pictures(clip: LabelledClip) -> list[Array]:
+    assert len(clip.frames) == FRAMES
+    return list(clip.frames)
 
 
 def labelled(frames: Sequence[Array]) -> list[Result]:
     subtractor = MultilayerSubtractor()
     results = [result for frame in frames for result in subtractor.apply(frame)] + subtractor.flush()
     assert [result.frame_index for result in results] == list(range(len(frames)))
+    return results
+
+
+def after_first_half(
+    clip: LabelledClip, frames: Sequence[Array], concealed: int | None = None
+) -> list[Result]:
+    """The results of the clip with other frames from ``AT`` on."""
+    assert len(clip.frames) == 2 * AT
+    results, subtractor = clip.first_half()
+    for index, frame in enumerate(frames, AT):
+        results += subtractor.apply(frame, concealed=index == concealed)
+    results += subtractor.flush()
+    assert [result.frame_index for result in results] == list(range(AT + len(frames)))
     return results
 
 
@@ -45,8 +55,8 @@ def two_label_f(results: Sequence[Result], demo: SyntheticScene, indices: Sequen
 
 
 @pytest.fixture(scope="module")
-def undisturbed(pictures: list[Array]) -> list[Result]:
-    return labelled(pictures)
+def undisturbed(clip: LabelledClip) -> list[Result]:
+    return list(clip.results)
 
 
 def test_every_frame_of_an_undisturbed_scene_is_a_picture(undisturbed: list[Result]) -> None:
@@ -73,29 +83,21 @@ def torn(pictures: list[Array]) -> Array:
     ids=["black", "white", "doubled", "torn", "noise", "flash"],
 )
 def test_a_frame_that_is_no_picture_carries_the_labels_and_changes_nothing_after(
-    demo: SyntheticScene, pictures: list[Array], undisturbed: list[Result], status: str, disturb: object
+    clip: LabelledClip, pictures: list[Array], undisturbed: list[Result], status: str, disturb: object
 ) -> None:
-    frames = list(pictures)
-    frames[AT] = disturb(pictures)  # type: ignore[operator]
-    results = labelled(frames)
+    results = after_first_half(clip, [disturb(pictures), *pictures[AT + 1 :]])  # type: ignore[operator]
     assert results[AT].status == status
     assert {result.status for result in results if result.frame_index != AT} == {"ok"}
     np.testing.assert_array_equal(results[AT].labels, results[AT - 1].labels)
     after = range(AT + 5, FRAMES)
-    assert two_label_f(results, demo, after) > two_label_f(undisturbed, demo, after) - 0.02
+    assert two_label_f(results, clip.scene, after) > two_label_f(undisturbed, clip.scene, after) - 0.02
     assert [one.layer for one in results[-1].layers] == [one.layer for one in undisturbed[-1].layers]
 
 
 def test_a_picture_that_is_known_to_be_damaged_is_passed_over_however_it_looks(
-    pictures: list[Array], undisturbed: list[Result]
+    clip: LabelledClip, pictures: list[Array], undisturbed: list[Result]
 ) -> None:
-    subtractor = MultilayerSubtractor()
-    results = [
-        result
-        for index, picture in enumerate(pictures)
-        for result in subtractor.apply(picture, concealed=index == AT)
-    ]
-    results += subtractor.flush()
+    results = after_first_half(clip, pictures[AT:], concealed=AT)
     assert [result.frame_index for result in results if result.status != "ok"] == [AT]
     assert results[AT].status == "damaged"
     np.testing.assert_array_equal(results[AT].labels, results[AT - 1].labels)
@@ -104,38 +106,38 @@ def test_a_picture_that_is_known_to_be_damaged_is_passed_over_however_it_looks(
 
 @pytest.mark.parametrize("gain", [(1.9, 1.9, 1.9), (0.5, 0.5, 0.5), (0.8, 1.0, 1.2)])
 def test_a_lasting_change_of_light_costs_little_and_no_id(
-    demo: SyntheticScene, pictures: list[Array], undisturbed: list[Result], gain: tuple[float, ...]
+    clip: LabelledClip, pictures: list[Array], undisturbed: list[Result], gain: tuple[float, ...]
 ) -> None:
     lit = [np.clip(picture * np.array(gain), 0, 255).astype(np.uint8) for picture in pictures[AT:]]
-    results = labelled([*pictures[:AT], *lit])
+    results = after_first_half(clip, lit)
     after = range(AT + 5, FRAMES)
-    assert two_label_f(results, demo, after) > two_label_f(undisturbed, demo, after) - 0.05
+    assert two_label_f(results, clip.scene, after) > two_label_f(undisturbed, clip.scene, after) - 0.05
     assert [one.layer for one in results[-1].layers] == [one.layer for one in undisturbed[-1].layers]
 
 
-def test_a_cut_begins_a_scene_whose_objects_have_new_ids(demo: SyntheticScene, pictures: list[Array]) -> None:
-    other = scene("street", frames=FRAMES, width=320, height=240)
-    results = labelled([*pictures, *(other.frame(index) for index in range(FRAMES))])
-    alone = labelled([other.frame(index) for index in range(FRAMES)])
-    assert [result.frame_index for result in results if result.status != "ok"] == [FRAMES]
-    assert results[FRAMES].status == "cut"
-    before = {one.layer for result in results[:FRAMES] for one in result.layers}
-    after = {one.layer for result in results[FRAMES:] for one in result.layers}
+def test_a_cut_begins_a_scene_whose_objects_have_new_ids(clip: LabelledClip) -> None:
+    street = scene("street", frames=FRAMES, width=320, height=240)
+    other = [street.frame(index) for index in range(AT)]
+    results, alone = after_first_half(clip, other), labelled(other)
+    assert [result.frame_index for result in results if result.status != "ok"] == [AT]
+    assert results[AT].status == "cut"
+    before = {one.layer for result in results[:AT] for one in result.layers}
+    after = {one.layer for result in results[AT:] for one in result.layers}
     assert before
     assert after
     assert not before & after
-    for cut, result in zip(results[FRAMES:], alone, strict=True):
+    for cut, result in zip(results[AT:], alone, strict=True):
         np.testing.assert_array_equal(cut.labels > 0, result.labels > 0)
 
 
 @pytest.mark.parametrize(("count", "status"), [(4, "ok"), (12, "cut")])
 def test_a_scene_begins_after_the_blank_frames_before_it(
-    pictures: list[Array], count: int, status: str
+    pictures: list[Array], undisturbed: list[Result], count: int, status: str
 ) -> None:
     blank = [np.zeros_like(pictures[0])] * count
-    results, alone = labelled([*blank, *pictures]), labelled(pictures)
+    results = labelled([*blank, *pictures[:AT]])
     assert [result.status for result in results[: count + 1]] == ["blank"] * count + [status]
-    for late, result in zip(results[count:], alone, strict=True):
+    for late, result in zip(results[count:], undisturbed[:AT], strict=True):
         np.testing.assert_array_equal(late.labels, result.labels)
 
 
@@ -151,15 +153,17 @@ def test_noise_alone_is_labelled_soon_and_makes_no_object() -> None:
     assert not any(result.labels.any() for result in results)
 
 
-def test_a_subtractor_that_is_pickled_in_a_flash_goes_on_as_it_would_have(pictures: list[Array]) -> None:
-    frames = list(pictures)
-    for index in (AT, AT + 1):
+def test_a_subtractor_that_is_pickled_in_a_flash_goes_on_as_it_would_have(
+    clip: LabelledClip, pictures: list[Array]
+) -> None:
+    frames = pictures[AT:]
+    for index in (0, 1):
         frames[index] = np.clip(frames[index].astype(int) + 120, 0, 255).astype(np.uint8)
-    expected = labelled(frames)
-    subtractor = MultilayerSubtractor()
-    results = [result for frame in frames[: AT + 1] for result in subtractor.apply(frame)]
+    expected = after_first_half(clip, frames)
+    results, subtractor = clip.first_half()
+    results += subtractor.apply(frames[0])
     restored = pickle.loads(pickle.dumps(subtractor))
-    results += [result for frame in frames[AT + 1 :] for result in restored.apply(frame)]
+    results += [result for frame in frames[1:] for result in restored.apply(frame)]
     results += restored.flush()
     for result, other in zip(results, expected, strict=True):
         assert result.status == other.status

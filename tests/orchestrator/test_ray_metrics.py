@@ -154,22 +154,22 @@ def test_a_prometheus_finds_every_figure_at_the_port_on_this_machine_only(tmp_pa
     with (tmp_path / "said").open("w") as said:
         run = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=said, stderr=said)
     try:
-        url, text, deadline = f"http://127.0.0.1:{port}/metrics", "", time.monotonic() + 200
+        url, text = f"http://127.0.0.1:{port}/metrics", ""
         while 'state="done"' not in text:
-            assert time.monotonic() < deadline, (tmp_path / "said").read_text()
+            assert run.poll() is None, (tmp_path / "said").read_text()
             time.sleep(0.5)
             try:
-                text = urlopen(url, timeout=5).read().decode()
+                text = urlopen(url).read().decode()
             except OSError:
                 continue
         outside = [name for name in host_addresses() if is_open(name, port)]
         assert outside == []
         assert is_open("127.0.0.1", port)
         with pytest.raises(HTTPError, match="401"):  # Ray's agent, which runs what it is told to
-            urlopen("http://127.0.0.1:52365/api/job_agent/jobs/", timeout=5)
+            urlopen("http://127.0.0.1:52365/api/job_agent/jobs/")
     finally:
         run.send_signal(signal.SIGINT)
-        run.wait(60)
+        run.wait()
     samples = {
         (
             sample.name.removeprefix("ray_"),

@@ -6,7 +6,6 @@ import json
 import re
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from http.client import HTTPConnection, HTTPResponse
@@ -72,7 +71,7 @@ def progress(read: int) -> StreamProgress:
 
 
 def get(url: str, path: str = "/", **headers: str) -> tuple[HTTPResponse, bytes]:
-    connection = HTTPConnection("127.0.0.1", int(url.split(":")[2].split("/")[0]), timeout=10)
+    connection = HTTPConnection("127.0.0.1", int(url.split(":")[2].split("/")[0]))
     connection.request("GET", path, headers=headers)
     answer = connection.getresponse()
     body = answer.read()
@@ -198,10 +197,11 @@ def test_the_status_has_the_last_events_and_the_page_their_pictures(
 
 
 def test_other_viewers_get_the_pictures_as_motion_jpeg_until_the_stream_ends(
-    board: Board, url: str, tmp_path: Path
+    board: Board, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("orchestrator.monitor.restream._REPEAT_SECONDS", 1e6)
     live = LivePicture(live_picture_path(tmp_path, "yard"))
-    connection = HTTPConnection("127.0.0.1", int(url.split(":")[2].split("/")[0]), timeout=10)
+    connection = HTTPConnection("127.0.0.1", int(url.split(":")[2].split("/")[0]))
     connection.request("GET", "/streams/yard.mjpg")
     answer = connection.getresponse()
     assert answer.getheader("Content-Type") == "multipart/x-mixed-replace; boundary=picture"
@@ -264,16 +264,16 @@ def test_who_knows_the_token_gets_in_by_address_cookie_or_header_and_nobody_else
 
 
 def test_the_port_is_free_and_the_thread_gone_once_the_run_ends_even_if_someone_looks_on(
-    board: Board,
+    board: Board, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # Nobody but the end of the run sends the one who looks on away.
+    monkeypatch.setattr("orchestrator.monitor.server._Handler.timeout", None)
     with serving(HERE, board) as url:
         port = int(url.split(":")[2].split("/")[0])
         lingering = socket.create_connection(("127.0.0.1", port))
-        started = time.monotonic()
-    assert time.monotonic() - started < 5
     assert not any(thread.name == "monitor" for thread in threading.enumerate())
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", port), timeout=2)
+        socket.create_connection(("127.0.0.1", port))
     lingering.close()
 
 
@@ -287,7 +287,10 @@ def test_a_port_that_is_taken_is_refused_with_a_sentence(board: Board) -> None:
 # Live pictures
 
 
-def test_a_live_picture_is_replaced_twice_a_second_and_at_most_640_wide(tmp_path: Path) -> None:
+def test_a_live_picture_is_replaced_twice_a_second_and_at_most_640_wide(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("orchestrator.sinks.live_picture._LOOK_SECONDS", 1e6)
     now = [0.0]
     live = LivePicture(tmp_path / "a.jpg", lambda: now[0])
     written = []
@@ -327,6 +330,7 @@ def test_a_record_shows_its_frames_and_no_trouble_with_that_reaches_it(tmp_path:
 # In a browser
 
 
+@pytest.mark.long
 def test_a_browser_shows_every_stream_without_complaint(url: str) -> None:
     page = open_page(url, seconds=3)
     assert page.console == []
@@ -342,6 +346,7 @@ def test_a_browser_shows_every_stream_without_complaint(url: str) -> None:
     assert re.findall(r'<h2 id="name-\d">(.*?)</h2>', page.document) == ["yard", "late", "&lt;b&gt;"]
 
 
+@pytest.mark.long
 def test_a_browser_shows_fifty_streams_with_their_events(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -372,6 +372,7 @@ def test_the_report_of_a_run_that_goes_on_or_was_killed_says_so(run_folder: Path
     assert "not ended" in render_report(tmp_path)
 
 
+@pytest.mark.long
 def test_a_browser_shows_the_report_without_complaint(run_folder: Path, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     path.write_text(render_report(run_folder))

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
+from itertools import count
 
 import pytest
 
@@ -19,7 +20,7 @@ from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.run import driver as driver_module
 from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver, SpecChange
-from orchestrator.run.recovery import MOST_RETURNS
+from orchestrator.run.recovery import MOST_RETURNS, STALL_SECONDS
 from orchestrator.run.stream_state import (
     ENDED,
     StateName,
@@ -36,6 +37,11 @@ from orchestrator.run.stream_state import (
 )
 
 BURST = 4
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driver_module, "_WAKE_SECONDS", 0.01)
 
 
 def unused() -> None:
@@ -118,15 +124,56 @@ class Recorder:
                 past.append(state.state)
 
 
+class Turns:
+    """Lets a stream that is slow to end wait until the driver has gone round its loop."""
+
+    def __init__(self) -> None:
+        self._shown = 0
+        self._changed = threading.Condition()
+
+    def update(self, states: Sequence[StreamState]) -> None:
+        with self._changed:
+            self._shown += 1
+            self._changed.notify_all()
+
+    def pass_by(self) -> None:
+        """Return after the driver has shown the states three times: once or twice in each turn."""
+        with self._changed:
+            until = self._shown + 3
+            self._changed.wait_for(lambda: self._shown >= until)
+
+
+class NoticedInterruption(Interruption):
+    """An interruption that tells when the driver has seen its signal."""
+
+    def __init__(self) -> None:
+        self._number: int | None = None
+        self.noticed = threading.Event()
+        super().__init__()
+
+    @property
+    def signal_number(self) -> int | None:
+        if self._number is not None:
+            self.noticed.set()
+        return self._number
+
+    @signal_number.setter
+    def signal_number(self, number: int | None) -> None:
+        self._number = number
+
+
 def drive(
-    streams: dict[str, FakeStream], limit: int = 10, interruption: Interruption | None = None
+    streams: dict[str, FakeStream],
+    limit: int = 10,
+    interruption: Interruption | None = None,
+    turns: Turns | None = None,
 ) -> tuple[int, dict[str, StreamState], Recorder, FakeHost]:
     host, recorder = FakeHost(streams), Recorder()
     driver = Driver(
         [spec(name) for name in streams],
         host,
         admission=by_count(limit),
-        observers=[recorder],
+        observers=[recorder, *([] if turns is None else [turns])],
         interruption=interruption or Interruption(),
     )
     status = driver.run()
@@ -160,18 +207,18 @@ def test_no_more_streams_run_than_there_are_places_and_the_rest_follow_in_order(
 
 
 def test_a_place_is_free_only_when_the_stream_before_has_given_its_processes_back() -> None:
-    gone = threading.Event()
+    gone, turns = threading.Event(), Turns()
 
     class Slow(FakeStream):
         def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
-            time.sleep(0.3)
+            turns.pass_by()
             gone.set()
             return super().stop(drain=drain, returns=returns)
 
     def check() -> None:
         assert gone.is_set()
 
-    status, states, _, _ = drive({"a": Slow(4), "b": FakeStream(4, on_advance=check)}, 1)
+    status, states, _, _ = drive({"a": Slow(4), "b": FakeStream(4, on_advance=check)}, 1, turns=turns)
     assert status == 0, states
 
 
@@ -298,10 +345,18 @@ def losing(fails_at: int) -> FakeStream:
     return FakeStream(20, fails_at=fails_at, error=ActorLostError("It lost its layer 3."))
 
 
-def drive_again(host: Again, interruption: Interruption | None = None) -> dict[str, StreamState]:
-    specs = [spec(name) for name in host.attempts]
+def drive_again(
+    host: Again,
+    interruption: Interruption | None = None,
+    clock: Callable[[], float] = time.monotonic,
+) -> dict[str, StreamState]:
     driver = Driver(
-        specs, host, admission=by_count(2), observers=[], interruption=interruption or Interruption()
+        [spec(name) for name in host.attempts],
+        host,
+        admission=by_count(2),
+        observers=[],
+        interruption=interruption or Interruption(),
+        clock=clock,
     )
     driver.run()
     return {state.name: state for state in driver.states}
@@ -335,24 +390,25 @@ def test_a_stream_is_started_again_with_what_its_last_start_has_left() -> None:
     assert (first.returns, second.returns) == (True, True)
 
 
-def test_a_stream_that_does_not_get_on_is_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stream_that_does_not_get_on_is_started_again() -> None:
     class Hanging(FakeStream):
         def advance(self) -> Future[StreamProgress]:
             return super().advance() if self.read < 8 else Future()
 
-    monkeypatch.setattr(driver_module, "STALL_SECONDS", 0.3)
     host = Again({"slow": [Hanging(20), FakeStream(20)]})
-    states = drive_again(host)
+    clock = count(step=STALL_SECONDS / 10)  # each look at it takes as long
+    states = drive_again(host, clock=lambda: next(clock))
     assert (states["slow"].state, states["slow"].returns) == ("done", 1)
 
 
 def test_a_stream_that_leaves_the_list_while_it_goes_back_is_not_started_again() -> None:
     interruption = Interruption()
     asked: list[StreamState] = []
+    has_left = threading.Event()
 
     class Slow(FakeStream):
         def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
-            time.sleep(0.5)
+            has_left.wait()
             return super().stop(drain=drain, returns=returns)
 
     host = Again({"bad": [Slow(20, fails_at=8, error=ActorLostError("It lost its layer 3."))]})
@@ -364,6 +420,7 @@ def test_a_stream_that_leaves_the_list_while_it_goes_back_is_not_started_again()
         if state.returns == 0 or asked:
             return None
         asked.append(state)
+        has_left.set()
         return SpecChange((), ("bad",))
 
     driver = Driver(
@@ -375,12 +432,12 @@ def test_a_stream_that_leaves_the_list_while_it_goes_back_is_not_started_again()
 
 
 def test_a_signal_while_a_stream_goes_back_leaves_it_to_be_resumed() -> None:
-    interruption = Interruption()
+    interruption = NoticedInterruption()
 
     class Stopping(FakeStream):
         def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
             interruption.signal_number = signal.SIGTERM
-            time.sleep(0.3)
+            interruption.noticed.wait()
             return super().stop(drain=drain, returns=returns)
 
     first = Stopping(20, fails_at=8, error=ActorLostError("It lost its layer 3."))
@@ -579,11 +636,11 @@ def test_streams_that_come_are_run_and_those_that_leave_are_finished_until_a_sig
 
 
 def test_a_stream_that_comes_back_is_started_again_once_it_is_gone_and_one_at_its_end_is_not() -> None:
-    interruption, recorder = Interruption(), Recorder()
+    interruption, recorder, is_back = Interruption(), Recorder(), threading.Event()
 
     class Slow(FakeStream):
         def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
-            time.sleep(0.3)
+            is_back.wait()
             return super().stop(drain=drain, returns=returns)
 
     first, second = Slow(10**9), FakeStream(10**9)
@@ -593,6 +650,8 @@ def test_a_stream_that_comes_back_is_started_again_once_it_is_gone_and_one_at_it
     def changes() -> SpecChange | None:
         if second.read >= 20:
             interruption.signal_number = signal.SIGTERM
+        if not left:  # the driver has dealt with the last change
+            is_back.set()
         return left.pop(0) if left and first.read >= 20 else None
 
     specs = [spec("camera"), spec("film")]

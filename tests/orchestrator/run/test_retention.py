@@ -174,6 +174,7 @@ def test_events_of_what_is_deleted_go_and_the_others_are_delivered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(delivery_module, "_LOOK_SECONDS", 0.01)
+    monkeypatch.setattr(delivery_module, "_GRACE_SECONDS", 200.0)  # until all is delivered
     sent: list[int] = []
 
     class Target:

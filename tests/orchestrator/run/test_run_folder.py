@@ -297,10 +297,12 @@ def test_the_states_of_the_streams_are_read_back_from_the_status(tmp_path: Path)
 
 def test_one_run_at_a_time_has_a_folder_and_a_killed_one_keeps_nobody_out(tmp_path: Path) -> None:
     code = (
-        "import pathlib, sys, time; from orchestrator.run.run_folder import RunFolder\n"
-        f"with RunFolder(pathlib.Path({str(tmp_path)!r})).locked(): print('held', flush=True); time.sleep(60)"
+        "import pathlib, sys; from orchestrator.run.run_folder import RunFolder\n"
+        f"with RunFolder(pathlib.Path({str(tmp_path)!r})).locked():\n"
+        "    print('held', flush=True); sys.stdin.read()"
     )
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as other:
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe, text=True) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == "held\n"
         with pytest.raises(ConfigError, match="Another run is at work"), RunFolder(tmp_path).locked():

@@ -121,7 +121,6 @@ def test_the_command_that_resumes_a_run_leaves_one_overlay(tmp_path: Path, sourc
         cwd=REPOSITORY,
         capture_output=True,
         text=True,
-        timeout=200,
         check=False,
     )
     assert ended.returncode == 0, ended.stderr

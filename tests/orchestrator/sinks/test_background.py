@@ -6,15 +6,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
+from labelled_clip import LabelledClip
 from record_fakes import HEIGHT, WIDTH, frame, segmentation
 
-from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.messages import Array, LayerAppearance, Region
 from orchestrator.sinks.background import background_plate
 from orchestrator.sinks.cutouts import cutouts
 from orchestrator.sinks.record import StreamRecord, ends_group
-from orchestrator.sources.synthetic import SyntheticScene, scene
+from orchestrator.sources.synthetic import SyntheticScene
 
 
 def appearance(known: Array, colour: int = 50) -> LayerAppearance:
@@ -84,29 +83,20 @@ def test_plates_and_cutouts_are_written_with_the_commits(tmp_path: Path) -> None
     assert (tmp_path / "yard/cutouts/img008-3.png").exists()
 
 
-@pytest.fixture(scope="module")
-def watched() -> tuple[SyntheticScene, Array, Array]:
-    """A scene, its last label map, and the plate of its last frame."""
-    made = scene("demo", frames=24, width=160, height=120)
-    subtractor = MultilayerSubtractor()
-    results = [result for index in range(24) for result in subtractor.apply(made.frame(index))]
-    labels = results[-1].labels
-    background = subtractor._layers[0].appearance()
-    assert background.frame_index == 23
-    return made, labels, background_plate(background, made.frame(23), labels)
-
-
-def test_the_plate_of_a_scene_shows_it_without_its_objects(
-    watched: tuple[SyntheticScene, Array, Array],
-) -> None:
-    made, labels, plate = watched
+def test_the_plate_of_a_scene_shows_it_without_its_objects(clip: LabelledClip) -> None:
+    made, last, labels = clip.scene, clip.frames[-1], clip.results[-1].labels
+    index = len(clip.frames) - 1
+    assert clip.background.frame_index == index
+    plate = background_plate(clip.background, last, labels)
     surfaces = tuple(surface for surface in made.surfaces if surface.label == 0)
-    truth = SyntheticScene(made.name, 24, 0, 160, 120, surfaces, 0.0).frame(23).astype(int)
+    height, width = labels.shape
+    empty = SyntheticScene(made.name, len(clip.frames), 0, width, height, surfaces, 0.0)
+    truth = empty.frame(index).astype(int)
     known = plate[:, :, 3] == 255
     assert known.mean() > 0.9
     difference = np.abs(plate[:, :, :3].astype(int) - truth).mean(axis=2)
     assert difference[known].mean() < 8
-    hidden = known & (made.labels(23) > 0) & (labels > 0)
+    hidden = known & (made.labels(index) > 0) & (labels > 0)
     assert hidden.sum() > 100  # what the objects hide now was seen before
-    shown = np.abs(made.frame(23).astype(int) - truth).mean(axis=2)
+    shown = np.abs(last.astype(int) - truth).mean(axis=2)
     assert difference[hidden].mean() < 0.6 * shown[hidden].mean()
