@@ -106,7 +106,8 @@ def test_a_slow_reader_of_a_camera_gets_its_newest_frames_in_order(
     newest_frames: Callable[[PacedCamera], Generator[tuple[float, Array], None, None]],
 ) -> None:
     camera = PacedCamera([np.full((2, 2, 3), index, np.uint8) for index in range(100)])
-    frames, seen = newest_frames(camera), []
+    frames = newest_frames(camera)
+    seen: list[int] = []
     for meanwhile in (1, 10, 1, 60, 28):  # as many arrive while the reader is busy
         camera.let_arrive(meanwhile)
         if seen:  # before, nobody reads the camera
