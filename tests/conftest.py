@@ -14,6 +14,7 @@ import pytest
 import ray
 from actor_fakes import FakeParts, RaySession
 from hypothesis import settings
+from thread_host import threads
 
 from mlbs_actors.actors import Node, PoolPolicy
 
@@ -67,15 +68,43 @@ def parts(tmp_path: Path) -> FakeParts:
 
 
 @pytest.fixture(scope="session")
-def node(ray_session: RaySession, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
+def ray_node(ray_session: RaySession, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
     """This machine, for tests that leave its processes as they are: to start these takes seconds."""
     node = Node(parts=FakeParts(tmp_path_factory.mktemp("parts")), policy=PoolPolicy(spare=2))
     yield node
     node.close()
 
 
+@pytest.fixture(
+    params=[
+        "threads",
+        pytest.param("ray", marks=[pytest.mark.long, pytest.mark.ray, pytest.mark.xdist_group("ray")]),
+    ]
+)
+def host(request: pytest.FixtureRequest) -> Iterator[str]:
+    """What runs the actors: threads, which start at once, and among the long tests Ray."""
+    name: str = request.param
+    if name == "ray":
+        request.getfixturevalue("ray_session")
+        yield name
+    else:
+        with threads():
+            yield name
+
+
 @pytest.fixture
-def own_node(ray_session: RaySession, parts: FakeParts) -> Iterator[Node]:
+def node(host: str, request: pytest.FixtureRequest, parts: FakeParts) -> Iterator[Node]:
+    """This machine, for tests that leave its processes as they are."""
+    if host == "ray":
+        yield request.getfixturevalue("ray_node")
+        return
+    node = Node(parts=parts, policy=PoolPolicy(spare=2))
+    yield node
+    node.close()
+
+
+@pytest.fixture
+def own_node(host: str, parts: FakeParts) -> Iterator[Node]:
     """This machine, for one test, with one spare layer process."""
     node = Node(parts=parts, policy=PoolPolicy(spare=1, idle_seconds=0.5))
     yield node

@@ -6,7 +6,6 @@ dormant (row 1), and which part is to die at that frame (:data:`DEATHS`).
 
 from __future__ import annotations
 
-import os
 import time
 import zlib
 from collections.abc import Callable, Iterable, Sequence
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from joined_evidence import joined_evidence
+from thread_host import die, hang, process_id
 
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, PartFactory, SegmenterPart
 from mlbs_actors.actors.stream.protocol import (
@@ -256,8 +256,8 @@ class Death:
             return
         (self.folder / f"death-{number}").touch()
         if self.hangs:
-            time.sleep(10_000)
-        os._exit(1)
+            hang()
+        die()
 
 
 @dataclass(frozen=True)
@@ -303,7 +303,7 @@ class FakeParts:
         if self.cannot_start:
             raise MemoryError("no memory left for a layer")
         if self._start_number() in self.hanging_starts:
-            time.sleep(1_000)
+            hang()
 
     def warm_stream(self) -> None:
         self._note()
@@ -319,7 +319,7 @@ class FakeParts:
         return number
 
     def _note(self) -> None:
-        (self.folder / f"pid-{os.getpid()}").touch()
+        (self.folder / f"pid-{process_id()}").touch()
 
     def _death(self) -> Death:
         return Death(self.folder, self.deaths, self.hang)
@@ -347,7 +347,7 @@ class FakeReader:
             raise SourceError("The source is not to be had.")
         if self.index == self.dies_at:
             time.sleep(0.2)  # the frame before may still be on its way out of this process
-            os._exit(1)
+            die()
         if self.index >= len(self.pictures):
             return None
         image, t = self.pictures[self.index], self.index
@@ -401,7 +401,7 @@ class FakeSink:
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
     ) -> int:
         if frame.index == self.dies_at:
-            os._exit(1)
+            die()
         if background is not None:
             with (self.folder / "backgrounds").open("a") as told:
                 told.write(f"{frame.index} {background.layer} {background.frame_index}\n")
