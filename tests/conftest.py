@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import ray
-from actor_fakes import FakeParts, RaySession
+from actor_fakes import ON_RAY, FakeParts, RaySession
 from hypothesis import settings
 from thread_host import threads
 
@@ -78,7 +78,7 @@ def ray_node(ray_session: RaySession, tmp_path_factory: pytest.TempPathFactory) 
 @pytest.fixture(
     params=[
         "threads",
-        pytest.param("ray", marks=[pytest.mark.long, pytest.mark.ray, pytest.mark.xdist_group("ray")]),
+        pytest.param("ray", marks=(*ON_RAY, pytest.mark.long)),
     ]
 )
 def host(request: pytest.FixtureRequest) -> Iterator[str]:

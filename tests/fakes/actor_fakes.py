@@ -16,6 +16,7 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
+import pytest
 from joined_evidence import joined_evidence
 from thread_host import die, hang, process_id
 
@@ -44,6 +45,14 @@ from mlbs_actors.messages import (
     LayerPosterior,
     Region,
     Segmentation,
+)
+
+#: Marks of a test, or of a case, that starts or uses the session of Ray: all are left to one process.
+ON_RAY = (pytest.mark.ray, pytest.mark.xdist_group("ray"))
+#: For tests of the actors on Ray alone, and on both hosts among the short tests, too.
+on_ray = pytest.mark.parametrize("host", [pytest.param("ray", marks=ON_RAY)], indirect=True)
+on_threads_and_ray = pytest.mark.parametrize(
+    "host", ["threads", pytest.param("ray", marks=ON_RAY)], indirect=True
 )
 
 SHAPE = (24, 40)

@@ -22,7 +22,6 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from itertools import count
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 from weakref import WeakSet
@@ -368,6 +367,13 @@ class _Actor:
         os.close(self._kill)
 
 
+def answered(value: object) -> Any:
+    """Return a reference to an answer that is there."""
+    reference = ThreadReference()
+    reference.answer.set_result(pickle.dumps(value))
+    return reference
+
+
 def _reference(number: int) -> ThreadReference:
     return _references[number]
 
@@ -391,6 +397,7 @@ class ThreadHost:
     def __init__(self) -> None:
         self.news = threading.Condition()  # a call, an answer, or a kill
         self._actors: list[_Actor] = []
+        self._memories: list[int] = []
 
     def spawn(
         self, kind: type, arguments: Sequence[object], *, node: str, reservation: object, name: str | None
@@ -445,9 +452,17 @@ class ThreadHost:
         assert not left, f"threads that do not end: {left}"
         _references.clear()
         _handles.clear()
-        for descriptor in list(Path("/proc/self/fd").iterdir()):
-            if descriptor.is_symlink() and str(descriptor.readlink()).startswith("/memfd:mlbs-"):
-                os.close(int(descriptor.name))
+        for descriptor in self._memories:
+            os.close(descriptor)
+
+    def memory(self, create: Callable[[str], int]) -> Callable[[str], int]:
+        """Return a function that creates shared memory, which would end with its owner's process."""
+
+        def noted(name: str) -> int:
+            self._memories.append(create(name))
+            return self._memories[-1]
+
+        return noted
 
     def _wait_for(self, condition: Callable[[], bool], timeout: float | None) -> bool:
         if _here.actor is not None:
@@ -462,6 +477,7 @@ def threads() -> Iterator[ThreadHost]:
     host = ThreadHost()
     with pytest.MonkeyPatch.context() as patch, single_threaded(), processes.hosted_by(host):
         patch.setattr(channels, "Connection", _ActorConnection)
+        patch.setattr(os, "memfd_create", host.memory(os.memfd_create))
         for module in _WITH_PROCESSES:
             for name, instead in _TO_ITS_PROCESS.items():
                 if hasattr(module, name):

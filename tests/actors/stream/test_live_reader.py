@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from dataclasses import dataclass, replace
@@ -12,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow.dataset as ds
 import pytest
-import ray
 from actor_fakes import CONFIG, FakeParts, picture, rows_in_one_process, wait_until
 from test_recovery import as_rows, started, take
+from thread_host import die
 
 from mlbs_actors.actors import Node
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, SlotPool
@@ -279,7 +278,7 @@ class OnceOnly:
         if number == self.dies_at and not (self.folder / "died").exists():
             (self.folder / "died").touch()
             time.sleep(0.2)  # the frame before may still be on its way out of this process
-            os._exit(1)
+            die()
         (self.folder / f"shown-{number}").touch()
         status: SourceStatus = "dropped" if number % 9 == 5 else "ok"
         image = self.pictures[number] if status == "ok" else None
@@ -350,17 +349,10 @@ def expect_whole(state: StreamState, parts: FakeParts, folder: Path, shown: int,
     assert as_rows(folder / "door") == rows_in_one_process(replace(parts, deaths=0), given)
 
 
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 @pytest.mark.parametrize(
     ("dies", "at"),
-    [
-        ("layer", 22),
-        pytest.param("layer", 4, marks=pytest.mark.long),
-        pytest.param("segmenter", 28, marks=pytest.mark.long),
-        pytest.param("coordinator", 1, marks=pytest.mark.long),
-        pytest.param("coordinator", 31, marks=pytest.mark.long),
-    ],
+    [("layer", 22), ("layer", 4), ("segmenter", 28), ("coordinator", 1), ("coordinator", 31)],
 )
 def test_a_live_stream_that_loses_a_process_loses_no_frame(
     parts: FakeParts, tmp_path: Path, dies: str, at: int
@@ -374,9 +366,7 @@ def test_a_live_stream_that_loses_a_process_loses_no_frame(
     assert {told[: one.last + 1].count("ok") % 8 for one in commits[:-1]} == {0}  # snapshots, not rows
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 @pytest.mark.parametrize("at", [1, 2, 4, 27])
 def test_a_live_stream_that_loses_its_reader_goes_on_after_a_gap_with_all_it_was_given(
     parts: FakeParts, tmp_path: Path, at: int
@@ -389,9 +379,7 @@ def test_a_live_stream_that_loses_its_reader_goes_on_after_a_gap_with_all_it_was
     assert statuses(tmp_path)[at] == "gap"
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 @pytest.mark.parametrize("lost", ["pool", "sink"])
 def test_a_live_stream_whose_pool_or_sink_is_lost_loses_no_frame(
     parts: FakeParts, tmp_path: Path, lost: str
@@ -401,7 +389,7 @@ def test_a_live_stream_whose_pool_or_sink_is_lost_loses_no_frame(
 
         def kill() -> None:
             wait_until(lambda: recorded_frames(tmp_path / "door") >= 16, 60)
-            ray.kill(node._pool if lost == "pool" else node._sinks[0])
+            kill(node._pool if lost == "pool" else node._sinks[0])
 
         killer = threading.Thread(target=kill)
         killer.start()
@@ -411,9 +399,7 @@ def test_a_live_stream_whose_pool_or_sink_is_lost_loses_no_frame(
     expect_whole(state, parts, tmp_path, shown=60, gaps=0)
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_a_live_stream_that_was_interrupted_goes_on_with_all_it_was_given(
     parts: FakeParts, tmp_path: Path
 ) -> None:
@@ -436,9 +422,7 @@ def test_a_live_stream_that_was_interrupted_goes_on_with_all_it_was_given(
     assert [index for index, status in enumerate(told) if status == "gap"] == [shown[0], shown[1] + 1]
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_a_live_stream_whose_run_was_killed_goes_on_where_it_counts(parts: FakeParts, tmp_path: Path) -> None:
     camera = OnceOnly(tmp_path / "camera", shots(60))
     with started(parts) as node:

@@ -14,8 +14,17 @@ from pathlib import Path
 import numpy as np
 import pyarrow.dataset as ds
 import pytest
-import ray
-from actor_fakes import CONFIG, SHAPE, FakeParts, FakeReader, crowd, picture, rows_in_one_process, wait_until
+from actor_fakes import (
+    CONFIG,
+    ON_RAY,
+    SHAPE,
+    FakeParts,
+    FakeReader,
+    crowd,
+    picture,
+    rows_in_one_process,
+    wait_until,
+)
 from PIL import Image
 
 from mlbs_actors.actors import Node, PoolPolicy
@@ -433,18 +442,20 @@ def fatal(frames: int, at: int, dies: str) -> list[Array]:
     return [picture(t, live=[1, 2], dies=dies if t == at else "", value=2) for t in range(frames)]
 
 
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
 @pytest.mark.parametrize(
-    ("dies", "at"),
+    ("host", "dies", "at"),
     [
-        ("layer", 37),
-        pytest.param("segmenter", 21, marks=pytest.mark.long),
-        pytest.param("coordinator", 2, marks=pytest.mark.long),
+        ("threads", "layer", 37),
+        ("threads", "segmenter", 21),
+        ("threads", "coordinator", 2),
+        pytest.param("ray", "layer", 37, marks=ON_RAY),
+        pytest.param("ray", "segmenter", 21, marks=(*ON_RAY, pytest.mark.long)),
+        pytest.param("ray", "coordinator", 2, marks=(*ON_RAY, pytest.mark.long)),
     ],
+    indirect=["host"],
 )
 def test_a_stream_that_loses_a_process_goes_on_with_the_same_bytes_and_the_others_are_untouched(
-    parts: FakeParts, tmp_path: Path, dies: str, at: int
+    host: str, parts: FakeParts, tmp_path: Path, dies: str, at: int
 ) -> None:
     pictures = fatal(44, at, dies)
     with started(parts) as node:
@@ -467,8 +478,7 @@ def test_a_stream_that_loses_a_process_goes_on_with_the_same_bytes_and_the_other
     assert not (tmp_path / "bad/snapshots").exists()
 
 
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_layers_that_have_no_process_yet_are_in_the_snapshots_too(parts: FakeParts, tmp_path: Path) -> None:
     pictures = [picture(t) for t in range(4)] + fatal(44, 37, "segmenter")[4:]
     only_the_background = replace(parts, hanging_starts=range(1, 1000))
@@ -481,8 +491,7 @@ def test_layers_that_have_no_process_yet_are_in_the_snapshots_too(parts: FakePar
     node.close()
 
 
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_snapshots_of_a_quick_stream_wait_for_their_time(parts: FakeParts, tmp_path: Path) -> None:
     never_dies = replace(parts, deaths=0)
     named = {}
@@ -498,9 +507,7 @@ def test_snapshots_of_a_quick_stream_wait_for_their_time(parts: FakeParts, tmp_p
     assert len(named["always"]) > 1
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_a_part_that_dies_at_the_same_frame_every_time_fails_its_stream_after_a_few_returns(
     parts: FakeParts, tmp_path: Path
 ) -> None:
@@ -515,9 +522,7 @@ def test_a_part_that_dies_at_the_same_frame_every_time_fails_its_stream_after_a_
     assert as_rows(tmp_path / "bad") == expected(parts, pictures)[:11]
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_a_reader_that_dies_at_the_same_frame_every_time_ends_its_stream_with_the_frames_before(
     parts: FakeParts, tmp_path: Path
 ) -> None:
@@ -531,8 +536,7 @@ def test_a_reader_that_dies_at_the_same_frame_every_time_ends_its_stream_with_th
 
 
 @pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_a_part_that_hangs_is_taken_for_lost(
     parts: FakeParts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -545,9 +549,7 @@ def test_a_part_that_hangs_is_taken_for_lost(
     assert as_rows(tmp_path / "slow") == expected(parts, pictures)
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 @pytest.mark.parametrize("role", ["pool", "sink"])
 def test_a_lost_pool_or_sink_takes_every_stream_back_and_all_go_on(
     parts: FakeParts, tmp_path: Path, role: str
@@ -558,7 +560,7 @@ def test_a_lost_pool_or_sink_takes_every_stream_back_and_all_go_on(
 
         def kill() -> None:
             wait_until(lambda: recorded_frames(tmp_path / "a") >= 32, 60)
-            ray.kill(node._pool if role == "pool" else node._sinks[0])
+            kill(node._pool if role == "pool" else node._sinks[0])
 
         killer = threading.Thread(target=kill)
         killer.start()
@@ -571,9 +573,7 @@ def test_a_lost_pool_or_sink_takes_every_stream_back_and_all_go_on(
         assert as_rows(tmp_path / name) == expected(parts, pictures)
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_the_label_maps_of_all_starts_are_counted_together(parts: FakeParts, tmp_path: Path) -> None:
     pictures = [picture(t, live=[1]) for t in range(200)]
     given: list[Array | None] = [*pictures]
@@ -593,9 +593,7 @@ def test_the_label_maps_of_all_starts_are_counted_together(parts: FakeParts, tmp
     assert as_rows(tmp_path / "stopped") == expected(parts, pictures[:150])
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_a_drained_stream_goes_on_where_it_was_interrupted_though_frames_were_held(
     parts: FakeParts, tmp_path: Path
 ) -> None:
