@@ -206,11 +206,11 @@ class _RecordingParts(FakeParts):
     """Each acquired slot is a line in a file."""
 
     def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
-        acquire = SlotPool.acquire
+        acquire, lines = SlotPool.acquire, self.folder / "acquired"
 
         def noted(self: SlotPool, kind: SlotKind) -> Slot:
             slot = acquire(self, kind)
-            with (self.folder / "acquired").open("a") as acquired:
+            with lines.open("a") as acquired:
                 acquired.write(f"{kind} {slot.descriptor}\n")
             return slot
 
@@ -268,13 +268,16 @@ def test_the_reader_is_held_back_to_the_pace_of_the_slowest(
 
 
 def test_a_burst_ends_where_its_file_is_slow(node: Node, parts: FakeParts, tmp_path: Path) -> None:
-    pictures = crowd(10, 1)  # of which a burst takes eight
-    stream = node.start(spec("slow", FakeReader([*pictures], tmp_path, slow_seconds=0.5)))
+    pictures = crowd(12, 1)  # of which a burst takes eight
+    # It waits for the first ones in any case.
+    reader = FakeReader([*pictures], tmp_path, gates=range(6, 12))
+    stream = node.start(spec("slow", reader))
     bursts = 1
     while not stream.advance().result(timeout=200).done:
+        reader.let_through(5 + bursts)
         bursts += 1
     stream.stop(drain=False)
-    assert bursts >= 6
+    assert bursts >= 7
     assert rows(tmp_path) == rows_in_one_process(parts, pictures)
 
 
@@ -323,7 +326,7 @@ def test_a_lost_process_fails_its_stream_alone_and_what_was_labelled_before_stay
 def test_a_stream_whose_segmenter_dies_before_it_begins_says_so(
     own_node: Node, parts: FakeParts, tmp_path: Path
 ) -> None:
-    wait_until(own_node.prepare, 60.0)
+    wait_until(own_node.prepare)
     segmenters = [
         pid for pid in parts.processes() if b"SegmenterActor" in Path(f"/proc/{pid}/cmdline").read_bytes()
     ]
@@ -443,7 +446,7 @@ def test_stopping_and_closing_leaves_no_process(host: str, parts: FakeParts, tmp
     node = Node(parts=parts, policy=PoolPolicy(spare=2))
     stream = node.start(spec("gone", FakeReader([*crowd(60, 3)], tmp_path)))
     stream.advance().result(timeout=200)
-    wait_until(lambda: len(parts.processes()) >= 4, 60.0)
+    wait_until(lambda: len(parts.processes()) >= 4)
     stream.advance()
     stream.stop(drain=False)
     stream.stop(drain=False)

@@ -86,12 +86,17 @@ def die() -> None:
     raise ActorKilled
 
 
+def pause(seconds: float) -> None:
+    """Do nothing for a while, or until the calling actor is killed."""
+    if _here.actor is None:
+        time.sleep(seconds)
+    else:
+        _here.actor.wait_for(lambda: False, seconds)
+
+
 def hang() -> None:
     """Do nothing any more, until the calling actor is killed."""
-    if _here.actor is None:
-        time.sleep(10_000)
-    else:
-        _here.actor.wait_for(lambda: False, None)
+    pause(10_000.0)
 
 
 def process_id() -> int:

@@ -27,7 +27,7 @@ from actor_fakes import (
     wait_until,
 )
 from ray.exceptions import RayActorError
-from thread_host import process_id
+from thread_host import hang, process_id
 
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
 from mlbs_actors.actors.ipc.channels import connect
@@ -109,12 +109,12 @@ def test_processes_that_no_frame_waits_for_start_one_after_the_other_or_are_take
     assert not wait(asked, timeout=2.0)[0]
     assert get(pool.census.remote()) == PoolCensus(idle=1, busy=1)
     get(pool.release.remote(run, identity(first), first.release.remote(run)))
-    [came], left = wait(asked, timeout=30.0)
+    [came], left = wait(asked, timeout=180.0)
     assert get(came)[0] == first
     get(pool.end.remote(run))
     for reference in left:
         with pytest.raises(LayerError, match="has ended"):
-            get(reference, 30.0)
+            get(reference, 180.0)
     get(pool.close.remote())
     end([pool])
 
@@ -143,15 +143,17 @@ def test_a_layer_process_that_hangs_at_its_start_is_replaced(
     node.close()
 
 
-@on_ray
 def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_ended(
     host: str, parts: FakeParts
 ) -> None:
-    policy = PoolPolicy(spare=0, release_seconds=2.0)
+    policy = PoolPolicy(spare=0, release_seconds=10.0 if host == "ray" else 3.0)
     pool = spawn(PoolActor, parts, policy, node=here())
     run = get(pool.begin.remote(1))
     kept, hanging = (get(pool.acquire.remote(run, CONFIG, awaited=True))[0] for layer in (1, 2))
-    os.kill(get(hanging.__ray_call__.remote(_pid)), signal.SIGSTOP)
+    if host == "ray":
+        os.kill(get(hanging.__ray_call__.remote(_pid)), signal.SIGSTOP)
+    else:
+        hanging.__ray_call__.remote(_hang)
     get(pool.end.remote(run))
     assert get(pool.census.remote()) == PoolCensus(idle=1, busy=0)
     with pytest.raises(RayActorError):
@@ -180,6 +182,10 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
 
 def _pid(actor: object) -> int:
     return process_id()
+
+
+def _hang(actor: object) -> None:
+    hang()
 
 
 def test_a_stream_that_has_ended_gets_no_more_processes(host: str, parts: FakeParts) -> None:
@@ -257,7 +263,7 @@ def test_a_layer_gets_the_process_that_another_gives_back_where_the_memory_holds
     later = pool.acquire.remote(run, CONFIG, awaited=False)
     assert not wait([later], timeout=0.5)[0]
     get(pool.release.remote(run, identity(first), first.release.remote(run)))
-    assert get(later, 30.0)[0] == first
+    assert get(later, 180.0)[0] == first
     end([pool])
 
 
@@ -270,7 +276,7 @@ def test_a_stream_starts_in_processes_that_were_warm_before(
     first = own_node.start(spec("first", FakeReader([*crowd(60, 1)], tmp_path / "first")))
     for _ in range(5):
         first.advance().result(timeout=200)
-    wait_until(own_node.prepare, 60.0)
+    wait_until(own_node.prepare)
     warm = parts.processes()
     pictures = crowd(12, 1)
     second = own_node.start(spec("second", FakeReader([*pictures], tmp_path / "second")))
@@ -291,5 +297,5 @@ def test_processes_for_the_next_stream_are_started_one_after_the_other(
         seen.add(len(parts.processes()))
         return own_node.prepare()
 
-    wait_until(ready, 60.0)
+    wait_until(ready)
     assert seen == {0, 1, 2}

@@ -13,10 +13,11 @@ import pyarrow.dataset as ds
 import pytest
 from actor_fakes import CONFIG, FakeParts, picture, rows_in_one_process, wait_until
 from test_recovery import as_rows, started, take
-from thread_host import die
+from thread_host import die, pause
 
 from mlbs_actors.actors import Node
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, SlotPool
+from mlbs_actors.actors.node.processes import end
 from mlbs_actors.actors.stream import live_reader as live_reader_module
 from mlbs_actors.actors.stream.live_reader import FrameRing, LiveReaderActor
 from mlbs_actors.actors.stream.protocol import (
@@ -258,26 +259,28 @@ class OnceOnly:
     pictures : list of (H, W, 3) uint8
     dies_at : int
         Before this picture, once.
-    slow_seconds : float
+    gate : int
+        Nothing is shown from this picture on until the folder has a file ``through``.
     """
 
     folder: Path
     pictures: list[Array]
     dies_at: int = -1
-    slow_seconds: float = 0.0
+    gate: int = 1_000_000
     problem: str | None = None
 
     def opened(self) -> FrameReader:
         return self
 
     def read(self) -> SourceFrame | SourceSilence | None:
-        time.sleep(self.slow_seconds)
         number = len([*self.folder.glob("shown-*")])
+        if number >= self.gate and not (self.folder / "through").exists():
+            pause(0.02)
+            return SourceSilence(None)
         if number >= len(self.pictures):
             return None
         if number == self.dies_at and not (self.folder / "died").exists():
             (self.folder / "died").touch()
-            time.sleep(0.2)  # the frame before may still be on its way out of this process
             die()
         (self.folder / f"shown-{number}").touch()
         status: SourceStatus = "dropped" if number % 9 == 5 else "ok"
@@ -384,17 +387,18 @@ def test_a_live_stream_that_loses_its_reader_goes_on_after_a_gap_with_all_it_was
 def test_a_live_stream_whose_pool_or_sink_is_lost_loses_no_frame(
     parts: FakeParts, tmp_path: Path, lost: str
 ) -> None:
-    camera = OnceOnly(tmp_path / "camera", shots(60), slow_seconds=0.02)
+    camera = OnceOnly(tmp_path / "camera", shots(60), gate=45)
     with started(parts) as node:
 
-        def kill() -> None:
-            wait_until(lambda: recorded_frames(tmp_path / "door") >= 16, 60)
-            kill(node._pool if lost == "pool" else node._sinks[0])
+        def lose() -> None:
+            wait_until(lambda: recorded_frames(tmp_path / "door") >= 16)
+            end([node._pool if lost == "pool" else node._sinks[0]])
+            (camera.folder / "through").touch()
 
-        killer = threading.Thread(target=kill)
-        killer.start()
+        losing = threading.Thread(target=lose)
+        losing.start()
         state = drive(node, live_spec(camera, tmp_path))
-        killer.join()
+        losing.join()
     assert state.returns >= 1
     expect_whole(state, parts, tmp_path, shown=60, gaps=0)
 

@@ -28,6 +28,7 @@ from actor_fakes import (
 from PIL import Image
 
 from mlbs_actors.actors import Node, PoolPolicy
+from mlbs_actors.actors.node.processes import end
 from mlbs_actors.actors.stream.protocol import Snapshot, SourceFrame, StreamSpec
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, LayerSummary, Region, Segmentation
@@ -555,18 +556,19 @@ def test_a_lost_pool_or_sink_takes_every_stream_back_and_all_go_on(
     parts: FakeParts, tmp_path: Path, role: str
 ) -> None:
     pictures = [picture(t, live=[1, 2]) for t in range(60)]
-    slow = replace(parts, slow_seconds=0.02)
-    with started(slow) as node:
+    readers = {name: FakeReader([*pictures], tmp_path / f"r-{name}", gates=range(45, 46)) for name in "ab"}
+    with started(parts) as node:
 
-        def kill() -> None:
-            wait_until(lambda: recorded_frames(tmp_path / "a") >= 32, 60)
-            kill(node._pool if role == "pool" else node._sinks[0])
+        def lose() -> None:
+            wait_until(lambda: all(recorded_frames(tmp_path / name) >= 32 for name in "ab"))
+            end([node._pool if role == "pool" else node._sinks[0]])
+            for reader in readers.values():
+                reader.let_through(45)
 
-        killer = threading.Thread(target=kill)
-        killer.start()
-        specs = [spec(name, FakeReader([*pictures], tmp_path / f"r-{name}"), tmp_path) for name in "ab"]
-        states = drive(node, *specs)
-        killer.join()
+        losing = threading.Thread(target=lose)
+        losing.start()
+        states = drive(node, *(spec(name, reader, tmp_path) for name, reader in readers.items()))
+        losing.join()
     assert {(one.state, one.committed) for one in states.values()} == {("done", 60)}
     assert all(one.returns for one in states.values())
     for name in "ab":
