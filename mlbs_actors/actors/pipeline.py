@@ -90,8 +90,8 @@ class _Standby:
 class Node:
     """One node's pool of layer processes and its sink processes; a :class:`StreamHost`.
 
-    Needs a Ray session, or another host of actors (:mod:`mlbs_actors.actors.node.host`). The processes end with
-    :meth:`close`, or with the driver.
+    Needs a Ray session, or another host of actors (:mod:`mlbs_actors.actors.node.host`). The processes end
+    with :meth:`close`, or with the driver.
 
     Parameters
     ----------

@@ -346,7 +346,10 @@ class _Actor:
 
     def _failed(self, error: Exception) -> Exception:
         """Return what :meth:`ThreadHost.get` raises: of a call that was given a failed answer, its error."""
-        return error if isinstance(error, RayError) else self._task_error(error).as_instanceof_cause()
+        if isinstance(error, RayError):
+            return error
+        failed: Exception = self._task_error(error).as_instanceof_cause()  # type: ignore[no-untyped-call]
+        return failed
 
     def _task_error(self, error: Exception) -> RayTaskError:
         """Wrap an error as Ray does; without its traceback, whose frames would keep the actor alive."""

@@ -25,7 +25,8 @@ class Method:
     call: Callable[..., object]
 
     def remote(self, *given: object, **named: object) -> Reference:
-        return answered(self.call(*given, **named))
+        answer: Reference = answered(self.call(*given, **named))
+        return answer
 
     def options(self, *, name: str) -> Method:
         return self
