@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 import ray
-from actor_fakes import FakeParts, RaySession
+from actor_fakes import ON_RAY, FakeParts, RaySession
 from hypothesis import settings
 from labelled_clip import LabelledClip
+from thread_host import threads
 from whole_run import FinishedRun, run_mixed_sources
 
 from mlbs_actors.actors import Node, PoolPolicy
@@ -82,15 +83,43 @@ def parts(tmp_path: Path) -> FakeParts:
 
 
 @pytest.fixture(scope="session")
-def node(ray_session: RaySession, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
+def ray_node(ray_session: RaySession, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
     """This machine, for tests that leave its processes as they are: to start these takes seconds."""
     node = Node(parts=FakeParts(tmp_path_factory.mktemp("parts")), policy=PoolPolicy(spare=2))
     yield node
     node.close()
 
 
+@pytest.fixture(
+    params=[
+        "threads",
+        pytest.param("ray", marks=(*ON_RAY, pytest.mark.long)),
+    ]
+)
+def host(request: pytest.FixtureRequest) -> Iterator[str]:
+    """What runs the actors: threads, which start at once, and among the long tests Ray."""
+    name: str = request.param
+    if name == "ray":
+        request.getfixturevalue("ray_session")
+        yield name
+    else:
+        with threads():
+            yield name
+
+
 @pytest.fixture
-def own_node(ray_session: RaySession, parts: FakeParts) -> Iterator[Node]:
+def node(host: str, request: pytest.FixtureRequest, parts: FakeParts) -> Iterator[Node]:
+    """This machine, for tests that leave its processes as they are."""
+    if host == "ray":
+        yield request.getfixturevalue("ray_node")
+        return
+    node = Node(parts=parts, policy=PoolPolicy(spare=2))
+    yield node
+    node.close()
+
+
+@pytest.fixture
+def own_node(host: str, parts: FakeParts) -> Iterator[Node]:
     """This machine, for one test, with one spare layer process."""
     node = Node(parts=parts, policy=PoolPolicy(spare=1, idle_seconds=0.5))
     yield node

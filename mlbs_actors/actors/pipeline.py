@@ -11,16 +11,25 @@ from concurrent.futures import Future
 from contextlib import suppress
 from itertools import count
 from threading import Lock
-from typing import Any
 
-import ray
 from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.ipc.wakeup import WakeupEvent
 from mlbs_actors.actors.node.burst_limiter import BurstLimiter
 from mlbs_actors.actors.node.failures import COORDINATOR, POOL, SEGMENTER, explain
 from mlbs_actors.actors.node.pool import PoolActor, PoolCensus, PoolPolicy
-from mlbs_actors.actors.node.processes import Handle, Reference, end, identity, spawn, spawn_standby
+from mlbs_actors.actors.node.processes import (
+    Handle,
+    Reference,
+    cores_of,
+    end,
+    get,
+    here,
+    identity,
+    kill,
+    spawn,
+    spawn_standby,
+)
 from mlbs_actors.actors.node.reservation import Reservation
 from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.stream.coordinator_actor import CoordinatorActor, StreamLinks
@@ -81,12 +90,13 @@ class _Standby:
 class Node:
     """One node's pool of layer processes and its sink processes; a :class:`StreamHost`.
 
-    Needs a Ray session. The processes end with :meth:`close`, or with the driver.
+    Needs a Ray session, or another host of actors (:mod:`mlbs_actors.actors.node.host`). The processes end
+    with :meth:`close`, or with the driver.
 
     Parameters
     ----------
     node : str, optional
-        Ray's id of the node; by default the driver's own.
+        Id of the node; by default the driver's own.
     parts : PartFactory, optional
         What the actors run; by default the engine.
     policy : PoolPolicy, optional
@@ -99,14 +109,14 @@ class Node:
         parts: PartFactory | None = None,
         policy: PoolPolicy | None = None,
     ) -> None:
-        drivers = ray.get_runtime_context().get_node_id()
+        drivers = here()
         self._node = drivers if node is None else node
         self._beside_driver = self._node == drivers
         self._parts = parts or EngineParts()
         self._policy = policy or PoolPolicy()
         self._pool = self._new_pool()
-        self._sinks = [spawn(SinkActor, node=self._node) for _ in range(sinks_of(_cores(self._node)))]
-        self._burst_limiter = BurstLimiter(max(1, _cores(self._node) // _CORES_A_BURST), _BURST_SECONDS)
+        self._sinks = [spawn(SinkActor, node=self._node) for _ in range(sinks_of(cores_of(self._node)))]
+        self._burst_limiter = BurstLimiter(max(1, cores_of(self._node) // _CORES_A_BURST), _BURST_SECONDS)
         self._runs = count(1)
         self._standby: list[_Standby] = []
         self._preparing = Lock()
@@ -172,7 +182,7 @@ class Node:
         with self._preparing:
             # Only the last one started can be unready.
             if self._standby and not self._standby[-1].is_ready():
-                ray.kill(self._standby.pop().handle)
+                kill(self._standby.pop().handle)
             while len(self._standby) < len(_STANDBY):
                 self._standby.append(self._start_standby(awaited=True))
             taken, self._standby = [process.handle for process in self._standby], []
@@ -195,7 +205,7 @@ class Node:
 
     def census(self) -> PoolCensus:
         """Count the node's layer processes."""
-        census: PoolCensus = ray.get(self._pool.census.remote())
+        census: PoolCensus = get(self._pool.census.remote())
         return census
 
     def close(self) -> None:
@@ -205,22 +215,16 @@ class Node:
                 return
             self._closed = True
         with suppress(RayError, GetTimeoutError):
-            ray.get(self._pool.close.remote(), timeout=_STOP_SECONDS)
+            get(self._pool.close.remote(), _STOP_SECONDS)
         end([self._pool, *self._sinks, *(process.handle for process in self._standby)])
 
     def _new_pool(self) -> Handle:
         return spawn(PoolActor, self._parts, self._policy, node=self._node)
 
 
-def _cores(node: str) -> int:
-    """Return the cores of a node, as Ray counts them."""
-    nodes: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
-    return int(next(one["Resources"].get("CPU", 1) for one in nodes if one["NodeID"] == node))
-
-
 def _answers(actor: Handle) -> bool:
     try:
-        ray.get(actor.__ray_ready__.remote(), timeout=_ANSWER_SECONDS)
+        get(actor.__ray_ready__.remote(), _ANSWER_SECONDS)
     except (RayError, GetTimeoutError):
         return False
     return True
@@ -341,11 +345,11 @@ class StreamActors:
         else:
             # It releases its device or file if it can; it is ended in any case.
             with suppress(RayError, GetTimeoutError):
-                ray.get(reader.close.remote(), timeout=1.0)
+                get(reader.close.remote(), 1.0)
             end([reader], _STOP_SECONDS)
         for last in (self._links.pool.end.remote(self._run), self._links.sink.close.remote(self._run)):
             with suppress(RayError, GetTimeoutError):
-                ray.get(last, timeout=_STOP_SECONDS)
+                get(last, _STOP_SECONDS)
         if self._wakeup is not None:
             self._wakeup.close()
         return self._final

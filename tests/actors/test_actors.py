@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import ray
 from actor_fakes import (
     CONFIG,
     FakeCamera,
@@ -24,6 +23,8 @@ from actor_fakes import (
     RaySession,
     crowd,
     is_running,
+    on_ray,
+    on_threads_and_ray,
     picture,
     rows,
     rows_in_one_process,
@@ -36,7 +37,7 @@ from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.actors import Node, PoolPolicy
 from mlbs_actors.actors.ipc.shared_memory import Slot, SlotKind, SlotPool
 from mlbs_actors.actors.node.burst_limiter import BurstLimiter
-from mlbs_actors.actors.node.processes import end, spawn
+from mlbs_actors.actors.node.processes import end, get, here, spawn
 from mlbs_actors.actors.parts import CoordinatorPart
 from mlbs_actors.actors.stream.order import FrameOrder
 from mlbs_actors.actors.stream.protocol import (
@@ -50,9 +51,6 @@ from mlbs_actors.actors.stream.sink import GapRow, SinkActor
 from mlbs_actors.errors import ActorLostError, LayerError, SinkError, SourceError
 from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import scene
-
-pytestmark = pytest.mark.ray
-
 
 # ---- the same bytes
 
@@ -68,7 +66,7 @@ def test_layers_born_dormant_and_retired_while_running_give_the_same_bytes_as_in
 
 
 def test_layers_that_get_no_process_live_in_the_segmenter_s_with_the_same_bytes(
-    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+    host: str, parts: FakeParts, tmp_path: Path
 ) -> None:
     only_the_background = FakeParts(parts.folder, hanging_starts=range(1, 1000))
     node = Node(parts=only_the_background, policy=PoolPolicy(spare=0))
@@ -79,7 +77,7 @@ def test_layers_that_get_no_process_live_in_the_segmenter_s_with_the_same_bytes(
 
 
 def test_a_layer_moves_to_a_process_of_its_own_as_soon_as_there_is_one_with_the_same_bytes(
-    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+    host: str, parts: FakeParts, tmp_path: Path
 ) -> None:
     node = Node(parts=parts, policy=PoolPolicy(spare=0))
     pictures = [picture(t) for t in range(4)] + [picture(t, live=[1, 2, 3]) for t in range(4, 4_000)]
@@ -185,13 +183,14 @@ class _OverwritingParts(FakeParts):
                 os.pwrite(slot.descriptor, b"\xa5" * os.fstat(slot.descriptor).st_size, 0)
             release(self, slots)
 
-        SlotPool.release = overwritten  # type: ignore[method-assign]  # in the coordinator's process alone
+        SlotPool.release = overwritten  # type: ignore[method-assign]  # in the coordinator's process
         return super().coordinator(config, ignored)
 
 
 def test_messages_are_read_before_their_memory_is_given_back_also_by_a_stream_that_waits_for_its_camera(
-    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+    host: str, parts: FakeParts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(SlotPool, "release", SlotPool.release)  # a thread's patch is undone
     pictures = crowd(16, 2)
     answers: list[SourceFrame | SourceSilence] = []
     for t, image in enumerate(pictures):
@@ -207,20 +206,22 @@ class _RecordingParts(FakeParts):
     """Each acquired slot is a line in a file."""
 
     def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
-        acquire, acquired = SlotPool.acquire, (self.folder / "acquired").open("a", buffering=1)
+        acquire, lines = SlotPool.acquire, self.folder / "acquired"
 
         def noted(self: SlotPool, kind: SlotKind) -> Slot:
             slot = acquire(self, kind)
-            acquired.write(f"{kind} {slot.descriptor}\n")
+            with lines.open("a") as acquired:
+                acquired.write(f"{kind} {slot.descriptor}\n")
             return slot
 
-        SlotPool.acquire = noted  # type: ignore[method-assign]  # in the coordinator's process alone
+        SlotPool.acquire = noted  # type: ignore[method-assign]  # in the coordinator's process
         return super().coordinator(config, ignored)
 
 
 def test_what_only_segmenter_and_layers_read_stays_in_few_slots_however_slow_the_sink_is(
-    ray_session: RaySession, tmp_path: Path
+    host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(SlotPool, "acquire", SlotPool.acquire)  # a thread's patch is undone
     node = Node(parts=_RecordingParts(tmp_path), policy=PoolPolicy(spare=1))
     pictures = [picture(t, live=[1, 2]) for t in range(40)]
     run_to_end(
@@ -251,7 +252,7 @@ def test_a_stream_ends_after_its_most_label_maps_however_many_frames_have_none(
 
 @pytest.mark.parametrize("slow", ["sink", "layers"])
 def test_the_reader_is_held_back_to_the_pace_of_the_slowest(
-    ray_session: RaySession, tmp_path: Path, parts: FakeParts, slow: str
+    host: str, tmp_path: Path, parts: FakeParts, slow: str
 ) -> None:
     # So slow that the sink keeps up, also on a machine that is busy with other tests.
     layers = FakeParts(parts.folder, slow_seconds=0.1 if slow == "layers" else 0.0)
@@ -267,16 +268,20 @@ def test_the_reader_is_held_back_to_the_pace_of_the_slowest(
 
 
 def test_a_burst_ends_where_its_file_is_slow(node: Node, parts: FakeParts, tmp_path: Path) -> None:
-    pictures = crowd(10, 1)  # of which a burst takes eight
-    stream = node.start(spec("slow", FakeReader([*pictures], tmp_path, slow_seconds=0.5)))
+    pictures = crowd(12, 1)  # of which a burst takes eight
+    # It waits for the first ones in any case.
+    reader = FakeReader([*pictures], tmp_path, gates=range(6, 12))
+    stream = node.start(spec("slow", reader))
     bursts = 1
     while not stream.advance().result(timeout=200).done:
+        reader.let_through(5 + bursts)
         bursts += 1
     stream.stop(drain=False)
-    assert bursts >= 6
+    assert bursts >= 7
     assert rows(tmp_path) == rows_in_one_process(parts, pictures)
 
 
+@on_ray
 def test_frames_that_are_done_leave_the_object_store(
     node: Node, tmp_path: Path, ray_session: RaySession
 ) -> None:
@@ -317,10 +322,11 @@ def test_a_lost_process_fails_its_stream_alone_and_what_was_labelled_before_stay
     assert node.census().busy == 0
 
 
+@on_ray
 def test_a_stream_whose_segmenter_dies_before_it_begins_says_so(
     own_node: Node, parts: FakeParts, tmp_path: Path
 ) -> None:
-    wait_until(own_node.prepare, 60.0)
+    wait_until(own_node.prepare)
     segmenters = [
         pid for pid in parts.processes() if b"SegmenterActor" in Path(f"/proc/{pid}/cmdline").read_bytes()
     ]
@@ -435,13 +441,12 @@ def _advanced_until_it_takes_turns(stream: RunningStream) -> StreamProgress:
     return progress
 
 
-def test_stopping_and_closing_leaves_no_process(
-    ray_session: RaySession, parts: FakeParts, tmp_path: Path
-) -> None:
+@on_ray
+def test_stopping_and_closing_leaves_no_process(host: str, parts: FakeParts, tmp_path: Path) -> None:
     node = Node(parts=parts, policy=PoolPolicy(spare=2))
     stream = node.start(spec("gone", FakeReader([*crowd(60, 3)], tmp_path)))
     stream.advance().result(timeout=200)
-    wait_until(lambda: len(parts.processes()) >= 4, 60.0)
+    wait_until(lambda: len(parts.processes()) >= 4)
     stream.advance()
     stream.stop(drain=False)
     stream.stop(drain=False)
@@ -472,16 +477,14 @@ def test_a_frame_is_done_once_in_order_and_not_after_one_that_failed() -> None:
             raise AssertionError("the work must not start")
 
 
-def test_a_record_takes_no_row_after_one_that_was_lost_on_its_way(
-    ray_session: RaySession, tmp_path: Path
-) -> None:
+def test_a_record_takes_no_row_after_one_that_was_lost_on_its_way(host: str, tmp_path: Path) -> None:
     (tmp_path / "reads").touch()
-    sink = spawn(SinkActor, node=ray.get_runtime_context().get_node_id())
-    ray.get(sink.open.remote(1, FakeSink(tmp_path).opened))
-    ray.get(sink.take.remote(1, [GapRow(0, 0.0, "quarantined")]))
+    sink = spawn(SinkActor, node=here())
+    get(sink.open.remote(1, FakeSink(tmp_path).opened))
+    get(sink.take.remote(1, [GapRow(0, 0.0, "quarantined")]))
     with pytest.raises(LayerError, match="frame 0 was last"):
-        ray.get(sink.take.remote(1, [GapRow(2, 0.08, "quarantined")]))
-    ray.get(sink.take.remote(1, [GapRow(1, 0.04, "quarantined")]))
+        get(sink.take.remote(1, [GapRow(2, 0.08, "quarantined")]))
+    get(sink.take.remote(1, [GapRow(1, 0.04, "quarantined")]))
     assert rows(tmp_path) == ["0 quarantined", "1 quarantined"]
     end([sink])
 
@@ -489,14 +492,15 @@ def test_a_record_takes_no_row_after_one_that_was_lost_on_its_way(
 # ---- the engine
 
 
-@pytest.fixture(scope="module")
-def engine_node(ray_session: RaySession) -> Iterator[Node]:
+@pytest.fixture
+def engine_node(host: str) -> Iterator[Node]:
     """A node whose processes run the engine."""
     node = Node(policy=PoolPolicy(spare=1))
     yield node
     node.close()
 
 
+@on_threads_and_ray
 def test_the_engine_gives_the_same_label_maps_as_actors_and_in_one_process(
     engine_node: Node, tmp_path: Path
 ) -> None:

@@ -6,7 +6,6 @@ dormant (row 1), and which part is to die at that frame (:data:`DEATHS`).
 
 from __future__ import annotations
 
-import os
 import time
 import zlib
 from collections.abc import Callable, Iterable, Sequence
@@ -17,7 +16,9 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
+import pytest
 from joined_evidence import joined_evidence
+from thread_host import die, hang, pause, process_id
 
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, PartFactory, SegmenterPart
 from mlbs_actors.actors.stream.protocol import (
@@ -44,6 +45,14 @@ from mlbs_actors.messages import (
     LayerPosterior,
     Region,
     Segmentation,
+)
+
+#: Marks of a test, or of a case, that starts or uses the session of Ray: all are left to one process.
+ON_RAY = (pytest.mark.ray, pytest.mark.xdist_group("ray"))
+#: For tests of the actors on Ray alone, and on both hosts among the short tests, too.
+on_ray = pytest.mark.parametrize("host", [pytest.param("ray", marks=ON_RAY)], indirect=True)
+on_threads_and_ray = pytest.mark.parametrize(
+    "host", ["threads", pytest.param("ray", marks=ON_RAY)], indirect=True
 )
 
 SHAPE = (24, 40)
@@ -176,7 +185,7 @@ class _Layer:
         if frame[DEATHS["layer"]][0] == self._layer > 0:
             self._death.come()
         assert (previous.frame_index if previous else -1) == t - 1
-        time.sleep(self._slow_seconds)
+        pause(self._slow_seconds)
         for told in (
             evidence.of(self._layer).positions,
             frame,
@@ -256,8 +265,8 @@ class Death:
             return
         (self.folder / f"death-{number}").touch()
         if self.hangs:
-            time.sleep(10_000)
-        os._exit(1)
+            hang()
+        die()
 
 
 @dataclass(frozen=True)
@@ -303,7 +312,7 @@ class FakeParts:
         if self.cannot_start:
             raise MemoryError("no memory left for a layer")
         if self._start_number() in self.hanging_starts:
-            time.sleep(1_000)
+            hang()
 
     def warm_stream(self) -> None:
         self._note()
@@ -319,7 +328,7 @@ class FakeParts:
         return number
 
     def _note(self) -> None:
-        (self.folder / f"pid-{os.getpid()}").touch()
+        (self.folder / f"pid-{process_id()}").touch()
 
     def _death(self) -> Death:
         return Death(self.folder, self.deaths, self.hang)
@@ -327,7 +336,10 @@ class FakeParts:
 
 @dataclass
 class FakeReader:
-    """Reads from memory; notes every read in a file, and fails or dies where told to."""
+    """Reads from memory; notes every read in a file, and fails or dies where told to.
+
+    Before the frames of ``gates`` it waits until they are let through (:meth:`let_through`).
+    """
 
     pictures: list[Array | None]
     folder: Path
@@ -335,19 +347,24 @@ class FakeReader:
     dies_at: int = -1
     enlarged: int = 1
     slow_seconds: float = 0.0
+    gates: range = range(0)
     problem: str | None = None
     index: int = 0
 
     def opened(self) -> FrameReader:
         return self
 
+    def let_through(self, frame: int) -> None:
+        (self.folder / f"through-{frame}").touch()
+
     def read(self) -> SourceFrame | None:
-        time.sleep(self.slow_seconds)
+        pause(self.slow_seconds)
+        while self.index in self.gates and not (self.folder / f"through-{self.index}").exists():
+            pause(0.01)
         if self.index == self.raises_at:
             raise SourceError("The source is not to be had.")
         if self.index == self.dies_at:
-            time.sleep(0.2)  # the frame before may still be on its way out of this process
-            os._exit(1)
+            die()
         if self.index >= len(self.pictures):
             return None
         image, t = self.pictures[self.index], self.index
@@ -401,7 +418,7 @@ class FakeSink:
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
     ) -> int:
         if frame.index == self.dies_at:
-            os._exit(1)
+            die()
         if background is not None:
             with (self.folder / "backgrounds").open("a") as told:
                 told.write(f"{frame.index} {background.layer} {background.frame_index}\n")
@@ -429,7 +446,7 @@ class FakeSink:
     def _row(self, index: int, text: str) -> None:
         if index == self.fails_at:
             raise SinkError("The disk is full; free some space.")
-        time.sleep(self.slow_seconds)
+        pause(self.slow_seconds)
         read = len((self.folder / "reads").read_text().splitlines())
         with (self.folder / "rows").open("a") as rows:
             rows.write(f"{index} {text}\n")
@@ -493,11 +510,12 @@ def run_to_end(*streams: RunningStream) -> list[StreamProgress]:
     return [last[index] for index in range(len(streams))]
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
-    deadline = time.monotonic() + seconds
+def wait_until(condition: Callable[[], bool]) -> None:
+    """Wait for something that comes about on a very busy machine, too."""
+    deadline = time.monotonic() + 180.0
     while not condition():
-        assert time.monotonic() < deadline, "it did not come about in time"
-        time.sleep(0.05)
+        assert time.monotonic() < deadline, "it did not come about"
+        time.sleep(0.02)
 
 
 def is_running(process: int) -> bool:

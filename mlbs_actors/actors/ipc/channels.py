@@ -16,7 +16,6 @@ import pickle
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any
@@ -102,8 +101,8 @@ class ChannelListener:
     """
 
     def __init__(self) -> None:
-        self._incoming, self._other_outgoing = Pipe(duplex=False)
-        self._other_incoming, self._outgoing = Pipe(duplex=False)
+        self._incoming, self._other_outgoing = _pipe()
+        self._other_incoming, self._outgoing = _pipe()
         self.address = ChannelAddress(
             os.getpid(), self._other_outgoing.fileno(), self._other_incoming.fileno()
         )
@@ -129,6 +128,12 @@ class ChannelListener:
             while True:
                 for answer in answers(channel.receive()):
                     channel.send(answer)
+
+
+def _pipe() -> tuple[Connection, Connection]:
+    """Return the ends of a new pipe, to read from and to write to."""
+    reading, writing = os.pipe()
+    return Connection(reading, writable=False), Connection(writing, readable=False)
 
 
 def connect(address: ChannelAddress) -> Channel:

@@ -25,8 +25,9 @@ from ray.autoscaler.sdk import request_resources
 from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.node.failures import cause_of, last_line
+from mlbs_actors.actors.node.host import ask
 from mlbs_actors.actors.node.pool import PoolPolicy
-from mlbs_actors.actors.node.processes import Reference, ask
+from mlbs_actors.actors.node.processes import Reference, get, here, wait
 from mlbs_actors.actors.node.reservation import Reservation, Share
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.pipeline import Node, StreamActors
@@ -110,7 +111,7 @@ class Cluster:
         self._say = say
         self._parts = parts
         self._policy = policy or PoolPolicy()
-        self._own = ray.get_runtime_context().get_node_id()
+        self._own = here()
         self._members: dict[str, _Member] = {}
         self._asked: dict[str, Reference] = {}
         self._seen: set[str] = set()
@@ -205,7 +206,7 @@ class Cluster:
                 self._say(f"The node {_name(alive[node])} takes no streams, because Ray has no CPUs there.")
         if self._asked:
             asked = list(self._asked.values())
-            answered, _ = ray.wait(asked, num_returns=len(asked), timeout=patience)
+            answered, _ = wait(asked, least=len(asked), timeout=patience)
             for node in [node for node, answer in self._asked.items() if answer in answered]:
                 answer = self._asked.pop(node)
                 if node in alive:
@@ -214,7 +215,7 @@ class Cluster:
     def _admit(self, node: dict[str, Any], answer: Reference) -> None:
         name, number = _name(node), str(node["NodeID"])
         try:
-            places: int = ray.get(answer)
+            places: int = get(answer)
         except RayError as error:
             self._refused += 1
             self._say(f"The node {name} is not used: {_refusal(error)}.")
@@ -319,6 +320,6 @@ def _here() -> bool:
 def _is_true(answer: Reference) -> bool:
     """Whether an answer is true; False if there is none."""
     try:
-        return bool(ray.get(answer, timeout=_ANSWER_SECONDS))
+        return bool(get(answer, _ANSWER_SECONDS))
     except (RayError, GetTimeoutError):
         return False

@@ -15,13 +15,12 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-import ray
 from ray.exceptions import RayError
 
 from mlbs_actors.actors.ipc.channels import ChannelAddress
 from mlbs_actors.actors.node.failures import last_line
 from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory, node_memory, unique_memory
-from mlbs_actors.actors.node.processes import LOST_PROCESS, Handle, identity, spawn
+from mlbs_actors.actors.node.processes import LOST_PROCESS, Handle, here, identity, kill, spawn
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layer_actor import LayerActor
 from mlbs_actors.config import Config
@@ -124,7 +123,7 @@ class PoolActor:
     def __init__(self, parts: PartFactory, policy: PoolPolicy) -> None:
         self._parts = parts
         self._policy = policy
-        self._node = ray.get_runtime_context().get_node_id()
+        self._node = here()
         self._idle: list[_Process] = []
         self._busy: dict[int, dict[str, _Process]] = {}  # by stream and process
         self._grown: set[int] = set()  # streams that have all they need but layer processes
@@ -187,7 +186,7 @@ class PoolActor:
                     address = await process.handle.assign.remote(run, config)
             except asyncio.TimeoutError:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
-                ray.kill(process.handle)
+                kill(process.handle)
             except LOST_PROCESS as error:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
                 # An idle one may have died unnoticed: try the next. If one that was just started died,
@@ -308,7 +307,7 @@ class PoolActor:
         for process in surplus[: max(0, len(surplus) - self._policy.spare)]:
             if time.monotonic() - process.since >= self._policy.idle_seconds:
                 self._idle.remove(process)
-                ray.kill(process.handle)
+                kill(process.handle)
 
 
 async def _answered(answer: Awaitable[_T]) -> _T:
@@ -316,7 +315,7 @@ async def _answered(answer: Awaitable[_T]) -> _T:
 
 
 async def _end(handle: Handle) -> None:
-    ray.kill(handle)
+    kill(handle)
     while True:
         try:
             await handle.__ray_ready__.remote()

@@ -1,15 +1,18 @@
-"""Actor processes: starting, identifying and ending them on a node."""
+"""Actor processes: starting, identifying, asking and ending them.
+
+All other modules reach the host of the actors (:mod:`mlbs_actors.actors.node.host`) through these functions.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
-from typing import Any, TypeAlias
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
-import ray
 from ray.exceptions import GetTimeoutError, OutOfMemoryError, RayActorError
-from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+from mlbs_actors.actors.node.host import Handle, Host, RayHost, Reference
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.priority import stepping_back
 from mlbs_actors.actors.node.process_memory import settle_memory
@@ -20,18 +23,18 @@ __all__ = [
     "NOTICE_SECONDS",
     "Handle",
     "Reference",
-    "ask",
+    "cores_of",
     "end",
+    "get",
+    "here",
+    "hosted_by",
     "identity",
+    "is_answered",
+    "kill",
     "spawn",
     "spawn_standby",
+    "wait",
 ]
-
-#: A Ray actor handle; Ray makes its methods at run time, so it has no static type.
-Handle: TypeAlias = Any
-
-#: A Ray object reference; its type is known where it is created.
-Reference: TypeAlias = "ray.ObjectRef[Any]"
 
 #: Errors of calls to actors whose process is gone; Ray reports those that it has ended for lack of memory
 #: separately.
@@ -39,6 +42,19 @@ LOST_PROCESS = (RayActorError, OutOfMemoryError)
 
 #: How long Ray may take to notice that a process is gone, s.
 NOTICE_SECONDS = 10.0
+
+_host: Host = RayHost()
+
+
+@contextmanager
+def hosted_by(host: Host) -> Iterator[None]:
+    """Have another host than Ray run the actors of this process, until the end of the ``with`` block."""
+    global _host
+    before, _host = _host, host
+    try:
+        yield
+    finally:
+        _host = before
 
 
 def spawn(
@@ -48,10 +64,7 @@ def spawn(
     reservation: Reservation | None = None,
     name: str | None = None,
 ) -> Handle:
-    """Start an actor on one node and return at once.
-
-    Ray's own restarts and retries are off: a restarted actor would be an empty one, and a retried call could
-    feed a frame to a model twice.
+    """Start an actor on one node and return at once; it is never restarted.
 
     Parameters
     ----------
@@ -60,7 +73,7 @@ def spawn(
     *arguments : object
         Its constructor's arguments.
     node : str
-        Ray's id of the node; there is no fallback to another one.
+        Id of the node; there is no fallback to another one.
     reservation : Reservation, optional
         A granted one of that node, for an actor that takes it; all others ask for no resources.
     name : str, optional
@@ -71,11 +84,7 @@ def spawn(
     Handle
         Errors at the start are raised by the first call.
     """
-    actor: Handle = ray.remote(num_cpus=0, max_restarts=0, max_task_retries=0)(kind)
-    options: dict[str, object] = {"scheduling_strategy": _there_or_nowhere(node), "name": name}
-    if reservation is not None:
-        options |= reservation.options()
-    return actor.options(**options).remote(*arguments)
+    return _host.spawn(kind, arguments, node=node, reservation=reservation, name=name)
 
 
 def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node: str) -> Handle:
@@ -98,7 +107,7 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node
         Keyword arguments are only waited for: calls of different actors may overtake each other.
     """
 
-    def wait(self: object) -> None:
+    def prepare(self: object) -> None:
         relax_thread_timers()
         with stepping_back(awaited=awaited):
             warm()
@@ -107,31 +116,81 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node
     def become(self: object, *arguments: object, **after: object) -> None:
         kind.__init__(self, *arguments)  # type: ignore[misc]
 
-    return spawn(type(kind.__name__, (kind,), {"__init__": wait, "become": become}), node=node)
+    return spawn(type(kind.__name__, (kind,), {"__init__": prepare, "become": become}), node=node)
 
 
-def ask(call: Callable[[], object], *, node: str) -> Reference:
-    """Call a picklable function once in some process of a node; return its answer's reference at once."""
-    task: Handle = ray.remote(num_cpus=0, max_retries=0)(_called)
-    answer: Reference = task.options(scheduling_strategy=_there_or_nowhere(node)).remote(call)
-    return answer
+def get(reference: Reference, timeout: float | None = None) -> Any:
+    """Wait for the answer of a call.
+
+    Parameters
+    ----------
+    reference : Reference
+    timeout : float, optional
+        At most this long, s.
+
+    Returns
+    -------
+    object
+
+    Raises
+    ------
+    GetTimeoutError
+        If there is none in time.
+    RayError
+        If the call failed; one of LOST_PROCESS if the actor is gone.
+    """
+    return _host.get(reference, timeout)
 
 
-def _called(call: Callable[[], object]) -> object:
-    return call()
+def wait(
+    references: Sequence[Reference], *, least: int = 1, timeout: float | None = None
+) -> tuple[list[Reference], list[Reference]]:
+    """Wait for some answers, errors included, without getting them.
+
+    Parameters
+    ----------
+    references : sequence of Reference
+    least : int
+        As many as these end the waiting.
+    timeout : float, optional
+        At most this long, s.
+
+    Returns
+    -------
+    there, others : list of Reference
+        ``there`` has at most ``least``.
+    """
+    return _host.wait(references, least, timeout)
 
 
-def _there_or_nowhere(node: str) -> NodeAffinitySchedulingStrategy:
-    return NodeAffinitySchedulingStrategy(node_id=node, soft=False)
+def is_answered(reference: Reference) -> bool:
+    """Whether :func:`get` would not wait."""
+    there, _ = _host.wait([reference], 1, 0)
+    return bool(there)
+
+
+def kill(handle: Handle) -> None:
+    """End an actor whatever it is doing, without waiting for it; see :func:`end`."""
+    _host.kill(handle)
 
 
 def identity(handle: Handle) -> str:
-    """Return Ray's id of an actor, which errors about it contain."""
-    return str(handle._actor_id.hex())
+    """Return the id of an actor, which errors about it contain."""
+    return _host.identity(handle)
+
+
+def here() -> str:
+    """Return the id of the calling process's node."""
+    return _host.here()
+
+
+def cores_of(node: str) -> int:
+    """Return the number of cores of a node."""
+    return _host.cores(node)
 
 
 def end(handles: Iterable[Handle], seconds: float = 10.0) -> bool:
-    """End actors at once, whatever they are doing, and wait until Ray knows that they are gone.
+    """End actors at once, whatever they are doing, and wait until it is known that they are gone.
 
     Parameters
     ----------
@@ -148,7 +207,7 @@ def end(handles: Iterable[Handle], seconds: float = 10.0) -> bool:
     deadline = time.monotonic() + seconds
     ending = list(handles)
     for handle in ending:
-        ray.kill(handle)
+        kill(handle)
     left = [handle for handle in ending if not _is_gone(handle, deadline)]
     return not left
 
@@ -156,7 +215,7 @@ def end(handles: Iterable[Handle], seconds: float = 10.0) -> bool:
 def _is_gone(handle: Handle, deadline: float) -> bool:
     while (left := deadline - time.monotonic()) > 0:
         try:
-            ray.get(handle.__ray_ready__.remote(), timeout=left)
+            get(handle.__ray_ready__.remote(), left)
         except LOST_PROCESS:
             return True
         except GetTimeoutError:

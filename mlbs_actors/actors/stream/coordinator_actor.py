@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import ray
 from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.ipc.channels import ChannelClosedError
@@ -34,7 +33,7 @@ from mlbs_actors.actors.node.failures import (
     source_failure,
 )
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
-from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, identity
+from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, get, identity, wait
 from mlbs_actors.actors.node.usage import StreamUsage
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.account import StreamAccount
@@ -410,7 +409,8 @@ class CoordinatorActor:
         self._await_labelled()
         self._labelling.close()
         # All snapshots must be written before the record is closed, which removes them.
-        ray.get([*self._layers.served(), self._labelling.served])
+        for served in (*self._layers.served(), self._labelling.served):
+            get(served)
         self._writer.finish()
         self._layers.release_all()
         self._record.close(whole=not self._interrupted)
@@ -434,9 +434,10 @@ class CoordinatorActor:
         waiting = [*self._layers.served(), self._labelling.served]
         deadline = time.monotonic() + NOTICE_SECONDS
         while waiting and (left := deadline - time.monotonic()) > 0:
-            ended, waiting = ray.wait(waiting, timeout=left)
+            ended, waiting = wait(waiting, timeout=left)
             try:
-                ray.get(ended)
+                for served in ended:
+                    get(served)
             except (RayError, MlbsError) as error:
                 return error
         return ActorLostError(

@@ -6,10 +6,8 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-import ray
-
 from mlbs_actors.actors.ipc.channels import ChannelAddress
-from mlbs_actors.actors.node.processes import Handle, Reference, identity
+from mlbs_actors.actors.node.processes import Handle, Reference, get, identity, is_answered
 from mlbs_actors.actors.stream.saved_states import SavedLayer
 from mlbs_actors.config import Config
 from mlbs_actors.messages import FrameEvidence, LayerKind
@@ -128,8 +126,8 @@ class LiveLayers:
         self._begun = True
         while len(self._asked) < min(len(waiting), max(awaited, 1)):
             self._asked.append(self._pool.acquire.remote(self._run, self._config, awaited=awaited > 0))
-        while self._asked and (awaited or _is_there(self._asked[0])):
-            answer = ray.get(self._asked.popleft())
+        while self._asked and (awaited or is_answered(self._asked[0])):
+            answer = get(self._asked.popleft())
             awaited = max(awaited - 1, 0)
             self._is_short = answer is None
             if answer is None:  # asked again with the next frame
@@ -154,8 +152,3 @@ class LiveLayers:
         # The layer's own answer is an argument of the pool's call, so the pool receives it only when the
         # process has done all its steps.
         self._pool.release.remote(self._run, identity(process), process.release.remote(self._run))
-
-
-def _is_there(reference: Reference) -> bool:
-    there, _ = ray.wait([reference], timeout=0)
-    return bool(there)

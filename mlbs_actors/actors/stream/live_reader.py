@@ -13,13 +13,12 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-import ray
 from ray.exceptions import GetTimeoutError
 
 from mlbs_actors.actors.ipc.channels import ChannelAddress, ChannelListener
 from mlbs_actors.actors.ipc.shared_memory import SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
-from mlbs_actors.actors.node.processes import Handle
+from mlbs_actors.actors.node.processes import Handle, get
 from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourcePosition, SourceSilence
 from mlbs_actors.actors.stream.reader import LEAST_ASKED, Answer, ReadAhead, ReadNext, answer
 from mlbs_actors.determinism import limit_process
@@ -191,7 +190,7 @@ class LiveReadAhead(ReadAhead):
     def go_on(self, position: SourcePosition, pictures: int) -> None:
         """Continue after ``position`` and so many pictures; instead of :meth:`begin`."""
         self._count(pictures)
-        self._serve(ray.get(self._reader.go_on.remote(position)))
+        self._serve(get(self._reader.go_on.remote(position)))
 
     def finish(self) -> None:
         """Ask only for the rows that the reader keeps, for nothing new."""

@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import NoReturn, TypeAlias
 
-import ray
 from ray.exceptions import GetTimeoutError
 
 from mlbs_actors.actors.ipc.channels import (
@@ -20,7 +19,7 @@ from mlbs_actors.actors.ipc.channels import (
 )
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
-from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, Reference
+from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, Reference, get
 from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.pickling import pickled_by_values
@@ -149,7 +148,7 @@ class ReadAhead:
     def begin(self, pictures: int = 0) -> None:
         """Start the reader of a stream that has so many pictures already; raises as :meth:`next` does."""
         self._count(pictures)
-        self._serve(ray.get(self._reader.address.remote()))
+        self._serve(get(self._reader.address.remote()))
 
     def skip(self, frames: int) -> None:
         """Skip frames, before the first :meth:`next`; raises as that does."""
@@ -192,7 +191,7 @@ class ReadAhead:
 
     def problem(self) -> str | None:
         """Return :attr:`FrameReader.problem`, after :meth:`stop`; raises RayError if the process died."""
-        problem: str | None = ray.get(self._reader.problem.remote())
+        problem: str | None = get(self._reader.problem.remote())
         return problem
 
     def stop(self) -> None:
@@ -220,7 +219,7 @@ class ReadAhead:
 
     def _raise_cause(self) -> NoReturn:
         """Raise why the reader has closed its channel."""
-        ray.get(self._served, timeout=NOTICE_SECONDS)
+        get(self._served, NOTICE_SECONDS)
         raise GetTimeoutError("A reader that was asked for more serves no more.")
 
     def _count(self, pictures: int) -> None:

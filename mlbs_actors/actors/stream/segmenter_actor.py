@@ -11,12 +11,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import ray
-
 from mlbs_actors.actors.ipc.channels import Channel, ChannelAddress, ChannelListener, connect
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
-from mlbs_actors.actors.node.processes import Handle, Reference
+from mlbs_actors.actors.node.processes import Handle, Reference, get
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layers_at_work import AssignedProcess, LayersAtWork, SharedFrame
 from mlbs_actors.actors.stream.order import FrameOrder
@@ -231,14 +229,14 @@ class Labelling:
         self, folder: Path, layers: Sequence[SavedLayer], slots: Sequence[Slot]
     ) -> dict[int, Shared[Segmentation]]:
         """See :meth:`SegmenterActor.restore`; before :meth:`begin`. Raises RayError."""
-        published: dict[int, Shared[Segmentation]] = ray.get(
+        published: dict[int, Shared[Segmentation]] = get(
             self._segmenter.restore.remote(folder, layers, slots)
         )
         return published
 
     def begin(self) -> None:
         """Start the segmenter; raises RayError. All other methods raise ChannelClosedError."""
-        address: ChannelAddress = ray.get(self._address)
+        address: ChannelAddress = get(self._address)
         self.process = address.owner
         self.served = self._segmenter.serve.options(name=f"SegmenterActor.serve of {self._stream}").remote()
         self._channel = connect(address)

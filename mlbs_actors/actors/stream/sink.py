@@ -7,13 +7,12 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import ray
 from ray.exceptions import RayError
 
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.process_memory import settle_memory
-from mlbs_actors.actors.node.processes import Handle, Reference
+from mlbs_actors.actors.node.processes import Handle, Reference, get, is_answered
 from mlbs_actors.actors.stream.order import FrameOrder
 from mlbs_actors.actors.stream.protocol import (
     GapStatus,
@@ -179,7 +178,7 @@ class Record:
 
     def opening(self) -> Opening:
         """Wait until the record is open; raises the error of opening it."""
-        opening: Opening = ray.get(self._opened)
+        opening: Opening = get(self._opened)
         if opening.resume_from is not None:
             self.rows, self.label_maps = opening.resume_from.rows, opening.resume_from.label_maps
             self.committed, self.kept = self.label_maps, self.rows
@@ -242,12 +241,12 @@ class Record:
 
     def collect(self) -> None:
         """Take the answers that have arrived, without waiting; raises the error of a row."""
-        while self._pending and ray.wait([self._pending[0][0]], timeout=0)[0]:
+        while self._pending and is_answered(self._pending[0][0]):
             self._take_answer()
-        if self._asked is not None and ray.wait([self._asked[1]], timeout=0)[0]:
+        if self._asked is not None and is_answered(self._asked[1]):
             snapshot, kept = self._asked
             self._asked = None
-            if ray.get(kept):
+            if get(kept):
                 self.kept = snapshot.rows
                 if snapshot in self._submitted:
                     while self._submitted.popleft() != snapshot:
@@ -263,7 +262,7 @@ class Record:
         self.send()
         while self._pending:
             self._take_answer()
-        self.committed = ray.get(self._sink.close.remote(self._run, whole))
+        self.committed = get(self._sink.close.remote(self._run, whole))
 
     def close_after_failure(self) -> None:
         """Commit the rows that were sent and close the files, whatever else fails."""
@@ -274,7 +273,7 @@ class Record:
             except RayError:
                 continue
         try:
-            self.committed = max(self.committed, ray.get(self._sink.close.remote(self._run)))
+            self.committed = max(self.committed, get(self._sink.close.remote(self._run)))
         except RayError:
             return
 
@@ -299,7 +298,7 @@ class Record:
 
     def _take_answer(self) -> None:
         answer, batch = self._pending.popleft()
-        self.committed = ray.get(answer)
+        self.committed = get(answer)
         self._in_use.extend(row.slots for row in batch if isinstance(row, LabelRow))
         while len(self._in_use) > _READ_ROWS:
             self._slots.release(self._in_use.popleft())

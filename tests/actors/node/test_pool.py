@@ -8,18 +8,16 @@ import signal
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import ray
 from actor_fakes import (
     CONFIG,
     FakeParts,
     FakeReader,
     Memory,
-    RaySession,
     crowd,
+    on_ray,
     picture,
     rows,
     rows_in_one_process,
@@ -28,23 +26,21 @@ from actor_fakes import (
     still_evidence,
     wait_until,
 )
-from ray.actor import ActorHandle
 from ray.exceptions import RayActorError
+from thread_host import hang, process_id
 
 from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
 from mlbs_actors.actors.ipc.channels import connect
 from mlbs_actors.actors.ipc.shared_memory import SharedMemory, SlotPool
 from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory
 from mlbs_actors.actors.node.pool import PoolActor
-from mlbs_actors.actors.node.processes import end, identity, spawn
+from mlbs_actors.actors.node.processes import Handle, end, get, here, identity, kill, spawn, wait
 from mlbs_actors.actors.stream.layer_actor import LayerStart, LayerStep
 from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.actors.stream.saved_states import SavedLayer
 from mlbs_actors.errors import ActorLostError, LayerError
 from mlbs_actors.messages import LayerEvidence
 from mlbs_actors.state_file import capture
-
-pytestmark = pytest.mark.ray
 
 
 def test_released_processes_become_other_layers_and_idle_ones_beyond_the_spare_are_ended(
@@ -66,65 +62,65 @@ def test_the_pool_is_refilled_in_the_background(own_node: Node, tmp_path: Path) 
     assert own_node.census().busy == 0
 
 
-def test_a_birth_starts_a_process_only_where_few_are_left(ray_session: RaySession, parts: FakeParts) -> None:
+def test_a_birth_starts_a_process_only_where_few_are_left(host: str, parts: FakeParts) -> None:
     policy = PoolPolicy(spare=3, least=2, refill_seconds=0.05)
-    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
-    run = ray.get(pool.begin.remote(1))
+    pool = spawn(PoolActor, parts, policy, node=here())
+    run = get(pool.begin.remote(1))
     for left in (2, 2):
-        ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
-        wait_until(lambda left=left: ray.get(pool.census.remote()).idle == left)  # type: ignore[misc]
+        get(pool.acquire.remote(run, CONFIG, awaited=True))
+        wait_until(lambda left=left: get(pool.census.remote()).idle == left)  # type: ignore[misc]
     time.sleep(1.0)
-    assert ray.get(pool.census.remote()) == PoolCensus(idle=2, busy=2)
+    assert get(pool.census.remote()) == PoolCensus(idle=2, busy=2)
     wait_until(lambda: len(parts.processes()) == 4)  # three at first, one more at the second birth
     end([pool])
 
 
-def has_died(actor: ActorHandle[Any]) -> bool:
+def has_died(actor: Handle) -> bool:
     try:
-        ray.get(actor.__ray_ready__.remote())
+        get(actor.__ray_ready__.remote())
     except RayActorError:
         return True
     return False
 
 
 def test_a_birth_takes_another_process_when_an_idle_one_has_died_unnoticed(
-    ray_session: RaySession, parts: FakeParts
+    host: str, parts: FakeParts
 ) -> None:
-    pool = spawn(PoolActor, parts, PoolPolicy(spare=1), node=ray.get_runtime_context().get_node_id())
-    run = ray.get(pool.begin.remote(1))
-    first, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
-    ray.get(pool.release.remote(run, identity(first), None))
-    ray.kill(first)
+    pool = spawn(PoolActor, parts, PoolPolicy(spare=1), node=here())
+    run = get(pool.begin.remote(1))
+    first, _ = get(pool.acquire.remote(run, CONFIG, awaited=True))
+    get(pool.release.remote(run, identity(first), None))
+    kill(first)
     wait_until(lambda: has_died(first))
-    second, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
-    assert ray.get(second.__ray_ready__.remote())
+    second, _ = get(pool.acquire.remote(run, CONFIG, awaited=True))
+    assert get(second.__ray_ready__.remote())
     assert second != first
     end([pool])
 
 
 def test_processes_that_no_frame_waits_for_start_one_after_the_other_or_are_taken_from_those_that_come_back(
-    ray_session: RaySession, parts: FakeParts
+    host: str, parts: FakeParts
 ) -> None:
     hanging = FakeParts(parts.folder, hanging_starts=range(1, 1000))
-    pool = spawn(PoolActor, hanging, PoolPolicy(spare=0), node=ray.get_runtime_context().get_node_id())
-    run = ray.get(pool.begin.remote(1))
-    first, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
+    pool = spawn(PoolActor, hanging, PoolPolicy(spare=0), node=here())
+    run = get(pool.begin.remote(1))
+    first, _ = get(pool.acquire.remote(run, CONFIG, awaited=True))
     asked = [pool.acquire.remote(run, CONFIG, awaited=False) for _ in range(3)]
-    assert not ray.wait(asked, timeout=2.0)[0]
-    assert ray.get(pool.census.remote()) == PoolCensus(idle=1, busy=1)
-    ray.get(pool.release.remote(run, identity(first), first.release.remote(run)))
-    [came], left = ray.wait(asked, timeout=30.0)
-    assert ray.get(came)[0] == first
-    ray.get(pool.end.remote(run))
+    assert not wait(asked, timeout=2.0)[0]
+    assert get(pool.census.remote()) == PoolCensus(idle=1, busy=1)
+    get(pool.release.remote(run, identity(first), first.release.remote(run)))
+    [came], left = wait(asked, timeout=180.0)
+    assert get(came)[0] == first
+    get(pool.end.remote(run))
     for reference in left:
         with pytest.raises(LayerError, match="has ended"):
-            ray.get(reference, timeout=30.0)
-    ray.get(pool.close.remote())
+            get(reference, 180.0)
+    get(pool.close.remote())
     end([pool])
 
 
 def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
-    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+    host: str, parts: FakeParts, tmp_path: Path
 ) -> None:
     node = Node(parts=FakeParts(parts.folder, cannot_start=True), policy=PoolPolicy(spare=0))
     stream = node.start(spec("poor", FakeReader([*crowd(9, 1)], tmp_path)))
@@ -135,10 +131,11 @@ def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
 
 
 def test_a_layer_process_that_hangs_at_its_start_is_replaced(
-    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+    host: str, parts: FakeParts, tmp_path: Path
 ) -> None:
     hanging = FakeParts(parts.folder, hanging_starts=range(1))
-    node = Node(parts=hanging, policy=PoolPolicy(spare=0, start_seconds=8.0))
+    start_seconds = 8.0 if host == "ray" else 0.5
+    node = Node(parts=hanging, policy=PoolPolicy(spare=0, start_seconds=start_seconds))
     pictures = crowd(9, 1)
     [progress] = run_to_end(node.start(spec("slow", FakeReader([*pictures], tmp_path))))
     assert progress.committed == 9
@@ -147,23 +144,26 @@ def test_a_layer_process_that_hangs_at_its_start_is_replaced(
 
 
 def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_ended(
-    ray_session: RaySession, parts: FakeParts
+    host: str, parts: FakeParts
 ) -> None:
-    policy = PoolPolicy(spare=0, release_seconds=2.0)
-    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
-    run = ray.get(pool.begin.remote(1))
-    kept, hanging = (ray.get(pool.acquire.remote(run, CONFIG, awaited=True))[0] for layer in (1, 2))
-    os.kill(ray.get(hanging.__ray_call__.remote(_pid)), signal.SIGSTOP)
-    ray.get(pool.end.remote(run))
-    assert ray.get(pool.census.remote()) == PoolCensus(idle=1, busy=0)
+    policy = PoolPolicy(spare=0, release_seconds=10.0 if host == "ray" else 3.0)
+    pool = spawn(PoolActor, parts, policy, node=here())
+    run = get(pool.begin.remote(1))
+    kept, hanging = (get(pool.acquire.remote(run, CONFIG, awaited=True))[0] for layer in (1, 2))
+    if host == "ray":
+        os.kill(get(hanging.__ray_call__.remote(_pid)), signal.SIGSTOP)
+    else:
+        hanging.__ray_call__.remote(_hang)
+    get(pool.end.remote(run))
+    assert get(pool.census.remote()) == PoolCensus(idle=1, busy=0)
     with pytest.raises(RayActorError):
-        ray.get(hanging.__ray_ready__.remote())
-    again = ray.get(pool.begin.remote(2))
-    same, address = ray.get(pool.acquire.remote(again, CONFIG, awaited=True))
+        get(hanging.__ray_ready__.remote())
+    again = get(pool.begin.remote(2))
+    same, address = get(pool.acquire.remote(again, CONFIG, awaited=True))
     assert same == kept
     # What the first stream's coordinator has asked for before may still come.
-    ray.get(kept.release.remote(run))
-    ray.get(kept.serve.remote(run))
+    get(kept.release.remote(run))
+    get(kept.serve.remote(run))
     evidence = still_evidence(
         [LayerEvidence(3, "object", -1, np.zeros((1, 2), np.float32), np.zeros((1, 2), np.float32))], 0
     )
@@ -176,15 +176,19 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
         channel.send(LayerStart(SavedLayer(3, "object", -1), born))
         channel.send(LayerStep(told, frame, None, slots.acquire("posterior"), None))
         assert memory.load(channel.receive()).layer == 3
-    ray.get(served)
+    get(served)
     end([pool])
 
 
 def _pid(actor: object) -> int:
-    return os.getpid()
+    return process_id()
 
 
-def test_a_stream_that_has_ended_gets_no_more_processes(ray_session: RaySession, parts: FakeParts) -> None:
+def _hang(actor: object) -> None:
+    hang()
+
+
+def test_a_stream_that_has_ended_gets_no_more_processes(host: str, parts: FakeParts) -> None:
     policy = PoolPolicy(spare=0, release_seconds=60.0)
 
     # In this process, where it is certain that the stream ends while the process is starting.
@@ -220,7 +224,7 @@ class Room:
 
 
 def test_objects_beyond_the_memory_have_no_process_of_their_own_and_the_same_labels(
-    ray_session: RaySession, parts: FakeParts, tmp_path: Path
+    host: str, parts: FakeParts, tmp_path: Path
 ) -> None:
     node = Node(parts=parts, policy=PoolPolicy(short_seconds=0.1, memory=Room(parts.folder, 2)))
     pictures = [picture(t, live=range(1, 6)) for t in range(200)]
@@ -235,32 +239,31 @@ def test_objects_beyond_the_memory_have_no_process_of_their_own_and_the_same_lab
     node.close()
 
 
-def test_memory_is_kept_for_the_streams_that_are_still_to_begin(
-    ray_session: RaySession, parts: FakeParts
-) -> None:
+@on_ray
+def test_memory_is_kept_for_the_streams_that_are_still_to_begin(host: str, parts: FakeParts) -> None:
     room = Room(parts.folder, 3 + 2 * STREAM_BYTES // LAYER_BYTES + 1)
     policy = PoolPolicy(spare=9, refill_seconds=60.0, streams=2, memory=room)
-    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
-    run = ray.get(pool.begin.remote(1))
-    assert ray.get(pool.census.remote()) == PoolCensus(idle=3, busy=0)
-    assert ray.get(pool.acquire.remote(run, CONFIG, awaited=True)) is not None
-    ray.get(pool.begin.remote(2))
-    assert 2 < ray.get(pool.census.remote()).idle < 9
+    pool = spawn(PoolActor, parts, policy, node=here())
+    run = get(pool.begin.remote(1))
+    assert get(pool.census.remote()) == PoolCensus(idle=3, busy=0)
+    assert get(pool.acquire.remote(run, CONFIG, awaited=True)) is not None
+    get(pool.begin.remote(2))
+    assert 2 < get(pool.census.remote()).idle < 9
     end([pool])
 
 
 def test_a_layer_gets_the_process_that_another_gives_back_where_the_memory_holds_no_more(
-    ray_session: RaySession, parts: FakeParts
+    host: str, parts: FakeParts
 ) -> None:
     policy = PoolPolicy(short_seconds=60.0, memory=Room(parts.folder, 1))
-    pool = spawn(PoolActor, parts, policy, node=ray.get_runtime_context().get_node_id())
-    run = ray.get(pool.begin.remote(1))
-    first, _ = ray.get(pool.acquire.remote(run, CONFIG, awaited=True))
-    assert ray.get(pool.acquire.remote(run, CONFIG, awaited=True)) is None  # frames do not wait
+    pool = spawn(PoolActor, parts, policy, node=here())
+    run = get(pool.begin.remote(1))
+    first, _ = get(pool.acquire.remote(run, CONFIG, awaited=True))
+    assert get(pool.acquire.remote(run, CONFIG, awaited=True)) is None  # frames do not wait
     later = pool.acquire.remote(run, CONFIG, awaited=False)
-    assert not ray.wait([later], timeout=0.5)[0]
-    ray.get(pool.release.remote(run, identity(first), first.release.remote(run)))
-    assert ray.get(later, timeout=30.0)[0] == first
+    assert not wait([later], timeout=0.5)[0]
+    get(pool.release.remote(run, identity(first), first.release.remote(run)))
+    assert get(later, 180.0)[0] == first
     end([pool])
 
 
@@ -273,13 +276,11 @@ def test_a_stream_starts_in_processes_that_were_warm_before(
     first = own_node.start(spec("first", FakeReader([*crowd(60, 1)], tmp_path / "first")))
     for _ in range(5):
         first.advance().result(timeout=200)
-    wait_until(own_node.prepare, 60.0)
+    wait_until(own_node.prepare)
     warm = parts.processes()
     pictures = crowd(12, 1)
     second = own_node.start(spec("second", FakeReader([*pictures], tmp_path / "second")))
-    own = {
-        ray.get(handle.__ray_call__.remote(_pid)) for handle in (second._coordinator, second._links.segmenter)
-    }
+    own = {get(handle.__ray_call__.remote(_pid)) for handle in (second._coordinator, second._links.segmenter)}
     assert len(own) == 2
     assert own <= warm
     run_to_end(second)
@@ -296,5 +297,5 @@ def test_processes_for_the_next_stream_are_started_one_after_the_other(
         seen.add(len(parts.processes()))
         return own_node.prepare()
 
-    wait_until(ready, 60.0)
+    wait_until(ready)
     assert seen == {0, 1, 2}

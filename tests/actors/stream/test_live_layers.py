@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pytest
-import ray
-from actor_fakes import CONFIG, RaySession, still_evidence
+from actor_fakes import CONFIG, still_evidence
+from thread_host import ThreadHost, answered
 
 from mlbs_actors.actors.ipc.channels import ChannelAddress
+from mlbs_actors.actors.node.processes import Reference, hosted_by
 from mlbs_actors.actors.stream.live_layers import LiveLayers
 from mlbs_actors.actors.stream.saved_states import SavedLayer
 from mlbs_actors.config import Config
@@ -24,8 +24,9 @@ class Method:
 
     call: Callable[..., object]
 
-    def remote(self, *given: object, **named: object) -> Any:
-        return ray.put(self.call(*given, **named))
+    def remote(self, *given: object, **named: object) -> Reference:
+        answer: Reference = answered(self.call(*given, **named))
+        return answer
 
     def options(self, *, name: str) -> Method:
         return self
@@ -59,8 +60,13 @@ def evidence(frame: int, layers: tuple[int, ...]) -> FrameEvidence:
     )
 
 
-@pytest.mark.ray
-def test_a_layer_that_sleeps_gets_its_process_when_it_wakes(ray_session: RaySession) -> None:
+@pytest.fixture(autouse=True)
+def host() -> Iterator[None]:
+    with hosted_by(ThreadHost()):
+        yield
+
+
+def test_a_layer_that_sleeps_gets_its_process_when_it_wakes() -> None:
     pool = Pool()
     layers = LiveLayers(pool, 1, CONFIG, "stream")
     layers.restore([SavedLayer(0, "background", 3), SavedLayer(1, "object", 3), SavedLayer(2, "object", 3)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from dataclasses import dataclass, replace
@@ -12,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pyarrow.dataset as ds
 import pytest
-import ray
 from actor_fakes import CONFIG, FakeParts, picture, rows_in_one_process, wait_until
 from test_recovery import as_rows, started, take
+from thread_host import die, pause
 
 from mlbs_actors.actors import Node
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, SlotPool
+from mlbs_actors.actors.node.processes import end
 from mlbs_actors.actors.stream import live_reader as live_reader_module
 from mlbs_actors.actors.stream.live_reader import FrameRing, LiveReaderActor
 from mlbs_actors.actors.stream.protocol import (
@@ -259,27 +259,29 @@ class OnceOnly:
     pictures : list of (H, W, 3) uint8
     dies_at : int
         Before this picture, once.
-    slow_seconds : float
+    gate : int
+        Nothing is shown from this picture on until the folder has a file ``through``.
     """
 
     folder: Path
     pictures: list[Array]
     dies_at: int = -1
-    slow_seconds: float = 0.0
+    gate: int = 1_000_000
     problem: str | None = None
 
     def opened(self) -> FrameReader:
         return self
 
     def read(self) -> SourceFrame | SourceSilence | None:
-        time.sleep(self.slow_seconds)
         number = len([*self.folder.glob("shown-*")])
+        if number >= self.gate and not (self.folder / "through").exists():
+            pause(0.02)
+            return SourceSilence(None)
         if number >= len(self.pictures):
             return None
         if number == self.dies_at and not (self.folder / "died").exists():
             (self.folder / "died").touch()
-            time.sleep(0.2)  # the frame before may still be on its way out of this process
-            os._exit(1)
+            die()
         (self.folder / f"shown-{number}").touch()
         status: SourceStatus = "dropped" if number % 9 == 5 else "ok"
         image = self.pictures[number] if status == "ok" else None
@@ -350,17 +352,10 @@ def expect_whole(state: StreamState, parts: FakeParts, folder: Path, shown: int,
     assert as_rows(folder / "door") == rows_in_one_process(replace(parts, deaths=0), given)
 
 
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 @pytest.mark.parametrize(
     ("dies", "at"),
-    [
-        ("layer", 22),
-        pytest.param("layer", 4, marks=pytest.mark.long),
-        pytest.param("segmenter", 28, marks=pytest.mark.long),
-        pytest.param("coordinator", 1, marks=pytest.mark.long),
-        pytest.param("coordinator", 31, marks=pytest.mark.long),
-    ],
+    [("layer", 22), ("layer", 4), ("segmenter", 28), ("coordinator", 1), ("coordinator", 31)],
 )
 def test_a_live_stream_that_loses_a_process_loses_no_frame(
     parts: FakeParts, tmp_path: Path, dies: str, at: int
@@ -374,9 +369,7 @@ def test_a_live_stream_that_loses_a_process_loses_no_frame(
     assert {told[: one.last + 1].count("ok") % 8 for one in commits[:-1]} == {0}  # snapshots, not rows
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 @pytest.mark.parametrize("at", [1, 2, 4, 27])
 def test_a_live_stream_that_loses_its_reader_goes_on_after_a_gap_with_all_it_was_given(
     parts: FakeParts, tmp_path: Path, at: int
@@ -389,31 +382,28 @@ def test_a_live_stream_that_loses_its_reader_goes_on_after_a_gap_with_all_it_was
     assert statuses(tmp_path)[at] == "gap"
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 @pytest.mark.parametrize("lost", ["pool", "sink"])
 def test_a_live_stream_whose_pool_or_sink_is_lost_loses_no_frame(
     parts: FakeParts, tmp_path: Path, lost: str
 ) -> None:
-    camera = OnceOnly(tmp_path / "camera", shots(60), slow_seconds=0.02)
+    camera = OnceOnly(tmp_path / "camera", shots(60), gate=45)
     with started(parts) as node:
 
-        def kill() -> None:
-            wait_until(lambda: recorded_frames(tmp_path / "door") >= 16, 60)
-            ray.kill(node._pool if lost == "pool" else node._sinks[0])
+        def lose() -> None:
+            wait_until(lambda: recorded_frames(tmp_path / "door") >= 16)
+            end([node._pool if lost == "pool" else node._sinks[0]])
+            (camera.folder / "through").touch()
 
-        killer = threading.Thread(target=kill)
-        killer.start()
+        losing = threading.Thread(target=lose)
+        losing.start()
         state = drive(node, live_spec(camera, tmp_path))
-        killer.join()
+        losing.join()
     assert state.returns >= 1
     expect_whole(state, parts, tmp_path, shown=60, gaps=0)
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_a_live_stream_that_was_interrupted_goes_on_with_all_it_was_given(
     parts: FakeParts, tmp_path: Path
 ) -> None:
@@ -436,9 +426,7 @@ def test_a_live_stream_that_was_interrupted_goes_on_with_all_it_was_given(
     assert [index for index, status in enumerate(told) if status == "gap"] == [shown[0], shown[1] + 1]
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_a_live_stream_whose_run_was_killed_goes_on_where_it_counts(parts: FakeParts, tmp_path: Path) -> None:
     camera = OnceOnly(tmp_path / "camera", shots(60))
     with started(parts) as node:

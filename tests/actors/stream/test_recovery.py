@@ -14,11 +14,21 @@ from pathlib import Path
 import numpy as np
 import pyarrow.dataset as ds
 import pytest
-import ray
-from actor_fakes import CONFIG, SHAPE, FakeParts, FakeReader, crowd, picture, rows_in_one_process, wait_until
+from actor_fakes import (
+    CONFIG,
+    ON_RAY,
+    SHAPE,
+    FakeParts,
+    FakeReader,
+    crowd,
+    picture,
+    rows_in_one_process,
+    wait_until,
+)
 from PIL import Image
 
 from mlbs_actors.actors import Node, PoolPolicy
+from mlbs_actors.actors.node.processes import end
 from mlbs_actors.actors.stream.protocol import Snapshot, SourceFrame, StreamSpec
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, LayerSummary, Region, Segmentation
@@ -433,18 +443,20 @@ def fatal(frames: int, at: int, dies: str) -> list[Array]:
     return [picture(t, live=[1, 2], dies=dies if t == at else "", value=2) for t in range(frames)]
 
 
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
 @pytest.mark.parametrize(
-    ("dies", "at"),
+    ("host", "dies", "at"),
     [
-        ("layer", 37),
-        pytest.param("segmenter", 21, marks=pytest.mark.long),
-        pytest.param("coordinator", 2, marks=pytest.mark.long),
+        ("threads", "layer", 37),
+        ("threads", "segmenter", 21),
+        ("threads", "coordinator", 2),
+        pytest.param("ray", "layer", 37, marks=ON_RAY),
+        pytest.param("ray", "segmenter", 21, marks=(*ON_RAY, pytest.mark.long)),
+        pytest.param("ray", "coordinator", 2, marks=(*ON_RAY, pytest.mark.long)),
     ],
+    indirect=["host"],
 )
 def test_a_stream_that_loses_a_process_goes_on_with_the_same_bytes_and_the_others_are_untouched(
-    parts: FakeParts, tmp_path: Path, dies: str, at: int
+    host: str, parts: FakeParts, tmp_path: Path, dies: str, at: int
 ) -> None:
     pictures = fatal(44, at, dies)
     with started(parts) as node:
@@ -467,8 +479,7 @@ def test_a_stream_that_loses_a_process_goes_on_with_the_same_bytes_and_the_other
     assert not (tmp_path / "bad/snapshots").exists()
 
 
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_layers_that_have_no_process_yet_are_in_the_snapshots_too(parts: FakeParts, tmp_path: Path) -> None:
     pictures = [picture(t) for t in range(4)] + fatal(44, 37, "segmenter")[4:]
     only_the_background = replace(parts, hanging_starts=range(1, 1000))
@@ -481,8 +492,7 @@ def test_layers_that_have_no_process_yet_are_in_the_snapshots_too(parts: FakePar
     node.close()
 
 
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_snapshots_of_a_quick_stream_wait_for_their_time(parts: FakeParts, tmp_path: Path) -> None:
     never_dies = replace(parts, deaths=0)
     named = {}
@@ -498,9 +508,7 @@ def test_snapshots_of_a_quick_stream_wait_for_their_time(parts: FakeParts, tmp_p
     assert len(named["always"]) > 1
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_a_part_that_dies_at_the_same_frame_every_time_fails_its_stream_after_a_few_returns(
     parts: FakeParts, tmp_path: Path
 ) -> None:
@@ -515,9 +523,7 @@ def test_a_part_that_dies_at_the_same_frame_every_time_fails_its_stream_after_a_
     assert as_rows(tmp_path / "bad") == expected(parts, pictures)[:11]
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_a_reader_that_dies_at_the_same_frame_every_time_ends_its_stream_with_the_frames_before(
     parts: FakeParts, tmp_path: Path
 ) -> None:
@@ -531,8 +537,7 @@ def test_a_reader_that_dies_at_the_same_frame_every_time_ends_its_stream_with_th
 
 
 @pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_a_part_that_hangs_is_taken_for_lost(
     parts: FakeParts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -545,35 +550,32 @@ def test_a_part_that_hangs_is_taken_for_lost(
     assert as_rows(tmp_path / "slow") == expected(parts, pictures)
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 @pytest.mark.parametrize("role", ["pool", "sink"])
 def test_a_lost_pool_or_sink_takes_every_stream_back_and_all_go_on(
     parts: FakeParts, tmp_path: Path, role: str
 ) -> None:
     pictures = [picture(t, live=[1, 2]) for t in range(60)]
-    slow = replace(parts, slow_seconds=0.02)
-    with started(slow) as node:
+    readers = {name: FakeReader([*pictures], tmp_path / f"r-{name}", gates=range(45, 46)) for name in "ab"}
+    with started(parts) as node:
 
-        def kill() -> None:
-            wait_until(lambda: recorded_frames(tmp_path / "a") >= 32, 60)
-            ray.kill(node._pool if role == "pool" else node._sinks[0])
+        def lose() -> None:
+            wait_until(lambda: all(recorded_frames(tmp_path / name) >= 32 for name in "ab"))
+            end([node._pool if role == "pool" else node._sinks[0]])
+            for reader in readers.values():
+                reader.let_through(45)
 
-        killer = threading.Thread(target=kill)
-        killer.start()
-        specs = [spec(name, FakeReader([*pictures], tmp_path / f"r-{name}"), tmp_path) for name in "ab"]
-        states = drive(node, *specs)
-        killer.join()
+        losing = threading.Thread(target=lose)
+        losing.start()
+        states = drive(node, *(spec(name, reader, tmp_path) for name, reader in readers.items()))
+        losing.join()
     assert {(one.state, one.committed) for one in states.values()} == {("done", 60)}
     assert all(one.returns for one in states.values())
     for name in "ab":
         assert as_rows(tmp_path / name) == expected(parts, pictures)
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_the_label_maps_of_all_starts_are_counted_together(parts: FakeParts, tmp_path: Path) -> None:
     pictures = [picture(t, live=[1]) for t in range(200)]
     given: list[Array | None] = [*pictures]
@@ -593,9 +595,7 @@ def test_the_label_maps_of_all_starts_are_counted_together(parts: FakeParts, tmp
     assert as_rows(tmp_path / "stopped") == expected(parts, pictures[:150])
 
 
-@pytest.mark.long
-@pytest.mark.ray
-@pytest.mark.usefixtures("ray_session")
+@pytest.mark.usefixtures("host")
 def test_a_drained_stream_goes_on_where_it_was_interrupted_though_frames_were_held(
     parts: FakeParts, tmp_path: Path
 ) -> None:
