@@ -53,7 +53,7 @@ def test_each_ring_ends_one_wait_also_of_who_listens_later() -> None:
         wakeup.wake()
         assert listening.stdout.readline() == "1\n"
         wakeup.wake()
-        assert listening.wait(10) == 0
+        assert listening.wait(180) == 0
     wakeup.close()
     wakeup.wake()
 
@@ -68,7 +68,7 @@ def test_who_waits_goes_on_when_the_owner_is_gone() -> None:
             time.sleep(0.3)
             assert listening.poll() is None
             owner.kill()
-            assert listening.wait(10) == 0
+            assert listening.wait(180) == 0
 
 
 def test_who_is_told_of_a_bell_that_is_none_any_more_does_not_wait(tmp_path: Path) -> None:

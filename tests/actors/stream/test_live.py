@@ -352,7 +352,7 @@ def test_a_refused_password_is_told_with_how_its_percent_sign_is_written() -> No
     assert reason(refused) == "user name or password refused (a % in them is written %25 in the address)"
 
 
-def _wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
+def _wait_for(condition: Callable[[], bool], seconds: float = 180.0) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
@@ -361,7 +361,7 @@ def _wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
 
 def _frames(reader: LiveReader, pictures: int) -> list[SourceFrame]:
     """All rows until so many with a picture have come."""
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 180
     frames: list[SourceFrame] = []
     while sum(frame.image is not None for frame in frames) < pictures:
         assert time.monotonic() < deadline, "no frames came"

@@ -413,7 +413,7 @@ def test_a_live_stream_that_was_interrupted_goes_on_with_all_it_was_given(
         with started(parts) as node:
             stream = node.start(live_spec(camera, tmp_path))
             for _ in range(bursts):
-                stream.advance().result(timeout=60)
+                stream.advance().result(timeout=200)
             final = stream.stop(drain=True)
             assert final is not None
             assert final.read == final.committed + final.dropped
@@ -432,7 +432,7 @@ def test_a_live_stream_whose_run_was_killed_goes_on_where_it_counts(parts: FakeP
     with started(parts) as node:
         stream = node.start(live_spec(camera, tmp_path))
         while recorded_frames(tmp_path / "door") < 16:
-            stream.advance().result(timeout=60)
+            stream.advance().result(timeout=200)
         stream.stop(drain=False)
     counted, shown = recorded_frames(tmp_path / "door"), len([*camera.folder.glob("shown-*")])
     assert 16 <= counted <= shown < 60

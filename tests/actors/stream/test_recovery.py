@@ -584,7 +584,7 @@ def test_the_label_maps_of_all_starts_are_counted_together(parts: FakeParts, tmp
     one = replace(spec("stopped", FakeReader(given, tmp_path / "r"), tmp_path), max_frames=150)
     with started(parts) as node:
         stream = node.start(one)
-        while stream.advance().result(timeout=60).committed < 40:
+        while stream.advance().result(timeout=200).committed < 40:
             continue
         stream.stop(drain=True)
         interrupted = node.start(one).stop(drain=True)  # before it has read on
@@ -603,7 +603,7 @@ def test_a_drained_stream_goes_on_where_it_was_interrupted_though_frames_were_he
     with started(parts) as node:
         for _ in range(3):
             stream = node.start(spec("stopped", FakeReader([*pictures], tmp_path / "r"), tmp_path))
-            stream.advance().result(timeout=60)
+            stream.advance().result(timeout=200)
             final = stream.stop(drain=True)
             assert final is not None
         states = drive(node, spec("stopped", FakeReader([*pictures], tmp_path / "r"), tmp_path))
