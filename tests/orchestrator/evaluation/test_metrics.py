@@ -268,7 +268,7 @@ def test_figures_of_whole_sequences_equal_those_of_loops_over_masks(seed: int) -
     counted = [count_overlap(found, true.astype(np.uint8)) for found, true in zip(labels, truth, strict=True)]
     assert track_j(counted) == pytest.approx(best / len(objects))
     assert ids_on(counted) == sum(count >= 3 for count in on.values()) / len(objects)
-    found = sharing = 0
+    holding = sharing = 0
     for lab, true in zip(labels, truth, strict=True):
         mains = []
         for one in sorted(set(true[(true > 0) & (true < 255)].tolist())):
@@ -279,9 +279,9 @@ def test_figures_of_whole_sequences_equal_those_of_loops_over_masks(seed: int) -
             main = max(sizes, key=lambda label: sizes[label], default=0)
             if main and sizes[main] >= 0.3 * own.size:
                 mains.append(main)
-        found += len(mains)
+        holding += len(mains)
         sharing += sum(mains.count(main) > 1 for main in mains)
-    assert shared_ids(counted) == pytest.approx(sharing / found)
+    assert shared_ids(counted) == pytest.approx(sharing / holding)
 
 
 def score_extra(lives: list[tuple[str, str | None]]) -> SequenceScorer:
