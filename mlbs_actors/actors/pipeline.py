@@ -17,19 +17,9 @@ from ray.exceptions import GetTimeoutError, RayError
 from mlbs_actors.actors.ipc.wakeup import WakeupEvent
 from mlbs_actors.actors.node.burst_limiter import BurstLimiter
 from mlbs_actors.actors.node.failures import COORDINATOR, POOL, SEGMENTER, explain
+from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.pool import PoolActor, PoolCensus, PoolPolicy
-from mlbs_actors.actors.node.processes import (
-    Handle,
-    Reference,
-    cores_of,
-    end,
-    get,
-    here,
-    identity,
-    kill,
-    spawn,
-    spawn_standby,
-)
+from mlbs_actors.actors.node.processes import cores_of, end, get, here, identity, kill, spawn, spawn_standby
 from mlbs_actors.actors.node.reservation import Reservation
 from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.stream.coordinator_actor import CoordinatorActor, StreamLinks

@@ -25,9 +25,9 @@ from ray.autoscaler.sdk import request_resources
 from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.node.failures import cause_of, last_line
-from mlbs_actors.actors.node.host import ask
+from mlbs_actors.actors.node.host import Reference, ask
 from mlbs_actors.actors.node.pool import PoolPolicy
-from mlbs_actors.actors.node.processes import Reference, get, here, wait
+from mlbs_actors.actors.node.processes import get, here, wait
 from mlbs_actors.actors.node.reservation import Reservation, Share
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.pipeline import Node, StreamActors

@@ -19,8 +19,9 @@ from ray.exceptions import RayError
 
 from mlbs_actors.actors.ipc.channels import ChannelAddress
 from mlbs_actors.actors.node.failures import last_line
+from mlbs_actors.actors.node.host import Handle
 from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory, node_memory, unique_memory
-from mlbs_actors.actors.node.processes import LOST_PROCESS, Handle, here, identity, kill, spawn
+from mlbs_actors.actors.node.processes import LOST_PROCESS, here, identity, kill, spawn
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layer_actor import LayerActor
 from mlbs_actors.config import Config

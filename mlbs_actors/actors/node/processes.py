@@ -21,8 +21,6 @@ from mlbs_actors.actors.node.reservation import Reservation
 __all__ = [
     "LOST_PROCESS",
     "NOTICE_SECONDS",
-    "Handle",
-    "Reference",
     "cores_of",
     "end",
     "get",

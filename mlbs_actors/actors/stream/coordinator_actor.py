@@ -32,8 +32,9 @@ from mlbs_actors.actors.node.failures import (
     reader_lost,
     source_failure,
 )
+from mlbs_actors.actors.node.host import Handle
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
-from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, get, identity, wait
+from mlbs_actors.actors.node.processes import NOTICE_SECONDS, get, identity, wait
 from mlbs_actors.actors.node.usage import StreamUsage
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.account import StreamAccount

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from mlbs_actors.actors.ipc.channels import ChannelAddress
-from mlbs_actors.actors.node.processes import Handle, Reference, get, identity, is_answered
+from mlbs_actors.actors.node.host import Handle, Reference
+from mlbs_actors.actors.node.processes import get, identity, is_answered
 from mlbs_actors.actors.stream.saved_states import SavedLayer
 from mlbs_actors.config import Config
 from mlbs_actors.messages import FrameEvidence, LayerKind

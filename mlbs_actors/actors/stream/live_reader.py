@@ -17,8 +17,9 @@ from ray.exceptions import GetTimeoutError
 
 from mlbs_actors.actors.ipc.channels import ChannelAddress, ChannelListener
 from mlbs_actors.actors.ipc.shared_memory import SharedMemory, Slot, SlotPool
+from mlbs_actors.actors.node.host import Handle
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
-from mlbs_actors.actors.node.processes import Handle, get
+from mlbs_actors.actors.node.processes import get
 from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourcePosition, SourceSilence
 from mlbs_actors.actors.stream.reader import LEAST_ASKED, Answer, ReadAhead, ReadNext, answer
 from mlbs_actors.determinism import limit_process

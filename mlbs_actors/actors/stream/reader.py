@@ -18,8 +18,9 @@ from mlbs_actors.actors.ipc.channels import (
     connect,
 )
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
+from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
-from mlbs_actors.actors.node.processes import NOTICE_SECONDS, Handle, Reference, get
+from mlbs_actors.actors.node.processes import NOTICE_SECONDS, get
 from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.pickling import pickled_by_values

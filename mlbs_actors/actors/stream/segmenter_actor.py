@@ -13,8 +13,9 @@ from pathlib import Path
 
 from mlbs_actors.actors.ipc.channels import Channel, ChannelAddress, ChannelListener, connect
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
+from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
-from mlbs_actors.actors.node.processes import Handle, Reference, get
+from mlbs_actors.actors.node.processes import get
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layers_at_work import AssignedProcess, LayersAtWork, SharedFrame
 from mlbs_actors.actors.stream.order import FrameOrder

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from ray.exceptions import RayError
 
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
+from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.process_memory import settle_memory
-from mlbs_actors.actors.node.processes import Handle, Reference, get, is_answered
+from mlbs_actors.actors.node.processes import get, is_answered
 from mlbs_actors.actors.stream.order import FrameOrder
 from mlbs_actors.actors.stream.protocol import (
     GapStatus,

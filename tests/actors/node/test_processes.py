@@ -13,9 +13,9 @@ from thread_host import die, hang
 
 from mlbs_actors.actors.ipc.channels import ChannelAddress, ChannelClosedError, ChannelListener, connect
 from mlbs_actors.actors.node.failures import cause_of
+from mlbs_actors.actors.node.host import Handle
 from mlbs_actors.actors.node.processes import (
     LOST_PROCESS,
-    Handle,
     end,
     get,
     here,

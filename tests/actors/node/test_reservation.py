@@ -10,8 +10,9 @@ import ray
 from actor_fakes import FakeParts, FakeReader, RaySession, picture, run_to_end, spec, wait_until
 
 from mlbs_actors.actors.node.cluster import Cluster
+from mlbs_actors.actors.node.host import Handle
 from mlbs_actors.actors.node.pool import PoolPolicy
-from mlbs_actors.actors.node.processes import Handle, end
+from mlbs_actors.actors.node.processes import end
 from mlbs_actors.actors.node.reservation import Share
 from mlbs_actors.errors import ConfigError
 

@@ -11,7 +11,8 @@ from actor_fakes import CONFIG, still_evidence
 from thread_host import ThreadHost, answered
 
 from mlbs_actors.actors.ipc.channels import ChannelAddress
-from mlbs_actors.actors.node.processes import Reference, hosted_by
+from mlbs_actors.actors.node.host import Reference
+from mlbs_actors.actors.node.processes import hosted_by
 from mlbs_actors.actors.stream.live_layers import LiveLayers
 from mlbs_actors.actors.stream.saved_states import SavedLayer
 from mlbs_actors.config import Config
