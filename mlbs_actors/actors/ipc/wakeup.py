@@ -8,9 +8,11 @@ event inside a call.
 from __future__ import annotations
 
 import os
+import weakref
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 __all__ = ["WakeupEvent", "WakeupHandle", "wait_until_woken"]
 
@@ -37,26 +39,26 @@ class WakeupHandle:
 class WakeupEvent:
     """Wakes one waiting process each time it is set, even one that begins to wait later.
 
+    It is closed with :attr:`close`, when this object is dropped, or with its owner.
+
     Attributes
     ----------
     handle : WakeupHandle
         For the process that waits.
+    close : callable
+        Wakes all present and future waiters. May be called twice.
     """
 
     def __init__(self) -> None:
         reading, writing = os.pipe()
-        self._reading, self._writing = os.fdopen(reading, "rb", 0), os.fdopen(writing, "wb", 0)
+        self._writing = os.fdopen(writing, "wb", 0)
         self.handle = WakeupHandle(os.getpid(), reading, os.fstat(reading).st_ino)
+        self.close = weakref.finalize(self, _close, self._writing, os.fdopen(reading, "rb", 0))
 
     def wake(self) -> None:
         """End one :func:`wait_until_woken`; does nothing once closed."""
         with suppress(ValueError):
             self._writing.write(b"!")
-
-    def close(self) -> None:
-        """Wake all present and future waiters."""
-        self._writing.close()
-        self._reading.close()
 
 
 def wait_until_woken(handle: WakeupHandle) -> None:
@@ -65,3 +67,8 @@ def wait_until_woken(handle: WakeupHandle) -> None:
     with suppress(OSError), end.open("rb", buffering=0) as pipe:
         if os.fstat(pipe.fileno()).st_ino == handle.inode:
             pipe.read(1)
+
+
+def _close(*ends: BinaryIO) -> None:
+    for end in ends:
+        end.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -55,6 +56,7 @@ def test_each_ring_ends_one_wait_also_of_who_listens_later() -> None:
         wakeup.wake()
         assert listening.wait(180) == 0
     wakeup.close()
+    wakeup.close()
     wakeup.wake()
 
 
@@ -77,3 +79,14 @@ def test_who_is_told_of_a_bell_that_is_none_any_more_does_not_wait(tmp_path: Pat
     wait_until_woken(replace(wakeup.handle, descriptor=os.sysconf("SC_OPEN_MAX") - 1))
     wakeup.close()
     wait_until_woken(wakeup.handle)
+
+
+def test_who_waits_goes_on_when_the_event_is_dropped() -> None:
+    wakeup = WakeupEvent()
+    with listener(*astuple(wakeup.handle), turns=2) as listening:
+        assert listening.stdout is not None
+        wakeup.wake()
+        assert listening.stdout.readline() == "0\n"
+        del wakeup
+        gc.collect()
+        assert listening.wait(180) == 0
