@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -79,19 +80,33 @@ def test_layers_that_get_no_process_live_in_the_segmenter_s_with_the_same_bytes(
 def test_a_layer_moves_to_a_process_of_its_own_as_soon_as_there_is_one_with_the_same_bytes(
     host: str, parts: FakeParts, tmp_path: Path
 ) -> None:
-    node = Node(parts=parts, policy=PoolPolicy(spare=0))
-    pictures = [picture(t) for t in range(4)] + [picture(t, live=[1, 2, 3]) for t in range(4, 4_000)]
-    stream = node.start(spec("three", FakeReader([*pictures], tmp_path, slow_seconds=0.02)))
-    busy, done = [], False
-    while not done and 4 not in busy:
-        done = stream.advance().result(timeout=200).done
-        busy.append(node.census().busy)
-    assert (busy[0], busy[-1], done) == (1, 4, False)
-    stream.advance().result(timeout=200)
+    late = replace(parts, hanging_starts=range(1, 4))
+    node = Node(parts=late, policy=PoolPolicy(spare=0))
+    pictures = [picture(t) for t in range(4)] + [picture(t, live=[1, 2, 3]) for t in range(4, 120)]
+    stream = node.start(spec("three", FakeReader([*pictures], tmp_path)))
+    read = _read_on(stream, 8)
+    assert node.census().busy == 1
+    late.let_start()
+    for busy in (2, 3, 4):  # a process is asked for when the one before has its layer
+        wait_until(partial(_has_busy, node, busy))
+        read = _read_on(stream, read + 8)
+    assert node.census().busy == 4
     final = stream.stop(drain=True)
     assert final is not None
     assert rows(tmp_path) == rows_in_one_process(parts, pictures[: final.read])
     node.close()
+
+
+def _has_busy(node: Node, least: int) -> bool:
+    return node.census().busy >= least
+
+
+def _read_on(stream: RunningStream, frames: int) -> int:
+    """Go on with a stream that has more frames until it has read so many; return how many it has."""
+    while (progress := stream.advance().result(timeout=200)).read < frames:
+        assert not progress.done
+    assert not progress.done
+    return progress.read
 
 
 def test_the_sink_gets_the_background_s_memory_of_just_the_frames_it_wants(

@@ -286,7 +286,8 @@ class FakeParts:
     hang : bool
         They hang instead.
     hanging_starts : range
-        Which layer processes hang at their start, of those that have come so far.
+        Which layer processes hang at their start, of those that have come so far, until they are let start
+        (:meth:`let_start`).
     """
 
     folder: Path
@@ -311,8 +312,12 @@ class FakeParts:
         self._note()
         if self.cannot_start:
             raise MemoryError("no memory left for a layer")
-        if self._start_number() in self.hanging_starts:
-            hang()
+        hangs = self._start_number() in self.hanging_starts
+        while hangs and not (self.folder / "let-start").exists():
+            pause(0.01)
+
+    def let_start(self) -> None:
+        (self.folder / "let-start").touch()
 
     def warm_stream(self) -> None:
         self._note()
