@@ -79,7 +79,11 @@ def test_a_stream_waits_for_cpus_that_another_job_has(
     wait_until(has(cluster, 1))
 
 
-def test_a_cluster_without_a_usable_node_is_refused(ray_session: RaySession, said: list[str]) -> None:
+def test_a_cluster_without_a_usable_node_is_refused(
+    ray_session: RaySession, said: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # However long the node takes to answer.
+    monkeypatch.setattr("mlbs_actors.actors.node.cluster._ANSWER_SECONDS", None)
     with pytest.raises(ConfigError, match="No node of the cluster can be used"):
         Cluster(none, SHARE, said.append)
     [reason] = said
