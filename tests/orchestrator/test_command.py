@@ -413,10 +413,22 @@ def test_without_the_packages_of_a_run_the_command_names_them_and_how_to_get_the
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name in ("av", "ray") else name)
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of the test run stay
-    assert main(["--help"]) == 2
+    assert main(["a.mp4"]) == 2
     message = capsys.readouterr().err
     assert "(av, ray)" in message
     assert "[run]" in message
+
+
+@pytest.mark.parametrize("flag", ["-h", "--help"])
+def test_without_the_packages_of_a_run_the_command_shows_its_help(
+    flag: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of the test run stay
+    assert main(["a.mp4", flag]) == 0
+    shown = capsys.readouterr()
+    assert "--output" in shown.out
+    assert shown.err == ""
 
 
 def test_settings_of_ray_come_before_ray_or_not_at_all() -> None:
