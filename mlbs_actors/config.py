@@ -306,6 +306,29 @@ class LayersConfig(_Section):
     )
 
 
+class IdentityConfig(_Section):
+    """Which clusters are one thing, and which are two (§4)."""
+
+    inner_quantile: float = Field(
+        0.9, ge=0, le=1, description="Quantile of motion distances inside a label: how much it bends."
+    )
+    least_inner: float = Field(0.3, gt=0, description="Motion distance that is noise inside a label.")
+    step_ratio: float = Field(
+        4.9, gt=0, description="Step ÷ bending at which two things are as likely as one."
+    )
+    step_slope: float = Field(1.8, ge=0, description="Log-likelihood ratio for each e-fold more, nats.")
+    free_gap: float = Field(
+        0.5, ge=0, description="Gap between a part and its object that says nothing, × the object's size."
+    )
+    gap_slope: float = Field(5.0, ge=0, description="Log-likelihood ratio for each size more, nats.")
+    most_evidence: float = Field(3.0, gt=0, description="Most evidence of one clustering, nats.")
+    weight: float = Field(0.5, gt=0, description="Weight of a clustering: their errors are alike.")
+    fading: float = Field(0.8, ge=0, lt=1, description="Share of the log-odds that is left at the next one.")
+    apart: float = Field(
+        1.5, description="Log-odds from which on labels are two things: they are one four times as often."
+    )
+
+
 class MotionConfig(_Section):
     """Motion field of a layer (§5, the paper's Gaussian belief propagation)."""
 
@@ -486,6 +509,7 @@ class Config(_Section):
     trajectories: TrajectoriesConfig = TrajectoriesConfig()
     affinity: AffinityConfig = AffinityConfig()
     layers: LayersConfig = LayersConfig()
+    identity: IdentityConfig = IdentityConfig()
     motion: MotionConfig = MotionConfig()
     appearance: AppearanceConfig = AppearanceConfig()
     posterior: PosteriorConfig = PosteriorConfig()

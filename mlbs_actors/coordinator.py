@@ -525,4 +525,5 @@ class Coordinator:
             motions=motions,
             retired=tuple(sorted(retired)),
             resting=registry.resting_layers(),
+            apart=state.repulsion.apart(live, self.config.identity.apart),
         )

@@ -73,7 +73,10 @@ def cluster(
         ages = registry.ages(frame_index)
         speeds, least = _judged(state, registry, split, origins, ages, label_speeds(speed, split), config)
         registry.judge(speeds, least)
-        labels = merge_by_motion(graph, split, ages, speeds, least, config.layers)
+        repulsion = state.repulsion.gathered(
+            graph, split, state.trajectories.positions, registry.origins() | origins, config
+        )
+        labels = merge_by_motion(graph, split, ages, speeds, least, config.layers, repulsion)
         gone = set(speeds) - distinct_labels(labels)
         registry.forget({label: int(labels[split == label][0]) for label in gone})
     latest = None if feedback is None else feedback()
@@ -83,12 +86,31 @@ def cluster(
         origins |= objects_beneath(new, labels, positions, motions, frame_index, latest)
         # Objects of the first clustering date from the first frame.
         labels = registry.admit(labels, frame_index if state.clustered else state.epoch, origins)
+        state.repulsion = repulsion.renamed(_names(split, labels, registry))
         observe(state, registry, labels, frame, frame_index, latest)
         probation = config.layers.probation_frames if state.clustered else 0
-        state.labels = registry.promote(state.labels, frame_index, probation)
+        candidates = state.labels
+        parted = {
+            label
+            for label, origin in registry.origins().items()
+            if state.repulsion.between(label, origin) > config.identity.apart
+        }
+        state.labels = registry.promote(candidates, frame_index, probation, parted)
         state.registry = registry.state
+        state.repulsion = state.repulsion.renamed(_names(candidates, state.labels, registry))
     state.clustered = True
     state.held = relabelled(state.held, state.trajectories, state.labels)
+
+
+def _names(before: Array, after: Array, registry: LayerRegistry) -> dict[int, int]:
+    """Map the labels before a step to those after it: where most of the trajectories of each have gone."""
+    names = {}
+    for label in distinct_labels(before):
+        now = after[(before == label) & (after != UNLABELLED)]
+        if now.size:
+            values, counts = np.unique(now, return_counts=True)
+            names[label] = int(values[np.argmax(counts)])
+    return names | {label: label for label in registry.state.labels.tolist()}
 
 
 def observe(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.clustering.registry_state import RegistryState
+from mlbs_actors.clustering.repulsion import Repulsion
 from mlbs_actors.clustering.rigid_scene import Places
 from mlbs_actors.config import Config
 from mlbs_actors.flow.estimate import Picture
@@ -94,6 +95,8 @@ class CoordinatorState:
     spreads : (T,) float64
         Noise scale of the last frames' displacements, newest first, px.
     registry : RegistryState
+    repulsion : Repulsion
+        Between the labels of the registry and of the trajectories.
     clustered : bool
         Whether the first clustering is done.
     held : tuple of HeldFrame
@@ -121,6 +124,7 @@ class CoordinatorState:
     places: tuple[Places, ...]
     spreads: Array
     registry: RegistryState
+    repulsion: Repulsion
     clustered: bool
     held: tuple[HeldFrame, ...]
     last_clustering: int
@@ -147,6 +151,7 @@ class CoordinatorState:
             places=(),
             spreads=np.zeros(0),
             registry=RegistryState.empty(),
+            repulsion=Repulsion.empty(),
             clustered=False,
             held=(),
             last_clustering=0,

@@ -172,6 +172,8 @@ class FrameEvidence:
         there are none.
     resting : tuple of int
         Layers that have not moved against the camera for a while.
+    apart : tuple of (int, int)
+        Pairs of layers, the lower one first, that are two things however closely they touch.
     """
 
     frame_index: int
@@ -191,6 +193,7 @@ class FrameEvidence:
     light: Array = field(default_factory=lambda: np.zeros((0, 256), np.uint8))
     fixed: Array = field(default_factory=lambda: np.zeros((0, 0), bool))
     resting: tuple[int, ...] = ()
+    apart: tuple[tuple[int, int], ...] = ()
 
     @property
     def layers(self) -> tuple[LayerEvidence, ...]:

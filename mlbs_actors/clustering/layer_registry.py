@@ -109,6 +109,11 @@ class LayerRegistry:
         """Return the labels that were split off an object, or have appeared on one."""
         return set(self.state.labels[self.state.origins != UNLABELLED].tolist())
 
+    def origins(self) -> dict[int, int]:
+        """Map each label that was split off an object, or has appeared on one, to that object."""
+        rows = zip(self.state.labels.tolist(), self.state.origins.tolist(), strict=True)
+        return {label: origin for label, origin in rows if origin != UNLABELLED}
+
     def live_layers(self, frame_index: int) -> tuple[int, ...]:
         """Return layer ids awake at the newest frame or a held one, without the background; ascending."""
         state = self.state
@@ -253,7 +258,7 @@ class LayerRegistry:
             )  # the next "other" is another layer: ids are never reused
         return labels
 
-    def promote(self, labels: Array, frame_index: int, probation: int) -> Array:
+    def promote(self, labels: Array, frame_index: int, probation: int, parted: Collection[int]) -> Array:
         """Make layers of the candidates that have lasted, and enforce the cap.
 
         Parameters
@@ -265,6 +270,8 @@ class LayerRegistry:
             Frames that a candidate must have lasted to become a layer; one split off an object must have
             lasted for ``part_probation_frames``. One whose object has lost all other trajectories becomes
             that object.
+        parted : collection of int
+            Candidates that are another thing than the object that they were split off, and no part of it.
 
         Returns
         -------
@@ -274,8 +281,10 @@ class LayerRegistry:
         for label in self.state.labels[self.state.labels < UNLABELLED][::-1]:
             # Looked up anew for each: the first part of a lost object becomes that object.
             row = int(np.flatnonzero(self.state.labels == label)[0])
-            fell_off = self.state.origins[row] != UNLABELLED
-            awaited = self.config.part_probation_frames if fell_off else probation
+            if int(label) in parted:
+                self.state.origins[row] = UNLABELLED
+            is_part = self.state.origins[row] != UNLABELLED
+            awaited = self.config.part_probation_frames if is_part else probation
             lasted = frame_index - self.state.born[row] >= awaited
             if lasted or self._bereft(row, frame_index) is not None:
                 labels[labels == label] = self._promote(int(label), frame_index)

@@ -13,12 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from mlbs_actors.clustering.affinity import TrajectoryGraph
+from mlbs_actors.clustering.border_motion import border_motion
 from mlbs_actors.clustering.label_index import UNLABELLED, label_classes
+from mlbs_actors.clustering.repulsion import Repulsion
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import BACKGROUND, Array
 
-__all__ = ["border_motion", "merge_by_motion"]
+__all__ = ["merge_by_motion"]
 
 
 def merge_by_motion(
@@ -28,6 +30,7 @@ def merge_by_motion(
     speeds: dict[int, float],
     least_speed: float,
     config: LayersConfig,
+    repulsion: Repulsion,
 ) -> Array:
     """Merge labels into the neighbour that moves with them.
 
@@ -36,8 +39,9 @@ def merge_by_motion(
     neighbour. Parts of one object bend and rotate against each other, so the threshold between objects is
     higher, but only where the border is long for the younger one: objects that pass each other share a short
     one. Older objects whose motions have been the same, within the noise, all their common life are one, too,
-    if they touch at all; those that have been two for long stay two, as people can walk side by side. Borders
-    are compared with √n of the younger's n trajectories, as a border grows with the root of the area.
+    if they touch at all; those that have been two for long stay two, as people can walk side by side. Objects
+    that are more likely two things than one (:mod:`~mlbs_actors.clustering.repulsion`) are never merged.
+    Borders are compared with √n of the younger's n trajectories, as a border grows with the root of the area.
 
     Parameters
     ----------
@@ -49,6 +53,9 @@ def merge_by_motion(
         From :func:`~mlbs_actors.clustering.splitting.label_speeds`.
     least_speed : float
         From :func:`~mlbs_actors.clustering.splitting.least_object_speed`.
+    config : LayersConfig
+    repulsion : Repulsion
+        Between the labels.
 
     Returns
     -------
@@ -73,7 +80,8 @@ def merge_by_motion(
     )
     known_ages = np.array([ages.get(label, 0) for label in known.tolist()], np.int64)
     edges = graph.first, graph.second, graph.motion_distance
-    _merge(edges, labels, known, classes, known_ages, rules)
+    two = repulsion.matrix(known) > 0
+    _merge(edges, labels, known, classes, known_ages, two, rules)
     return labels
 
 
@@ -93,7 +101,13 @@ class _Rules(NamedTuple):
 
 @compiled
 def _merge(
-    edges: tuple[Array, Array, Array], labels: Array, known: Array, classes: Array, ages: Array, rules: _Rules
+    edges: tuple[Array, Array, Array],
+    labels: Array,
+    known: Array,
+    classes: Array,
+    ages: Array,
+    two: Array,
+    rules: _Rules,
 ) -> None:
     """Merge similar labels and their classes pair by pair, the nearest first."""
     first, second, distance = edges
@@ -126,6 +140,7 @@ def _merge(
                     and touching[border] >= rules.least_same_border * root
                     and touching[border] >= rules.least_edges
                 )
+                alike &= not two[older, younger]
             if alike and (apart, younger, older) < (nearest, best_younger, best_older):
                 nearest, best_younger, best_older = apart, younger, older
         if best_younger < 0:
@@ -134,51 +149,3 @@ def _merge(
             if classes[i] == best_younger:
                 classes[i], labels[i] = best_older, known[best_older]
         sizes[best_older] += sizes[best_younger]
-
-
-@compiled
-def border_motion(
-    first: Array, second: Array, distance: Array, classes: Array, count: int, quantile: float
-) -> tuple[Array, Array, Array]:
-    """Measure the motion distance across the border of each pair of neighbouring classes.
-
-    Parameters
-    ----------
-    first, second, distance : (m,) int32, (m,) int32, (m,) float32
-        Of a :class:`~mlbs_actors.clustering.affinity.TrajectoryGraph`.
-    classes : (n,) int64
-        Class 0 … count−1 of each trajectory, −1 for none.
-    count : int
-    quantile : float
-        In [0, 1].
-
-    Returns
-    -------
-    borders : (b, 2) int64
-        Lower and higher class of each pair that has edges, sorted by both.
-    distances : (b,) float32
-        That quantile of the motion distance over the edges between them.
-    edges : (b,) int64
-        Their number.
-    """
-    starts = np.zeros(count * count + 1, np.int64)
-    pair, across, found = np.empty(first.size, np.int32), np.empty(first.size, distance.dtype), 0
-    for edge in range(first.size):
-        one, other = classes[np.uint32(first[edge])], classes[np.uint32(second[edge])]
-        if one != other and min(one, other) >= 0:
-            pair[found], across[found] = min(one, other) * count + max(one, other), distance[edge]
-            starts[pair[found] + 1] += 1
-            found += 1
-    sizes = starts[1:].copy()
-    starts = np.cumsum(starts)
-    place, ordered = starts[:-1].copy(), np.empty(found, distance.dtype)
-    for edge in range(found):
-        ordered[place[pair[edge]]] = across[edge]
-        place[pair[edge]] += 1
-    present = np.flatnonzero(sizes)
-    borders, distances = np.empty((present.size, 2), np.int64), np.empty(present.size, distance.dtype)
-    for border, one in enumerate(present):
-        borders[border, 0], borders[border, 1] = one // count, one % count
-        middle = min(int(quantile * sizes[one]), sizes[one] - 1)
-        distances[border] = np.sort(ordered[starts[one] : starts[one + 1]])[middle]
-    return borders, distances, sizes[present]

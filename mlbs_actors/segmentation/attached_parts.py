@@ -92,7 +92,13 @@ class _Layer:
     usual: float = 0.0
 
 
-def find_parts(state: PartsState, labels: Array, frame_index: int, live: Collection[int]) -> PartsState:
+def find_parts(
+    state: PartsState,
+    labels: Array,
+    frame_index: int,
+    live: Collection[int],
+    apart: Collection[tuple[int, int]] = frozenset(),
+) -> PartsState:
     """Decide which layers of a label map are parts of which others.
 
     Parameters
@@ -104,6 +110,8 @@ def find_parts(state: PartsState, labels: Array, frame_index: int, live: Collect
     frame_index : int
     live : collection of int
         Layers of one object each that are not retired.
+    apart : collection of (int, int)
+        Pairs of layers, the lower one first, that are two things.
 
     Returns
     -------
@@ -120,6 +128,8 @@ def find_parts(state: PartsState, labels: Array, frame_index: int, live: Collect
     layers |= new
     for layer in present:
         own = layers[layer]
+        if own.part_of and _pair(layer, own.part_of) in apart:
+            own.part_of = 0
         if own.part_of:
             contact = sum(
                 share
@@ -135,7 +145,8 @@ def find_parts(state: PartsState, labels: Array, frame_index: int, live: Collect
             for other, share in _contacts(coarse, layer, present).items():
                 whole = layers[other].part_of or other
                 older = (layers[other].appeared, -areas[other]) < (own.appeared, -areas[layer])
-                if older and whole != layer and areas[layer] <= _LARGEST_PART * areas[other]:
+                two = _pair(layer, other) in apart or _pair(layer, whole) in apart
+                if older and not two and whole != layer and areas[layer] <= _LARGEST_PART * areas[other]:
                     contacts[whole] = contacts.get(whole, 0.0) + share
             best = max(contacts, key=lambda one: contacts[one], default=0)
             if best and contacts[best] >= (_LEAST_CONTACT if layer in new else _WIDE_CONTACT):
@@ -152,6 +163,10 @@ def find_parts(state: PartsState, labels: Array, frame_index: int, live: Collect
         np.array([one.apart for _, one in ordered], np.int64),
         np.array([one.usual for _, one in ordered]),
     )
+
+
+def _pair(one: int, other: int) -> tuple[int, int]:
+    return min(one, other), max(one, other)
 
 
 def _is_the_rest(part: int, layers: Mapping[int, _Layer], areas: Array, present: Collection[int]) -> bool:

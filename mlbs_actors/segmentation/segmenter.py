@@ -146,7 +146,9 @@ class Segmenter:
             members = [posteriors[0], *(posteriors[1 + position] for position in group.members)]
             summaries += self._label_group(group.box, members, evidence, scene, result, stage_ms)
         live = {one.layer for one in evidence.tracks if one.kind == "object"}
-        parts = find_parts(self.state.parts, result.labels, evidence.frame_index, live)
+        parts = find_parts(
+            self.state.parts, result.labels, evidence.frame_index, live, frozenset(evidence.apart)
+        )
         part_of = parts.objects()
         layers = tuple(
             replace(

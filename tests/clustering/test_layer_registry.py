@@ -58,8 +58,9 @@ class Stream:
         *,
         published: tuple[int, ...] = (),
         at_once: bool = False,
+        another_thing: str | None = None,
     ) -> set[int]:
-        """One frame; returns the layers that are live in it."""
+        """One frame, in which a name may turn out to be no part; returns the layers that are live in it."""
         self.frame_index += 1
         fresh = max([self.registry.state.next_layer, *self.labels.values()]) + 1
         given, names = [], list(things)
@@ -87,8 +88,9 @@ class Stream:
             published,
         )
         probation = 0 if at_once else self.config.probation_frames
-        labels = self.registry.promote(labels, self.frame_index, probation)
         starts = np.cumsum([0, *counts])
+        parted = [int(labels[starts[names.index(another_thing)]])] if another_thing else []
+        labels = self.registry.promote(labels, self.frame_index, probation, parted)
         self.labels = {name: int(labels[start]) for name, start in zip(names, starts, strict=False)}
         for name, start, count in zip(names, starts, counts, strict=False):
             assert set(labels[start : start + count].tolist()) == {self.labels[name]}
@@ -119,6 +121,17 @@ def test_a_cluster_becomes_a_layer_only_after_its_probation() -> None:
         assert stream.layer_of("car") is None
     assert stream.see({"car": Thing()}) == {1}
     assert stream.layer_of("car") == 1
+
+
+def test_what_is_known_to_be_no_part_of_the_object_it_was_split_off_has_the_probation_of_any_other() -> None:
+    stream = Stream()
+    stream.see({"man": Thing()}, at_once=True)
+    parted = {"man": Thing(), "dog": Thing(place=(120.0, 100.0), colour=BLUE, part_of="man")}
+    assert stream.see(parted, another_thing="dog") == {1}
+    for _ in range(CONFIG.probation_frames - 1):
+        assert stream.see(parted) == {1}
+    assert stream.see(parted) == {1, 2}
+    assert stream.layer_of("dog") == 2
 
 
 def test_what_falls_off_an_object_is_a_part_of_it_until_its_longer_probation_ends() -> None:

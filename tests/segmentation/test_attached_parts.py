@@ -44,6 +44,15 @@ def test_what_appears_elsewhere_is_none() -> None:
     assert follow(picture(BODY), picture(BODY, (2, 250, 100, 265, 140))) == [{}, {}]
 
 
+def test_what_is_known_to_be_another_thing_is_no_part_however_it_touches() -> None:
+    state = find_parts(PartsState.empty(), picture(BODY), 0, (1, 2))
+    two = find_parts(state, picture(BODY, LIMB), 1, (1, 2), {(1, 2)})
+    assert two.objects() == {}
+    one = find_parts(state, picture(BODY, LIMB), 1, (1, 2))
+    assert one.objects() == {2: 1}
+    assert find_parts(one, picture(BODY, LIMB), 2, (1, 2), {(1, 2)}).objects() == {}
+
+
 def test_something_nearly_as_large_is_another_object() -> None:
     assert follow(picture(BODY), picture(BODY, (2, 160, 70, 210, 140))) == [{}, {}]
 
