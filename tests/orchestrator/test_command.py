@@ -706,7 +706,7 @@ def test_away_from_a_terminal_a_run_prints_lines_for_people(video_runs: VideoRun
     first, *_, last = video_runs.whole.stdout.splitlines()
     assert first.startswith("street [1]: starting")
     assert last == "street [1]: done, 8 frames"
-    assert "1 file, 8 frames: probably a few seconds " in video_runs.whole.stderr.partition("complete")[0]
+    assert "1 file, 8 frames: up to 1 second once running" in video_runs.whole.stderr.partition("complete")[0]
 
 
 @pytest.mark.ray
