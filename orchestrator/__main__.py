@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
-import signal
 import sys
 from collections.abc import Sequence
 
 from orchestrator.command_options import command_parser
+from orchestrator.early_signals import exit_on_signals
 
 __all__ = ["main"]
 
@@ -18,10 +18,7 @@ _NEEDED = ("cv2", "av", "filelock", "jinja2", "PIL", "pyarrow", "pycocotools", "
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status (see ``--help``)."""
-    # Until the run has its own handlers, a signal unwinds the stack, so that a Ray that is just starting
-    # is ended too.
-    signal.signal(signal.SIGTERM, _exit)
-    signal.signal(signal.SIGINT, _exit)
+    exit_on_signals()
     given = sys.argv[1:] if argv is None else argv
     if not {"-h", "--help"}.isdisjoint(given):  # also where nothing is installed yet
         command_parser().print_help()
@@ -41,10 +38,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     with ending_quietly():
         return run_command(given)
-
-
-def _exit(number: int, frame: object) -> None:
-    sys.exit(128 + number)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError, MlbsError
+from orchestrator.early_signals import exit_if_signalled
 from orchestrator.module_path import PACKAGE_ROOT
 from orchestrator.ray_head import ray_head
 
@@ -182,13 +183,16 @@ def ray_session(address: str | None, scratch: Path, metrics_port: int | None = N
                     "_temp_dir": str(scratch),
                     "_metrics_export_port": metrics_port,
                 }
+                exit_if_signalled()
                 joined = session.enter_context(ray_head(scratch, options))
             else:
                 _refuse_unreachable(address)
                 joined = address
+            exit_if_signalled()
             session.callback(_shut_down)
             with _unchanged_handler(), _folder_for_processes():
                 ray.init(address=joined, log_to_driver=False, logging_level=logging.ERROR)
+            exit_if_signalled()
         except Exception as error:
             raise _start_failure(address, error) from error
         if address is not None:
@@ -210,7 +214,9 @@ def _unchanged_handler() -> Iterator[None]:
     handler = signal.getsignal(signal.SIGTERM)
     try:
         yield
-    except SystemExit:
+    except SystemExit as end:
+        if end.code != signal.SIGTERM:  # that of Ray's handler
+            raise
         raise SystemExit(128 + signal.SIGTERM) from None
     finally:
         signal.signal(signal.SIGTERM, handler)

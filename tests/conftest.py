@@ -27,12 +27,15 @@ settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
 
 
+@pytest.hookimpl(tryfirst=True)  # pytest-xdist reads the marks in its own hook
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Leave all tests of what takes seconds to make to one process, so that it is made once."""
     for item in items:
-        for shared in ("ray_session", "finished_run", "clip"):
+        for shared in ("ray_session", "finished_run", "video_runs", "clip"):
             if isinstance(item, pytest.Function) and shared in item.fixturenames:
-                item.add_marker(pytest.mark.xdist_group(shared))
+                # The cases on Ray ask for its session while they run; their mark says where.
+                group = "ray" if shared == "ray_session" else shared
+                item.add_marker(pytest.mark.xdist_group(group))
 
 
 @pytest.fixture(scope="session")

@@ -20,9 +20,8 @@ _CPU_MS = (
     (3840 * 2160, 273.9, 490.7),
 )
 
-#: Units of time, s, and what is not worth a range, s.
+#: Units of time, s.
 _UNITS = (("hour", 3600), ("minute", 60), ("second", 1))
-_FEW_SECONDS = 10
 
 #: How much slower a machine may be than the one measured, whose cores others use too.
 _SLOWER = 2.0
@@ -52,8 +51,8 @@ def words_on_expected_time(
     least, most = expected_seconds(known, cores, max_frames, max_side)
     of = count_of(len(known), "file") + (" of known length" if len(known) < len(contents) else "")
     return (
-        f"{of}, {frames:,} {'frame' if frames == 1 else 'frames'}: probably {_range(least, most)} from the "
-        "first frame, by the rates of other machines."
+        f"{of}, {frames:,} {'frame' if frames == 1 else 'frames'}: {_range(least, most)} once running "
+        "(an estimate from other machines)."
     )
 
 
@@ -93,8 +92,6 @@ def _cpu_ms(pixels: float) -> tuple[float, float]:
 
 def _range(least: float, most: float) -> str:
     """Write a range of times in one unit."""
-    if most < _FEW_SECONDS:
-        return "a few seconds"
-    unit, seconds = next(one for one in _UNITS if most >= 2 * one[1])
+    unit, seconds = next((one for one in _UNITS if most >= 2 * one[1]), _UNITS[-1])
     low, high = math.floor(least / seconds), math.ceil(most / seconds)
-    return f"{low} to {count_of(high, unit)}" if low else f"up to {count_of(high, unit)}"
+    return f"about {low} to {count_of(high, unit)}" if low else f"up to {count_of(high, unit)}"

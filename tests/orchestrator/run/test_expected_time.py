@@ -31,11 +31,12 @@ def test_the_time_grows_with_the_size_that_is_processed() -> None:
 @pytest.mark.parametrize(
     ("contents", "max_frames", "words"),
     [
-        ([VGA], 20, "1 file, 20 frames: probably a few seconds from"),
-        ([VGA] * 3, None, "3 files, 3,000 frames: probably up to 4 minutes from"),
-        ([VGA] * 3, 1, "3 files, 3 frames: probably a few seconds from"),
-        ([VGA] * 30, None, "30 files, 30,000 frames: probably 7 to 38 minutes from"),
-        ([SourceContent(), VGA], None, "1 file of known length, 1,000 frames: probably"),
+        ([VGA], 20, "1 file, 20 frames: up to 2 seconds once running (an estimate from other machines)."),
+        ([VGA], 120, "1 file, 120 frames: about 1 to 10 seconds once running (an"),
+        ([VGA] * 3, None, "3 files, 3,000 frames: up to 4 minutes once running (an"),
+        ([VGA] * 3, 1, "3 files, 3 frames: up to 1 second once running (an"),
+        ([VGA] * 30, None, "30 files, 30,000 frames: about 7 to 38 minutes once running (an"),
+        ([SourceContent(), VGA], None, "1 file of known length, 1,000 frames: about"),
         ([SourceContent(fault="It is gone.")], None, None),
         ([], None, None),
     ],
