@@ -9,8 +9,10 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import sys
+import threading
 from collections.abc import Iterator
 from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from time import perf_counter
 
 import cv2
@@ -109,11 +111,26 @@ def _warm_layer_and_cut() -> None:
 def _label_small_scene() -> None:
     from mlbs_actors.subtractor import MultilayerSubtractor
 
-    logging.getLogger(MultilayerSubtractor.__module__).setLevel(logging.ERROR)  # it would advise to do this
     subtractor = MultilayerSubtractor()
-    for frame in _small_scene():
-        subtractor.apply(frame)
+    with _held_back(logging.getLogger(MultilayerSubtractor.__module__)):  # it would advise to do this
+        for frame in _small_scene():
+            subtractor.apply(frame)
     _focus_on_crowd()
+
+
+@contextmanager
+def _held_back(log: logging.Logger) -> Iterator[None]:
+    """Drop what this thread logs there; what others log, and what is logged later, is nothing to us."""
+    ours = threading.get_ident()
+
+    def from_elsewhere(record: logging.LogRecord) -> bool:
+        return record.thread != ours
+
+    log.addFilter(from_elsewhere)
+    try:
+        yield
+    finally:
+        log.removeFilter(from_elsewhere)
 
 
 def _small_scene(frames: int = 7) -> Iterator[Array]:
