@@ -318,7 +318,7 @@ class IdentityConfig(_Section):
     )
     step_slope: float = Field(1.8, ge=0, description="Log-likelihood ratio for each e-fold more, nats.")
     free_gap: float = Field(
-        0.5, ge=0, description="Gap between a part and its object that says nothing, × the object's size."
+        0.5, ge=0, description="Gap between a part and the rest that says nothing, × the larger one's size."
     )
     gap_slope: float = Field(5.0, ge=0, description="Log-likelihood ratio for each size more, nats.")
     most_evidence: float = Field(3.0, gt=0, description="Most evidence of one clustering, nats.")

@@ -4,7 +4,8 @@ Differs from the paper, whose affinities only attract. A limb bends and turns ag
 changes hardly faster across the joint than inside the limb. Between two objects it changes in a step, however
 small: between two cars, say, one of which slowly overtakes the other. What tells two things from one is
 therefore the motion distance across their border *relative to* the one inside them, a ratio without a unit.
-The other evidence is the gap between a part and its object: no limb is farther away than its body is large.
+The other evidence is the gap between a part and the rest of its object: no limb is farther from its body than
+that is large.
 
 Both likelihood ratios were measured (docs/experiments/identity.md). They are gathered clustering by
 clustering and fade, so that labels once held apart can still become one.
@@ -120,9 +121,12 @@ class Repulsion:
                 ratio = max(step, np.finfo(np.float32).tiny) / (settings.step_ratio * bending)
                 evidence[int(known[one]), int(known[other])] = settings.step_slope * math.log(ratio)
         for label, origin in origins.items():
-            two = np.flatnonzero(np.isin(known, (label, origin)))
-            if two.size == 2:
-                gap = _relative_gap(positions[classes == two[0]], positions[classes == two[1]])
+            if label in known and origin in known:
+                rest = [
+                    origin,
+                    *(part for part, whole in origins.items() if whole == origin and part != label),
+                ]
+                gap = _relative_gap(positions[labels == label], positions[np.isin(labels, rest)])
                 far = settings.gap_slope * max(gap - settings.free_gap, 0.0)
                 pair = min(label, origin), max(label, origin)
                 evidence[pair] = evidence.get(pair, 0.0) + far
@@ -137,9 +141,9 @@ class Repulsion:
         return Repulsion(pairs, np.array([odds[one, other] for one, other in pairs.tolist()]))
 
 
-def _relative_gap(first: Array, second: Array) -> float:
+def _relative_gap(part: Array, rest: Array) -> float:
     """Return the gap between the boxes of two sets of positions, × the root of the larger one's area."""
-    larger = first if len(first) > len(second) else second
-    apart = np.maximum(first.min(axis=0) - second.max(axis=0), second.min(axis=0) - first.max(axis=0))
+    larger = part if len(part) > len(rest) else rest
+    apart = np.maximum(part.min(axis=0) - rest.max(axis=0), rest.min(axis=0) - part.max(axis=0))
     sides = np.maximum(larger.max(axis=0) - larger.min(axis=0), 1.0)
     return float(np.hypot(*np.maximum(apart, 0.0)) / np.sqrt(sides[0] * sides[1]))

@@ -61,6 +61,19 @@ def test_a_part_that_is_farther_away_than_its_object_is_large_is_another_thing()
     assert away == pytest.approx(IDENTITY.weight * min(IDENTITY.gap_slope * 0.9, IDENTITY.most_evidence))
 
 
+def test_the_gap_is_to_the_nearest_of_all_parts_of_the_object() -> None:
+    # A hand, far from the body, whose arm was split off before.
+    labels, origins = np.repeat([2, 3, 5], SIDE), {3: 2, 5: 2}
+    positions = np.zeros((3 * SIDE, 2), np.float32)
+    positions[:, 0] = np.tile(np.linspace(0, 50, SIDE), 3)
+    positions[:, 1] = np.concatenate([np.linspace(0, 50, SIDE), np.full(SIDE, 120), np.full(SIDE, 190)])
+    graph = graph_of([(0, 1, 1.0)], 3 * SIDE)
+    alone = Repulsion.empty().gathered(graph, labels, positions, {5: 2}, CONFIG)
+    with_arm = Repulsion.empty().gathered(graph, labels, positions, origins, CONFIG)
+    assert alone.between(2, 5) > 0
+    assert 0 <= with_arm.between(2, 5) < alone.between(2, 5)
+
+
 def test_few_edges_are_no_evidence() -> None:
     labels, edges = np.repeat([2, 5], SIDE), [(i, SIDE + i, 1000.0) for i in range(4)]
     nothing = Repulsion.empty().gathered(
