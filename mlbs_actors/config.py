@@ -24,6 +24,7 @@ __all__ = [
     "Config",
     "FlowConfig",
     "GridConfig",
+    "IdentityConfig",
     "LayersConfig",
     "MotionConfig",
     "PosteriorConfig",

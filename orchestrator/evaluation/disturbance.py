@@ -108,7 +108,6 @@ LIMITS = (
     "layers.spared_clusterings",
     "layers.speed_frames",
     "layers.least_border",
-    "identity.inner_quantile",
     "identity.least_inner",
     "identity.step_slope",
     "identity.free_gap",
