@@ -243,7 +243,7 @@ class Cluster:
         """Tell Ray's autoscaler how many streams there should be room for; it remembers that."""
         if streams != self._demanded:
             self._demanded = streams
-            # By whole CPUs: Ray 2.51 takes whole numbers only.
+            # By whole CPUs: Ray takes whole numbers only.
             a_cpu = {"CPU": 1, "memory": round(self._share.memory / self._share.cpus)}
             request_resources(bundles=[a_cpu] * ceil(streams * self._share.cpus))
 
