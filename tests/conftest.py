@@ -31,7 +31,7 @@ settings.load_profile("untimed")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Leave all tests of what takes seconds to make to one process, so that it is made once."""
     for item in items:
-        for shared in ("ray_session", "finished_run", "video_runs", "clip"):
+        for shared in ("ray_session", "finished_run", "video_run", "clip"):
             if isinstance(item, pytest.Function) and shared in item.fixturenames:
                 # The cases on Ray ask for its session while they run; their mark says where.
                 group = "ray" if shared == "ray_session" else shared

@@ -18,7 +18,9 @@ FRAMES = 12
 SETTLED = 8
 
 
-@pytest.mark.parametrize(("width", "height"), [(854, 480), (1280, 720), (480, 854)])
+@pytest.mark.parametrize(
+    ("width", "height"), [(854, 480), pytest.param(1280, 720, marks=pytest.mark.long), (480, 854)]
+)
 def test_each_mover_gets_a_good_mask_and_a_lasting_label_and_the_ground_none(width: int, height: int) -> None:
     video = scene("street", seed=1, width=width, height=height)
     subtractor = MultilayerSubtractor()
@@ -46,6 +48,7 @@ def textured(generator: np.random.Generator, height: int, width: int) -> Array:
     return np.clip(values, 0, 255).astype(np.uint8)
 
 
+@pytest.mark.long
 def test_small_things_in_a_large_picture_are_found() -> None:
     """As from a drone: 56×32 px in 1920×1080."""
     frames, (width, height) = 30, (1920, 1080)

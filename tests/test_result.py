@@ -121,7 +121,7 @@ def test_ids_are_born_once_may_be_absent_and_end_once() -> None:
     assert not known
 
 
-@pytest.mark.parametrize("lookahead", [0, 3])
+@pytest.mark.parametrize("lookahead", [pytest.param(0, marks=pytest.mark.long), 3])
 def test_an_object_that_leaves_is_absent_and_then_ends(lookahead: int) -> None:
     config = load_config(None, [f"layers.lookahead={lookahead}", "layers.dormant_frames=5"])
     video = scene("leave", frames=80, width=240, height=180)
@@ -134,7 +134,7 @@ def test_an_object_that_leaves_is_absent_and_then_ends(lookahead: int) -> None:
     assert all(leaver in one.absent for one in results[last_seen + 1 : end])
 
 
-@pytest.mark.parametrize("lookahead", [0, 20])
+@pytest.mark.parametrize("lookahead", [pytest.param(0, marks=pytest.mark.long), 20])
 def test_an_object_that_comes_out_from_where_it_hid_has_not_ended(lookahead: int) -> None:
     video = scene("hidden", frames=110, width=240, height=180)
     pictures = [video.frame(index) for index in (*range(42), *range(40, 20, -1))]  # and back again
@@ -179,7 +179,7 @@ def test_a_change_of_size_ends_all_objects() -> None:
     assert {layer for one in results[:10] for layer in shown(one)} == set(ended(results))
 
 
-@pytest.mark.parametrize("name", ["walker", "hidden", "crowd"])
+@pytest.mark.parametrize("name", ["walker", "hidden", pytest.param("crowd", marks=pytest.mark.long)])
 def test_events_agree_with_the_label_maps_where_parts_and_hidden_objects_come_and_go(name: str) -> None:
     video = scene(name, frames=90, width=240, height=180)
     blank = np.zeros((180, 240, 3), np.uint8)

@@ -207,7 +207,9 @@ def test_a_walker_before_a_still_camera_is_found() -> None:
     assert np.mean(found) > 0.4
 
 
-@pytest.mark.parametrize(("name", "frames"), [("walker", 60), ("rest", 240)])
+@pytest.mark.parametrize(
+    ("name", "frames"), [("walker", 60), pytest.param("rest", 240, marks=pytest.mark.long)]
+)
 def test_a_walker_and_a_car_that_rests_keep_one_id(name: str, frames: int) -> None:
     video = scene(name, frames=frames, width=240, height=180)
     results = run(pictures_of(video, frames))

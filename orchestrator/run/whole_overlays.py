@@ -10,7 +10,6 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from orchestrator.events.zones import Zone
-from orchestrator.export.overlay import draw_overlay
 from orchestrator.run.job import Job
 from orchestrator.run.run_folder import RunFolder
 from orchestrator.run.stream_state import StreamState, has_ended
@@ -66,6 +65,9 @@ def make_whole(folder: Path, source: str, say: Callable[[str], None], zones: Seq
     zones : sequence of Zone
         Drawn over every frame.
     """
+    # Imported here, because it imports the engine, which the driver needs for nothing else.
+    from orchestrator.export.overlay import draw_overlay
+
     say(f"Drawing the overlay of {folder.name} anew, in one piece.")
     draft = folder / _DRAFT
     try:

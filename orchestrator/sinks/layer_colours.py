@@ -7,10 +7,10 @@ dark rim.
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
-
-from mlbs_actors.messages import Array
 
 __all__ = ["COLOURS", "layer_colour"]
 
@@ -22,12 +22,13 @@ _LEAST_CHROMA = 38.0  # less looks grey
 _LEVELS = 9  # of red, green and blue among which the colours are chosen
 
 
-def _distinct_colours() -> Array:
+@cache
+def _distinct_colours() -> list[tuple[int, int, int]]:
     """Choose light colours one by one, each as far from those before it as it can be (L*a*b* distance).
 
     Returns
     -------
-    (COLOURS, 3) uint8, BGR
+    list of COLOURS (blue, green, red), in [0, 255]
     """
     levels = np.linspace(0, 255, _LEVELS).round().astype(np.uint8)
     candidates = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(1, -1, 3)
@@ -40,14 +41,9 @@ def _distinct_colours() -> Array:
     while len(chosen) < COLOURS:
         distance = np.minimum(distance, np.linalg.norm(lab - lab[chosen[-1]], axis=1))
         chosen.append(int(distance.argmax()))
-    colours: Array = candidates[chosen]
-    return colours
-
-
-_DISTINCT = _distinct_colours().tolist()
+    return [(blue, green, red) for blue, green, red in candidates[chosen].tolist()]
 
 
 def layer_colour(layer: int) -> tuple[int, int, int]:
     """Return the colour of a layer id, BGR."""
-    blue, green, red = _DISTINCT[(layer - 1) % COLOURS]
-    return blue, green, red
+    return _distinct_colours()[(layer - 1) % COLOURS]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from mlbs_actors.messages import LayerSummary, Region
@@ -85,9 +86,10 @@ def read_table(folder: Path, name: _Table, begin: int = 0) -> pa.Table:
     """
     commits = [commit for commit in read_commits(folder) if commit.last >= begin]
     parts = [_part_of(folder, name, commit) for commit in commits]
-    rows = [("frame", ">=", begin)] if begin else None
-    tables = [pq.read_table(part, filters=rows) for part in parts if part.exists()]
-    return pa.concat_tables(tables) if tables else pa.table({})
+    # Not by pq.read_table, which imports pandas, if it is there: as long as all the rest of a report.
+    tables = [pq.ParquetFile(part).read() for part in parts if part.exists()]
+    table = pa.concat_tables(tables) if tables else pa.table({})
+    return table.filter(pc.greater_equal(table["frame"], begin)) if tables and begin else table
 
 
 def read_rows(folder: Path, begin: int = 0, end: float = math.inf) -> Iterator[FrameRow]:

@@ -25,7 +25,6 @@ from actor_fakes import (
     crowd,
     is_running,
     on_ray,
-    on_threads_and_ray,
     picture,
     rows,
     rows_in_one_process,
@@ -337,6 +336,7 @@ def test_a_lost_process_fails_its_stream_alone_and_what_was_labelled_before_stay
     assert node.census().busy == 0
 
 
+@pytest.mark.long
 @on_ray
 def test_a_stream_whose_segmenter_dies_before_it_begins_says_so(
     own_node: Node, parts: FakeParts, tmp_path: Path
@@ -515,7 +515,6 @@ def engine_node(host: str) -> Iterator[Node]:
     node.close()
 
 
-@on_threads_and_ray
 def test_the_engine_gives_the_same_label_maps_as_actors_and_in_one_process(
     engine_node: Node, tmp_path: Path
 ) -> None:
@@ -568,6 +567,7 @@ def test_a_change_of_size_gives_the_same_label_maps_as_actors_and_in_one_process
     assert len({layer.layer for result in results for layer in result.layers}) >= 3
 
 
+@pytest.mark.long
 def test_a_warmed_process_loads_no_kernel_when_frames_come(tmp_path: Path) -> None:
     program = Path(__file__).parents[1] / "fakes/warmed_processes.py"
     for warmed in ("stream", "layer"):

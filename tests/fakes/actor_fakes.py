@@ -49,11 +49,8 @@ from mlbs_actors.messages import (
 
 #: Marks of a test, or of a case, that starts or uses the session of Ray: all are left to one process.
 ON_RAY = (pytest.mark.ray, pytest.mark.xdist_group("ray"))
-#: For tests of the actors on Ray alone, and on both hosts among the short tests, too.
+#: For tests of the actors on Ray alone.
 on_ray = pytest.mark.parametrize("host", [pytest.param("ray", marks=ON_RAY)], indirect=True)
-on_threads_and_ray = pytest.mark.parametrize(
-    "host", ["threads", pytest.param("ray", marks=ON_RAY)], indirect=True
-)
 
 SHAPE = (24, 40)
 #: Where a frame says that a part dies: value 1 at this (row, column); for a layer its id.

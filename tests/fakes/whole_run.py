@@ -16,6 +16,9 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 #: Frames of each stream of the shared run, their size in px, and the frame of ``folder`` that is no image.
 FRAMES, SIZE, DAMAGED = 12, (160, 120), 4
 
+#: Names of modules that a run imports, of packages and of Python itself.
+PLANTED = ("av", "cv2", "yaml", "queue", "select", "secrets")
+
 #: A password in the shared run's list, which nothing that the run writes may contain.
 SECRET = "hunter2"
 
@@ -27,7 +30,8 @@ class FinishedRun:
     Attributes
     ----------
     sources : Path
-        Folder of the list and of the files that it names.
+        Folder of the list and of the files that it names, where the command was given. It has modules with
+        the names ``PLANTED``, which leave a file ``NAME.was-run`` when they are imported.
     output : Path
         Folder of the record.
     exit_status : int
@@ -41,11 +45,13 @@ class FinishedRun:
     stderr: str
 
 
-def run_whole(*arguments: str | Path, timeout: float = 200) -> subprocess.CompletedProcess[str]:
-    """Run the command to its end, in the repository's folder."""
+def run_whole(
+    *arguments: str | Path, folder: Path = REPOSITORY, timeout: float = 400
+) -> subprocess.CompletedProcess[str]:
+    """Run the command to its end, in a folder."""
     return subprocess.run(
         [sys.executable, "-m", "orchestrator", *map(str, arguments)],
-        cwd=REPOSITORY,
+        cwd=folder,
         capture_output=True,
         text=True,
         timeout=timeout,
@@ -71,10 +77,14 @@ def run_mixed_sources(folder: Path) -> FinishedRun:
         "gone none.mp4\n"
         f"door rtsp://bob:{SECRET}@127.0.0.1:9/door\n"
     )
+    for name in PLANTED:
+        mark = repr(str(folder / f"{name}.was-run"))
+        (folder / f"{name}.py").write_text(f"open({mark}, 'w').close()\n")
     output = folder / "out"
     ended = run_whole(
         *("--streams", folder / "list.txt", "--output", output, "--give-up-after", "5"),
         *("--log", "json"),
         *("--save", "masks,parquet,overlay,background,cutouts"),
+        folder=folder,
     )
     return FinishedRun(folder, output, ended.returncode, ended.stdout, ended.stderr)

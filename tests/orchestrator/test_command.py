@@ -186,7 +186,7 @@ def test_a_bad_list_or_configuration_ends_with_status_2_and_leaves_no_trace(
     assert not output.exists()
 
 
-@pytest.mark.parametrize("listed", [True, False])
+@pytest.mark.parametrize("listed", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_files_that_are_no_videos_are_refused_before_ray_starts(tmp_path: Path, listed: bool) -> None:
     false = tmp_path / "false.mp4"
     false.write_text("no video")
@@ -397,7 +397,9 @@ def test_a_ray_that_does_not_run_on_this_machine_is_told_so(
         ray_session.ray_session("auto", tmp_path).__enter__()
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere.invalid:6379"])
+@pytest.mark.parametrize(
+    "address", ["127.0.0.1:9", pytest.param("nowhere.invalid:6379", marks=pytest.mark.long)]
+)
 def test_a_cluster_that_cannot_be_reached_ends_with_status_2_soon(tmp_path: Path, address: str) -> None:
     path, output = stream_list(tmp_path, "synthetic:demo"), tmp_path / "out"
     started = time.monotonic()
@@ -568,6 +570,7 @@ print(theirs, os.nice(0))
 """
 
 
+@pytest.mark.long
 @pytest.mark.ray
 def test_processes_of_a_session_of_our_own_are_as_nice_as_the_command() -> None:
     ended = subprocess.run(
@@ -622,31 +625,31 @@ def test_a_run_says_what_is_wrong_with_which_line_and_where_its_results_are(
     assert "Traceback" not in everything
 
 
-#: Names of modules that a run imports, of packages and of Python itself.
-_PLANTED = ("av", "cv2", "yaml", "queue", "select", "secrets")
+@pytest.mark.ray
+def test_nothing_of_the_folder_in_which_the_command_is_given_is_run(finished_run: FinishedRun) -> None:
+    assert not list(finished_run.sources.glob("*.was-run"))
 
 
 @dataclass(frozen=True, slots=True)
-class VideoRuns:
-    """Two runs over a video named as an argument, from its folder, where files have names of modules.
+class VideoRun:
+    """A run over a video named as an argument, from its folder.
 
     Attributes
     ----------
     folder : Path
         Of the video.
-    whole : subprocess.CompletedProcess
-        The first run.
-    unread : subprocess.CompletedProcess
-        The second one, whose output is read to the end of its first line.
+    words : tuple of str
+        The command.
+    ended : subprocess.CompletedProcess
     """
 
     folder: Path
-    whole: subprocess.CompletedProcess[str]
-    unread: subprocess.CompletedProcess[str]
+    words: tuple[str, ...]
+    ended: subprocess.CompletedProcess[str]
 
 
 @pytest.fixture(scope="module")
-def video_runs(tmp_path_factory: pytest.TempPathFactory) -> VideoRuns:
+def video_run(tmp_path_factory: pytest.TempPathFactory) -> VideoRun:
     folder = tmp_path_factory.mktemp("films") / "my clips"
     folder.mkdir()
     writer = cv2.VideoWriter(str(folder / "x.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 25, (160, 120))
@@ -655,72 +658,64 @@ def video_runs(tmp_path_factory: pytest.TempPathFactory) -> VideoRuns:
         writer.write(street.frame(index))
     writer.release()
     (folder / "x.mp4").rename(folder / "street [1].mp4")
-    for name in _PLANTED:
-        mark = repr(str(folder / f"{name}.was-run"))
-        (folder / f"{name}.py").write_text(f"open({mark}, 'w').close()\n")
-    words = [
+    words = (
         *(sys.executable, "-m", "orchestrator", "street [1].mp4"),
         *("--max-frames", "8", "--save", "masks"),
-    ]
-    whole = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=200, check=False)
-    with subprocess.Popen(
-        words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as second:
-        assert second.stdout is not None
-        assert second.stderr is not None
-        first_line = second.stdout.readline()
-        second.stdout.close()
-        stderr = second.stderr.read()
-    unread = subprocess.CompletedProcess(words, second.returncode, first_line, stderr)
-    return VideoRuns(folder, whole, unread)
+    )
+    ended = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=400, check=False)
+    return VideoRun(folder, words, ended)
 
 
+@pytest.mark.long
 @pytest.mark.ray
-def test_a_video_named_as_an_argument_has_its_results_beside_it_and_a_second_run_does_not_touch_them(
-    video_runs: VideoRuns,
+def test_a_video_named_as_an_argument_has_its_results_beside_it_where_the_run_goes_on(
+    video_run: VideoRun,
 ) -> None:
-    first, second = (video_runs.folder / f"street [1]-objects{number}" for number in ("", "-2"))
-    assert video_runs.whole.returncode == 0, video_runs.whole.stderr
-    assert f"Results: {first}\n" in video_runs.whole.stderr
-    assert len(_masks(first / "street [1]")) == 8
-    assert f"Results: {second}\n" in video_runs.unread.stderr
-    assert (second / "run.json").exists()
-    status = (second / "status.json").read_bytes()
+    results = video_run.folder / "street [1]-objects"
+    assert video_run.ended.returncode == 0, video_run.ended.stderr
+    assert f"Results: {results}\n" in video_run.ended.stderr
+    assert len(_masks(results / "street [1]")) == 8
     ended = run_whole(
-        *(video_runs.folder / "street [1].mp4", "--output", first),
+        *(video_run.folder / "street [1].mp4", "--output", results),
         *("--max-frames", "8", "--save", "masks", "--resume"),
     )
     assert "1 stream ended before" in ended.stderr
-    assert f"Results: {first}\n" in ended.stderr
-    assert (second / "status.json").read_bytes() == status
+    assert f"Results: {results}\n" in ended.stderr
 
 
+@pytest.mark.long
 @pytest.mark.ray
-def test_nothing_of_the_folder_in_which_the_command_is_given_is_run(video_runs: VideoRuns) -> None:
-    assert video_runs.whole.returncode == 0, video_runs.whole.stderr
-    assert not list(video_runs.folder.glob("*.was-run"))
-
-
-@pytest.mark.ray
-def test_away_from_a_terminal_a_run_prints_lines_for_people(video_runs: VideoRuns) -> None:
-    first, *_, last = video_runs.whole.stdout.splitlines()
+def test_away_from_a_terminal_a_run_prints_lines_for_people(video_run: VideoRun) -> None:
+    first, *_, last = video_run.ended.stdout.splitlines()
     assert first.startswith("street [1]: starting")
     assert last == "street [1]: done, 8 frames"
-    assert "1 file, 8 frames: up to 1 second once running" in video_runs.whole.stderr.partition("complete")[0]
+    assert "1 file, 8 frames: up to 1 second once running" in video_run.ended.stderr.partition("complete")[0]
 
 
+@pytest.mark.long
 @pytest.mark.ray
 def test_a_run_whose_output_nobody_reads_any_more_ends_quietly_and_says_how_it_goes_on(
-    video_runs: VideoRuns,
+    video_run: VideoRun,
 ) -> None:
-    output = video_runs.folder / "street [1]-objects-2"
-    assert video_runs.unread.returncode == 141, video_runs.unread.stderr
+    first = (video_run.folder / "street [1]-objects/status.json").read_bytes()
+    with subprocess.Popen(
+        video_run.words, cwd=video_run.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        assert run.stdout is not None
+        assert run.stderr is not None
+        run.stdout.readline()
+        run.stdout.close()
+        stderr = run.stderr.read()
+    output = video_run.folder / "street [1]-objects-2"  # a second run does not touch the first one's results
+    assert run.returncode == 141, stderr
     for word in ("Traceback", "BrokenPipe", "second signal"):
-        assert word not in video_runs.unread.stderr
-    assert f"give the same command with --resume --output '{output}'." in video_runs.unread.stderr
+        assert word not in stderr
+    assert f"Results: {output}\n" in stderr
+    assert f"give the same command with --resume --output '{output}'." in stderr
     status = json.loads((output / "status.json").read_text())
     assert status["exit_status"] == 141
     assert status["streams"]["street [1]"]["read"] == status["streams"]["street [1]"]["committed"]
+    assert (video_run.folder / "street [1]-objects/status.json").read_bytes() == first
 
 
 @pytest.mark.ray
@@ -765,7 +760,7 @@ def test_a_signal_whose_exit_python_has_dropped_ends_the_command_before_ray_star
 
 
 @pytest.mark.ray
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
 def test_a_signal_to_its_group_while_ray_starts_ends_the_command_without_a_word(
     tmp_path: Path, number: signal.Signals
 ) -> None:
@@ -803,8 +798,9 @@ def _wait_for(condition: Callable[[], bool], seconds: float) -> None:
         time.sleep(0.1)
 
 
+@pytest.mark.long
 @pytest.mark.ray
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_to_its_group_ends_a_run_cleanly_with_all_that_was_read_committed(
     tmp_path: Path, number: signal.Signals
 ) -> None:

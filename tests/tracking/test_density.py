@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from flow_fakes import dense_flow, flow_gray
 
 from mlbs_actors.config import Config
@@ -52,6 +53,7 @@ def test_room_is_what_a_square_takes_less_all_that_are_in_it() -> None:
         assert room[square] == MOST - inside.count(square)
 
 
+@pytest.mark.long
 def test_trajectories_of_an_object_that_is_watched_for_long_do_not_pile_up() -> None:
     config, shape, side = Config(), (240, 320), 1
     stage = scene("steady-crowd", frames=60, width=shape[1], height=shape[0], objects=1)

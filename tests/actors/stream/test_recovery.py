@@ -449,7 +449,7 @@ def fatal(frames: int, at: int, dies: str) -> list[Array]:
         ("threads", "layer", 37),
         ("threads", "segmenter", 21),
         ("threads", "coordinator", 2),
-        pytest.param("ray", "layer", 37, marks=ON_RAY),
+        pytest.param("ray", "layer", 37, marks=(*ON_RAY, pytest.mark.long)),
         pytest.param("ray", "segmenter", 21, marks=(*ON_RAY, pytest.mark.long)),
         pytest.param("ray", "coordinator", 2, marks=(*ON_RAY, pytest.mark.long)),
     ],

@@ -263,6 +263,7 @@ def test_an_engine_that_fails_on_one_sequence_leaves_the_others_their_figures(
     assert "planted" in printed.err
 
 
+@pytest.mark.long
 def test_the_script_runs_the_engine_in_several_processes(tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     names = [f"synthetic:static-empty?frames=6&width=96&height=72&seed={seed}" for seed in (1, 2)]

@@ -13,7 +13,12 @@ from mlbs_actors.messages import Array
 from orchestrator.sources.scene_scripts import SCRIPTS
 from orchestrator.sources.synthetic import SyntheticScene, scene, scene_from_uri
 
-MOVERS = sorted(SCRIPTS.keys() - {"no-mover", "near-scene", "static-empty"})
+#: One of a kind; those of the other scenes are among the long tests.
+SHORT = ("crowd", "demo", "parallax", "walker")
+SCENES = {
+    name: name if name in SHORT else pytest.param(name, marks=pytest.mark.long) for name in sorted(SCRIPTS)
+}
+MOVERS = [one for name, one in SCENES.items() if name not in ("no-mover", "near-scene", "static-empty")]
 
 
 def source_pixels(flow: Array) -> tuple[Array, Array]:
@@ -47,7 +52,7 @@ def carried_error(made: SyntheticScene, index: int, shift: tuple[float, float]) 
     return error
 
 
-@pytest.mark.parametrize("name", sorted(SCRIPTS))
+@pytest.mark.parametrize("name", SCENES.values())
 def test_the_exact_motion_carries_the_frame_before_onto_the_frame(name: str) -> None:
     made = replace(scene(name, frames=36, seed=1), noise=0.0)
     for index in (1, 21):
@@ -110,7 +115,7 @@ def test_another_seed_gives_another_picture_and_another_name_too() -> None:
     assert not np.array_equal(base, scene("no-mover", frames=2, seed=1).frame(0))
 
 
-@pytest.mark.parametrize("name", sorted(SCRIPTS))
+@pytest.mark.parametrize("name", SCENES.values())
 def test_every_scene_comes_in_every_size_with_its_types(name: str) -> None:
     for width, height in ((160, 120), (214, 120), (64, 49)):
         made = scene(name, frames=3, width=width, height=height)
