@@ -312,7 +312,11 @@ def _obeying(pairs: _Pairs, chosen: Array, *, in_front: bool = False) -> Array |
 
 
 def _obeying_homography(pairs: _Pairs, chosen: Array) -> float:
-    """Return the share of some trajectories (k,) that one homography explains."""
+    """Return the share of some trajectories (k,) that one homography explains.
+
+    By MAGSAC, like the essential matrix. Plain RANSAC stops at a homography that is good enough: it explained
+    73 to 95 % of a plane where there is one for 92 to 100 %, so that the plane had depth.
+    """
     ends, starts = pairs.now[chosen], pairs.before[chosen]
-    matrix, inliers = cv2.findHomography(ends, starts, cv2.RANSAC, PLANE_PX * pairs.scale)
+    matrix, inliers = cv2.findHomography(ends, starts, cv2.USAC_MAGSAC, PLANE_PX * pairs.scale)
     return 0.0 if matrix is None else float(inliers.mean())
