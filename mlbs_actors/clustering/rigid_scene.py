@@ -12,8 +12,9 @@ with a depth for each point. It is fitted to three sets of trajectories, as each
 * *All.* A single label hardly bends it. A young label for which this matrix or the first fails, but not for
   the background, moves by itself, even if it is slower than the background's own parallax.
 * *The background's.* It is well determined only if the background has depth, so that a homography explains
-  clearly less of it. Then what it explains in front of the camera is static, wherever it lies. Of the cars
-  beside a driving camera that keep its pace it says that they are behind infinity.
+  clearly less of it. Then what it explains in front of the camera is static, wherever it lies, unless the
+  matrix of a half of the background fails for it. Of the cars beside a driving camera that keep its pace it
+  says that they are behind infinity.
 
 The focal length is taken to be ``FOCAL`` of the longer side: between 0.7 and 1.8 the outcome is much the
 same.
@@ -155,16 +156,26 @@ def _by_all(
 
 
 def _by_background(pairs: _Pairs, background: Array, fast: set[int], config: LayersConfig) -> set[int]:
-    """Return the labels that are static by the background's own matrix; none if it has no depth."""
+    """Return the labels that are static by the background's own matrix; none if it has no depth.
+
+    Where it has little, many matrices explain it, and which one is found is chance: of a thing that moves by
+    itself one half's explained all, the other half's nothing.
+    """
     if not fast:
         return set()
     flat = _obeying_homography(pairs, background)
     if flat >= 1.0 - config.scene_depth:  # depth cannot explain so much more
         return set()
-    obeys = _obeying(pairs, background, in_front=True)
-    if obeys is None or obeys[background].mean() <= max(config.scene_obeying, flat + config.scene_depth):
-        return set()
-    return {label for label in fast if pairs.share(obeys, label) >= config.scene_obeying}
+    static = set(fast)
+    halves = [(half, config.scene_contradicted) for half in (background[::2], background[1::2])]
+    for fitted, least in ((background, config.scene_obeying), *halves):
+        obeys = _obeying(pairs, fitted, in_front=True)
+        if obeys is None or obeys[background].mean() <= max(config.scene_obeying, flat + config.scene_depth):
+            return set()
+        static = {label for label in static if pairs.share(obeys, label) >= least}
+        if not static:
+            break
+    return static
 
 
 @dataclass(frozen=True, slots=True)
