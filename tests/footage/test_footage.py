@@ -296,6 +296,7 @@ def _creeping(frames: int, speed: float) -> Iterator[Array]:
     return _driven(thing, [100 + max(0, t - 30) * speed for t in range(frames)], rng)
 
 
+@pytest.mark.long
 def test_an_empty_place_is_passed_over_and_what_comes_into_it_is_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -73,6 +73,7 @@ def run(package: Path, step: int, value: int, **environment: str) -> tuple[int, 
     return result, kept, bool(known)
 
 
+@pytest.mark.long
 def test_a_change_of_another_module_reaches_the_functions_that_use_it(package: Path) -> None:
     assert run(package, 2, 10) == (20, 0, False)
     assert run(package, 2, 10) == (20, 1, True)

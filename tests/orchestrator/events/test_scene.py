@@ -86,6 +86,7 @@ def said(folder: Path) -> list[tuple[str, int, str | None]]:
     return [(event["kind"], event["frame"], event["zone"]) for event in events]
 
 
+@pytest.mark.long
 def test_a_walker_goes_once_through_a_zone_of_the_scene_while_the_camera_turns(
     tmp_path: Path, walk: SyntheticScene, pictures: list[Array]
 ) -> None:
@@ -101,6 +102,7 @@ def test_a_walker_goes_once_through_a_zone_of_the_scene_while_the_camera_turns(
     assert max(error(place, place_of(walk, index)) for index, place in enumerate(places)) < 1.0
 
 
+@pytest.mark.long
 def test_a_turning_camera_over_a_scene_at_rest_has_no_object(tmp_path: Path) -> None:
     record = StreamRecord(tmp_path, "yard", frozenset(), rules=RULES)
     made = scene("no-mover", frames=80)

@@ -233,6 +233,7 @@ def _resident_bytes() -> int:
     return pages * resource.getpagesize()
 
 
+@pytest.mark.long
 def test_the_disk_that_half_a_day_takes_is_bounded(tmp_path: Path) -> None:
     found = simulate(tmp_path, hours=12, rate=0.05, keep="1MB", look=60)
     assert max(found["disk"]) < 1e6

@@ -107,6 +107,7 @@ def test_only_an_overlay_that_left_no_trace_is_lost(tmp_path: Path, source: Path
     assert not is_lost(tmp_path / "yard")
 
 
+@pytest.mark.long
 def test_the_command_that_resumes_a_run_leaves_one_overlay(tmp_path: Path, source: Path) -> None:
     (tmp_path / "list.txt").write_text(f"yard {source}\n")
     streams = read_stream_list(tmp_path / "list.txt")
