@@ -179,7 +179,9 @@ def test_a_change_of_size_ends_all_objects() -> None:
     assert {layer for one in results[:10] for layer in shown(one)} == set(ended(results))
 
 
-@pytest.mark.parametrize("name", ["hidden", *(pytest.param(name, marks=pytest.mark.long) for name in ("walker", "crowd"))])
+@pytest.mark.parametrize(
+    "name", ["hidden", *(pytest.param(name, marks=pytest.mark.long) for name in ("walker", "crowd"))]
+)
 def test_events_agree_with_the_label_maps_where_parts_and_hidden_objects_come_and_go(name: str) -> None:
     video = scene(name, frames=90, width=240, height=180)
     blank = np.zeros((180, 240, 3), np.uint8)
