@@ -263,7 +263,10 @@ class LayersConfig(_Section):
         0.75, ge=0, le=1, description="... and depth alone explains this share of it and of the background."
     )
     scene_contradicted: float = Field(
-        0.25, ge=0, le=1, description="If depth explains less of it, and the background, it moves by itself."
+        0.25,
+        ge=0,
+        le=1,
+        description="If depth explains less of it, and the background, it moves by itself; nor is it static.",
     )
     scene_depth: float = Field(
         0.15, ge=0, le=1, description="A background has depth if a plane explains it so much worse."

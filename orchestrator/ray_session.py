@@ -88,7 +88,7 @@ def ray_settings(address: str | None) -> Iterator[Path]:
             # Reporting every call to a dashboard that does not exist costs some per cent of the call.
             "RAY_task_events_report_interval_ms": "0",
             "RAY_event_stats": "0",
-            # Without it Ray 2.54 warns of what it will do to processes that ask for no GPU.
+            # Without it Ray warns of what it will do to processes that ask for no GPU.
             "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
             # Ray sets its processes to niceness 15. Beside such processes one of SCHED_IDLE, which is being
             # prepared, gets a thirteenth of a core, in one piece: frames waited 50 ms.

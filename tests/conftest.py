@@ -45,7 +45,7 @@ def ray_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RaySession
     token.write_text(secrets.token_hex(32))
     with pytest.MonkeyPatch.context() as environment:
         environment.delenv("RAY_ADDRESS", raising=False)
-        environment.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else Ray 2.54 warns
+        environment.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else Ray warns
         environment.setenv("RAY_AUTH_TOKEN_PATH", str(token))
         for folder in ("actors/stream", "actors/node", "actors", "fakes"):  # what processes unpickle
             environment.setenv("PYTHONPATH", str(Path(__file__).parent / folder), prepend=os.pathsep)

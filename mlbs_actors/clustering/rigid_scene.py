@@ -12,9 +12,9 @@ with a depth for each point. It is fitted to three sets of trajectories, as each
 * *All.* A single label hardly bends it. A young label for which this matrix or the first fails, but not for
   the background, moves by itself, even if it is slower than the background's own parallax.
 * *The background's.* It is well determined only if the background has depth, so that a homography explains
-  clearly less of it. Then what it explains in front of the camera is static, wherever it lies, unless the
-  matrix of a half of the background fails for it. Of the cars beside a driving camera that keep its pace it
-  says that they are behind infinity.
+  clearly less of it. Then what it explains in front of the camera is static, wherever it lies, unless a
+  matrix that is fitted to half of the background fails for it. Of the cars beside a driving camera that keep
+  its pace it says that they are behind infinity.
 
 The focal length is taken to be ``FOCAL`` of the longer side: between 0.7 and 1.8 the outcome is much the
 same.
@@ -158,8 +158,10 @@ def _by_all(
 def _by_background(pairs: _Pairs, background: Array, fast: set[int], config: LayersConfig) -> set[int]:
     """Return the labels that are static by the background's own matrix; none if it has no depth.
 
-    Where it has little, many matrices explain it, and which one is found is chance: of a thing that moves by
-    itself one half's explained all, the other half's nothing.
+    If it has little, many matrices explain it, and chance decides which of them is found: of an object that
+    moves by itself, the matrix of one half of the background explained everything, that of the other half
+    nothing. So a matrix is fitted to each half as well. It must explain the background as that of all does,
+    or no label is static, and at least ``scene_contradicted`` of a label, or that label is not.
     """
     if not fast:
         return set()
@@ -325,8 +327,9 @@ def _obeying(pairs: _Pairs, chosen: Array, *, in_front: bool = False) -> Array |
 def _obeying_homography(pairs: _Pairs, chosen: Array) -> float:
     """Return the share of some trajectories (k,) that one homography explains.
 
-    By MAGSAC, like the essential matrix. Plain RANSAC stops at a homography that is good enough: it explained
-    73 to 95 % of a plane where there is one for 92 to 100 %, so that the plane had depth.
+    By MAGSAC, like the essential matrix, but with OpenCV's own limits. Plain RANSAC stops at the first
+    homography that is good enough: of planes that one homography explains to 92 to 100 %, it explained 73 to
+    95 %, so that they were taken to have depth.
     """
     ends, starts = pairs.now[chosen], pairs.before[chosen]
     matrix, inliers = cv2.findHomography(ends, starts, cv2.USAC_MAGSAC, PLANE_PX * pairs.scale)

@@ -86,8 +86,12 @@ def read_table(folder: Path, name: _Table, begin: int = 0) -> pa.Table:
     """
     commits = [commit for commit in read_commits(folder) if commit.last >= begin]
     parts = [_part_of(folder, name, commit) for commit in commits]
-    # Not by pq.read_table, which imports pandas, if it is there: as long as all the rest of a report.
-    tables = [pq.ParquetFile(part).read() for part in parts if part.exists()]
+    tables = []
+    for path in parts:
+        if path.exists():
+            # Not by pq.read_table: where pandas is installed, that imports it, which takes seconds.
+            with pq.ParquetFile(path) as part:
+                tables.append(part.read_row_groups(_groups(part, begin, math.inf)))
     table = pa.concat_tables(tables) if tables else pa.table({})
     return table.filter(pc.greater_equal(table["frame"], begin)) if tables and begin else table
 
@@ -122,22 +126,24 @@ def read_rows(folder: Path, begin: int = 0, end: float = math.inf) -> Iterator[F
 
 
 def _without_times(path: Path, begin: int, end: float) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a part without the columns of stage times, which are half of its columns.
-
-    Groups of rows that are all before ``begin``, or from ``end`` on, are left out.
-    """
+    """Yield the rows of a part without the columns of stage times, which are half of its columns."""
     with pq.ParquetFile(path) as part:
-        names = part.schema_arrow.names
-        columns = [name for name in names if not name.startswith("ms_")]
-        groups = (part.metadata.row_group(number) for number in range(part.num_row_groups))
-        frames = [group.column(names.index("frame")).statistics for group in groups]
-        wanted = [
-            number
-            for number, span in enumerate(frames)
-            if span is None or not span.has_min_max or (span.max >= begin and span.min < end)
-        ]
-        for batch in part.iter_batches(_BATCH_ROWS, row_groups=wanted, columns=columns):
+        columns = [name for name in part.schema_arrow.names if not name.startswith("ms_")]
+        groups = _groups(part, begin, end)
+        for batch in part.iter_batches(_BATCH_ROWS, row_groups=groups, columns=columns):
             yield from batch.to_pylist()
+
+
+def _groups(part: pq.ParquetFile, begin: int, end: float) -> list[int]:
+    """Return the groups of rows that may have frames from ``begin`` to before ``end``."""
+    column = part.schema_arrow.names.index("frame")
+    groups = (part.metadata.row_group(number) for number in range(part.num_row_groups))
+    spans = [group.column(column).statistics for group in groups]
+    return [
+        number
+        for number, span in enumerate(spans)
+        if span is None or not span.has_min_max or (span.max >= begin and span.min < end)
+    ]
 
 
 def _result(frame: dict[str, Any], layers: Sequence[dict[str, Any]]) -> ResultRow:

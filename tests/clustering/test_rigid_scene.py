@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import count
+
 import numpy as np
 import pytest
 
+from mlbs_actors.clustering import rigid_scene
 from mlbs_actors.clustering.rigid_scene import (
     FOCAL,
     Places,
@@ -98,6 +101,23 @@ def test_a_scene_with_depth_tells_static_things_anywhere(camera: Array) -> None:
         for young in ({1}, set()):
             assert judge_by_depth(places, labels, young, set(), SCENE, SHAPE, config) == (static, set())
         assert judge_by_depth(places, labels, set(), {1}, SCENE, SHAPE, config) == (set(), set())
+
+
+@pytest.mark.parametrize("fitted", [1, 2])
+def test_what_the_matrix_of_half_of_the_background_contradicts_is_not_static(
+    fitted: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    places, labels = scene(MIDDLE, STILL, SIDEWAYS)
+    obeying, fits = rigid_scene._obeying, count()
+
+    def one_contradicts(pairs: rigid_scene._Pairs, chosen: Array, *, in_front: bool = False) -> Array | None:
+        obeys = obeying(pairs, chosen, in_front=in_front)
+        assert obeys is not None
+        return obeys & (pairs.labels != 1) if next(fits) == fitted else obeys
+
+    monkeypatch.setattr(rigid_scene, "_obeying", one_contradicts)
+    assert judge_by_depth(places, labels, set(), set(), SCENE, SHAPE, LayersConfig()) == (set(), set())
+    assert next(fits) == fitted + 1
 
 
 def test_what_keeps_pace_with_a_driving_camera_is_behind_infinity() -> None:

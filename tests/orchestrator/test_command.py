@@ -25,7 +25,7 @@ import pytest
 import ray
 from camera_server import PASSWORD, camera, free_port, needs_rtsp_server
 from PIL import Image
-from whole_run import DAMAGED, REPOSITORY, SECRET, FinishedRun, run_whole
+from whole_run import DAMAGED, PLANTED, REPOSITORY, SECRET, FinishedRun, run_whole
 
 from mlbs_actors import __version__
 from mlbs_actors.config import Config
@@ -627,6 +627,8 @@ def test_a_run_says_what_is_wrong_with_which_line_and_where_its_results_are(
 
 @pytest.mark.ray
 def test_nothing_of_the_folder_in_which_the_command_is_given_is_run(finished_run: FinishedRun) -> None:
+    assert (finished_run.output / "report.html").exists(), finished_run.stderr
+    assert all((finished_run.sources / f"{name}.py").exists() for name in PLANTED)
     assert not list(finished_run.sources.glob("*.was-run"))
 
 

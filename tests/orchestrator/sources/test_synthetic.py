@@ -13,7 +13,7 @@ from mlbs_actors.messages import Array
 from orchestrator.sources.scene_scripts import SCRIPTS
 from orchestrator.sources.synthetic import SyntheticScene, scene, scene_from_uri
 
-#: One of a kind; those of the other scenes are among the long tests.
+#: One scene of each kind; the tests of the others are long.
 SHORT = ("crowd", "demo", "parallax", "walker")
 SCENES = {
     name: name if name in SHORT else pytest.param(name, marks=pytest.mark.long) for name in sorted(SCRIPTS)
