@@ -640,13 +640,12 @@ class VideoRun:
     ----------
     folder : Path
         Of the video.
-    words : tuple of str
-        The command.
+    arguments : tuple of str
     ended : subprocess.CompletedProcess
     """
 
     folder: Path
-    words: tuple[str, ...]
+    arguments: tuple[str, ...]
     ended: subprocess.CompletedProcess[str]
 
 
@@ -660,12 +659,8 @@ def video_run(tmp_path_factory: pytest.TempPathFactory) -> VideoRun:
         writer.write(street.frame(index))
     writer.release()
     (folder / "x.mp4").rename(folder / "street [1].mp4")
-    words = (
-        *(sys.executable, "-m", "orchestrator", "street [1].mp4"),
-        *("--max-frames", "8", "--save", "masks"),
-    )
-    ended = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=400, check=False)
-    return VideoRun(folder, words, ended)
+    arguments = ("street [1].mp4", "--max-frames", "8", "--save", "masks")
+    return VideoRun(folder, arguments, run_whole(*arguments, folder=folder))
 
 
 @pytest.mark.long
@@ -700,8 +695,9 @@ def test_a_run_whose_output_nobody_reads_any_more_ends_quietly_and_says_how_it_g
     video_run: VideoRun,
 ) -> None:
     first = (video_run.folder / "street [1]-objects/status.json").read_bytes()
+    words = [sys.executable, "-m", "orchestrator", *video_run.arguments]
     with subprocess.Popen(
-        video_run.words, cwd=video_run.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        words, cwd=video_run.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as run:
         assert run.stdout is not None
         assert run.stderr is not None
