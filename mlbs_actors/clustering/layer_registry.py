@@ -107,7 +107,7 @@ class LayerRegistry:
 
     def parts(self) -> set[int]:
         """Return the labels that were split off an object, or have appeared on one."""
-        return set(self.state.labels[self.state.origins != UNLABELLED].tolist())
+        return set(self.origins())
 
     def origins(self) -> dict[int, int]:
         """Map each label that was split off an object, or has appeared on one, to that object."""
