@@ -16,7 +16,8 @@ PYTHON = """#!/usr/bin/env bash
 case "$*" in
     "-m venv .venv") mkdir -p .venv/bin; cp "$0" .venv/bin/python; cp "$0" .venv/bin/pip ;;
     "-c import sys; print"*) cat version ;;
-    install*) echo begun >>log; echo "$*" >>installed; [[ -f slow ]] && sleep 0.5; echo ended >>log ;;
+    *" install --quiet uv"*) [[ -f without_uv ]] || cp "$0" .venv/bin/uv ;;
+    *"install "*) echo begun >>log; echo "$*" >>installed; [[ -f slow ]] && sleep 0.5; echo ended >>log ;;
     "-m mlbs_actors.warm_up") echo compiled >>log ;;
     "-m orchestrator "*) ls -l /proc/self/fd >>descriptors ;;
 esac
@@ -45,7 +46,7 @@ def begin(folder: Path, *words: str) -> subprocess.Popen[bytes]:
 
 
 def done(folder: Path, *words: str) -> list[str]:
-    """Run the script to its end; return what was installed in this run, a line for each call of pip."""
+    """Run the script to its end; return what was installed in this run, a line for each call."""
     installed = folder / "installed"
     installed.unlink(missing_ok=True)
     running = begin(folder, *words)
@@ -98,6 +99,17 @@ def test_a_python_newer_than_those_tried_gets_the_newest_packages_and_a_sentence
     running = begin(folder)
     assert b"Python 3.14 is newer than what this has been tried with" in running.communicate()[1]
     assert "--constraint" not in (folder / "installed").read_text()
+
+
+def test_pip_installs_where_uv_cannot(folder: Path) -> None:
+    by_uv = done(folder)
+    shutil.rmtree(folder / ".venv")
+    (folder / "without_uv").touch()
+    by_pip = done(folder)
+    assert [line.split(" install ")[0] for line in by_pip] == ["--disable-pip-version-check"] * 2
+    assert [line.split("--constraint")[1] for line in by_pip] == [
+        line.split("--constraint")[1] for line in by_uv
+    ]
 
 
 def test_the_oldest_packages_are_refused_where_none_are_known(folder: Path) -> None:
