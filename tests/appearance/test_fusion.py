@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mlbs_actors.appearance.fusion import RATIO_STEP, fused_costs, with_appearance
-from mlbs_actors.messages import BACKGROUND, COST_STEP, Array, LayerPosterior, Region
+from mlbs_actors.messages import BACKGROUND, COST_STEP, Array, LayerPosterior, Region, readonly
 
 SHAPE = (18, 24)
 WHOLE = Region(0, 0, SHAPE[1], SHAPE[0])
@@ -17,7 +17,7 @@ UNKNOWN, MATCHED, CONTRADICTED = (0, 0), (20, 40), (20, -60)
 
 
 def posterior(layer: int, region: Region, cost: Array, log_ratio: Array, samples: Array) -> LayerPosterior:
-    return LayerPosterior(
+    made = LayerPosterior(
         layer=layer,
         frame_index=0,
         kind="object" if layer else "background",
@@ -30,6 +30,7 @@ def posterior(layer: int, region: Region, cost: Array, log_ratio: Array, samples
         confidence=0.5,
         velocity=np.zeros(2, np.float32),
     )
+    return readonly(made)
 
 
 def random_posteriors(seed: int) -> list[LayerPosterior]:
@@ -152,7 +153,7 @@ def test_a_layer_finds_its_fused_cost_again_from_the_fallback(seed: int) -> None
     posteriors = random_posteriors(seed)
     fused = fused_costs(posteriors, WHOLE, WEIGHT, HALF)
     for one, cost in zip(posteriors, fused.cost, strict=True):
-        others = fused.fallback[one.region.slices]
+        others = np.ascontiguousarray(fused.fallback[one.region.slices])
         own = with_appearance(one.cost, one.log_ratio, one.samples, others, WEIGHT, HALF)
         np.testing.assert_array_equal(own, cost[one.region.slices])
 

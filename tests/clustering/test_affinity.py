@@ -33,10 +33,10 @@ def trajectories(positions: Array, residuals: Array, ages: Array) -> TrajectoryS
     return replace(
         empty_trajectories(TrajectoriesConfig(history_frames=HISTORY)),
         ids=np.arange(count, dtype=np.int64),
-        positions=np.asarray(positions, np.float32),
-        motions=residuals[:, 0],
+        positions=np.ascontiguousarray(positions, np.float32),
+        motions=residuals[:, 0].copy(),
         residuals=residuals,
-        ages=np.asarray(ages, np.int32),
+        ages=np.ascontiguousarray(ages, np.int32),
         evidence=np.zeros(count, np.float32),
         next_id=count,
     )

@@ -87,8 +87,8 @@ def test_a_component_without_a_labelled_node_gets_nothing(walk: str) -> None:
 @pytest.mark.parametrize("weight", [0.0, 1e-30])
 def test_an_edge_of_no_weight_leads_nowhere(weight: float) -> None:
     # Affinities of trajectories that move far apart underflow to 0 but stay in the sparse matrix.
-    rows = np.array([0, 1, 1, 2, 2, 3])
-    columns = np.array([1, 0, 2, 1, 3, 2])
+    rows = np.array([0, 1, 1, 2, 2, 3], np.int32)
+    columns = np.array([1, 0, 2, 1, 3, 2], np.int32)
     weights = np.array([0.5, 0.5, weight, weight, 0.5, 0.5])
     graph = sp.csr_array((weights, (rows, columns)), shape=(4, 4))
     share = propagate_absorbing(graph, np.array([0, -1, -1, -1]), 1)

@@ -49,7 +49,7 @@ def block_graph(sizes: list[int], between: float, seed: int = 0) -> tuple[Array,
     affinity[np.abs(block[:, None] - block[None, :]) == 1] = between
     affinity = np.triu(affinity, 1)
     order = rng.permutation(len(block))
-    return (affinity + affinity.T)[order][:, order], block[order]
+    return (affinity + affinity.T)[np.ix_(order, order)], block[order]
 
 
 def neighbour_graph(points: Array, reach: float) -> Array:

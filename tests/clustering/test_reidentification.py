@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from read_only import read_only
 
 from mlbs_actors.clustering.reidentification import colour_signatures, colours_at
 
@@ -37,4 +38,4 @@ def test_colours_are_those_of_the_nearest_pixels_of_the_frame() -> None:
     frame = rng.integers(0, 256, (20, 30, 3)).astype(np.uint8)
     positions = (rng.random((50, 2)) * [36, 26] - 3).astype(np.float32)
     x, y = np.clip(np.rint(positions).astype(int), 0, [29, 19]).T
-    np.testing.assert_array_equal(colours_at(frame, positions), frame[y, x])
+    np.testing.assert_array_equal(colours_at(read_only(frame), positions), frame[y, x])

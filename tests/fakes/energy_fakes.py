@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+from read_only import read_only
 
 from mlbs_actors.config import SegmentationConfig
 from mlbs_actors.graphcut.energy import NEIGHBOUR_OFFSETS, LabelCostEnergy
@@ -33,7 +34,7 @@ def energy_of(
 
 def weights_of_image(image: Array, strength: float = 0.8, scale: float = 200.0) -> Array:
     whole = (0, 0, image.shape[1], image.shape[0])
-    weights: Array = contrast_weights(image, whole, weights_by_distance(strength, scale))
+    weights: Array = contrast_weights(read_only(image), whole, weights_by_distance(strength, scale))
     return weights
 
 

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 from joined_evidence import joined_evidence
+from read_only import read_only
 
 from mlbs_actors.messages import (
     BACKGROUND,
     Array,
     FrameEvidence,
     LayerEvidence,
+    LayerKind,
     LayerSummary,
     Region,
     Segmentation,
@@ -25,9 +27,7 @@ CAR = Region(60, 40, 40, 30)
 
 
 def picture(seed: int = 0) -> Array:
-    made = np.random.default_rng(seed).integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
-    made.setflags(write=False)
-    return made
+    return read_only(np.random.default_rng(seed).integers(0, 256, (*SHAPE, 3)).astype(np.uint8))
 
 
 def grid(region: Region, spacing: int = 6) -> Array:
@@ -43,7 +43,8 @@ def tracks(
     layer: int, positions: Array, last_frame: int = -1, motion: tuple[float, float] = (0.0, 0.0)
 ) -> LayerEvidence:
     motions = np.tile(np.array(motion, np.float32), (len(positions), 1))
-    return LayerEvidence(layer, "object" if layer else "background", last_frame, positions, motions)
+    kind: LayerKind = "object" if layer else "background"
+    return LayerEvidence(layer, kind, last_frame, read_only(positions), read_only(motions))
 
 
 def frame_of(

@@ -144,7 +144,7 @@ def test_a_flat_part_is_fixed_if_half_of_its_border_is_and_it_is_not_most_of_the
 
 
 def test_black_rows_at_the_border_are_bars_from_the_first_motion_on() -> None:
-    gray = noise(1)[:, :80]
+    gray = noise(1)[:, :80].copy()
     gray[:8], gray[-5:] = 16, 10
     state = fixed_cells(FixedState.beginning(gray), gray, np.zeros_like(gray))
     rows = np.all(state.cells, axis=1)
@@ -164,7 +164,7 @@ def test_a_digit_may_change_and_what_moves_again_with_the_scene_is_scene() -> No
     state = fixed_cells(state, gray, moved)
     assert state.cells[30, 40]
     for seed in range(2, 12):  # another scene, which the camera's motion explains
-        state = fixed_cells(state, noise(seed)[:, :80], np.zeros_like(gray))
+        state = fixed_cells(state, noise(seed)[:, :80].copy(), np.zeros_like(gray))
     assert not state.cells.any()
 
 

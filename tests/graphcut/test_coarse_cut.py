@@ -141,7 +141,7 @@ def test_costs_of_cells_and_of_single_pixels_are_those_of_all_pixels(
     np.testing.assert_array_equal(energy_of_pixels(given).unary, unary)
     np.testing.assert_array_equal(halved(given).unary, halved(plain).unary)
     labels = rng.integers(0, count, (height, width))
-    blocks = labels[::2, ::2]
+    blocks = labels[::2, ::2].astype(np.int16)
     bands = [band_around_outlines(one, blocks)[1].unaries for one in (given, plain)]
     np.testing.assert_array_equal(bands[0].pixel, bands[1].pixel)
     np.testing.assert_array_equal(bands[0].cost, bands[1].cost)
@@ -159,7 +159,7 @@ def test_only_pixels_near_an_outline_are_open_and_the_rest_is_folded_into_their_
     problem = moving_scene(0)
     blocks = np.zeros((40, 48), np.int16)
     blocks[10:25, 15:35] = 2
-    labels: Array = unhalved(blocks, (80, 96))
+    labels: Array = unhalved(blocks, (80, 96)).astype(np.intp)
     opened, rest, start = band_around_outlines(problem, blocks)
     assert rest.elsewhere.tolist() == [True, False, True, False]
     open_pixels: Array = np.isin(np.arange(labels.size).reshape(labels.shape), rest.pixels)

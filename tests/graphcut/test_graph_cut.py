@@ -1,5 +1,6 @@
 """The graph cut against enumeration, and against textbook cuts of the whole pixel grid built edge by edge."""
 
+import copy
 import itertools
 import math
 from typing import Any
@@ -274,6 +275,8 @@ def test_an_unused_label_is_not_paid_for() -> None:
 def test_what_is_given_is_only_read() -> None:
     unary, image = blocks_scene(2, 4, 30, 40)
     problem = problem_of(unary, weights_of_image(image), np.full(4, 5.0))
-    for array in (problem.unary, problem.weights, problem.label_costs):
-        array.flags.writeable = False
-    assert minimise(problem, MOST_WHOLE).any()
+    before = copy.deepcopy(problem)
+    for most in (MOST_WHOLE, (600,)):  # the whole image, and blocks first
+        assert minimise(problem, most).any()
+    for array, as_it_was in zip(problem, before, strict=True):
+        np.testing.assert_array_equal(array, as_it_was)

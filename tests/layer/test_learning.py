@@ -10,7 +10,7 @@ from layer_fakes import frame_of
 
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.layer.learning import object_support
-from mlbs_actors.messages import UNEXPLAINED_STEP, Array, LayerTracks, Region
+from mlbs_actors.messages import UNEXPLAINED_STEP, Array, LayerTracks, Region, readonly
 
 SHAPE = 41, 52
 CLOSE, LEARN, NEAR, FADE = 0.0, 9.0, 6.0, 20.0
@@ -44,7 +44,7 @@ def test_an_object_learns_nearest_to_its_own_trajectories_and_costs_more_away_fr
     config = Config.model_validate(
         {"posterior": lengths, "layers": {"unexplained_noise": LEAST * UNEXPLAINED_STEP}}
     )
-    trusted, away = object_support(config, evidence, tracks, cells, side)
+    trusted, away = object_support(config, readonly(evidence), tracks, cells, side)
     coarse = 2 * side  # distances are told for 2×2 cells of the frame at once
 
     def distance(positions: Array, x: int, y: int) -> float:

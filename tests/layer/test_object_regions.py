@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from layer_fakes import CAR, SHAPE, WHOLE, frame_of, grid, owned, published, tracks
+from read_only import read_only
 
 from mlbs_actors.cells import spread_over_cells
 from mlbs_actors.layer import object_regions
@@ -73,7 +74,7 @@ def test_the_region_is_wider_by_what_leaves_the_objects_motion() -> None:
         motions = covered.motions.copy()
         motions[5] += np.float32(by), np.float32(0)
         motions[7] += np.float32(0), np.float32(-by / 2)
-        return CAR.x - object_region(replace(covered, motions=motions), seen, SHAPE, MARGINS).x
+        return CAR.x - object_region(replace(covered, motions=read_only(motions)), seen, SHAPE, MARGINS).x
 
     assert [margin(by) for by in (0.0, 3.0, -3.0, 50.0)] == [2, 5, 5, 6]  # at most that of any object
 

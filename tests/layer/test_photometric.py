@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from opencv_sampling import exact_opencv
+from read_only import read_only
 
 from mlbs_actors.config import PosteriorConfig
 from mlbs_actors.layer.photometric import PhotometricRules, photometric_advantage
@@ -60,7 +61,7 @@ def compared(
     corners = (now.region.x, now.region.y), (before.region.x, before.region.y)
     images = np.ascontiguousarray(before.image), np.ascontiguousarray(now.image)
     rules = PhotometricRules.configured(PosteriorConfig(photometric_cap=largest))
-    found = photometric_advantage(*images, motion, camera, side, corners, own, rules)
+    found = photometric_advantage(*images, motion, read_only(camera), side, corners, own, rules)
     return np.asarray(found)
 
 

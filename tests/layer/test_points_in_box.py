@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from read_only import read_only
 
 from mlbs_actors.layer.points_in_box import points_in_box
 from mlbs_actors.messages import Array
@@ -25,4 +26,4 @@ def test_points_are_found_as_by_a_look_at_each(count: int, box: tuple[float, flo
     rng = np.random.default_rng(count)
     positions = (rng.random((count, 2)) * (70, 54) - 3).astype(np.float32)
     positions[::3] = np.floor(positions[::3]) + np.float32(0.5)  # halves go to the even one
-    assert points_in_box(positions, *box).tolist() == looked_at(positions, *box)
+    assert points_in_box(read_only(positions), *box).tolist() == looked_at(positions, *box)

@@ -18,7 +18,15 @@ from mlbs_actors.layer.posterior_terms import (
     quantised_colours,
     uncontested_cost,
 )
-from mlbs_actors.messages import COST_STEP, UNEXPLAINED_STEP, Array, FrameEvidence, LayerKind, Region
+from mlbs_actors.messages import (
+    COST_STEP,
+    UNEXPLAINED_STEP,
+    Array,
+    FrameEvidence,
+    LayerKind,
+    Region,
+    readonly,
+)
 
 REGION = Region(31, 20, 90, 70)
 SIZE = (REGION.height, REGION.width)
@@ -28,12 +36,13 @@ CONFIG = Config.model_validate({"posterior": {"motion": 0.8, "prior": 0.7, "offs
 def evidence_of(seed: int) -> FrameEvidence:
     """Flow, reliability and explanation that differ from place to place."""
     rng = np.random.default_rng(seed)
-    return replace(
+    made = replace(
         frame_of([]),
         flow=rng.normal(0, 2, (*SHAPE, 2)).astype(np.float32),
         flow_reliable=rng.random(SHAPE) < 0.6,
         unexplained=rng.integers(0, 100, SHAPE).astype(np.uint8),
     )
+    return readonly(made)
 
 
 def nats_by_arrays(
@@ -117,7 +126,7 @@ def test_the_finished_posterior_is_normalised_and_half_of_it_is_the_published_ma
         normaliser=rng.integers(0, 256, SHAPE).astype(np.uint8),
         fallback=rng.integers(0, 128, SHAPE).astype(np.int8),
     )
-    found = finished_posterior(CONFIG, (cost, log_ratio, samples), result, REGION, won)
+    found = finished_posterior(CONFIG, (cost, log_ratio, samples), readonly(result), REGION, won)
     fallback = np.ascontiguousarray(result.fallback[REGION.slices])
     weight, half = CONFIG.posterior.appearance, CONFIG.appearance.half_confidence_samples
     fused = with_appearance(cost, log_ratio, samples, fallback, weight, half)

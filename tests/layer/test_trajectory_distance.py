@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from read_only import read_only
 
 from mlbs_actors.layer.trajectory_distance import (
     closed_distance,
@@ -21,7 +22,7 @@ CELLS = Region(5, 3, 24, 17)
 def scattered(count: int, side: int) -> Array:
     """Inside the region and around it."""
     places = np.random.default_rng(count).uniform(0, 1, (count, 2)) * [34 * side, 25 * side]
-    return places.astype(np.float32)
+    return read_only(places.astype(np.float32))
 
 
 @pytest.mark.parametrize("side", [1, 2, 3])
@@ -39,7 +40,7 @@ def test_a_cells_distance_is_that_to_the_nearest_cell_with_a_trajectory(side: in
 
 @pytest.mark.parametrize("positions", [np.zeros((0, 2), np.float32), np.ones((3, 2), np.float32)])
 def test_without_a_trajectory_in_the_region_it_is_infinite(positions: Array) -> None:
-    found = trajectory_distance(positions, CELLS, 2)
+    found = trajectory_distance(read_only(positions), CELLS, 2)
     assert (found == np.full((CELLS.height, CELLS.width), np.inf, np.float32)).all()
     assert (closed_distance(found, np.float32(3.0), 2) == found).all()
 

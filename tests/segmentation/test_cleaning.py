@@ -21,8 +21,8 @@ def cleaned(labels: Array, speck_px: float, hole_px: float) -> Array:
 
 def cleaned_in(labels: Array, box: Region, speck_px: float, hole_px: float) -> Array:
     """What a box then holds; nothing changes outside it."""
-    result = labels.copy()
-    clean_labels(result, (box.x, box.y, box.width, box.height), speck_px, hole_px)
+    result = labels.astype(np.uint16)
+    clean_labels(result, (box.x, box.y, box.width, box.height), float(speck_px), float(hole_px))
     inside = result[box.slices].copy()
     result[box.slices] = labels[box.slices]
     np.testing.assert_array_equal(result, labels)

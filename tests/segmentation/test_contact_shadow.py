@@ -113,8 +113,8 @@ def test_a_contact_shadow_is_found_in_a_box_as_in_the_whole_frame() -> None:
     ground = ground_colour(image, evidence(), found, SCALE, CONFIG)
     assert ground is not None
     box = Region(100, 60, 100, 100)
-    part = np.ascontiguousarray(image[box.slices])
-    strip = contact_shadow(found[box.slices], part, darkening(image, ground, box, 1.0), 1, SCALE, CONFIG)
+    part, inside = (np.ascontiguousarray(one[box.slices]) for one in (image, found))
+    strip = contact_shadow(inside, part, darkening(image, ground, box, 1.0), 1, SCALE, CONFIG)
     np.testing.assert_array_equal(strip, strip_found(image, found)[box.slices])
 
 

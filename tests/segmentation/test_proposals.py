@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from read_only import read_only
 
 from mlbs_actors.messages import Array
 from mlbs_actors.segmentation.proposals import proposal_boxes
@@ -17,7 +18,7 @@ def places() -> Array:
 
 
 def proposed(cost: Array, positions: Array, tracks: Array) -> Array:
-    return np.asarray(proposal_boxes(cost, places(), positions, tracks, CORNER, SIDE))
+    return np.asarray(proposal_boxes(cost, places(), read_only(positions), tracks, CORNER, SIDE))
 
 
 def expected(cost: Array, layer: int, cells: list[tuple[int, int]]) -> list[int]:

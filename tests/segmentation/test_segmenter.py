@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from energy_fakes import MAX_COST, energy_of, slow_energy, weights_of_image
 from joined_evidence import joined_evidence
+from read_only import read_only
 
 from mlbs_actors.appearance.fusion import fused_costs
 from mlbs_actors.config import Config, length_scale
@@ -24,6 +25,7 @@ from mlbs_actors.messages import (
     LayerPosterior,
     Region,
     Segmentation,
+    readonly,
 )
 from mlbs_actors.segmentation.contrast import COST_QUANTUM
 from mlbs_actors.segmentation.mask_score import mask_score
@@ -104,10 +106,17 @@ def frame(seed: int = 1) -> Array:
     return np.random.default_rng(seed).integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
 
 
+def stepped(
+    segmenter: Segmenter, evidence: FrameEvidence, image: Array, posteriors: list[LayerPosterior]
+) -> Segmentation:
+    """One step, with arrays that cannot be written to."""
+    return segmenter.step(readonly(evidence), read_only(image), [readonly(one) for one in posteriors])
+
+
 def segmented(
     posteriors: list[LayerPosterior], config: Config, tracks: dict[int, Array] | None = None
 ) -> Segmentation:
-    return Segmenter(config).step(evidence_of(posteriors, tracks=tracks), frame(), posteriors)
+    return stepped(Segmenter(config), evidence_of(posteriors, tracks=tracks), frame(), posteriors)
 
 
 def cost_at(one: LayerPosterior, y: int, x: int) -> int:
@@ -199,7 +208,7 @@ def test_colours_that_only_one_layer_knows_decide_only_where_they_are_contradict
     ratio = np.full(SHAPE, 40, np.int8)
     ratio[:, 16:] = -100
     other = replace(posterior(3, 40), log_ratio=ratio, samples=known)
-    posteriors = [posterior(0, 41), other]  # a little dearer
+    posteriors = [readonly(one) for one in (posterior(0, 41), other)]  # the first a little dearer
     result = segmented(posteriors, config)
     fused = fused_costs(
         posteriors, WHOLE, config.posterior.appearance, config.appearance.half_confidence_samples
@@ -229,7 +238,7 @@ def test_in_a_shadow_an_object_is_dearer_than_the_background_and_elsewhere_it_is
             replace(SegmenterState.beginning(), next_frame=1, labels=before),
         )
         given = replace(evidence_of(posteriors, 1, {1: at}), shape=shape)
-        maps[strength] = segmenter.step(given, image, posteriors).labels
+        maps[strength] = stepped(segmenter, given, image, posteriors).labels
     assert (maps[0.0][region.slices] == 1).all()
     assert not maps[0.5][127:145, 122:178].any()
     assert (maps[0.5][82:118, 122:178] == 1).all()
@@ -247,7 +256,7 @@ def test_the_dark_strip_under_an_object_goes_to_the_background_and_is_no_part_of
     results = {}
     for rise in (0.0, 0.25):
         given = replace(evidence_of(posteriors, tracks={7: at}), shape=shape)
-        results[rise] = Segmenter(configured(contact_shadow=rise)).step(given, image, posteriors)
+        results[rise] = stepped(Segmenter(configured(contact_shadow=rise)), given, image, posteriors)
     assert (results[0.0].labels[strip.slices] == 7).all()
     assert (results[0.25].labels[strip.slices] == 0).mean() > 0.8
     assert (results[0.25].labels[car.slices] == 7).all()
@@ -330,7 +339,7 @@ def test_a_label_that_has_been_there_for_long_costs_nothing() -> None:
         size = 4 if index in (0, 3) else 3  # 16 or 9 pixels, 1 nat each
         object_ = posterior(5, 0, Region(4, 4, size, size), index)
         given = [posterior(0, 16, frame_index=index), object_]
-        result = segmenter.step(evidence_of(given, index), frame(), given)
+        result = stepped(segmenter, evidence_of(given, index), frame(), given)
         assert (5 in result.labels) == (index in (0, 3, 4, 5))
 
 
@@ -355,7 +364,7 @@ def test_outlines_follow_the_contrast() -> None:
     posteriors = [posterior(0, 98), posterior(1, cost)]
     config = configured(contrast_strength=3.0, contrast_scale=300.0)
     tracks = {0: np.array([[2.0, y] for y in range(24)]), 1: np.array([[30.0, y] for y in range(24)])}
-    result = Segmenter(config).step(evidence_of(posteriors, tracks=tracks), image, posteriors)
+    result = stepped(Segmenter(config), evidence_of(posteriors, tracks=tracks), image, posteriors)
     np.testing.assert_array_equal(result.labels, np.repeat([[0, 1]], 24, axis=0).repeat([17, 15], axis=1))
 
 
@@ -418,14 +427,14 @@ def test_a_frame_out_of_order_is_refused_and_changes_nothing() -> None:
     segmenter = Segmenter(configured())
     posteriors = random_posteriors()
     with pytest.raises(FrameError, match=r"due for frame 0; it was given frame 1 .* last snapshot\."):
-        segmenter.step(evidence_of(posteriors, 1), frame(), posteriors)
-    first = segmenter.step(evidence_of(posteriors, 0), frame(), posteriors)
+        stepped(segmenter, evidence_of(posteriors, 1), frame(), posteriors)
+    first = stepped(segmenter, evidence_of(posteriors, 0), frame(), posteriors)
     with pytest.raises(FrameError, match="due for frame 1; it was given frame 0"):
-        segmenter.step(evidence_of(posteriors, 0), frame(), posteriors)
+        stepped(segmenter, evidence_of(posteriors, 0), frame(), posteriors)
     with pytest.raises(FrameError, match="due for frame 1"):  # the right layers of the wrong frame
-        segmenter.step(evidence_of(posteriors, 1), frame(), posteriors)
+        stepped(segmenter, evidence_of(posteriors, 1), frame(), posteriors)
     later = [replace(one, frame_index=1) for one in posteriors]
-    second = segmenter.step(evidence_of(posteriors, 1), frame(), later)
+    second = stepped(segmenter, evidence_of(posteriors, 1), frame(), later)
     np.testing.assert_array_equal(first.labels, second.labels)
 
 
@@ -434,28 +443,25 @@ def test_posteriors_that_are_not_those_of_the_live_layers_are_refused(given: lis
     posteriors = random_posteriors()
     by_id = {one.layer: one for one in posteriors}
     with pytest.raises(FrameError, match="restart the stream from its last snapshot"):
-        Segmenter(configured()).step(evidence_of(posteriors), frame(), [by_id[layer] for layer in given])
+        stepped(Segmenter(configured()), evidence_of(posteriors), frame(), [by_id[layer] for layer in given])
 
 
 def test_what_is_given_is_only_read() -> None:
     config = configured(contrast_strength=1.0, label_cost=20.0, speck_px=50.0, hole_px=200.0)
-    posteriors, image = random_posteriors(), frame()
-    for one in posteriors:
-        one.cost.flags.writeable = False
-    image.flags.writeable = False
-    assert Segmenter(config).step(evidence_of(posteriors), image, posteriors).labels.any()
+    posteriors, image = [readonly(one) for one in random_posteriors()], read_only(frame())
+    assert Segmenter(config).step(readonly(evidence_of(posteriors)), image, posteriors).labels.any()
 
 
 def test_the_published_map_is_the_one_kept_for_the_next_frame() -> None:
     segmenter = Segmenter(configured())
-    result = segmenter.step(evidence_of(random_posteriors()), frame(), random_posteriors())
+    result = stepped(segmenter, evidence_of(random_posteriors()), frame(), random_posteriors())
     np.testing.assert_array_equal(segmenter.state.labels, result.labels)
     assert segmenter.state.next_frame == 1
 
 
 def test_a_published_result_cannot_be_written_to_since_the_layers_read_it_back() -> None:
     posteriors = random_posteriors()
-    published = Segmenter(configured()).step(evidence_of(posteriors, 0), frame(), posteriors)
+    published = stepped(Segmenter(configured()), evidence_of(posteriors, 0), frame(), posteriors)
     assert not published.labels.flags.writeable
     assert not published.normaliser.flags.writeable
     assert not published.fallback.flags.writeable

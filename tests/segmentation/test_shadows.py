@@ -8,7 +8,7 @@ import pytest
 from joined_evidence import joined_evidence
 
 from mlbs_actors.config import SegmentationConfig
-from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region
+from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region, readonly
 from mlbs_actors.segmentation.shadows import (
     Darkening,
     _blur_weights,
@@ -51,7 +51,7 @@ def evidence(layer: int = 1, positions: Array | None = None) -> FrameEvidence:
     if layer != BACKGROUND:
         layers.append(LayerEvidence(layer, "object", 0, at, np.zeros_like(at)))
     half = (SHAPE[0] // 2, SHAPE[1] // 2)
-    return joined_evidence(
+    made = joined_evidence(
         layers,
         frame_index=1,
         shape=SHAPE,
@@ -62,6 +62,7 @@ def evidence(layer: int = 1, positions: Array | None = None) -> FrameEvidence:
         retired=(),
         latency_frames=0,
     )
+    return readonly(made)
 
 
 def labels() -> Array:

@@ -114,7 +114,7 @@ def test_points_that_determine_no_homography_give_one_that_is_still_sane(arrange
 @pytest.mark.parametrize("side", [1, 2, 4])
 def test_a_pure_pan_is_explained_altogether(side: int) -> None:
     canvas = texture(140, 180)
-    previous, current = canvas[10:130, 10:170], canvas[13:133, 6:166]  # contents move by (+4, −3)
+    previous, current = canvas[10:130, 10:170].copy(), canvas[13:133, 6:166].copy()  # it moves by (+4, −3)
     camera = translation(-4 * side, 3 * side)  # back to the frame before, full-size px
     difference = unexplained(previous, current, camera, side)
     assert difference.dtype == np.float32
@@ -237,7 +237,7 @@ def test_flow_that_bled_over_textured_ground_speaks_for_the_camera() -> None:
 @pytest.mark.parametrize("side", [1, 2, 4])
 def test_the_flow_is_stated_in_px(side: int) -> None:
     canvas = texture(140, 180)
-    previous, current = canvas[10:130, 10:170], canvas[13:133, 6:166]  # contents move by (+4, −3)
+    previous, current = canvas[10:130, 10:170].copy(), canvas[13:133, 6:166].copy()  # it moves by (+4, −3)
     flow = np.full((*current.shape, 2), (-4 * side, 3 * side), np.float32)
     found = camera_evidence(previous, current, np.eye(3), flow, side, CONFIG)
     inner = np.s_[6:-6, 6:-6]
