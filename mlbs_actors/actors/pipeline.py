@@ -52,6 +52,10 @@ _SHORT_BURSTS = 6
 #: Timeout for the processes of a stopped stream to end, s.
 _STOP_SECONDS = 10.0
 
+#: Timeout for a reader to release its file or device before it is ended, s: not all of those that wait for a
+#: camera can.
+_CLOSE_SECONDS = 1.0
+
 #: Timeout for an answer of a pool, sink or live reader, after which it counts as lost, s.
 _ANSWER_SECONDS = 10.0
 
@@ -335,7 +339,7 @@ class StreamActors:
         else:
             # It releases its device or file if it can; it is ended in any case.
             with suppress(RayError, GetTimeoutError):
-                get(reader.close.remote(), 1.0)
+                get(reader.close.remote(), _CLOSE_SECONDS)
             end([reader], _STOP_SECONDS)
         for last in (self._links.pool.end.remote(self._run), self._links.sink.close.remote(self._run)):
             with suppress(RayError, GetTimeoutError):

@@ -34,7 +34,7 @@ from actor_fakes import (
 )
 
 from mlbs_actors import Config, MultilayerSubtractor
-from mlbs_actors.actors import Node, PoolPolicy
+from mlbs_actors.actors import Node, PoolPolicy, pipeline
 from mlbs_actors.actors.ipc.shared_memory import Slot, SlotKind, SlotPool
 from mlbs_actors.actors.node.burst_limiter import BurstLimiter
 from mlbs_actors.actors.node.processes import end, get, here, spawn
@@ -457,7 +457,10 @@ def _advanced_until_it_takes_turns(stream: RunningStream) -> StreamProgress:
 
 
 @on_ray
-def test_stopping_and_closing_leaves_no_process(host: str, parts: FakeParts, tmp_path: Path) -> None:
+def test_stopping_and_closing_leaves_no_process(
+    host: str, parts: FakeParts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "_CLOSE_SECONDS", 100.0)
     node = Node(parts=parts, policy=PoolPolicy(spare=2))
     stream = node.start(spec("gone", FakeReader([*crowd(60, 3)], tmp_path)))
     stream.advance().result(timeout=200)
