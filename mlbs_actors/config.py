@@ -293,15 +293,6 @@ class LayersConfig(_Section):
     coast_frames: int = Field(
         10, ge=0, description="Frames a layer without trajectories stays awake while it owns pixels."
     )
-    wake_similarity: float = Field(
-        0.75, ge=0, le=1, description="Bhattacharyya coefficient of colours that wakes a sleeping layer."
-    )
-    wake_px: float = Field(
-        80.0,
-        ge=0,
-        description="How far from its expected place a sleeping layer can wake, px; twice as far at the "
-        "end of dormant_frames, unless that is outside the frame.",
-    )
     dormant_frames: int = Field(
         90, ge=0, description="Frames a vanished layer is remembered that has moved often."
     )
@@ -328,6 +319,18 @@ class IdentityConfig(_Section):
     most_evidence: float = Field(3.0, gt=0, description="Most evidence of one clustering, nats.")
     weight: float = Field(0.5, gt=0, description="Weight of a clustering: their errors are alike.")
     fading: float = Field(0.8, ge=0, lt=1, description="Share of the log-odds that is left at the next one.")
+    colour_likeness: float = Field(
+        0.65,
+        ge=0,
+        le=1,
+        description="Bhattacharyya coefficient of a lost object's colours and a new one's that says nothing.",
+    )
+    colour_slope: float = Field(7.0, ge=0, description="Log-likelihood ratio for each unit more, nats.")
+    place_px: float = Field(
+        80.0, gt=0, description="Distance from a lost object's place at which it says nothing, px."
+    )
+    place_slope: float = Field(2.5, ge=0, description="Log-likelihood ratio for each e-fold less, nats.")
+    place_frames: float = Field(40.0, gt=0, description="Frames after which place says half as much.")
     apart: float = Field(
         1.5, description="Log-odds from which on labels are two things: they are one four times as often."
     )

@@ -362,7 +362,7 @@ class Coordinator:
         elif state.clustered:
             latest = None if feedback is None else feedback()
             with timed(stage_ms, "clustering"):
-                registry = LayerRegistry(config.layers, state.shape, state.registry)
+                registry = LayerRegistry(config, state.shape, state.registry)
                 observe(state, registry, labels, frame, frame_index, latest)
         if state.clustered:
             state.focus = focus_blocks(
@@ -380,7 +380,7 @@ class Coordinator:
         state = self.state
         if not state.clustered or state.shape is None:
             return False
-        registry = LayerRegistry(self.config.layers, state.shape, state.registry)
+        registry = LayerRegistry(self.config, state.shape, state.registry)
         at_rest = {BACKGROUND, *(registry.lasting_layers() & set(registry.resting_layers()))}
         return at_rest.issuperset({*state.evaluated, *distinct_labels(state.labels)})
 
@@ -492,7 +492,7 @@ class Coordinator:
         )
         if held.status in NO_PICTURE:
             return evidence
-        registry = LayerRegistry(self.config.layers, state.shape, state.registry)
+        registry = LayerRegistry(self.config, state.shape, state.registry)
         owner = registry.layers_of(held.labels)
         live = sorted({BACKGROUND, *distinct_labels(owner), *registry.live_layers(held.frame_index)})
         retired = set(state.evaluated) - set(live)

@@ -61,7 +61,7 @@ def cluster(
     stage_ms : dict of str to float
     """
     assert state.shape is not None
-    registry = LayerRegistry(config.layers, state.shape, state.registry)
+    registry = LayerRegistry(config, state.shape, state.registry)
     with timed(stage_ms, "affinity"):
         missing = config.trajectories.history_frames - len(state.spreads)
         spreads = np.concatenate([state.spreads, np.full(missing, state.spreads[-1])])

@@ -21,8 +21,13 @@ import numpy as np
 from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
 from mlbs_actors.clustering.label_lookup import layers_of, sightings
 from mlbs_actors.clustering.registry_state import RegistryState
-from mlbs_actors.clustering.reidentification import Sighting, best_sleeper, colour_signatures
-from mlbs_actors.config import LayersConfig
+from mlbs_actors.clustering.reidentification import (
+    Sighting,
+    colour_odds,
+    colour_signatures,
+    return_odds,
+)
+from mlbs_actors.config import Config
 from mlbs_actors.messages import BACKGROUND, Array
 
 __all__ = ["RESTED_CLUSTERINGS", "LayerRegistry"]
@@ -42,10 +47,9 @@ class LayerRegistry:
         To continue from; a new registry by default.
     """
 
-    def __init__(
-        self, config: LayersConfig, shape: tuple[int, int], state: RegistryState | None = None
-    ) -> None:
-        self.config = config
+    def __init__(self, config: Config, shape: tuple[int, int], state: RegistryState | None = None) -> None:
+        self.config = config.layers
+        self.identity = config.identity
         self.shape = shape
         self.state = state or RegistryState.empty()
 
@@ -281,12 +285,13 @@ class LayerRegistry:
         for label in self.state.labels[self.state.labels < UNLABELLED][::-1]:
             # Looked up anew for each: the first part of a lost object becomes that object.
             row = int(np.flatnonzero(self.state.labels == label)[0])
-            if int(label) in parted:
+            bereft = self._bereft(row, frame_index) is not None
+            if int(label) in parted or (not bereft and self._returning(row, frame_index) is not None):
                 self.state.origins[row] = UNLABELLED
             is_part = self.state.origins[row] != UNLABELLED
             awaited = self.config.part_probation_frames if is_part else probation
             lasted = frame_index - self.state.born[row] >= awaited
-            if lasted or self._bereft(row, frame_index) is not None:
+            if lasted or bereft:
                 labels[labels == label] = self._promote(int(label), frame_index)
         self._keep_cap(labels, frame_index)
         return labels
@@ -297,14 +302,7 @@ class LayerRegistry:
         row = int(np.flatnonzero(state.labels == candidate)[0])
         sleeper = self._bereft(row, frame_index)
         if sleeper is None:
-            sleepers = np.flatnonzero((state.labels > 0) & (state.seen < frame_index))
-            sightings = Sighting(
-                *(one[sleepers] for one in (state.seen, state.centroids, state.velocities, state.signatures))
-            )
-            found = best_sleeper(
-                state.centroids[row], state.signatures[row], sightings, frame_index, self.shape, self.config
-            )
-            sleeper = None if found is None else int(sleepers[found])
+            sleeper = self._returning(row, frame_index)
         if sleeper is None:
             label, born, pooled = state.next_layer, state.born[row], False
             state = replace(state, next_layer=state.next_layer + 1)
@@ -318,6 +316,32 @@ class LayerRegistry:
         rows = np.argsort(state.labels, kind="stable")
         self.state = self.state.select(rows if sleeper is None else rows[rows != sleeper])
         return label
+
+    def _returning(self, row: int, frame_index: int) -> int | None:
+        """Return the row of the lost object that a candidate is, None if it is none.
+
+        What appears on an object, from behind it, say, must be likelier the lost one than part of that.
+        """
+        state = self.state
+        lost = np.flatnonzero((state.labels > BACKGROUND) & (state.tracked < frame_index))
+        if not lost.size:
+            return None
+        columns = (state.tracked, state.centroids, state.velocities, state.signatures)
+        odds = return_odds(
+            state.centroids[row],
+            state.signatures[row],
+            Sighting(*(column[lost] for column in columns)),
+            frame_index,
+            self.shape,
+            self.identity,
+        )
+        least = 0.0
+        if state.origins[row] != UNLABELLED:
+            origin = int(np.flatnonzero(state.labels == state.origins[row])[0])
+            part = colour_odds(state.signatures[row], state.signatures[origin], self.identity)
+            least = part + self.identity.apart
+        best = int(odds.argmax())
+        return int(lost[best]) if odds[best] > least else None
 
     def _bereft(self, row: int, frame_index: int) -> int | None:
         """Return the object a candidate was split off, if that has no trajectories and lives on in it."""

@@ -1,21 +1,23 @@
 """Re-identification: whether a new cluster is an object that was lost, by its colours and its place (§4).
 
-Differs from the paper, which never resumes an object. The longer an object has been hidden, the farther it
-can be from where it is expected. What tells it from others are the colours of all its trajectories, so that
-those of the last edge that disappeared weigh little.
+Differs from the paper, which never resumes an object. A new cluster is a lost object if colour and place
+together say so, each with the likelihood ratio that was measured (docs/experiments/identity.md). The longer
+an object has been hidden, the less its place says. Its colours are those of all its
+trajectories, so that the last edge that disappeared weighs little.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from mlbs_actors.config import LayersConfig, length_scale
+from mlbs_actors.config import IdentityConfig, length_scale
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
-__all__ = ["SIGNATURE_BINS", "Sighting", "best_sleeper", "colour_signatures", "colours_at"]
+__all__ = ["SIGNATURE_BINS", "Sighting", "colour_odds", "colour_signatures", "colours_at", "return_odds"]
 
 #: Bins a colour channel of a signature.
 SIGNATURE_BINS = 6
@@ -80,15 +82,29 @@ def colour_signatures(rows: Array, colours: Array, count: int) -> Array:
     return histograms
 
 
-def best_sleeper(
+def colour_odds(signature: Array, other: Array, config: IdentityConfig) -> float:
+    """Return the log-likelihood ratio that two clusters of these colours are one thing and not two, nats.
+
+    Parameters
+    ----------
+    signature, other : (SIGNATURE_BINS³,) float32
+        Colour histograms, of any sum.
+    config : IdentityConfig
+    """
+    pairs = float(signature.sum()) * float(other.sum())
+    likeness = float(np.sqrt(signature * other).sum()) / max(pairs, 1.0) ** 0.5
+    return _bounded(config.colour_slope * (likeness - config.colour_likeness), config)
+
+
+def return_odds(
     centroid: Array,
     signature: Array,
     sleepers: Sighting,
     frame_index: int,
     shape: tuple[int, int],
-    config: LayersConfig,
-) -> int | None:
-    """Find the lost object that best explains a new cluster by colour and place.
+    config: IdentityConfig,
+) -> Array:
+    """Compute the log-odds that a new cluster is each of some lost objects, by its colours and its place.
 
     Parameters
     ----------
@@ -101,26 +117,30 @@ def best_sleeper(
         The present frame.
     shape : (H, W)
         px.
+    config : IdentityConfig
 
     Returns
     -------
-    int or None
-        Its row; None if none is near and similar enough.
+    (k,) float64
+        Nats. Each term is bounded, so that the other one can outweigh it.
     """
-    best, chosen = config.wake_similarity, None
+    odds = np.empty(len(sleepers.seen))
     for row, gap in enumerate(frame_index - sleepers.seen):
         expected = sleepers.centroids[row] + gap * sleepers.velocities[row]
-        places, within = [expected], config.wake_px * length_scale(*shape)
+        places, prior = [expected], 0.0
         if (expected >= 0).all() and (expected < shape[::-1]).all():
-            # It is hidden, and may have been slower than expected, or have turned. If it has left the frame,
-            # a cluster where it left is another object.
+            # It is hidden, and may have been slower than expected, or have turned.
             places.append(sleepers.centroids[row])
-            within *= 1 + gap / max(config.dormant_frames, 1)
-        if min(float(np.hypot(*(centroid - place))) for place in places) > within:
-            continue
-        known = sleepers.signatures[row]
-        pairs = float(signature.sum()) * float(known.sum())
-        likeness = float(np.sqrt(signature * known).sum()) / max(pairs, 1.0) ** 0.5
-        if likeness > best:
-            best, chosen = likeness, row
-    return chosen
+        else:
+            # What has left the frame seldom comes back: both colour and place must speak for it.
+            prior = -config.most_evidence
+        distance = min(float(np.hypot(*(centroid - place))) for place in places)
+        slope = config.place_slope / (1 + gap / config.place_frames)
+        near = -slope * math.log(max(distance, 1e-3) / (config.place_px * length_scale(*shape)))
+        colours = colour_odds(signature, sleepers.signatures[row], config)
+        odds[row] = prior + _bounded(near, config) + colours
+    return odds
+
+
+def _bounded(evidence: float, config: IdentityConfig) -> float:
+    return min(max(evidence, -config.most_evidence), config.most_evidence)

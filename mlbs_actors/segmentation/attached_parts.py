@@ -46,6 +46,8 @@ _AREA_WEIGHT = 0.1
 class PartsState:
     """The layers that have owned pixels, and what they are parts of; one in each row.
 
+    A layer that sleeps keeps its row: when it wakes, it is what it was.
+
     Attributes
     ----------
     layers : (k,) int64
@@ -58,6 +60,8 @@ class PartsState:
         Frames since a part was last in contact with its object.
     usual : (k,) float64
         Usual area of the object that it is, or is a part of, in rows and columns that are looked at.
+    live : (k,) int64
+        Newest frame in which it was live.
     """
 
     layers: Array
@@ -65,12 +69,13 @@ class PartsState:
     part_of: Array
     apart: Array
     usual: Array
+    live: Array
 
     @staticmethod
     def empty() -> PartsState:
         """Before the first layer."""
         none = np.zeros(0, np.int64)
-        return PartsState(none, none, none, none, np.zeros(0))
+        return PartsState(none, none, none, none, np.zeros(0), none)
 
     def objects(self) -> dict[int, int]:
         """Return layer → the layer that it is a part of, of all parts."""
@@ -90,6 +95,7 @@ class _Layer:
     part_of: int = 0
     apart: int = 0
     usual: float = 0.0
+    live: int = 0
 
 
 def find_parts(
@@ -97,6 +103,7 @@ def find_parts(
     labels: Array,
     frame_index: int,
     live: Collection[int],
+    remembered: int,
     apart: Collection[tuple[int, int]] = frozenset(),
 ) -> PartsState:
     """Decide which layers of a label map are parts of which others.
@@ -109,7 +116,9 @@ def find_parts(
         Layer of every pixel, 0 = background.
     frame_index : int
     live : collection of int
-        Layers of one object each that are not retired.
+        Layers of one object each that are awake.
+    remembered : int
+        Frames for which a layer can sleep and wake again.
     apart : collection of (int, int)
         Pairs of layers, the lower one first, that are two things.
 
@@ -120,15 +129,24 @@ def find_parts(
     step = max(1, round(min(labels.shape) / _ROWS))
     coarse = labels[::step, ::step]
     areas = np.bincount(coarse.ravel())
-    columns = (state.layers, state.appeared, state.part_of, state.apart, state.usual)
+    columns = (state.layers, state.appeared, state.part_of, state.apart, state.usual, state.live)
     rows = zip(*(one.tolist() for one in columns), strict=True)
-    layers = {layer: _Layer(*row) for layer, *row in rows if layer in live}
+    layers = {
+        layer: one
+        for layer, one in ((layer, _Layer(*row)) for layer, *row in rows)
+        if layer in live or frame_index - one.live <= remembered
+    }
     present = [layer for layer in np.flatnonzero(areas).tolist() if layer in live]
     new = {layer: _Layer(frame_index) for layer in present if layer not in layers}
     layers |= new
+    for layer in layers.keys() & live:
+        layers[layer].live = frame_index
     for layer in present:
         own = layers[layer]
-        if own.part_of and _pair(layer, own.part_of) in apart:
+        if own.part_of and _pair(layer, _oldest(own.part_of, layers, present)) in apart:
+            for other, one in layers.items():  # its usual area was that of both
+                if own.part_of in (other, one.part_of):
+                    one.usual = 0.0
             own.part_of = 0
         if own.part_of:
             contact = sum(
@@ -162,11 +180,20 @@ def find_parts(
         np.array([one.part_of for _, one in ordered], np.int64),
         np.array([one.apart for _, one in ordered], np.int64),
         np.array([one.usual for _, one in ordered]),
+        np.array([one.live for _, one in ordered], np.int64),
     )
 
 
 def _pair(one: int, other: int) -> tuple[int, int]:
     return min(one, other), max(one, other)
+
+
+def _oldest(whole: int, layers: Mapping[int, _Layer], present: Collection[int]) -> int:
+    """Return the layer of an object that is there, or of its parts the one that appeared first."""
+    if whole in present:
+        return whole
+    parts = [one for one in present if layers[one].part_of == whole]
+    return min(parts, key=lambda one: (layers[one].appeared, one))
 
 
 def _is_the_rest(part: int, layers: Mapping[int, _Layer], areas: Array, present: Collection[int]) -> bool:

@@ -147,7 +147,12 @@ class Segmenter:
             summaries += self._label_group(group.box, members, evidence, scene, result, stage_ms)
         live = {one.layer for one in evidence.tracks if one.kind == "object"}
         parts = find_parts(
-            self.state.parts, result.labels, evidence.frame_index, live, frozenset(evidence.apart)
+            self.state.parts,
+            result.labels,
+            evidence.frame_index,
+            live,
+            self.config.layers.dormant_frames,
+            frozenset(evidence.apart),
         )
         part_of = parts.objects()
         layers = tuple(

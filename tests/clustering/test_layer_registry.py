@@ -12,7 +12,7 @@ import pytest
 from mlbs_actors.clustering.label_index import UNLABELLED
 from mlbs_actors.clustering.layer_registry import RESTED_CLUSTERINGS, LayerRegistry
 from mlbs_actors.clustering.registry_state import RegistryState
-from mlbs_actors.config import LayersConfig
+from mlbs_actors.config import Config, IdentityConfig, LayersConfig
 from mlbs_actors.messages import BACKGROUND, Array
 
 CONFIG = LayersConfig(
@@ -22,10 +22,9 @@ CONFIG = LayersConfig(
     coast_frames=2,
     dormant_frames=20,
     fleeting_frames=6,
-    wake_px=50.0,
-    wake_similarity=0.7,
     max_layers=12,
 )
+IDENTITY = IdentityConfig(place_px=50.0)
 RED, GREEN, BLUE = (20, 20, 220), (20, 220, 20), (220, 20, 20)
 
 
@@ -50,7 +49,7 @@ class Stream:
     labels: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.registry = LayerRegistry(self.config, (480, 640), self.state)
+        self.registry = LayerRegistry(Config(layers=self.config, identity=IDENTITY), (480, 640), self.state)
 
     def see(
         self,
@@ -352,7 +351,7 @@ def test_the_longer_it_was_hidden_the_farther_away_it_may_appear(hidden: int, kn
     for _ in range(CONFIG.moving_clusterings):
         stream.registry.judge({1: 2.0}, 1.0)
     stream.skip(hidden)
-    stream.see({"again": Thing(place=(190.0, 100.0))}, at_once=True)
+    stream.see({"again": Thing(place=(300.0, 100.0))}, at_once=True)
     assert stream.layer_of("again") == known
 
 
@@ -374,6 +373,23 @@ def test_other_colours_or_a_far_place_make_another_layer(other: Thing) -> None:
     stream.see({"another": other}, at_once=True)
     assert stream.layer_of("another") == 2
     assert stream.remembered() == {1, 2}
+
+
+def test_what_comes_out_from_behind_an_object_is_what_was_hidden_and_no_part_of_it() -> None:
+    stream = Stream()
+    stream.see({"van": Thing(), "car": Thing(place=(130.0, 100.0), colour=BLUE)}, at_once=True)
+    stream.see({"van": Thing()})
+    out = {"van": Thing(), "again": Thing(place=(80.0, 100.0), colour=BLUE, part_of="van")}
+    stream.see(out, at_once=True)
+    assert stream.layer_of("again") == 2
+
+
+def test_what_falls_off_an_object_is_its_part_though_something_like_it_is_hidden() -> None:
+    stream = Stream()
+    stream.see({"van": Thing(), "car": Thing(place=(130.0, 100.0))}, at_once=True)
+    stream.see({"van": Thing()})
+    stream.see({"van": Thing(), "door": Thing(place=(80.0, 100.0), part_of="van")}, at_once=True)
+    assert stream.layer_of("door") == 1
 
 
 def test_the_better_match_of_two_sleepers_wakes() -> None:

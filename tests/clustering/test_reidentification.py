@@ -3,9 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from read_only import read_only
 
-from mlbs_actors.clustering.reidentification import colour_signatures, colours_at
+from mlbs_actors.clustering.reidentification import (
+    Sighting,
+    colour_odds,
+    colour_signatures,
+    colours_at,
+    return_odds,
+)
+from mlbs_actors.config import IdentityConfig
+from mlbs_actors.messages import Array
+
+CONFIG = IdentityConfig()
 
 
 def test_a_signature_counts_the_pixels_of_each_colour_bin() -> None:
@@ -39,3 +50,31 @@ def test_colours_are_those_of_the_nearest_pixels_of_the_frame() -> None:
     positions = (rng.random((50, 2)) * [36, 26] - 3).astype(np.float32)
     x, y = np.clip(np.rint(positions).astype(int), 0, [29, 19]).T
     np.testing.assert_array_equal(colours_at(read_only(frame), positions), frame[y, x])
+
+
+def histogram(*shares: float) -> Array:
+    return np.array([*shares, *[0.0] * (216 - len(shares))], np.float32)
+
+
+def test_colours_speak_by_how_much_of_them_two_have_in_common_and_their_amount_says_nothing() -> None:
+    odds = [colour_odds(histogram(100), histogram(share, 1 - share), CONFIG) for share in (0, 0.5, 1)]
+    assert odds[0] == -CONFIG.most_evidence
+    assert odds[1] == pytest.approx(CONFIG.colour_slope * (0.5**0.5 - CONFIG.colour_likeness), abs=1e-5)
+    assert odds[2] == pytest.approx(CONFIG.colour_slope * (1 - CONFIG.colour_likeness), abs=1e-5)
+    assert colour_odds(histogram(), histogram(1), CONFIG) == -CONFIG.most_evidence
+
+
+def test_each_lost_object_is_judged_by_the_nearer_of_where_it_was_and_where_it_should_be() -> None:
+    where = np.array([[100.0, 100.0], [100.0, 100.0], [635.0, 100.0]])
+    speeds = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 0.0]])
+    lost = Sighting(np.zeros(3, np.int64), where, speeds, np.tile(histogram(1), (3, 1)))
+    found = return_odds(np.array([600.0, 100.0]), histogram(1), lost, 10, (480, 640), CONFIG)
+
+    def expected(distance: float) -> float:
+        near = -CONFIG.place_slope / (1 + 10 / CONFIG.place_frames) * np.log(distance / CONFIG.place_px)
+        own = CONFIG.colour_slope * (1 - CONFIG.colour_likeness)
+        return float(np.clip(near, -CONFIG.most_evidence, CONFIG.most_evidence) + own)
+
+    # The third one has left the frame: it is not where it was, and seldom comes back.
+    left = expected(235) - CONFIG.most_evidence
+    assert found == pytest.approx([expected(500), expected(300), left])

@@ -17,6 +17,7 @@ def picture(*boxes: tuple[int, int, int, int, int]) -> Array:
     return labels
 
 
+REMEMBERED = 10
 BODY = (1, 100, 60, 160, 140)
 LIMB = (2, 110, 140, 125, 180)
 
@@ -25,7 +26,7 @@ def follow(*maps: Array, live: tuple[int, ...] = (1, 2, 3)) -> list[dict[int, in
     """Give label maps one after the other; return the parts found in each."""
     state, found = PartsState.empty(), []
     for index, labels in enumerate(maps):
-        state = find_parts(state, labels, index, live)
+        state = find_parts(state, labels, index, live, REMEMBERED)
         found.append(state.objects())
     return found
 
@@ -45,12 +46,12 @@ def test_what_appears_elsewhere_is_none() -> None:
 
 
 def test_what_is_known_to_be_another_thing_is_no_part_however_it_touches() -> None:
-    state = find_parts(PartsState.empty(), picture(BODY), 0, (1, 2))
-    two = find_parts(state, picture(BODY, LIMB), 1, (1, 2), {(1, 2)})
+    state = find_parts(PartsState.empty(), picture(BODY), 0, (1, 2), REMEMBERED)
+    two = find_parts(state, picture(BODY, LIMB), 1, (1, 2), REMEMBERED, {(1, 2)})
     assert two.objects() == {}
-    one = find_parts(state, picture(BODY, LIMB), 1, (1, 2))
+    one = find_parts(state, picture(BODY, LIMB), 1, (1, 2), REMEMBERED)
     assert one.objects() == {2: 1}
-    assert find_parts(one, picture(BODY, LIMB), 2, (1, 2), {(1, 2)}).objects() == {}
+    assert find_parts(one, picture(BODY, LIMB), 2, (1, 2), REMEMBERED, {(1, 2)}).objects() == {}
 
 
 def test_something_nearly_as_large_is_another_object() -> None:
@@ -110,10 +111,36 @@ def test_an_object_that_becomes_a_part_takes_its_own_along() -> None:
     assert follow(picture(BODY, limb, hand), joined) == [{3: 2}, {2: 1, 3: 1}]
 
 
-def test_layers_that_are_retired_or_shared_are_forgotten() -> None:
-    state = find_parts(PartsState.empty(), picture(BODY, LIMB), 0, (1, 2))
-    assert find_parts(state, picture(BODY), 1, (1,)).layers.tolist() == [1]
-    assert find_parts(state, picture(BODY, LIMB), 1, (2,)).layers.tolist() == [2]
+def test_a_layer_that_wakes_has_not_just_appeared_unless_it_slept_for_too_long() -> None:
+    far = picture(BODY, (2, 250, 100, 265, 140))
+    for asleep, parts in ((REMEMBERED, {}), (REMEMBERED + 1, {2: 1})):
+        state = find_parts(PartsState.empty(), far, 0, (1, 2), REMEMBERED)
+        for index in range(1, asleep + 1):
+            state = find_parts(state, picture(BODY), index, (1,), REMEMBERED)
+        assert find_parts(state, picture(BODY, LIMB), asleep + 1, (1, 2), REMEMBERED).objects() == parts
+
+
+def test_a_part_that_wakes_is_the_part_that_it_was() -> None:
+    state = find_parts(PartsState.empty(), picture(BODY, LIMB), 0, (1, 2), REMEMBERED)
+    state = find_parts(state, picture(BODY), 1, (1,), REMEMBERED)
+    assert find_parts(state, picture(BODY, LIMB), 2, (1, 2), REMEMBERED).objects() == {2: 1}
+
+
+def test_layers_that_share_an_id_are_no_parts() -> None:
+    state = find_parts(PartsState.empty(), picture(BODY, LIMB), 0, (2,), REMEMBERED)
+    assert state.layers.tolist() == [2]
+    assert state.objects() == {}
+
+
+def test_of_two_parts_that_are_two_things_the_older_one_goes_on_as_the_object_that_has_vanished() -> None:
+    body, head, man = BODY, (2, 110, 40, 150, 60), (3, 110, 140, 160, 200)
+    live = (1, 2, 3)
+    state = find_parts(PartsState.empty(), picture(body), 0, live, REMEMBERED)
+    state = find_parts(state, picture(body, head, man), 1, live, REMEMBERED)
+    assert state.objects() == {2: 1, 3: 1}
+    for index in range(2, 20):  # what is left is smaller than both were
+        state = find_parts(state, picture(head, man), index, live, REMEMBERED, {(2, 3)})
+        assert state.objects() == {2: 1}
 
 
 def test_contact_is_measured_alike_at_any_size() -> None:
