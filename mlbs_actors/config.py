@@ -329,7 +329,7 @@ class IdentityConfig(_Section):
     place_px: float = Field(
         80.0, gt=0, description="Distance from a lost object's place at which it says nothing, px."
     )
-    place_slope: float = Field(2.5, ge=0, description="Log-likelihood ratio for each e-fold less, nats.")
+    place_slope: float = Field(2.0, ge=0, description="Log-likelihood ratio for each e-fold less, nats.")
     place_frames: float = Field(40.0, gt=0, description="Frames after which place says half as much.")
     apart: float = Field(
         1.5, description="Log-odds from which on labels are two things: they are one four times as often."
