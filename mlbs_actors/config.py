@@ -316,7 +316,11 @@ class IdentityConfig(_Section):
         0.5, ge=0, description="Gap between a part and the rest that says nothing, × the larger one's size."
     )
     gap_slope: float = Field(5.0, ge=0, description="Log-likelihood ratio for each size more, nats.")
-    most_evidence: float = Field(3.0, gt=0, description="Most evidence of one clustering, nats.")
+    most_evidence: float = Field(
+        3.0,
+        gt=0,
+        description="Most evidence of one clustering, or of a lost object's colours or place, nats.",
+    )
     weight: float = Field(0.5, gt=0, description="Weight of a clustering: their errors are alike.")
     fading: float = Field(0.8, ge=0, lt=1, description="Share of the log-odds that is left at the next one.")
     colour_likeness: float = Field(
@@ -334,6 +338,10 @@ class IdentityConfig(_Section):
     apart: float = Field(
         1.5, description="Log-odds from which on labels are two things: they are one four times as often."
     )
+
+    def bounded(self, evidence: float) -> float:
+        """Limit a log-likelihood ratio, in nats, so that no single term decides."""
+        return min(max(evidence, -self.most_evidence), self.most_evidence)
 
 
 class MotionConfig(_Section):

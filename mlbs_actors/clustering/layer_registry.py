@@ -286,9 +286,11 @@ class LayerRegistry:
             # Looked up anew for each: the first part of a lost object becomes that object.
             row = int(np.flatnonzero(self.state.labels == label)[0])
             bereft = self._bereft(row, frame_index) is not None
-            if int(label) in parted or (not bereft and self._returning(row, frame_index) is not None):
-                self.state.origins[row] = UNLABELLED
             is_part = self.state.origins[row] != UNLABELLED
+            if is_part and (
+                int(label) in parted or (not bereft and self._returning(row, frame_index) is not None)
+            ):
+                self.state.origins[row], is_part = UNLABELLED, False
             awaited = self.config.part_probation_frames if is_part else probation
             lasted = frame_index - self.state.born[row] >= awaited
             if lasted or bereft:

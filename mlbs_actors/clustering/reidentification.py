@@ -2,8 +2,8 @@
 
 Differs from the paper, which never resumes an object. A new cluster is a lost object if colour and place
 together say so, each with the likelihood ratio that was measured (docs/experiments/identity.md). The longer
-an object has been hidden, the less its place says. Its colours are those of all its
-trajectories, so that the last edge that disappeared weighs little.
+an object has been hidden, the less its place says. Its colours are those of all its trajectories, so that the
+last edge that disappeared weighs little.
 """
 
 from __future__ import annotations
@@ -93,13 +93,13 @@ def colour_odds(signature: Array, other: Array, config: IdentityConfig) -> float
     """
     pairs = float(signature.sum()) * float(other.sum())
     likeness = float(np.sqrt(signature * other).sum()) / max(pairs, 1.0) ** 0.5
-    return _bounded(config.colour_slope * (likeness - config.colour_likeness), config)
+    return config.bounded(config.colour_slope * (likeness - config.colour_likeness))
 
 
 def return_odds(
     centroid: Array,
     signature: Array,
-    sleepers: Sighting,
+    lost: Sighting,
     frame_index: int,
     shape: tuple[int, int],
     config: IdentityConfig,
@@ -112,7 +112,7 @@ def return_odds(
         Of the cluster, px.
     signature : (SIGNATURE_BINS³,) float32
         Its colour histogram, of any sum.
-    sleepers : Sighting
+    lost : Sighting
     frame_index : int
         The present frame.
     shape : (H, W)
@@ -124,23 +124,20 @@ def return_odds(
     (k,) float64
         Nats. Each term is bounded, so that the other one can outweigh it.
     """
-    odds = np.empty(len(sleepers.seen))
-    for row, gap in enumerate(frame_index - sleepers.seen):
-        expected = sleepers.centroids[row] + gap * sleepers.velocities[row]
+    even = config.place_px * length_scale(*shape)
+    odds = np.empty(len(lost.seen))
+    for row, gap in enumerate(frame_index - lost.seen):
+        expected = lost.centroids[row] + gap * lost.velocities[row]
         places, prior = [expected], 0.0
         if (expected >= 0).all() and (expected < shape[::-1]).all():
             # It is hidden, and may have been slower than expected, or have turned.
-            places.append(sleepers.centroids[row])
+            places.append(lost.centroids[row])
         else:
             # What has left the frame seldom comes back: both colour and place must speak for it.
             prior = -config.most_evidence
         distance = min(float(np.hypot(*(centroid - place))) for place in places)
         slope = config.place_slope / (1 + gap / config.place_frames)
-        near = -slope * math.log(max(distance, 1e-3) / (config.place_px * length_scale(*shape)))
-        colours = colour_odds(signature, sleepers.signatures[row], config)
-        odds[row] = prior + _bounded(near, config) + colours
+        near = -slope * math.log(max(distance, 1e-3) / even)
+        colours = colour_odds(signature, lost.signatures[row], config)
+        odds[row] = prior + config.bounded(near) + colours
     return odds
-
-
-def _bounded(evidence: float, config: IdentityConfig) -> float:
-    return min(max(evidence, -config.most_evidence), config.most_evidence)

@@ -135,8 +135,7 @@ class Repulsion:
             for (one, other), value in zip(self.pairs.tolist(), self.odds.tolist(), strict=True)
         }
         for pair, term in evidence.items():
-            bounded = min(max(term, -settings.most_evidence), settings.most_evidence)
-            odds[pair] = odds.get(pair, 0.0) + settings.weight * bounded
+            odds[pair] = odds.get(pair, 0.0) + settings.weight * settings.bounded(term)
         pairs = np.array(sorted(odds), np.int64).reshape(-1, 2)
         return Repulsion(pairs, np.array([odds[one, other] for one, other in pairs.tolist()]))
 

@@ -131,10 +131,9 @@ def find_parts(
     areas = np.bincount(coarse.ravel())
     columns = (state.layers, state.appeared, state.part_of, state.apart, state.usual, state.live)
     rows = zip(*(one.tolist() for one in columns), strict=True)
+    layers = {layer: _Layer(*row) for layer, *row in rows}
     layers = {
-        layer: one
-        for layer, one in ((layer, _Layer(*row)) for layer, *row in rows)
-        if layer in live or frame_index - one.live <= remembered
+        layer: one for layer, one in layers.items() if layer in live or frame_index - one.live <= remembered
     }
     present = [layer for layer in np.flatnonzero(areas).tolist() if layer in live]
     new = {layer: _Layer(frame_index) for layer in present if layer not in layers}
