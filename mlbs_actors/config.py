@@ -463,6 +463,13 @@ class SegmentationConfig(_Section):
     shadow: float = Field(
         0.15, ge=0, description="Cost of an object in a likely cast shadow; 0 = none is looked for, nats."
     )
+    shadow_body: float = Field(
+        0.05,
+        ge=0,
+        le=0.5,
+        description="Least share of what could cast a shadow in that and the shadow together; twice as much "
+        "surely casts it.",
+    )
     contact_shadow: float = Field(
         0.12,
         ge=0,

@@ -201,7 +201,7 @@ class Coordinator:
         self.state.next_frame = frame_index + 1
         if concealed:
             return self._pass_over(frame_index, "damaged", feedback)
-        if is_blank(picture.gray):
+        if is_blank(picture.gray, self.state.picture.gray):
             return self._pass_over(frame_index, "blank", feedback)
         seen = is_still if self._is_at_rest() else repeats
         if not self.state.unsettled and seen(picture.gray, self.state.picture.gray):

@@ -27,7 +27,7 @@ from mlbs_actors.segmentation.cleaning import clean_labels
 from mlbs_actors.segmentation.contact_shadow import contact_shadow
 from mlbs_actors.segmentation.contrast import COST_QUANTUM, contrast_weights, weights_by_distance
 from mlbs_actors.segmentation.region_groups import merge_boxes
-from mlbs_actors.segmentation.shadows import Darkening, darkening, shadow_likelihood
+from mlbs_actors.segmentation.shadows import Darkening, darkening, ground_likelihoods
 from mlbs_actors.segmentation.unaries import discount_shadows, proposed_costs, track_pulls
 
 __all__ = ["LayerStatistics", "Proposals", "Scene", "label_proposals"]
@@ -171,8 +171,9 @@ def _energy(
     config, side, shape = scene.config, proposals.side, scene.frame.shape[:2]
     costs, places = proposed_costs(proposals.cost, own, box.box, proposals.boxes)
     if dark is not None and config.shadow > 0:
-        likelihood = shadow_likelihood(dark, config)
-        discount_shadows(costs, places, likelihood, np.float32(config.shadow / COST_QUANTUM))
+        shadow, lit = ground_likelihoods(dark, config)
+        strength = np.float32(config.shadow / COST_QUANTUM)
+        discount_shadows(costs, places, shadow, lit, strength, config.shadow_body)
     pull = round(2.0 * config.track_cost / COST_QUANTUM)
     pulls = track_pulls(
         scene.positions, proposals.tracks[own], places * side, (pixels.x, pixels.y), shape, pull

@@ -4,6 +4,10 @@ Not in the paper. A shadow is ground with less light: its colour is the ground's
 in all channels. The ground's colour is estimated around the objects in the same frame, without memory: near a
 moving object the ground has often never been seen without its shadow. Where no light reaches the ground, its
 colour is lost and position decides (:mod:`mlbs_actors.segmentation.contact_shadow`).
+
+A plain dark thing on plain ground has the colours of a shadow. But a shadow is cast by something: where
+nothing is claimed but ground and shadow, that is the thing
+(:func:`~mlbs_actors.segmentation.unaries.discount_shadows`).
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.layer.trajectory_distance import trajectory_distance
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 
-__all__ = ["Darkening", "darkening", "ground_colour", "shadow_likelihood"]
+__all__ = ["Darkening", "darkening", "ground_colour", "ground_likelihoods"]
 
 #: The ground's colour is estimated on the frame shrunk by this factor.
 SHRINK = 4
@@ -112,21 +116,21 @@ def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darken
     return Darkening(*_compared(smooth, ground, box.y, box.x, picture.shape[:2], _LOG))
 
 
-def shadow_likelihood(dark: Darkening, config: SegmentationConfig) -> Array:
-    """Rate how much each pixel looks like the ground near it with less light.
+def ground_likelihoods(dark: Darkening, config: SegmentationConfig) -> tuple[Array, Array]:
+    """Rate how much each pixel looks like the ground near it, with less light and with all of it.
 
     Returns
     -------
-    (h, w) float32
-        0 = no shadow … 1 = darker ground.
+    shadow, lit : (h, w) float32
+        0 = not at all … 1 = darker ground, and ground. Their sum is at most 1.
     """
     lightest = config.shadow_lightest, config.shadow_lightest_ramp
     darkest = config.shadow_darkest, config.shadow_darkest_ramp
     most = config.channel_spread, config.channel_noise, config.ground_variance
-    likelihood: Array = _shadow_likelihood(
+    likelihoods: tuple[Array, Array] = _ground_likelihoods(
         dark.mean, dark.spread, dark.brightness, dark.variance, lightest, darkest, most
     )
-    return likelihood
+    return likelihoods
 
 
 @functools.lru_cache(maxsize=16)
@@ -186,20 +190,21 @@ def _mirrored(at: int, length: int) -> int:
 
 
 @compiled
-def _shadow_likelihood(
+def _ground_likelihoods(
     mean: Array, spread: Array, brightness: Array, variance: Array, lightest: tuple[float, float],
     darkest: tuple[float, float], most: tuple[float, float, float],
-) -> Array:  # fmt: skip
-    likelihood = np.empty(mean.shape, np.float32)
+) -> tuple[Array, Array]:  # fmt: skip
+    shadow, lit = np.empty(mean.shape, np.float32), np.empty(mean.shape, np.float32)
     for y in range(mean.shape[0]):
         for x in range(mean.shape[1]):
             tolerance = most[0] + most[1] / brightness[y, x]
-            value = min(max((lightest[0] - mean[y, x]) / lightest[1], 0.0), 1.0)
-            value *= min(max((mean[y, x] - darkest[0]) / darkest[1], 0.0), 1.0)
-            value *= min(max(2.0 - 2.0 * spread[y, x] / tolerance, 0.0), 1.0)
-            value *= min(max(2.0 - variance[y, x] / most[2], 0.0), 1.0)
-            likelihood[y, x] = value
-    return likelihood
+            alike = min(max(2.0 - 2.0 * spread[y, x] / tolerance, 0.0), 1.0)
+            alike *= min(max(2.0 - variance[y, x] / most[2], 0.0), 1.0)
+            darker = min(max((lightest[0] - mean[y, x]) / lightest[1], 0.0), 1.0)
+            brighter = min(max((lightest[0] + mean[y, x]) / lightest[1], 0.0), 1.0)
+            lit[y, x] = alike * (1.0 - darker - brighter)
+            shadow[y, x] = alike * darker * min(max((mean[y, x] - darkest[0]) / darkest[1], 0.0), 1.0)
+    return shadow, lit
 
 
 def _spread_into_objects(colour: Array, free: Array, config: SegmentationConfig) -> Array:

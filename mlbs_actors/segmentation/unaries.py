@@ -87,8 +87,36 @@ def track_pulls(
 
 
 @compiled
-def discount_shadows(costs: Array, places: Array, shadow: Array, strength: np.float32) -> None:
-    """Discount what an object costs less than the background in a shadow, and a little more."""
+def discount_shadows(
+    costs: Array, places: Array, shadow: Array, lit: Array, strength: np.float32, least_body: float
+) -> None:
+    """Discount what an object costs less than the background in a shadow, and a little more.
+
+    Parameters
+    ----------
+    costs, places
+        Of :func:`proposed_costs`; the first label is the background. Changed in place.
+    shadow, lit : (h, w) float32
+        Of :func:`~mlbs_actors.segmentation.shadows.ground_likelihoods`.
+    strength : float
+        That little more, quanta.
+    least_body : float
+        Of all that costs less than the background and is not lit ground, the share that must be something
+        else than shadow: with less nothing is there that could cast one, with twice as much it surely is.
+    """
+    body, dark = 0.0, 0.0
+    claimed = np.zeros(shadow.shape, np.bool_)
+    for label in range(1, costs.shape[0]):
+        top, bottom, left, right = places[label]
+        for y in range(top, bottom):
+            for x in range(left, right):
+                if costs[label, y, x] < costs[0, y, x] and not claimed[y, x]:
+                    claimed[y, x] = True
+                    body += 1.0 - shadow[y, x] - lit[y, x]
+                    dark += shadow[y, x]
+    caster = np.float32(1)
+    if least_body * (body + dark) > 0.0:
+        caster = np.float32(min(max(body / (least_body * (body + dark)) - 1.0, 0.0), 1.0))
     for label in range(1, costs.shape[0]):
         top, bottom, left, right = places[label]
         for y in range(top, bottom):
@@ -96,4 +124,4 @@ def discount_shadows(costs: Array, places: Array, shadow: Array, strength: np.fl
             for x in range(left, right):
                 at = np.uint64(x)
                 lead = np.float32(max(background[at] - own[at], 0))
-                own[at] += np.int32(np.rint(darker[at] * (lead + strength)))
+                own[at] += np.int32(np.rint(caster * darker[at] * (lead + strength)))

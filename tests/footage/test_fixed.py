@@ -153,6 +153,12 @@ def test_black_rows_at_the_border_are_bars_from_the_first_motion_on() -> None:
     assert not state.cells[12:-9].any()
 
 
+def test_a_night_that_is_black_to_the_border_has_no_bars() -> None:
+    gray = np.full((80, 120), 12, np.uint8)
+    gray[30:38, 50:58] = 230
+    assert not fixed_cells(FixedState.beginning(gray), gray, np.zeros_like(gray)).cells.any()
+
+
 def test_a_digit_may_change_and_what_moves_again_with_the_scene_is_scene() -> None:
     drawn = np.full((24, 120), 20, np.uint8)
     drawn[:, ::5] = 220

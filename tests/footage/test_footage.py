@@ -12,7 +12,7 @@ from labelled_clip import LabelledClip
 
 from mlbs_actors import MultilayerSubtractor, Result
 from mlbs_actors.footage.light import light_change, relit
-from mlbs_actors.footage.pictures import is_blank, is_still, repeats
+from mlbs_actors.footage.pictures import is_still, repeats
 from mlbs_actors.messages import Array
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
@@ -245,13 +245,6 @@ def test_an_object_goes_on_before_a_sky_and_behind_it_the_camera_is_tracked_agai
     assert {result.status for result in results} == {"ok", "untracked"}
     (thing,) = {one.layer for result in results[30:] for one in result.layers if one.layer}
     assert all((result.labels == thing).mean() > 0.02 for result in results[30:])
-
-
-def test_a_picture_is_blank_only_if_nearly_all_of_it_is_alike() -> None:
-    gray = np.full((60, 80), 128, np.uint8)
-    assert is_blank(gray)
-    gray[:3] = 255
-    assert not is_blank(gray)
 
 
 def test_noise_of_a_codec_is_a_repetition_and_a_moving_thing_is_none() -> None:

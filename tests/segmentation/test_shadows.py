@@ -15,7 +15,7 @@ from mlbs_actors.segmentation.shadows import (
     _smoothed,
     darkening,
     ground_colour,
-    shadow_likelihood,
+    ground_likelihoods,
 )
 
 SHAPE = (240, 320)
@@ -82,7 +82,7 @@ def darkened(
 
 
 def likelihood(image: Array, previous: Array = NO_LABELS) -> Array:
-    return shadow_likelihood(darkened(image, evidence(), previous), CONFIG)
+    return ground_likelihoods(darkened(image, evidence(), previous), CONFIG)[0]
 
 
 @pytest.mark.parametrize("factor", [0.7, 0.5, 0.3])
@@ -144,7 +144,8 @@ def test_what_is_given_is_only_read() -> None:
 def test_a_frame_without_any_ground_has_no_shadow() -> None:
     x, y = np.meshgrid(np.arange(0, SHAPE[1], 8), np.arange(0, SHAPE[0], 8))
     everywhere = np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
-    assert not shadow_likelihood(darkened(picture(0.5), evidence(1, everywhere)), CONFIG).any()
+    for found in ground_likelihoods(darkened(picture(0.5), evidence(1, everywhere)), CONFIG):
+        assert not found.any()
 
 
 def test_the_ground_of_a_mirrored_frame_is_mirrored() -> None:
@@ -165,9 +166,9 @@ def test_a_box_is_darkened_as_the_whole_frame_is(box: Region) -> None:
     whole, part = darkened(image, evidence(), labels()), darkening(image, ground, box, 1.0)
     for name in ("mean", "spread", "brightness", "variance"):
         np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[box.slices])
-    np.testing.assert_array_equal(
-        shadow_likelihood(part, CONFIG), shadow_likelihood(whole, CONFIG)[box.slices]
-    )
+    own, those = (ground_likelihoods(one, CONFIG) for one in (part, whole))
+    for found, expected in zip(own, those, strict=True):
+        np.testing.assert_array_equal(found, expected[box.slices])
 
 
 def test_darkening_is_the_log_of_the_colour_over_that_of_the_enlarged_ground() -> None:
